@@ -1,0 +1,91 @@
+"""What was measured, as arrays: joint readings, tool positions or poses, and the conditions of each row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import ObservationError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SAME_POSE_RAD = 1e-5  # joint vectors closer than this (0.6 thousandths of a degree) are repeats of one pose
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Rows of one or more campaigns, SI and radians, batch axis first.
+
+    Shapes: ``q (N, n)``; ``position (N, 3)`` m; ``rotation (N, 3, 3)``; ``markers (N, m, 3)`` m with NaN where a marker
+    was not seen; ``link_q (N, n)`` the joint angle behind gear and play; ``direction (N, n)`` in {-1, 0, +1}, the last
+    motion of each joint; ``sigma (N, 3)`` m, the standard deviation of each position coordinate.
+    """
+
+    q: Floats
+    position: Floats | None = None
+    rotation: Floats | None = None
+    markers: Floats | None = None
+    link_q: Floats | None = None
+    direction: Floats | None = None
+    qd: Floats | None = None
+    qdd: Floats | None = None
+    tau: Floats | None = None
+    t: Floats | None = None
+    payload_kg: Floats | None = None
+    payload_com: Floats | None = None
+    temperature_c: Floats | None = None
+    session: Ints | None = None
+    pose_id: Ints | None = None
+    sigma: Floats | None = None
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is not None and len(value) != len(self.q):
+                raise ObservationError(
+                    f"{field.name} has {len(value)} rows where q has {len(self.q)}: give every row its own value.",
+                    field=field.name,
+                )
+
+    def __len__(self) -> int:
+        return int(self.q.shape[0])
+
+    def select(self, index: NDArray[Any] | slice) -> Observations:
+        """Return the rows of ``index`` (integers, a mask or a slice)."""
+        return replace(self, **{name: value[index] for name, value in self._present().items()})
+
+    @staticmethod
+    def concatenate(parts: Sequence[Observations]) -> Observations:
+        """Stack campaigns. A column that only some of them have is an error, for a guess would enter the fit.
+
+        Raises:
+            ObservationError: no parts, or parts with different columns.
+
+        """
+        if not parts:
+            raise ObservationError("No observations: name at least one campaign that has some.")
+        names = set(parts[0]._present())
+        for part in parts[1:]:
+            if set(part._present()) != names:
+                odd = sorted(set(part._present()) ^ names)
+                raise ObservationError(
+                    f"The campaigns differ in their columns ({', '.join(odd)}): identify them apart, "
+                    "or upload the missing columns.",
+                    columns=odd,
+                )
+        return Observations(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+    def pose_groups(self) -> Ints:
+        """Number the poses, shape (N,): rows of one ``pose_id``, else rows with the same joint readings, share one."""
+        if self.pose_id is not None:
+            return np.unique(self.pose_id, return_inverse=True)[1].astype(np.int64)
+        rounded = np.round(self.q / SAME_POSE_RAD).astype(np.int64)
+        return np.unique(rounded, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+    def _present(self) -> dict[str, NDArray[Any]]:
+        return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
