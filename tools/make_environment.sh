@@ -1,0 +1,25 @@
+#!/bin/sh
+# Build .venv: usage make_environment.sh PYTHON. Every version comes from constraints.txt, the build tools included:
+# they are installed first and pip is told not to fetch its own.
+set -eu
+python=$1
+
+if ! "$python" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null; then
+    echo "Kilter needs Python 3.11 and '${python:-python3}' is not that. Install it, or name it: make setup PYTHON=/path/to/python3.11" >&2
+    exit 1
+fi
+
+if ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
+    # Debian keeps these two modules in a package of their own.
+    if [ "$(id -u)" != 0 ] || ! command -v apt-get >/dev/null; then
+        echo "Python's venv module is missing. Install it first (Debian, Ubuntu: apt-get install python3.11-venv)." >&2
+        exit 1
+    fi
+    apt-get update -qq
+    apt-get install -y -qq --no-install-recommends python3.11-venv
+fi
+
+[ -x .venv/bin/python ] || "$python" -m venv .venv
+pip() { .venv/bin/python -m pip "$@" --disable-pip-version-check --quiet --constraint constraints.txt; }
+pip install hatchling editables
+pip install --no-build-isolation --editable '.[dev,postgresql]' --editable clients/python
