@@ -1,0 +1,30 @@
+"""Alembic's entry: runs the revisions on the database Kilter is set to use."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from alembic import context
+
+from service.db.database import open_engine
+from service.db.tables import Instant, Row
+from service.settings import Settings
+
+
+def render(kind: str, item: object, _autogen: object) -> str | Literal[False]:
+    # A revision must not change when Kilter's own column types do: it names SQLAlchemy's.
+    return "sa.DateTime(timezone=True)" if isinstance(item, Instant) else False
+
+
+def run() -> None:
+    url = context.config.attributes.get("url") or Settings().database
+    engine = open_engine(url)
+    # A SQLite table cannot be altered in place: batch mode copies it.
+    with engine.begin() as connection:
+        context.configure(connection=connection, target_metadata=Row.metadata, render_as_batch=True, render_item=render)
+        with context.begin_transaction():
+            context.run_migrations()
+    engine.dispose()
+
+
+run()

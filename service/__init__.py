@@ -1,0 +1,1 @@
+"""The Kilter service: HTTP, database, jobs and processes around the core."""

@@ -1,0 +1,52 @@
+"""The HTTP application."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import APIRouter, Depends, FastAPI
+
+from service import errors
+from service.auth.access import reader
+from service.auth.token import admin_token
+from service.db import Database, revision
+from service.health.routes import router as health
+from service.settings import Settings
+from service.version import code_version
+
+SUMMARY = "Keeps a serial robot arm true: identifies its errors from measured poses and corrects its setpoints."
+
+ROUTERS: tuple[APIRouter, ...] = ()
+
+# How long the API waits at its start for `kilterd serve` to migrate the database beside it.
+MIGRATION_WAIT_S = 30.0
+
+
+def create_app(settings: Settings, *, migration_wait_s: float = 0.0) -> FastAPI:
+    """Build the application; nothing is opened before it starts."""
+    app = FastAPI(
+        title="Kilter",
+        version=code_version(),
+        summary=SUMMARY,
+        lifespan=lambda app: _life(app, settings, migration_wait_s),
+        responses=errors.RESPONSES,
+        redoc_url=None,
+    )
+    errors.install(app)
+    app.include_router(health)
+    for router in ROUTERS:
+        app.include_router(router, dependencies=[Depends(reader)])
+    return app
+
+
+@asynccontextmanager
+async def _life(app: FastAPI, settings: Settings, migration_wait_s: float) -> AsyncIterator[None]:
+    app.state.settings = settings
+    app.state.token = admin_token(settings)
+    app.state.database = Database(settings.database)
+    try:
+        revision.wait(app.state.database, migration_wait_s)
+        yield
+    finally:
+        app.state.database.close()

@@ -1,0 +1,1 @@
+"""Corrected trajectories over HTTP."""

@@ -1,0 +1,242 @@
+"""Bytes of the stream, little-endian, as docs/reference/stream.md tables them.
+
+Every frame starts with the same 32-byte header. What comes back adds 24 bytes of verdict, and carries numbers only
+when the status is OK: a refused setpoint leaves nothing that could be sent to a motor by mistake.
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum, IntFlag
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+MAGIC = b"KLT1"
+HEADER = struct.Struct("<4sBBHQQQ")  # magic, kind, joints, flags, seq, t_send_ns, t_apply_ns
+VERDICT = struct.Struct("<QIHHIi")  # version, epoch, status, limit mask, processing ns, reserved
+BLOCK = struct.Struct("<II")  # points, step_ns of a chunk; points, joints of a trajectory
+VERSION = struct.Struct("<Q")
+
+MAX_JOINTS = 16  # the limit mask has 16 bits
+MAX_CHUNK = 4096
+MAX_TRAJECTORY = 1_000_000
+
+
+class Kind(IntEnum):
+    """What a frame carries."""
+
+    POINT = 0
+    CHUNK = 1
+    TRAJECTORY = 2
+
+
+class Flag(IntFlag):
+    """Low byte: what the sender adds. High byte: how the answer was made."""
+
+    QD = 0x0001  # n velocities follow the positions
+    QDD = 0x0002  # n accelerations follow the velocities
+    VERSION = 0x0004  # the 8-byte id of the version the sender expects stands before the positions
+    RESET = 0x0008  # the sequence starts anew here; the correction ramps in from zero
+    SETTLED = 0x0010  # with RESET: the arm rests at this setpoint, so give the whole correction at once
+    DYNAMIC = 0x0100  # the moments include motion
+    RAMPING = 0x0200  # start of the stream or a change of version is still being ramped
+    LIMITED = 0x0400  # a sign change was held to the rate limit
+    DAMPED = 0x0800  # near a singularity: the correction is damped
+    RESIDUAL = 0x1000  # the wanted pose is out of reach of the correction; the nearest was taken
+
+
+IN_FLAGS = 0x001F
+
+
+class Status(IntEnum):
+    """Verdict on a setpoint. Only OK carries numbers."""
+
+    OK = 0
+    STALE = 1
+    SEQ_GAP = 2
+    SEQ_BACK = 3
+    BAD_FRAME = 4
+    NOT_FINITE = 5
+    JOINT_LIMIT = 6
+    CORRECTION_TOO_LARGE = 7
+    RATE_LIMIT = 8
+    NO_VERSION = 9
+    VERSION_MISMATCH = 10
+    OVERLOAD = 11
+
+
+class FrameError(ValueError):
+    """Bytes that are not a frame. ``header`` is what could still be read, for the answer."""
+
+    def __init__(self, message: str, header: Header | None = None) -> None:
+        super().__init__(message)
+        self.header = header
+
+
+class Header(NamedTuple):
+    """First 32 bytes of a frame, without the magic."""
+
+    kind: int
+    joints: int
+    flags: int
+    seq: int
+    t_send_ns: int
+    t_apply_ns: int
+
+
+class Setpoints(NamedTuple):
+    """A decoded request: ``values (points, width * joints)`` holds q, then qd and qdd when the flags say so."""
+
+    header: Header
+    values: Floats
+    step_ns: int
+    version: int | None
+
+
+class Answer(NamedTuple):
+    """A decoded answer: ``values (points, joints)``, empty unless the status is OK."""
+
+    header: Header
+    version: int
+    epoch: int
+    status: Status
+    limit_mask: int
+    processing_ns: int
+    step_ns: int
+    values: Floats
+
+
+def width(flags: int) -> int:
+    """How many vectors of joints one point has: 1 with q, 2 with qd, 3 with qdd."""
+    return 1 + bool(flags & Flag.QD) + bool(flags & Flag.QDD)
+
+
+def decode_header(data: bytes) -> Header:
+    """Read the header.
+
+    Raises:
+        FrameError: too short, or another magic.
+
+    """
+    if len(data) < HEADER.size:
+        raise FrameError(f"{len(data)} bytes are fewer than the {HEADER.size} of a header")
+    magic, *rest = HEADER.unpack_from(data)
+    if magic != MAGIC:
+        raise FrameError(f"magic {magic!r} instead of {MAGIC!r}")
+    return Header(*rest)
+
+
+def decode_setpoints(data: bytes) -> Setpoints:
+    """Read a point or a chunk; the numbers are a read-only view of ``data``.
+
+    Raises:
+        FrameError: anything that is not exactly such a frame.
+
+    """
+    header = decode_header(data)
+    flags = header.flags
+    if header.kind > Kind.CHUNK or not 0 < header.joints <= MAX_JOINTS or flags & ~IN_FLAGS:
+        raise FrameError("unknown kind, flags or number of joints", header)
+    if flags & Flag.QDD and not flags & Flag.QD:
+        raise FrameError("accelerations without velocities", header)
+    offset = HEADER.size
+    version = None
+    points, step_ns = 1, 0
+    try:
+        if flags & Flag.VERSION:
+            (version,) = VERSION.unpack_from(data, offset)
+            offset += VERSION.size
+        if header.kind == Kind.CHUNK:
+            points, step_ns = BLOCK.unpack_from(data, offset)
+            offset += BLOCK.size
+    except struct.error:
+        raise FrameError("cut off", header) from None
+    if not 0 < points <= MAX_CHUNK:
+        raise FrameError(f"a chunk of {points} points", header)
+    columns = header.joints * width(flags)
+    if len(data) != offset + 8 * points * columns:
+        raise FrameError(f"{len(data)} bytes instead of {offset + 8 * points * columns}", header)
+    values = np.frombuffer(data, dtype="<f8", offset=offset).reshape(points, columns)
+    return Setpoints(header, values, step_ns, version)
+
+
+def encode_setpoints(
+    values: Floats,
+    *,
+    joints: int,
+    seq: int,
+    t_send_ns: int,
+    t_apply_ns: int,
+    flags: int = 0,
+    step_ns: int | None = None,
+    version: int | None = None,
+) -> bytes:
+    """Bytes of a point, or of a chunk when ``step_ns`` is given. ``values (points, width * joints)``."""
+    kind = Kind.POINT if step_ns is None else Kind.CHUNK
+    if version is not None:
+        flags |= Flag.VERSION
+    parts = [HEADER.pack(MAGIC, kind, joints, flags, seq, t_send_ns, t_apply_ns)]
+    if version is not None:
+        parts.append(VERSION.pack(version))
+    if step_ns is not None:
+        parts.append(BLOCK.pack(len(values), step_ns))
+    parts.append(np.ascontiguousarray(values, dtype="<f8").tobytes())
+    return b"".join(parts)
+
+
+def encode_answer(
+    header: Header,
+    numbers: bytes,
+    *,
+    version: int,
+    epoch: int,
+    flags: int = 0,
+    limit_mask: int = 0,
+    processing_ns: int = 0,
+    points: int = 1,
+    step_ns: int = 0,
+) -> bytes:
+    """Bytes of an OK answer: the header echoed, the verdict, then the corrected joints in ``numbers``."""
+    head = HEADER.pack(MAGIC, header.kind, header.joints, flags, header.seq, header.t_send_ns, header.t_apply_ns)
+    verdict = VERDICT.pack(version, epoch, 0, limit_mask, processing_ns, 0)
+    if header.kind == Kind.CHUNK:
+        return head + verdict + BLOCK.pack(points, step_ns) + numbers
+    return head + verdict + numbers
+
+
+def encode_refusal(
+    header: Header, status: Status, *, version: int = 0, epoch: int = 0, limit_mask: int = 0, processing_ns: int = 0
+) -> bytes:
+    """Bytes of an answer that is not OK: no joints, no numbers."""
+    head = HEADER.pack(MAGIC, header.kind, 0, 0, header.seq, header.t_send_ns, header.t_apply_ns)
+    return head + VERDICT.pack(version, epoch, status, limit_mask, processing_ns, 0)
+
+
+def decode_answer(data: bytes) -> Answer:
+    """Read an answer.
+
+    Raises:
+        FrameError: anything that is not exactly such a frame.
+
+    """
+    header = decode_header(data)
+    offset = HEADER.size + VERDICT.size
+    if len(data) < offset:
+        raise FrameError("cut off", header)
+    version, epoch, status, mask, processing_ns, _ = VERDICT.unpack_from(data, HEADER.size)
+    if status not in Status._value2member_map_ or header.joints > MAX_JOINTS:
+        raise FrameError(f"unknown status {status} or number of joints", header)
+    points, step_ns = 1, 0
+    if status == Status.OK and header.kind == Kind.CHUNK:
+        if len(data) < offset + BLOCK.size:
+            raise FrameError("cut off", header)
+        points, step_ns = BLOCK.unpack_from(data, offset)
+        offset += BLOCK.size
+    if (status == Status.OK) != (header.joints > 0) or len(data) != offset + 8 * points * header.joints:
+        raise FrameError("numbers do not fit the status or the number of joints", header)
+    values = np.frombuffer(data, dtype="<f8", offset=offset).reshape(-1, max(header.joints, 1))
+    return Answer(header, version, epoch, Status(status), mask, processing_ns, step_ns, values)

@@ -1,0 +1,162 @@
+"""The rows of Kilter's database."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import (
+    JSON,
+    DateTime,
+    Dialect,
+    ForeignKey,
+    LargeBinary,
+    String,
+    TypeDecorator,
+    UniqueConstraint,
+    event,
+)
+from sqlalchemy.orm import DeclarativeBase, Mapped, Mapper, mapped_column
+
+
+def now() -> datetime:
+    """Return the time in UTC."""
+    return datetime.now(UTC)
+
+
+class Instant(TypeDecorator[datetime]):
+    """A time in UTC; SQLite forgets the zone, this puts it back."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        """Read a time as UTC."""
+        return value.replace(tzinfo=UTC) if value is not None and value.tzinfo is None else value
+
+
+class Row(DeclarativeBase):
+    """Base of all rows."""
+
+    type_annotation_map = {  # noqa: RUF012 (SQLAlchemy reads it)
+        datetime: Instant,
+        dict[str, Any]: JSON(none_as_null=True),
+        list[Any]: JSON,
+    }
+
+
+class RobotRow(Row):
+    """A robot as it was posted."""
+
+    __tablename__ = "robots"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), unique=True)
+    document: Mapped[dict[str, Any]]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class CampaignRow(Row):
+    """One measurement campaign of a robot."""
+
+    __tablename__ = "campaigns"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robots.id", ondelete="RESTRICT"), index=True)
+    name: Mapped[str] = mapped_column(String(200))
+    device: Mapped[str] = mapped_column(String(200))
+    role: Mapped[str] = mapped_column(String(16))
+    conditions: Mapped[dict[str, Any]]
+    notes: Mapped[str]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class UploadRow(Row):
+    """One file of observations; the same bytes are stored once per campaign."""
+
+    __tablename__ = "uploads"
+    __table_args__ = (UniqueConstraint("campaign_id", "sha256"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="RESTRICT"), index=True)
+    sha256: Mapped[str] = mapped_column(String(64))
+    rows: Mapped[int]
+    columns: Mapped[list[Any]]
+    media_type: Mapped[str] = mapped_column(String(64))
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class ChunkRow(Row):
+    """Some rows of an upload as a compressed Parquet file."""
+
+    __tablename__ = "chunks"
+    upload_id: Mapped[int] = mapped_column(ForeignKey("uploads.id", ondelete="CASCADE"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True)
+    rows: Mapped[int]
+    sha256: Mapped[str] = mapped_column(String(64))
+    parquet: Mapped[bytes] = mapped_column(LargeBinary)
+
+
+class JobRow(Row):
+    """A job: what was asked, where it stands, how it ended."""
+
+    __tablename__ = "jobs"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(32))
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robots.id", ondelete="CASCADE"), index=True)
+    request: Mapped[dict[str, Any]]
+    state: Mapped[str] = mapped_column(String(16), index=True)
+    fraction: Mapped[float] = mapped_column(default=0.0)
+    stage: Mapped[str] = mapped_column(String(200), default="queued")
+    attempts: Mapped[int] = mapped_column(default=0)
+    cancel_requested: Mapped[bool] = mapped_column(default=False)
+    error: Mapped[dict[str, Any] | None]
+    result: Mapped[dict[str, Any] | None]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    started_at: Mapped[datetime | None]
+    finished_at: Mapped[datetime | None]
+
+
+class VersionRow(Row):
+    """A set of identified parameters; never changed after it is stored."""
+
+    __tablename__ = "versions"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robots.id", ondelete="RESTRICT"), index=True)
+    parent_id: Mapped[str | None] = mapped_column(ForeignKey("versions.id", ondelete="RESTRICT"))
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="RESTRICT"), unique=True)
+    sha256: Mapped[str] = mapped_column(String(64))
+    calibration: Mapped[dict[str, Any]]
+    report: Mapped[dict[str, Any]]
+    covariance: Mapped[dict[str, Any]]
+    campaigns: Mapped[list[Any]]
+    limits: Mapped[dict[str, Any]]
+    code_version: Mapped[str] = mapped_column(String(64))
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class ActivationRow(Row):
+    """An entry of the log of which version was made active, when and by whom; the last one of a robot holds."""
+
+    __tablename__ = "activations"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robots.id", ondelete="RESTRICT"), index=True)
+    version_id: Mapped[str] = mapped_column(ForeignKey("versions.id", ondelete="RESTRICT"))
+    action: Mapped[str] = mapped_column(String(16))
+    actor: Mapped[str] = mapped_column(String(64))
+    at: Mapped[datetime] = mapped_column(default=now)
+
+
+class HeartbeatRow(Row):
+    """A process that says it is alive."""
+
+    __tablename__ = "heartbeats"
+    process: Mapped[str] = mapped_column(String(64), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200), primary_key=True)
+    pid: Mapped[int]
+    at: Mapped[datetime]
+
+
+def _refuse_change(_mapper: Mapper[Any], _connection: Any, row: Row) -> None:
+    raise RuntimeError(f"{type(row).__name__} is immutable: store a new one instead of changing it.")
+
+
+for _immutable in (VersionRow, ActivationRow, ChunkRow):
+    event.listen(_immutable, "before_update", _refuse_change)

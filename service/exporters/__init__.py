@@ -1,0 +1,1 @@
+"""Parameter versions in the formats of other tools."""

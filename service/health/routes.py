@@ -1,0 +1,35 @@
+"""Health over HTTP; open to everybody, for what watches a server has no token."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+from service.errors import ServiceError
+from service.health import service
+from service.health.schemas import Health
+from service.state import DatabaseOfApp
+from service.version import code_version
+
+router = APIRouter(prefix="/v1/health", tags=["health"])
+
+
+@router.get("")
+def health(database: DatabaseOfApp) -> Health:
+    """Report the state of the server and its checks."""
+    return service.report(database)
+
+
+@router.get("/live")
+def live() -> Health:
+    """Answer that the API process lives."""
+    return Health(status="live", version=code_version(), checks={})
+
+
+@router.get("/ready")
+def ready(database: DatabaseOfApp) -> Health:
+    """Answer 200 when database and worker are ready, else 503 with the cause."""
+    report = service.report(database)
+    if report.status != "ready":
+        causes = "; ".join(f"{name}: {check.detail}" for name, check in report.checks.items() if not check.ok)
+        raise ServiceError(causes, code="not_ready", checks={n: c.model_dump() for n, c in report.checks.items()})
+    return report

@@ -1,0 +1,1 @@
+"""Long computations, run durably in a worker process."""

@@ -1,0 +1,1 @@
+"""Immutable parameter versions and which one is active."""

@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import text
+
+from service.db import Database, revision
+from service.db.tables import Row
+
+
+def test_the_head_written_down_is_the_one_alembic_finds(database: Database) -> None:
+    scripts = ScriptDirectory.from_config(revision.configuration(database.url))
+    assert scripts.get_heads() == [revision.HEAD]
+
+
+def test_the_migrations_make_exactly_the_tables_of_the_code(database: Database) -> None:
+    with database.engine.connect() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), Row.metadata) == []
+
+
+def test_migrating_twice_changes_nothing(database: Database) -> None:
+    assert revision.current(database) == revision.HEAD
+    assert revision.migrate(database) is False
+
+
+def test_a_downgrade_leaves_no_table(database: Database) -> None:
+    from alembic import command
+
+    command.downgrade(revision.configuration(database.url), "base")
+    with database.engine.connect() as connection:
+        left = connection.execute(text("SELECT name FROM sqlite_master WHERE type = 'table'")).scalars().all()
+    assert left == ["alembic_version"]
+
+
+def test_sqlite_runs_in_wal_with_foreign_keys(database: Database) -> None:
+    with database.engine.connect() as connection:
+        assert connection.execute(text("PRAGMA journal_mode")).scalar_one() == "wal"
+        assert connection.execute(text("PRAGMA foreign_keys")).scalar_one() == 1
+
+
+def test_file_names_of_migrations_carry_their_date() -> None:
+    names = [path.name for path in (revision.MIGRATIONS / "versions").glob("*.py")]
+    assert names
+    assert all(Path(name).stem[:15].replace("-", "").isdigit() for name in names)
