@@ -1,0 +1,32 @@
+"""Twist of a joint about its own axis in proportion to the load moment (thesis eq. 4.15, 5.19, second term)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from core.effects.base import Batch, Effect, Floats, Local
+from core.parameters import Parameter
+from core.robot import Robot
+
+
+@dataclass(frozen=True)
+class AxialCompliance(Effect):
+    """dq = c ηz with c = 1/k >= 0; static or dynamic load, whichever the rows carry."""
+
+    id = "axial_compliance"
+    summary = "joint compliance about the axis, proportional to the load moment"
+    source = "thesis eq. 4.15, 5.19"
+    needs = frozenset({"moments"})
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Compliance c per joint, rad/(N m) (m/N for a prismatic joint)."""
+        made = self.per_joint(robot, "compliance", "rad/(N m)", 1e-4, 0.0, 1e-2, "axial compliance c = 1/k")
+        kinds = [robot.joints[j].kind for j in self.acting(robot.n_joints)]
+        return tuple(
+            p if kind == "revolute" else Parameter(p.name, "m/N", 0.0, 1e-5, 0.0, 1e-3, p.description)
+            for p, kind in zip(made, kinds, strict=True)
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivative by c."""
+        return self.joint_angle(batch, values, batch.axial)

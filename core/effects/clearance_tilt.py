@@ -1,0 +1,68 @@
+"""Tilt of fixed size inside the clearance of a joint, towards the transverse load (thesis 4.10-4.14, 5.15-5.18)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.effects.base import Batch, Derivative, Effect, Floats, Local, soft_sign
+from core.errors import OptionError
+from core.parameters import Parameter
+from core.robot import Robot
+
+
+@dataclass(frozen=True)
+class ClearanceTilt(Effect):
+    """The joint leans by its clearance angle C about x and y of its frame.
+
+    With t = tan C and γ the share of the load about x, δα = sign(ηx) t sin γ / √(1 + (t sin γ)²) and
+    δβ = sign(ηy) t cos γ / √(1 + (t cos γ)²): L of eq. 5.17-5.18 drops out once 5.15 is corrected to r = (L/2) tan C.
+    ``share`` "thesis" is eq. 5.16, γ = (π/2)|ηx| / (|ηx| + |ηy|); "vector" is atan2(|ηx|, |ηy|), invariant when the
+    joint frame is turned about its axis. ``softening_nm`` > 0 replaces the sign by a tanh of that half-width.
+    """
+
+    id = "clearance_tilt"
+    summary = "tilt of fixed size towards the transverse load, by joint clearance"
+    source = "thesis eq. 5.16-5.18, 5.15 corrected"
+    needs = frozenset({"moments"})
+
+    share: str = "thesis"
+    softening_nm: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.share not in ("thesis", "vector"):
+            raise OptionError(f"clearance_tilt has share {self.share!r}: give thesis or vector.", effect=self.id)
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Clearance angle C per joint, rad."""
+        return self.per_joint(robot, "clearance", "rad", math.radians(0.1), 0.0, math.radians(1.0), "clearance angle C")
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Twist (0, 0, 0, δα, δβ, 0) per joint and its derivative by C."""
+        n = batch.q.shape[1]
+        xi = np.zeros((len(batch), n, 6))
+        derivatives = []
+        for k, j in enumerate(self.acting(n)):
+            across, about = self._directions(batch.moment[:, j, 0], batch.moment[:, j, 1])
+            t = math.tan(values[k])
+            dt = 1.0 + t * t
+            slope = np.zeros((len(batch), 6))
+            for column, part in ((3, across), (4, about)):
+                scale = 1.0 / np.sqrt(1.0 + (t * part) ** 2)
+                xi[:, j, column] = t * part * scale
+                slope[:, column] = dt * part * scale**3
+            derivatives.append(Derivative(k, j, xi=slope))
+        return Local(xi=xi, derivatives=tuple(derivatives))
+
+    def _directions(self, mx: Floats, my: Floats) -> tuple[Floats, Floats]:
+        """Signed shares of the tilt about x and y; no load, no tilt."""
+        ax, ay = np.abs(mx), np.abs(my)
+        total = ax + ay
+        # Rounding noise must not decide where a joint without transverse load leans.
+        loaded = total > 1e-9
+        share = ax / np.where(loaded, total, 1.0)
+        gamma = share * (math.pi / 2.0) if self.share == "thesis" else np.arctan2(ax, ay)
+        sx, sy = soft_sign(mx, self.softening_nm), soft_sign(my, self.softening_nm)
+        return np.where(loaded, sx * np.sin(gamma), 0.0), np.where(loaded, sy * np.cos(gamma), 0.0)

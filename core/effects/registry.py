@@ -1,0 +1,49 @@
+"""Every effect Kilter knows, by id. Adding one is its file, one line here, and one row in the docs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from core.effects.axial_compliance import AxialCompliance
+from core.effects.backlash import Backlash
+from core.effects.backlash_load import BacklashLoad
+from core.effects.base import Effect
+from core.effects.clearance_tilt import ClearanceTilt
+from core.errors import OptionError
+
+_ALL: tuple[type[Effect], ...] = (
+    ClearanceTilt,
+    Backlash,
+    BacklashLoad,
+    AxialCompliance,
+)
+
+EFFECTS: Mapping[str, type[Effect]] = MappingProxyType({effect.id: effect for effect in _ALL})
+
+
+def make_effect(effect_id: str, joints: Iterable[int] | None = None, **config: Any) -> Effect:
+    """Make an effect by id; ``joints`` count from 0, None means all.
+
+    Raises:
+        OptionError: no such effect, or an option it does not have.
+
+    """
+    chosen = None if joints is None else [j + 1 for j in joints]
+    return effect_from_document({"id": effect_id, "joints": chosen, **config})
+
+
+def effect_from_document(document: Mapping[str, Any]) -> Effect:
+    """Make an effect from its document (joints count from 1).
+
+    Raises:
+        OptionError: no such effect, or an option it does not have.
+
+    """
+    known = EFFECTS.get(str(document.get("id")))
+    if known is None:
+        raise OptionError(
+            f"There is no effect {document.get('id')!r}. There are: {', '.join(EFFECTS)}.", effect=document.get("id")
+        )
+    return known.from_document(document)

@@ -1,0 +1,268 @@
+"""Poses and screw columns of a chain of elementary transforms, compiled, one pose after another.
+
+A chain is a program of E elements. Element e moves along or about one axis (codes 0..5 = Tx Ty Tz Rx Ry Rz) by
+``value[e]`` or, when ``joint[e] >= 0``, by ``ratio[e] * (q + dq)[joint[e]] + value[e]``. After element e the small
+twist ``xi[slot[e]]`` is inserted as ``exp(xi)`` when ``slot[e] >= 0``. The constant tool pose stands before element
+``tool_at``. Angles rad, lengths m.
+
+Screw columns are the derivative of the tool point and of the tool orientation (as a rotation vector in the frame of
+the measurements) with respect to each element's motion; for a twist, the left Jacobian of SE(3) makes them exact at
+any size of the twist (Barfoot, State Estimation for Robotics, 7.1.5).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, inline="always")
+def _move(axis, amount, R, p):
+    """Right-multiply the frame (R, p) by one elementary transform, in place."""
+    if axis < 3:
+        for i in range(3):
+            p[i] += R[i, axis] * amount
+        return
+    c = math.cos(amount)
+    s = math.sin(amount)
+    k = axis - 3
+    a = (k + 1) % 3
+    b = (k + 2) % 3
+    for i in range(3):
+        u = R[i, a]
+        v = R[i, b]
+        R[i, a] = c * u + s * v
+        R[i, b] = c * v - s * u
+
+
+@njit(cache=True)
+def _right_multiply(R, p, R2, p2):
+    """Right-multiply the frame (R, p) by the frame (R2, p2), in place."""
+    for i in range(3):
+        a = R[i, 0]
+        b = R[i, 1]
+        c = R[i, 2]
+        p[i] += a * p2[0] + b * p2[1] + c * p2[2]
+        for j in range(3):
+            R[i, j] = a * R2[0, j] + b * R2[1, j] + c * R2[2, j]
+
+
+@njit(cache=True)
+def _exponential(xi, R, p, J):
+    """exp of a twist (v, w) as (R, p); J (3, 3) is the left Jacobian of SO(3) at w, which also carries v to p."""
+    w0 = xi[3]
+    w1 = xi[4]
+    w2 = xi[5]
+    t2 = w0 * w0 + w1 * w1 + w2 * w2
+    if t2 < 1e-6:  # series: the closed forms lose digits to cancellation here
+        a = 1.0 - t2 / 6.0
+        b = 0.5 - t2 / 24.0
+        c = 1.0 / 6.0 - t2 / 120.0
+    else:
+        t = math.sqrt(t2)
+        a = math.sin(t) / t
+        b = (1.0 - math.cos(t)) / t2
+        c = (1.0 - a) / t2
+    W = np.empty((3, 3))
+    W[0, 0] = 0.0
+    W[0, 1] = -w2
+    W[0, 2] = w1
+    W[1, 0] = w2
+    W[1, 1] = 0.0
+    W[1, 2] = -w0
+    W[2, 0] = -w1
+    W[2, 1] = w0
+    W[2, 2] = 0.0
+    for i in range(3):
+        for j in range(3):
+            square = W[i, 0] * W[0, j] + W[i, 1] * W[1, j] + W[i, 2] * W[2, j]
+            eye = 1.0 if i == j else 0.0
+            R[i, j] = eye + a * W[i, j] + b * square
+            J[i, j] = eye + b * W[i, j] + c * square
+    for i in range(3):
+        p[i] = J[i, 0] * xi[0] + J[i, 1] * xi[1] + J[i, 2] * xi[2]
+
+
+@njit(cache=True)
+def _adjoint(xi, A):
+    """Write the 6x6 matrix of the Lie bracket with the twist (v, w) into A."""
+    A[:] = 0.0
+    for k in range(2):
+        o = 3 * k
+        A[o, o + 1] = -xi[5]
+        A[o, o + 2] = xi[4]
+        A[o + 1, o] = xi[5]
+        A[o + 1, o + 2] = -xi[3]
+        A[o + 2, o] = -xi[4]
+        A[o + 2, o + 1] = xi[3]
+    A[0, 4] = -xi[2]
+    A[0, 5] = xi[1]
+    A[1, 3] = xi[2]
+    A[1, 5] = -xi[0]
+    A[2, 3] = -xi[1]
+    A[2, 4] = xi[0]
+
+
+@njit(cache=True)
+def _left_jacobian(xi, J3, J6):
+    """Left Jacobian of SE(3) at xi, 6x6; the coupling block by its series, which eight terms carry to 1e-16 below 0.3 rad."""
+    J6[:] = 0.0
+    for i in range(3):
+        for j in range(3):
+            J6[i, j] = J3[i, j]
+            J6[3 + i, 3 + j] = J3[i, j]
+    if xi[0] == 0.0 and xi[1] == 0.0 and xi[2] == 0.0:
+        return
+    A = np.empty((6, 6))
+    _adjoint(xi, A)
+    term = np.eye(6)
+    for k in range(1, 14):
+        term = term @ A / (k + 1.0)
+        for i in range(3):
+            for j in range(3):
+                J6[i, 3 + j] += term[i, 3 + j]
+
+
+@njit(cache=True)
+def poses(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, position, rotation):
+    """Tool poses of N rows. ``q, dq (N, n)``, ``xi (N, S, 6)``; writes ``position (N, 3)``, ``rotation (N, 3, 3)``."""
+    elements = axis.shape[0]
+    R = np.empty((3, 3))
+    p = np.empty(3)
+    R2 = np.empty((3, 3))
+    p2 = np.empty(3)
+    J3 = np.empty((3, 3))
+    for row in range(q.shape[0]):
+        R[:] = base[:3, :3]
+        p[:] = base[:3, 3]
+        for e in range(elements + 1):
+            if e == tool_at:
+                _right_multiply(R, p, tool[:3, :3], tool[:3, 3])
+            if e == elements:
+                break
+            amount = value[e]
+            j = joint[e]
+            if j >= 0:
+                amount += ratio[e] * (q[row, j] + dq[row, j])
+            _move(axis[e], amount, R, p)
+            s = slot[e]
+            if s >= 0 and xi.shape[0] > 0:
+                _exponential(xi[row, s], R2, p2, J3)
+                _right_multiply(R, p, R2, p2)
+        position[row] = p
+        rotation[row] = R
+
+
+@njit(cache=True)
+def screws(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, column, position, rotation, JE, JQ, JX):
+    """As :func:`poses`, with the screw columns.
+
+    ``column (E,)`` places element e in ``JE (N, 6, C)`` or leaves it out (-1); ``JQ (N, 6, n)`` is the derivative for
+    the joints, ``JX (N, 6, 6 S)`` for the twists (left out when it is empty). Rows 0-2 move the tool point, 3-5 turn it.
+    """
+    elements = axis.shape[0]
+    slots = xi.shape[1]
+    twists = xi.shape[0] > 0 and JX.shape[0] > 0
+    R = np.empty((3, 3))
+    p = np.empty(3)
+    R2 = np.empty((3, 3))
+    p2 = np.empty(3)
+    J3 = np.empty((3, 3))
+    J6 = np.empty((6, 6))
+    lines = np.empty((elements, 6))
+    twist_R = np.empty((slots, 3, 3))
+    twist_p = np.empty((slots, 3))
+    for row in range(q.shape[0]):
+        R[:] = base[:3, :3]
+        p[:] = base[:3, 3]
+        for e in range(elements + 1):
+            if e == tool_at:
+                _right_multiply(R, p, tool[:3, :3], tool[:3, 3])
+            if e == elements:
+                break
+            amount = value[e]
+            j = joint[e]
+            if j >= 0:
+                amount += ratio[e] * (q[row, j] + dq[row, j])
+            k = axis[e] % 3
+            for i in range(3):
+                lines[e, i] = R[i, k]
+                lines[e, 3 + i] = p[i]
+            _move(axis[e], amount, R, p)
+            s = slot[e]
+            if s >= 0:
+                twist_R[s] = R
+                twist_p[s] = p
+                if xi.shape[0] > 0:
+                    _exponential(xi[row, s], R2, p2, J3)
+                    _right_multiply(R, p, R2, p2)
+        position[row] = p
+        rotation[row] = R
+        JQ[row] = 0.0
+        for e in range(elements):
+            a0 = lines[e, 0]
+            a1 = lines[e, 1]
+            a2 = lines[e, 2]
+            c = column[e]
+            j = joint[e]
+            if c < 0 and j < 0:
+                continue
+            if axis[e] < 3:
+                v0 = a0
+                v1 = a1
+                v2 = a2
+                w = 0.0
+            else:
+                r0 = p[0] - lines[e, 3]
+                r1 = p[1] - lines[e, 4]
+                r2 = p[2] - lines[e, 5]
+                v0 = a1 * r2 - a2 * r1
+                v1 = a2 * r0 - a0 * r2
+                v2 = a0 * r1 - a1 * r0
+                w = 1.0
+            if c >= 0:
+                JE[row, 0, c] = v0
+                JE[row, 1, c] = v1
+                JE[row, 2, c] = v2
+                JE[row, 3, c] = w * a0
+                JE[row, 4, c] = w * a1
+                JE[row, 5, c] = w * a2
+            if j >= 0:
+                g = ratio[e]
+                JQ[row, 0, j] += g * v0
+                JQ[row, 1, j] += g * v1
+                JQ[row, 2, j] += g * v2
+                JQ[row, 3, j] += g * w * a0
+                JQ[row, 4, j] += g * w * a1
+                JQ[row, 5, j] += g * w * a2
+        if not twists:
+            continue
+        for s in range(slots):
+            _exponential(xi[row, s], R2, p2, J3)
+            _left_jacobian(xi[row, s], J3, J6)
+            r0 = p[0] - twist_p[s, 0]
+            r1 = p[1] - twist_p[s, 1]
+            r2 = p[2] - twist_p[s, 2]
+            for m in range(6):
+                v0 = 0.0
+                v1 = 0.0
+                v2 = 0.0
+                w0 = 0.0
+                w1 = 0.0
+                w2 = 0.0
+                for k in range(3):
+                    v0 += twist_R[s, 0, k] * J6[k, m]
+                    v1 += twist_R[s, 1, k] * J6[k, m]
+                    v2 += twist_R[s, 2, k] * J6[k, m]
+                    w0 += twist_R[s, 0, k] * J6[3 + k, m]
+                    w1 += twist_R[s, 1, k] * J6[3 + k, m]
+                    w2 += twist_R[s, 2, k] * J6[3 + k, m]
+                c = 6 * s + m
+                JX[row, 0, c] = v0 + w1 * r2 - w2 * r1
+                JX[row, 1, c] = v1 + w2 * r0 - w0 * r2
+                JX[row, 2, c] = v2 + w0 * r1 - w1 * r0
+                JX[row, 3, c] = w0
+                JX[row, 4, c] = w1
+                JX[row, 5, c] = w2

@@ -1,0 +1,208 @@
+"""Load wrench on every joint from gravity, motion, payload and an external wrench, compiled.
+
+The recursion of Newton and Euler (Craig, ch. 6) written in base coordinates: out along the elements for velocities and
+accelerations, back for forces. The result is the *load*: what the outboard links do to the joint, the negative of the
+reaction that a textbook recursion returns (thesis eq. 4.21 and 5.14, corrected: forces rotated into one frame first).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, inline="always")
+def _move(axis, amount, R, p):
+    """Right-multiply the frame (R, p) by one elementary transform, in place."""
+    if axis < 3:
+        for i in range(3):
+            p[i] += R[i, axis] * amount
+        return
+    c = math.cos(amount)
+    s = math.sin(amount)
+    k = axis - 3
+    a = (k + 1) % 3
+    b = (k + 2) % 3
+    for i in range(3):
+        u = R[i, a]
+        v = R[i, b]
+        R[i, a] = c * u + s * v
+        R[i, b] = c * v - s * u
+
+
+@njit(cache=True, inline="always")
+def _add_cross(a, b, out):
+    """out += a x b."""
+    out[0] += a[1] * b[2] - a[2] * b[1]
+    out[1] += a[2] * b[0] - a[0] * b[2]
+    out[2] += a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True, inline="always")
+def _turn(R, v, out):
+    """out = R v."""
+    for i in range(3):
+        out[i] = R[i, 0] * v[0] + R[i, 1] * v[1] + R[i, 2] * v[2]
+
+
+@njit(cache=True)
+def _carry(r, w, dw, acc, t):
+    """Carry an acceleration from a point of a turning body to the point r further: acc += dw x r + w x (w x r)."""
+    _add_cross(dw, r, acc)
+    t[:] = 0.0
+    _add_cross(w, r, t)
+    _add_cross(w, t, acc)
+
+
+@njit(cache=True)
+def _add_body(mass, com, R, p, w, dw, acc, gravity, force, moment, r, f, t):
+    """Add the load of a point mass: its force, and the force's moment about the base origin. r, f, t are scratch."""
+    _turn(R, com, r)
+    f[:] = acc
+    _carry(r, w, dw, f, t)
+    for i in range(3):
+        f[i] = mass * (gravity[i] - f[i])
+        force[i] += f[i]
+        r[i] += p[i]
+    _add_cross(r, f, moment)
+
+
+@njit(cache=True)
+def _add_inertia(inertia, R, w, dw, moment, a, b, h, t):
+    """Subtract the rate of spin of a body, I dw + w x I w, from ``moment``. a, b, h, t are scratch."""
+    for i in range(3):
+        a[i] = R[0, i] * w[0] + R[1, i] * w[1] + R[2, i] * w[2]
+        b[i] = R[0, i] * dw[0] + R[1, i] * dw[1] + R[2, i] * dw[2]
+    _turn(inertia, b, h)
+    _turn(inertia, a, t)
+    h[0] += a[1] * t[2] - a[2] * t[1]
+    h[1] += a[2] * t[0] - a[0] * t[2]
+    h[2] += a[0] * t[1] - a[1] * t[0]
+    _turn(R, h, t)
+    for i in range(3):
+        moment[i] -= t[i]
+
+
+@njit(cache=True)
+def load_wrenches(
+    axis, joint, ratio, value, primary, joint_frame, link_element, mass, com, inertia, gravity, tool,
+    payload, payload_com, external, q, qd, qdd, out,
+):
+    """Load wrench (force N, moment N·m about the joint) on each joint in its joint frame.
+
+    ``primary (n,)`` is the element of each joint, ``joint_frame (n, 3, 3)`` turns the frame after it so that z is the
+    joint axis. ``link_element (L,)`` is the element whose frame the link's ``com (L, 3)`` and ``inertia (L, 3, 3)`` are
+    given in. ``payload (N,)`` kg at ``payload_com (N, 3)`` and ``external (N, 6)`` (force, moment about the tool point)
+    are in the tool frame, which stands after the last element. ``qd, qdd`` may be empty: then the load is static.
+    Writes ``out (N, n, 6)``.
+    """
+    elements = axis.shape[0]
+    n = primary.shape[0]
+    moving = qd.shape[0] > 0
+    R = np.empty((3, 3))
+    p = np.empty(3)
+    z = np.empty(3)
+    r = np.empty(3)
+    f = np.empty(3)
+    t = np.empty(3)
+    w = np.zeros(3)
+    dw = np.zeros(3)
+    acc = np.zeros(3)
+    scratch = np.empty((4, 3))
+    forces = np.empty((elements + 1, 3))
+    moments = np.empty((elements + 1, 3))
+    frames = np.empty((n, 3, 3))
+    origins = np.empty((n, 3))
+    tool_R = np.ascontiguousarray(tool[:3, :3])
+    tool_p = np.ascontiguousarray(tool[:3, 3])
+    for row in range(q.shape[0]):
+        forces[:] = 0.0
+        moments[:] = 0.0
+        w[:] = 0.0
+        dw[:] = 0.0
+        acc[:] = 0.0
+        p[:] = 0.0
+        for i in range(3):
+            for k in range(3):
+                R[i, k] = 1.0 if i == k else 0.0
+        for e in range(elements):
+            j = joint[e]
+            k = axis[e] % 3
+            amount = value[e]
+            speed = 0.0
+            rate = 0.0
+            if j >= 0:
+                amount += ratio[e] * q[row, j]
+                if moving:
+                    speed = ratio[e] * qd[row, j]
+                    rate = ratio[e] * qdd[row, j]
+            for i in range(3):
+                z[i] = R[i, k]
+                r[i] = p[i]
+            _move(axis[e], amount, R, p)
+            if moving and axis[e] < 3:
+                for i in range(3):
+                    r[i] = p[i] - r[i]
+                _carry(r, w, dw, acc, t)
+                t[:] = 0.0
+                _add_cross(w, z, t)
+                for i in range(3):
+                    acc[i] += 2.0 * speed * t[i] + rate * z[i]
+            elif moving and j >= 0:
+                t[:] = 0.0
+                _add_cross(w, z, t)
+                for i in range(3):
+                    dw[i] += rate * z[i] + speed * t[i]
+                    w[i] += speed * z[i]
+            for i in range(n):
+                if primary[i] == e:
+                    for a in range(3):
+                        origins[i, a] = p[a]
+                        for b in range(3):
+                            F = joint_frame[i]
+                            frames[i, a, b] = R[a, 0] * F[0, b] + R[a, 1] * F[1, b] + R[a, 2] * F[2, b]
+            for b in range(mass.shape[0]):
+                if link_element[b] == e:
+                    _add_body(mass[b], com[b], R, p, w, dw, acc, gravity, forces[e], moments[e], r, f, t)
+                    if moving:
+                        _add_inertia(
+                            inertia[b], R, w, dw, moments[e], scratch[0], scratch[1], scratch[2], scratch[3]
+                        )
+        _turn(R, tool_p, r)
+        if moving:
+            _carry(r, w, dw, acc, t)
+        for i in range(3):
+            p[i] += r[i]
+        for i in range(3):
+            u = R[i, 0]
+            v = R[i, 1]
+            x = R[i, 2]
+            for k in range(3):
+                R[i, k] = u * tool_R[0, k] + v * tool_R[1, k] + x * tool_R[2, k]
+        if payload[row] != 0.0:
+            _add_body(
+                payload[row], payload_com[row], R, p, w, dw, acc, gravity, forces[elements], moments[elements], r, f, t
+            )
+        if external.shape[0] > 0:
+            _turn(R, external[row, :3], f)
+            _turn(R, external[row, 3:], t)
+            for i in range(3):
+                forces[elements, i] += f[i]
+                moments[elements, i] += t[i]
+            _add_cross(p, f, moments[elements])
+        for e in range(elements - 1, -1, -1):
+            for i in range(3):
+                forces[e, i] += forces[e + 1, i]
+                moments[e, i] += moments[e + 1, i]
+        for i in range(n):
+            F = forces[primary[i]]
+            M = moments[primary[i]]
+            t[:] = 0.0
+            _add_cross(origins[i], F, t)
+            for a in range(3):
+                out[row, i, a] = frames[i, 0, a] * F[0] + frames[i, 1, a] * F[1] + frames[i, 2, a] * F[2]
+                out[row, i, 3 + a] = (
+                    frames[i, 0, a] * (M[0] - t[0]) + frames[i, 1, a] * (M[1] - t[1]) + frames[i, 2, a] * (M[2] - t[2])
+                )

@@ -1,0 +1,369 @@
+"""The robot model: a chain plus an ordered list of effects; poses, exact Jacobian, and what each effect contributes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.chain import Axis, Element
+from core.effects import Batch, Effect, Local, effect_from_document
+from core.errors import ObservationError
+from core.kernels import kinematics
+from core.moments import joint_loads
+from core.observations import Observations
+from core.parameters import Parameter, indices, refuse_collisions
+from core.robot import Robot
+
+Floats = NDArray[np.float64]
+
+FRAME_AXES = ((Axis.TX, "x"), (Axis.TY, "y"), (Axis.TZ, "z"), (Axis.RX, "rx"), (Axis.RY, "ry"), (Axis.RZ, "rz"))
+# Base and tool frames are found from scratch by the registration; these widths only keep a blind direction finite.
+FRAME_LENGTH_PRIOR_M = 0.1
+FRAME_ANGLE_PRIOR_RAD = 0.3
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Tool ``position (N, 3)`` m and ``rotation (N, 3, 3)`` in the frame of the measurements."""
+
+    position: Floats
+    rotation: Floats
+
+
+@dataclass(frozen=True)
+class Program:
+    """The model's elements (base increments, chain, tool increments) as kernel arrays, parameters aside."""
+
+    axis: NDArray[np.int64]
+    joint: NDArray[np.int64]
+    ratio: Floats
+    value: Floats
+    slot: NDArray[np.int64]
+    tool_at: int
+    element_of: NDArray[np.int64]  # element of each geometric parameter
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """Chain and effects. Parameters in order: base increments, chain constants, tool increments, effects.
+
+    ``T_base`` and ``T_tool`` (4, 4) are the frames about which the six increments of each are taken, in their own axes;
+    an identification folds the increments back into them, so there is no gimbal lock.
+    """
+
+    robot: Robot
+    effects: tuple[Effect, ...] = ()
+    T_base: Floats | None = None
+    T_tool: Floats | None = None
+
+    def __post_init__(self) -> None:
+        if self.T_base is None:
+            object.__setattr__(self, "T_base", self.robot.T_base)
+        if self.T_tool is None:
+            object.__setattr__(self, "T_tool", self.robot.T_tool)
+        refuse_collisions([p.name for p in self.parameters])
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters, in order."""
+        chain = self.robot.chain
+        made = _frame_parameters("base") + [chain.elements[k].parameter() for k in chain.named]
+        made += _frame_parameters("tool")
+        for effect in self.effects:
+            made += effect.parameters(self.robot)
+        return tuple(made)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return tuple(p.name for p in self.parameters)
+
+    def parameter(self, name: str) -> Parameter:
+        """Look a parameter up by name; unknown names raise :class:`~core.errors.OptionError`."""
+        return self.parameters[int(indices(self.names, [name])[0])]
+
+    @property
+    def n_geometric(self) -> int:
+        """Number of geometric parameters: base, chain and tool."""
+        return len(self.robot.chain.named) + 12
+
+    def values0(self) -> Floats:
+        """Nominal values (P,): the robot as drawn, without any effect."""
+        return np.array([p.value for p in self.parameters], dtype=np.float64)
+
+    def effect_slices(self) -> dict[str, slice]:
+        """Where the parameters of each effect stand, keyed by ``id`` or ``id#k`` for the k-th of a kind."""
+        out: dict[str, slice] = {}
+        start = self.n_geometric
+        for effect in self.effects:
+            count = len(effect.parameters(self.robot))
+            out[effect.id if effect.id not in out else f"{effect.id}#{len(out)}"] = slice(start, start + count)
+            start += count
+        return out
+
+    @cached_property
+    def program(self) -> Program:
+        """Kernel arrays of base increments, chain and tool increments."""
+        chain = self.robot.chain.elements
+        frame = [Element(axis) for axis, _ in FRAME_AXES]
+        elements = [*frame, *chain, *frame]
+        slot = np.full(len(elements), -1, dtype=np.int64)
+        for j, k in enumerate(self.robot.chain.primary):
+            slot[6 + k] = j
+        named = [6 + k for k in self.robot.chain.named]
+        tool_at = 6 + len(chain)
+        return Program(
+            axis=np.array([e.axis for e in elements], dtype=np.int64),
+            joint=np.array([-1 if e.joint is None else e.joint for e in elements], dtype=np.int64),
+            ratio=np.array([e.ratio for e in elements]),
+            value=np.array([e.value for e in elements], dtype=np.float64),
+            slot=slot,
+            tool_at=tool_at,
+            element_of=np.array([*range(6), *named, *range(tool_at, tool_at + 6)], dtype=np.int64),
+        )
+
+    def batch(self, observations: Observations) -> Batch:
+        """Conditions of the rows with the load on each joint, from the nominal chain and the joint readings.
+
+        Raises:
+            ObservationError: the rows do not have the robot's number of joints.
+
+        """
+        if observations.q.shape[1] != self.robot.n_joints:
+            raise ObservationError(
+                f"The rows have {observations.q.shape[1]} joints, the robot {self.robot.name!r} has {self.robot.n_joints}."
+            )
+        o = observations
+        rows, n = o.q.shape
+        wrench = (
+            joint_loads(self.robot, o.q, qd=o.qd, qdd=o.qdd, payload_kg=o.payload_kg, payload_com=o.payload_com)
+            if any("moments" in effect.needs for effect in self.effects)
+            else np.zeros((rows, n, 6))
+        )
+        axial = np.where([joint.kind == "revolute" for joint in self.robot.joints], wrench[:, :, 5], wrench[:, :, 2])
+        return Batch(
+            q=o.q, wrench=wrench, axial=axial, direction=o.direction, qd=o.qd, qdd=o.qdd, t=o.t,
+            temperature_c=o.temperature_c, payload_kg=o.payload_kg, session=o.session,
+        )  # fmt: skip
+
+    def predict(self, observations: Observations | Batch, values: Floats) -> Prediction:
+        """Tool poses at ``values (P,)``."""
+        batch = self._as_batch(observations)
+        dq, xi, _ = self._local(batch, values)
+        position, rotation = np.empty((len(batch), 3)), np.empty((len(batch), 3, 3))
+        p = self.program
+        kinematics.poses(
+            p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
+            batch.q, dq, xi, position, rotation,
+        )  # fmt: skip
+        return Prediction(position, rotation)
+
+    def jacobian(
+        self, observations: Observations | Batch, values: Floats, free: NDArray[np.int64] | None = None
+    ) -> tuple[Prediction, Floats]:
+        """Poses and their exact derivative (N, 6, F) by the parameters ``free`` (indices; all when None).
+
+        Rows 0-2 are the position (m per unit), rows 3-5 the rotation vector in the frame of the measurements (rad per unit).
+        """
+        batch = self._as_batch(observations)
+        free = np.arange(len(self.names)) if free is None else free
+        dq, xi, locals_ = self._local(batch, values)
+        prediction, JE, JQ, JX = self._screws(batch, values, dq, xi, free[free < self.n_geometric])
+        if np.all(free < self.n_geometric):
+            return prediction, JE
+        columns = [JE] + [self._effect_columns(locals_, free, JQ, JX)]
+        return prediction, np.concatenate(columns, axis=2)
+
+    def joint_jacobian(self, observations: Observations | Batch, values: Floats) -> tuple[Prediction, Floats]:
+        """Poses and their derivative (N, 6, n) by the joint readings, the effects held still."""
+        batch = self._as_batch(observations)
+        dq, xi, _ = self._local(batch, values)
+        prediction, _, JQ, _ = self._screws(batch, values, dq, xi, np.zeros(0, dtype=np.int64))
+        return prediction, JQ
+
+    def contribution(self, observations: Observations, values: Floats) -> dict[str, Floats]:
+        """Displacement of the tool point (N, 3) m by each effect: the model with all effects minus that without it."""
+        batch = self._as_batch(observations)
+        whole = self.predict(batch, values).position
+        out = {}
+        for key, where in self.effect_slices().items():
+            without = values.copy()
+            without[where] = 0.0
+            out[key] = whole - self.predict(batch, without).position
+        return out
+
+    def link_angles(self, observations: Observations | Batch, values: Floats) -> Floats:
+        """Joint angles (N, n) behind gear and play: reading plus zero offset error plus the effects' corrections."""
+        batch = self._as_batch(observations)
+        dq, _, _ = self._local(batch, values)
+        return batch.q + dq
+
+    def folded(self, values: Floats) -> tuple[RobotModel, Floats]:
+        """Move the base and tool increments of ``values`` into the frames: an equal model with increments zero."""
+        n = self.n_geometric
+        T_base = self.T_base @ _increment(values[:6])
+        T_tool = self.T_tool @ _increment(values[n - 6 : n])
+        flat = values.copy()
+        flat[:6] = 0.0
+        flat[n - 6 : n] = 0.0
+        return replace(self, T_base=T_base, T_tool=T_tool), flat
+
+    def _as_batch(self, observations: Observations | Batch) -> Batch:
+        return observations if isinstance(observations, Batch) else self.batch(observations)
+
+    def _element_values(self, values: Floats) -> Floats:
+        out = self.program.value.copy()
+        out[self.program.element_of] = values[: self.n_geometric]
+        return out
+
+    def _local(self, batch: Batch, values: Floats) -> tuple[Floats, Floats, list[tuple[int, Local]]]:
+        """Sum of the local corrections, and each effect's with the index of its first parameter."""
+        dq = np.zeros_like(batch.q)
+        xi = np.zeros((0, batch.q.shape[1], 6))
+        locals_ = []
+        for effect, where in zip(self.effects, self.effect_slices().values(), strict=True):
+            local = effect.local(batch, values[where])
+            if local.dq is not None:
+                dq = dq + local.dq
+            if local.xi is not None:
+                xi = xi + self._in_element_frames(local.xi) if len(xi) else self._in_element_frames(local.xi)
+            locals_.append((where.start, local))
+        return dq, xi, locals_
+
+    def _in_element_frames(self, xi: Floats) -> Floats:
+        """Turn twists (N, n, 6) from the joint frames into the frames after the joints' elements."""
+        frames = self.robot.chain.program.joint_frame
+        if np.array_equal(frames, np.broadcast_to(np.eye(3), frames.shape)):
+            return np.ascontiguousarray(xi)
+        split = xi.reshape(len(xi), -1, 2, 3)
+        return np.ascontiguousarray(np.einsum("jab,njkb->njka", frames, split).reshape(xi.shape))
+
+    def _screws(
+        self, batch: Batch, values: Floats, dq: Floats, xi: Floats, geometric: NDArray[np.int64]
+    ) -> tuple[Prediction, Floats, Floats, Floats]:
+        rows, n = batch.q.shape
+        p = self.program
+        column = np.full(len(p.axis), -1, dtype=np.int64)
+        column[p.element_of[geometric]] = np.arange(len(geometric))
+        position, rotation = np.empty((rows, 3)), np.empty((rows, 3, 3))
+        JE, JQ = np.empty((rows, 6, len(geometric))), np.empty((rows, 6, n))
+        JX = np.empty((rows, 6, 6 * n)) if len(xi) else np.empty((0, 6, 6 * n))
+        kinematics.screws(
+            p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
+            batch.q, dq, xi, column, position, rotation, JE, JQ, JX,
+        )  # fmt: skip
+        return Prediction(position, rotation), JE, JQ, JX
+
+    def _effect_columns(
+        self, locals_: Sequence[tuple[int, Local]], free: NDArray[np.int64], JQ: Floats, JX: Floats
+    ) -> Floats:
+        """Chain rule: tool columns of the free effect parameters from the local derivatives."""
+        wanted = [int(k) for k in free if k >= self.n_geometric]
+        out = np.zeros((len(JQ), 6, len(wanted)))
+        place = {k: c for c, k in enumerate(wanted)}
+        for start, local in locals_:
+            for d in local.derivatives:
+                c = place.get(start + d.parameter)
+                if c is None:
+                    continue
+                if d.dq is not None:
+                    out[:, :, c] += JQ[:, :, d.joint] * d.dq[:, None]
+                if d.xi is not None:
+                    frame = self.robot.chain.program.joint_frame[d.joint]
+                    block = JX[:, :, 6 * d.joint : 6 * d.joint + 6]
+                    turned = (d.xi.reshape(-1, 2, 3) @ frame.T).reshape(-1, 6)
+                    out[:, :, c] += np.matmul(block, turned[:, :, None])[:, :, 0]
+        return out
+
+
+def _frame_parameters(which: str) -> list[Parameter]:
+    return [
+        Parameter(
+            f"{which}_{name}",
+            "rad" if axis.rotates else "m",
+            0.0,
+            FRAME_ANGLE_PRIOR_RAD if axis.rotates else FRAME_LENGTH_PRIOR_M,
+            description=f"increment of the {which} frame in its own axes",
+        )
+        for axis, name in FRAME_AXES
+    ]
+
+
+def _increment(six: Floats) -> Floats:
+    """Tx Ty Tz Rx Ry Rz of six increments as a pose (4, 4)."""
+    T = np.eye(4)
+    for (axis, _), amount in zip(FRAME_AXES, six, strict=True):
+        step = np.eye(4)
+        k = axis % 3
+        if axis.rotates:
+            a, b = (k + 1) % 3, (k + 2) % 3
+            c, s = np.cos(amount), np.sin(amount)
+            step[a, a], step[a, b], step[b, a], step[b, b] = c, -s, s, c
+        else:
+            step[k, 3] = amount
+        T = T @ step
+    return T
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A model with values: what a parameter version holds. ``marker_points (m, 3)`` m are in the tool frame."""
+
+    model: RobotModel
+    values: Floats
+    marker_points: Floats | None = None
+
+    @staticmethod
+    def nominal(robot: Robot, effects: tuple[Effect, ...] = ()) -> Calibration:
+        """The robot as drawn."""
+        model = RobotModel(robot, effects)
+        return Calibration(model, model.values0())
+
+    @property
+    def robot(self) -> Robot:
+        """The nominal robot."""
+        return self.model.robot
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.model.names
+
+    def predict(self, observations: Observations) -> Prediction:
+        """Tool poses of the rows."""
+        return self.model.predict(observations, self.values)
+
+    def with_effects(self, effects: Sequence[Effect]) -> Calibration:
+        """The same values with another list of effects; parameters of new effects start at their prior mean."""
+        model = replace(self.model, effects=tuple(effects))
+        known = dict(zip(self.names, self.values, strict=True))
+        values = np.array([known.get(p.name, p.value) for p in model.parameters])
+        return Calibration(model, values, self.marker_points)
+
+    def to_document(self) -> dict[str, Any]:
+        """JSON-able state, SI: frames, effects, and every parameter's value by name."""
+        model, values = self.model.folded(self.values)
+        assert model.T_base is not None and model.T_tool is not None  # set by RobotModel itself
+        return {
+            "T_base": model.T_base.tolist(),
+            "T_tool": model.T_tool.tolist(),
+            "effects": [effect.to_document() for effect in model.effects],
+            "values": dict(zip(model.names, values.tolist(), strict=True)),
+            "marker_points": None if self.marker_points is None else self.marker_points.tolist(),
+        }
+
+    @staticmethod
+    def from_document(robot: Robot, document: Mapping[str, Any]) -> Calibration:
+        """Rebuild from :meth:`to_document` for the same robot; names the robot does not have raise ``OptionError``."""
+        effects = tuple(effect_from_document(e) for e in document["effects"])
+        model = RobotModel(robot, effects, np.array(document["T_base"]), np.array(document["T_tool"]))
+        values = model.values0()
+        stored = document["values"]
+        values[indices(model.names, stored)] = list(stored.values())
+        points = document.get("marker_points")
+        return Calibration(model, values, None if points is None else np.array(points))

@@ -1,0 +1,171 @@
+"""The one place where a robot document (mm, degrees) becomes a :class:`~core.robot.Robot` (SI, radians)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.chain import Axis, Chain, Element
+from core.conventions import Row, dh_elements, mdh_elements
+from core.errors import RobotError
+from core.robot import STANDARD_GRAVITY, Joint, Link, Robot
+from core.robots.presets import preset_document
+from core.transforms import pose_from_xyz_rpy
+
+MM = 1e-3
+Document = Mapping[str, Any]
+
+
+def robot_from_document(document: Document) -> Robot:
+    """Build a robot from a document of convention ``chain``, ``dh``, ``mdh`` or ``preset`` (URDF is turned into ``chain`` before).
+
+    Fields of a ``preset`` document other than its name, base, tool and gravity come from the preset.
+
+    Raises:
+        RobotError: a field is missing or cannot be; the message names it.
+
+    """
+    convention = document.get("convention")
+    if convention == "preset":
+        base = preset_document(str(document.get("preset")))
+        return robot_from_document({**base, **{k: v for k, v in document.items() if v is not None and k in _OVERRIDABLE}})
+    if convention == "chain":
+        joints, chain, frames = _from_elements(document)
+    elif convention in ("dh", "mdh"):
+        joints, chain, frames = _from_rows(document, str(convention))
+    else:
+        raise RobotError(
+            f"convention is {convention!r}: give chain, dh, mdh, urdf or preset.", field="convention", value=convention
+        )
+    gravity = document.get("gravity_m_s2")
+    return Robot(
+        name=str(document.get("name", "robot")),
+        joints=joints,
+        chain=chain,
+        links=_links(document.get("links") or (), frames),
+        gravity=np.array([0.0, 0.0, -STANDARD_GRAVITY] if gravity is None else gravity, dtype=np.float64),
+        T_base=_pose(document.get("base")),
+        T_tool=_pose(document.get("tool")),
+    )
+
+
+_OVERRIDABLE = {"name", "gravity_m_s2", "tool", "base", "links"}
+
+
+def _pose(pose: Document | None) -> NDArray[np.float64]:
+    pose = pose or {}
+    xyz = np.array([pose.get(f"{k}_mm", 0.0) for k in "xyz"]) * MM
+    rpy = np.radians([pose.get(f"r{k}_deg", 0.0) for k in "xyz"])
+    return pose_from_xyz_rpy(xyz, rpy)
+
+
+def _joint(i: int, joint: Document, kind: str) -> Joint:
+    unit, scale = ("mm", MM) if kind == "prismatic" else ("deg", math.pi / 180.0)
+    limits = joint.get(f"limits_{unit}") or (None, None)
+    lower, upper = (
+        bound if value is None else float(value) * scale
+        for value, bound in zip(limits, (-math.inf, math.inf), strict=True)
+    )
+    if not lower < upper:
+        raise RobotError(
+            f"Joint {i + 1} has limits {list(limits)}: the first must be below the second.", field=f"joints[{i}].limits"
+        )
+    return Joint(str(joint.get("name") or f"j{i + 1}"), kind, lower, upper, joint.get("gear_ratio"))
+
+
+def _from_rows(document: Document, convention: str) -> tuple[tuple[Joint, ...], Chain, tuple[int, ...]]:
+    rows = document.get("rows") or document.get(convention)
+    if not rows:
+        raise RobotError(f"A robot of convention {convention} needs rows, one per joint.", field="rows")
+    joints: Sequence[Document] = document.get("joints") or [{} for _ in rows]
+    if len(joints) != len(rows):
+        raise RobotError(f"There are {len(rows)} rows but {len(joints)} joints: give one of each.", field="joints")
+    table = [_row(row) for row in rows]
+    elements, frames = (dh_elements if convention == "dh" else mdh_elements)(table)
+    kinds = ["prismatic" if row.prismatic else "revolute" for row in table]
+    made = tuple(_joint(i, joint, kind) for i, (joint, kind) in enumerate(zip(joints, kinds, strict=True)))
+    return made, Chain(elements, len(made)), frames
+
+
+def _row(row: Document) -> Row:
+    d, beta = row.get("d_mm", 0.0), row.get("beta_deg")
+    return Row(
+        alpha=math.radians(row.get("alpha_deg", 0.0)),
+        a=row.get("a_mm", 0.0) * MM,
+        theta_offset=math.radians(row.get("theta_offset_deg") or 0.0),
+        d=None if d is None else d * MM,
+        beta=None if beta is None else math.radians(beta),
+        prismatic=row.get("type", "revolute") == "prismatic",
+    )
+
+
+def _from_elements(document: Document) -> tuple[tuple[Joint, ...], Chain, tuple[int, ...]]:
+    described: Sequence[Document] = document.get("joints") or ()
+    elements: Sequence[Document] = document.get("elements") or ()
+    order = [str(j["name"]) for j in described] or list(dict.fromkeys(str(e["joint"]) for e in elements if e.get("joint")))
+    seen: set[str] = set()
+    made = tuple(_element(k, element, order, seen) for k, element in enumerate(elements))
+    chain = Chain(made, len(order))
+    kinds = ["revolute" if made[k].axis.rotates else "prismatic" for k in chain.primary]
+    by_name = {str(j["name"]): j for j in described}
+    joints = tuple(
+        _joint(i, by_name.get(name, {"name": name}), kind)
+        for i, (name, kind) in enumerate(zip(order, kinds, strict=True))
+    )
+    return joints, chain, chain.primary
+
+
+def _element(k: int, element: Document, order: Sequence[str], seen: set[str]) -> Element:
+    try:
+        axis = Axis[str(element["axis"]).upper()]
+    except KeyError:
+        raise RobotError(
+            f"elements[{k}] has axis {element.get('axis')!r}: give Rx, Ry, Rz, Tx, Ty or Tz.", field=f"elements[{k}].axis"
+        ) from None
+    value = float(element.get("value") or 0.0)
+    joint = element.get("joint")
+    if joint is not None and joint not in order:
+        raise RobotError(f"elements[{k}] names joint {joint!r}, not one of the joints.", field=f"elements[{k}].joint")
+    return Element(
+        axis=axis,
+        value=math.radians(value) if axis.rotates else value * MM,
+        name=None if element.get("fixed") else element.get("name") or _default_name(k, axis, joint, order, seen),
+        joint=None if joint is None else order.index(joint),
+        ratio=float(element.get("ratio", 1.0)),
+    )
+
+
+def _default_name(k: int, axis: Axis, joint: str | None, order: Sequence[str], seen: set[str]) -> str | None:
+    """Name of an unnamed element: the zero offset of a joint's first element, else axis and place."""
+    if joint is None:
+        return f"{axis.name.lower()}_{k + 1}"
+    if joint in seen:
+        return None
+    seen.add(joint)
+    return f"{'theta' if axis.rotates else 'd'}_offset_{order.index(joint) + 1}"
+
+
+def _links(links: Sequence[Document], frames: tuple[int, ...]) -> tuple[Link, ...]:
+    if links and len(links) != len(frames):
+        raise RobotError(
+            f"There are {len(links)} links for {len(frames)} joints: give one link per joint, with mass_kg 0 where it has none.",
+            field="links",
+        )
+    return tuple(_link(i, link, frame) for i, (link, frame) in enumerate(zip(links, frames, strict=False)))
+
+
+def _link(i: int, link: Document, element: int) -> Link:
+    mass = float(link.get("mass_kg") or 0.0)
+    if mass < 0:
+        raise RobotError(f"links[{i}] has a mass of {mass} kg: a mass cannot be negative.", field=f"links[{i}].mass_kg")
+    xx, yy, zz, xy, xz, yz = link.get("inertia_kg_m2") or (0.0,) * 6
+    return Link(
+        element=element,
+        mass=mass,
+        com=np.array(link.get("com_mm") or (0.0, 0.0, 0.0), dtype=np.float64) * MM,
+        inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=np.float64),
+    )

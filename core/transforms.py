@@ -1,0 +1,67 @@
+"""Rigid transforms as 4x4 arrays: building, inverting, and the logarithm of a rotation with its Jacobian."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Floats = NDArray[np.float64]
+
+
+def pose_from_xyz_rpy(xyz_m: Floats, rpy_rad: Floats) -> Floats:
+    """T (4, 4) = Trans(xyz) Rz(rz) Ry(ry) Rx(rx), the convention of URDF; ``rpy_rad`` is (rx, ry, rz)."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("xyz", rpy_rad).as_matrix()
+    T[:3, 3] = xyz_m
+    return T
+
+
+def xyz_rpy_from_pose(T: Floats) -> tuple[Floats, Floats]:
+    """Return (xyz (3,) m, rpy (3,) rad) of a pose (4, 4), the inverse of :func:`pose_from_xyz_rpy`."""
+    # A gimbal-locked pose has many equal triples; scipy picks one and warns, the pose it stands for is the same.
+    R = T[:3, :3]
+    ry = float(np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0])))
+    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
+        rx, rz = float(np.arctan2(-R[1, 2], R[1, 1])), 0.0
+    else:
+        rx, rz = float(np.arctan2(R[2, 1], R[2, 2])), float(np.arctan2(R[1, 0], R[0, 0]))
+    return T[:3, 3].copy(), np.array([rx, ry, rz])
+
+
+def inverse(T: Floats) -> Floats:
+    """Inverse of a rigid transform (4, 4)."""
+    out = np.eye(4)
+    out[:3, :3] = T[:3, :3].T
+    out[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return out
+
+
+def nearest_rotation(M: Floats) -> Floats:
+    """Rotation (3, 3) nearest to M in the Frobenius norm, never a reflection."""
+    U, _, Vt = np.linalg.svd(M)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt)
+
+
+def rotation_log(R: Floats) -> Floats:
+    """Rotation vectors (N, 3) of rotations (N, 3, 3)."""
+    return np.asarray(Rotation.from_matrix(R).as_rotvec())
+
+
+def skew(v: Floats) -> Floats:
+    """Cross-product matrices (N, 3, 3) of vectors (N, 3)."""
+    out = np.zeros((len(v), 3, 3))
+    out[:, 0, 1], out[:, 0, 2] = -v[:, 2], v[:, 1]
+    out[:, 1, 0], out[:, 1, 2] = v[:, 2], -v[:, 0]
+    out[:, 2, 0], out[:, 2, 1] = -v[:, 1], v[:, 0]
+    return out
+
+
+def right_jacobian_inverse(w: Floats) -> Floats:
+    """Inverse right Jacobian of SO(3) (N, 3, 3) at rotation vectors w (N, 3): d Log(E exp(d)) = J^-1 d."""
+    t = np.linalg.norm(w, axis=1)
+    small = t < 1e-4
+    safe = np.where(small, 1.0, t)
+    c = np.where(small, 1.0 / 12.0 + t**2 / 720.0, 1.0 / safe**2 - (1.0 + np.cos(safe)) / (2.0 * safe * np.sin(safe)))
+    W = skew(w)
+    return np.asarray(np.eye(3) + 0.5 * W + c[:, None, None] * (W @ W))
