@@ -13,13 +13,16 @@ FROM python:3.11-slim
 RUN useradd --system --uid 10001 --create-home kilter \
     && install --directory --owner kilter --group kilter /data
 COPY --from=build /opt/kilter /opt/kilter
+# A container is reached from outside it, so the server listens on every address and asks for KILTER_TOKEN.
 # The compiled kernels are kept with the data: the program's own folder is not writable for the user that runs it.
 ENV PATH=/opt/kilter/bin:$PATH \
     KILTER_DATA=/data \
+    KILTER_HOST=0.0.0.0 \
+    KILTER_ZENOH_LISTEN=tcp/0.0.0.0:7447 \
     NUMBA_CACHE_DIR=/data/kernels
 USER 10001
 VOLUME /data
-EXPOSE 8484 7447
+EXPOSE 8730 7447
 HEALTHCHECK --interval=10s --timeout=3s --start-period=30s \
-    CMD ["kilterd", "health"]
+    CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8730/v1/health/ready')"]
 CMD ["kilterd", "serve"]

@@ -164,7 +164,8 @@ def test_constraints_are_what_is_installed() -> None:
     ],
 )
 def test_no_download_address_is_written_down(path: str) -> None:
-    assert "://" not in (REPOSITORY / path).read_text()
+    addresses = re.findall(r"\w+://[^\s'\"]+", (REPOSITORY / path).read_text())
+    assert not [address for address in addresses if not address.startswith("http://127.0.0.1")]
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the Dockerfile linter is packaged for x86_64 only")

@@ -1,0 +1,185 @@
+"""The documentation is complete and holds together: links, settings, routes, commands, effects, errors, columns."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer
+from click import Command, Group
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DOCS = REPOSITORY / "docs"
+PAGES = sorted(
+    [
+        *DOCS.rglob("*.md"),
+        REPOSITORY / "README.md",
+        REPOSITORY / "CHANGELOG.md",
+        REPOSITORY / "clients/python/README.md",
+    ]
+)
+LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+
+
+def text_of(page: str) -> str:
+    return (DOCS / page).read_text(encoding="utf-8")
+
+
+def without_code(text: str) -> str:
+    return re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, made as the usual renderers make them."""
+    headings = re.findall(r"^#+ (.+)$", without_code(page.read_text(encoding="utf-8")), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def internal_links(page: Path) -> Iterator[str]:
+    for target in LINK.findall(without_code(page.read_text(encoding="utf-8"))):
+        if "://" not in target and not target.startswith("mailto:"):
+            yield target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_internal_links_resolve(page: Path) -> None:
+    broken = []
+    for target in internal_links(page):
+        path, _, anchor = target.partition("#")
+        aim = (page.parent / path).resolve() if path else page
+        if not aim.exists() or (anchor and anchor not in anchors(aim)):
+            broken.append(target)
+    assert not broken
+
+
+def test_every_page_is_reached_from_the_index() -> None:
+    reached, waiting = set[Path](), [DOCS / "README.md"]
+    while waiting:
+        page = waiting.pop()
+        if page in reached:
+            continue
+        reached.add(page)
+        aims = [(page.parent / target.partition("#")[0]).resolve() for target in internal_links(page)]
+        waiting += [aim for aim in aims if aim.suffix == ".md" and aim.is_file() and aim.is_relative_to(DOCS)]
+    assert set(DOCS.rglob("*.md")) <= reached
+
+
+def test_every_picture_is_used() -> None:
+    used = {
+        (page.parent / target).resolve() for page in PAGES for target in internal_links(page) if target.endswith(".svg")
+    }
+    assert set((DOCS / "images").iterdir()) == used
+
+
+def test_pages_name_no_place_outside_the_repository() -> None:
+    for page in PAGES:
+        assert "/work/" not in page.read_text(encoding="utf-8"), page
+
+
+def test_decisions_are_numbered_and_listed() -> None:
+    pages = sorted(path.name for path in (DOCS / "decisions").glob("0*.md"))
+    assert [name[:4] for name in pages] == [f"{number:04}" for number in range(1, len(pages) + 1)]
+    index = text_of("decisions/README.md")
+    assert all(f"({name})" in index for name in pages)
+    for name in pages:
+        text = text_of(f"decisions/{name}")
+        assert all(f"\n## {part}\n" in text for part in ("Context", "Decision", "Consequences")), name
+
+
+def test_every_setting_is_documented() -> None:
+    from service.settings import Settings
+
+    page = text_of("reference/settings.md")
+    missing = [name for name in Settings.model_fields if f"| `KILTER_{name.upper()}` |" not in page]
+    assert not missing
+    named = set(re.findall(r"^\| `KILTER_(\w+)`", page, re.MULTILINE)) - {"URL"}
+    assert named == {name.upper() for name in Settings.model_fields}
+
+
+def test_default_port_is_documented() -> None:
+    from service.settings import Settings
+
+    port = Settings.model_fields["port"].default
+    assert f"| `KILTER_PORT` | `{port}` |" in text_of("reference/settings.md")
+    assert f"EXPOSE {port} " in (REPOSITORY / "Dockerfile").read_text()
+
+
+def test_every_route_is_documented(tmp_path: Path) -> None:
+    from service.app import create_app
+    from service.settings import Settings
+
+    paths = create_app(Settings(data=tmp_path)).openapi()["paths"]
+    routes = {f"{method.upper()} {path}" for path, methods in paths.items() for method in methods}
+    documented = {
+        f"{method} {path}"
+        for method, path in re.findall(r"^\| `(\w+) (/\S+)` \|", text_of("reference/routes.md"), re.M)
+    }
+    assert documented == routes
+
+
+def test_every_effect_is_documented() -> None:
+    from core.effects import EFFECTS
+
+    documented = set(re.findall(r"^\| `(\w+)` \|", text_of("reference/effects.md"), re.MULTILINE))
+    assert documented == set(EFFECTS)
+
+
+def test_every_error_code_is_documented() -> None:
+    from service.errors import PROBLEMS
+
+    page = text_of("reference/errors.md")
+    documented = {code: int(status) for code, status in re.findall(r"^\| `(\w+)` \| (\d{3}) \|", page, re.MULTILINE)}
+    assert documented == {code: status for code, (status, _) in PROBLEMS.items()}
+
+
+def test_every_error_of_the_client_is_documented() -> None:
+    from kilter_client import errors
+
+    page = text_of("reference/errors.md")
+    classes = [value for value in vars(errors).values() if isinstance(value, type) and issubclass(value, Exception)]
+    missing = [found.__name__ for found in classes if f"`{found.__name__}`" not in page]
+    assert not missing
+
+
+def test_every_preset_is_documented() -> None:
+    from core.robots import preset_names
+
+    page = text_of("reference/robots.md")
+    assert not [name for name in preset_names() if f"`{name}`" not in page]
+
+
+def commands(command: Command, name: str) -> Iterator[tuple[str, Command]]:
+    if isinstance(command, Group):
+        for child, found in command.commands.items():
+            yield from commands(found, f"{name} {child}")
+    else:
+        yield name, command
+
+
+def test_every_client_command_and_option_is_documented() -> None:
+    from kilter_client.cli import app
+
+    page = text_of("reference/cli.md")
+    missing = []
+    for name, command in commands(typer.main.get_command(app), "kilter"):
+        section = re.search(rf"^### `{re.escape(name)}.*?`\n(.*?)(?=^##|\Z)", page, re.MULTILINE | re.DOTALL)
+        if section is None:
+            missing.append(name)
+            continue
+        flags = {flag for parameter in command.params for flag in parameter.opts if flag.startswith("--")}
+        missing += [f"{name} {flag}" for flag in sorted(flags - {"--help", "--json"}) if f"`{flag}" not in section[1]]
+    assert not missing
+
+
+@pytest.mark.parametrize("command", ["serve", "api", "worker", "corrector", "migrate"])
+def test_every_server_command_is_documented(command: str) -> None:
+    assert f"`kilterd {command}" in text_of("reference/cli.md")
+
+
+def test_changelog_has_the_usual_form() -> None:
+    text = (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert "\n## [Unreleased]\n" in text
+    kinds = set(re.findall(r"^### (.+)$", text, re.MULTILINE))
+    assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
