@@ -17,9 +17,11 @@ import pytest
 from packaging.requirements import Requirement
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+KERNELS = REPOSITORY / "core" / "kernels"
 CORE_MAY_IMPORT = {"core", "numpy", "scipy", "numba"}
 FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "misc", "common"}
 MODULE_CAP, FUNCTION_CAP = 400, 60
+KERNEL_CAP = 120  # a compiled loop over poses keeps its scratch arrays in one function
 
 
 def modules(*folders: str) -> Iterator[Path]:
@@ -55,7 +57,7 @@ def test_only_kernels_are_compiled() -> None:
     outside = [
         str(path.relative_to(REPOSITORY))
         for path in modules("core", "service")
-        if "numba" in imported_packages(path) and path.parent != REPOSITORY / "core" / "kernels"
+        if "numba" in imported_packages(path) and path.parent != KERNELS
     ]
     assert not outside
 
@@ -79,11 +81,12 @@ def test_modules_are_short_and_say_what_they_are_for() -> None:
 
 def test_functions_are_short() -> None:
     wrong = []
-    for path in application_modules():
+    for path in modules("core", "service", "clients/python/src", "tools"):
+        cap = KERNEL_CAP if path.parent == KERNELS else FUNCTION_CAP
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.end_lineno is not None:
                 length = node.end_lineno - node.lineno + 1
-                if length > FUNCTION_CAP:
+                if length > cap:
                     wrong.append(f"{path.relative_to(REPOSITORY)}: {node.name} has {length} lines")
     assert not wrong
 
