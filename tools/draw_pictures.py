@@ -64,7 +64,7 @@ def data_flow() -> str:
         box(16, 30, 150, 84, "measurements", ["tracker, camera,", "encoder files"]),
         box(214, 30, 150, 84, "observations", ["joints, poses, loads;", "units in every name"], BLUE),
         box(412, 30, 150, 84, "identify", ["weighted fit, null", "directions by name"], BLUE),
-        box(610, 30, 150, 84, "version", ["immutable; one is", "active per robot"], BLUE),
+        box(610, 30, 150, 84, "version", ["immutable, one", "active per robot"], BLUE),
         box(412, 176, 150, 84, "model", ["chain + tilt, play,", "compliance, ..."], BLUE),
         box(610, 176, 150, 84, "corrector", ["inverse of the model,", "a stream of its own"], GREEN),
         box(16, 176, 150, 84, "robot.json", ["preset, DH, MDH,", "URDF or chain"]),
