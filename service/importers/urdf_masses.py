@@ -1,0 +1,39 @@
+"""Links that move as one body, merged."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.importers.urdf_tree import Body, UrdfTree
+
+Floats = NDArray[np.float64]
+
+
+def merged(tree: UrdfTree, link: str, cut: set[str]) -> Body:
+    """Return the body of ``link`` and all that hangs on it without a joint of ``cut`` in between, joints at zero."""
+    body = tree.bodies[link]
+    for joint in tree.children(link):
+        if joint.name not in cut:
+            body = together(body, in_frame(joint.origin, merged(tree, joint.child, cut)))
+    return body
+
+
+def in_frame(T: Floats, body: Body) -> Body:
+    """Return the body in the frame in which its own frame has the pose T (4, 4)."""
+    R = T[:3, :3]
+    return Body(body.mass, R @ body.com + T[:3, 3], R @ body.inertia @ R.T)
+
+
+def together(a: Body, b: Body) -> Body:
+    """Return two bodies of one frame as one (parallel axes)."""
+    mass = a.mass + b.mass
+    if mass == 0.0:
+        return Body(0.0, np.zeros(3), a.inertia + b.inertia)
+    com = (a.mass * a.com + b.mass * b.com) / mass
+    return Body(mass, com, sum((_about(com, body) for body in (a, b)), np.zeros((3, 3))))
+
+
+def _about(point: Floats, body: Body) -> Floats:
+    d = body.com - point
+    return body.inertia + body.mass * (float(d @ d) * np.eye(3) - np.outer(d, d))

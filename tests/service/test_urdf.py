@@ -1,0 +1,146 @@
+"""The URDF importer against Pinocchio, on random trees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pinocchio
+import pytest
+from numpy.typing import NDArray
+
+from core.errors import RobotError
+from core.model import Calibration
+from core.moments import joint_loads
+from core.observations import Observations
+from core.robots import robot_from_document
+from service.importers.urdf import UrdfImport, chain_document
+
+Floats = NDArray[np.float64]
+
+LINK = """<link name="{name}"><inertial><origin xyz="{xyz}" rpy="{rpy}"/><mass value="{mass}"/>
+<inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0.001" ixz="-0.002" iyz="0.003"/></inertial></link>"""
+JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
+<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>
+<limit lower="-2" upper="2.5" effort="1" velocity="1"/>{mimic}</joint>"""
+AXES = ["1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 0 -1", "0.3 -0.7 0.64", "1 1 0"]
+
+
+def numbers(values: Floats) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def random_urdf(seed: int, mimic: bool = False) -> str:
+    """A chain base - l1 - ... - tip with fixed and moving branches hanging on every link."""
+    rng = np.random.default_rng(seed)
+    parts = [LINK.format(name="base", xyz="0 0 0", rpy="0 0 0", mass=3.0)]
+
+    def attach(parent: str, child: str, joint: str, kind: str, follows: str = "") -> None:
+        parts.append(
+            LINK.format(
+                name=child,
+                xyz=numbers(rng.normal(0, 0.1, 3)),
+                rpy=numbers(rng.normal(0, 1, 3)),
+                mass=rng.uniform(0.1, 3),
+            )
+        )
+        axis = AXES[rng.integers(len(AXES))]
+        origin = {"xyz": numbers(rng.normal(0, 0.3, 3)), "rpy": numbers(rng.normal(0, 1.5, 3))}
+        parts.append(
+            JOINT.format(name=joint, kind=kind, parent=parent, child=child, axis=axis, mimic=follows, **origin)
+        )
+
+    kinds = ["revolute", "fixed", "prismatic", "revolute", "fixed", "revolute", "revolute", "fixed"]
+    for k, kind in enumerate(kinds):
+        child = "tip" if k == len(kinds) - 1 else f"l{k + 1}"
+        follows = '<mimic joint="joint0" multiplier="-0.4" offset="0.15"/>' if mimic and k == 5 else ""
+        attach("base" if k == 0 else f"l{k}", child, f"joint{k}", kind, follows)
+        attach(child, f"side{k}", f"side_joint{k}", ["fixed", "revolute"][k % 2])
+    return f'<robot name="random">{"".join(parts)}</robot>'
+
+
+def pose(result: UrdfImport, q: Floats) -> Floats:
+    prediction = Calibration.nominal(robot_from_document(result.document)).predict(Observations(q=q[None]))
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = prediction.rotation[0], prediction.position[0]
+    return T
+
+
+def reference(text: str, angles: dict[str, float]) -> Floats:
+    model = pinocchio.buildModelFromXML(text)
+    q = pinocchio.neutral(model)
+    for name, angle in angles.items():
+        q[model.joints[model.getJointId(name)].idx_q] = angle
+    data = model.createData()
+    pinocchio.framesForwardKinematics(model, data, q)
+    return np.asarray(data.oMf[model.getFrameId("tip")].homogeneous)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_random_trees_have_pinocchios_forward_kinematics(seed: int) -> None:
+    text = random_urdf(seed)
+    result = chain_document(text, "base", "tip", "random")
+    names = [joint["name"] for joint in result.document["joints"]]
+    q = np.random.default_rng(seed).uniform(-2, 2, len(names))
+    assert np.abs(pose(result, q) - reference(text, dict(zip(names, q, strict=True)))).max() < 1e-12
+    assert result.held_joints == ("side_joint1", "side_joint3", "side_joint5", "side_joint7")
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_mimic_joint_follows_its_leader(seed: int) -> None:
+    text = random_urdf(seed, mimic=True)
+    result = chain_document(text, "base", "tip", "random")
+    names = [joint["name"] for joint in result.document["joints"]]
+    assert "joint5" not in names
+    q = np.random.default_rng(seed).uniform(-2, 2, len(names))
+    angles = dict(zip(names, q, strict=True))
+    angles["joint5"] = -0.4 * angles["joint0"] + 0.15
+    assert np.abs(pose(result, q) - reference(text, angles)).max() < 1e-12
+    assert result.ignored_masses == ("l6",)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_merged_masses_load_the_joints_as_pinocchio_says(seed: int) -> None:
+    text = random_urdf(seed)
+    result = chain_document(text, "base", "tip", "random")
+    robot = robot_from_document(result.document)
+    names = [joint.name for joint in robot.joints]
+    q = np.random.default_rng(seed).uniform(-2, 2, len(names))
+    wrench = joint_loads(robot, q[None])[0]
+    ours = [w[5] if joint.kind == "revolute" else w[2] for w, joint in zip(wrench, robot.joints, strict=True)]
+    model = pinocchio.buildModelFromXML(text)
+    full = pinocchio.neutral(model)
+    indices = [model.joints[model.getJointId(name)] for name in names]
+    for joint, angle in zip(indices, q, strict=True):
+        full[joint.idx_q] = angle
+    torque = pinocchio.computeGeneralizedGravity(model, model.createData(), full)
+    theirs = np.array([torque[joint.idx_v] for joint in indices]) * robot.gravity[2] / -9.81
+    # Gravity's load is the opposite of the torque that holds it.
+    assert np.allclose(ours, -theirs, atol=1e-9)
+
+
+def test_elements_of_a_joint_are_six_named_constants() -> None:
+    document = chain_document(random_urdf(1), "base", "tip", "random").document
+    named = [element["name"] for element in document["elements"] if element.get("name", "").startswith("joint0_")]
+    assert named == [f"joint0_{suffix}" for suffix in ("x", "y", "z", "yaw", "pitch", "roll")]
+    assert document["joints"][0]["limits_deg"] == pytest.approx([-114.591559, 143.239449])
+    assert document["joints"][1]["limits_mm"] == [-2000, 2500]
+
+
+def bad() -> Iterator[tuple[str, str, str, str]]:
+    good = random_urdf(0)
+    yield "not xml at all", "base", "tip", "not XML"
+    yield '<robot xmlns:xacro="x"><xacro:include filename="a"/></robot>', "base", "tip", "run `xacro"
+    yield '<!DOCTYPE r [<!ENTITY a "b">]><robot/>', "base", "tip", "entities"
+    yield "<model/>", "base", "tip", "<robot>"
+    yield good, "bse", "tip", "Near it: base"
+    yield good, "l3", "side0", "does not hang on"
+    yield good, "l1", "l2", "No joint moves"
+    yield good.replace('type="prismatic"', 'type="planar"'), "base", "tip", "joint joint2 is 'planar'"
+    yield good.replace('xyz="0.3 -0.7 0.64"', 'xyz="0.3 x 0"'), "base", "tip", "is not 3 numbers"
+
+
+@pytest.mark.parametrize(("text", "base", "tip", "message"), list(bad()))
+def test_what_is_no_arm_is_refused_with_the_cause(text: str, base: str, tip: str, message: str) -> None:
+    with pytest.raises(RobotError, match=message):
+        chain_document(text, base, tip, "random")
