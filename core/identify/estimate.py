@@ -1,0 +1,124 @@
+"""From observations to a fit: registration as the start, weights estimated from the residuals, refusals before work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import TooFewPosesError
+from core.identify.least_squares import Fit, Problem, Weights, solve
+from core.identify.options import IdentifyOptions
+from core.measurement import Measurement
+from core.model import Calibration, RobotModel
+from core.registration import register
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+START_SIGMA_M = 1e-4
+START_SIGMA_RAD = 1e-3
+SMALLEST_SIGMA_M = 1e-7  # below any instrument: keeps noise-free simulations solvable
+SMALLEST_SIGMA_RAD = 1e-7
+WEIGHT_PASSES = 4
+
+
+def registration_only(start: Calibration, measurement: Measurement, loss: str = "linear") -> Calibration:
+    """Fit only base and tool to the measurement, the chain and the effects held: what frame fitting alone can do."""
+    options = IdentifyOptions(loss=loss, fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :])
+    fit = estimate(start, measurement, options)
+    return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+
+
+def estimate(
+    start: Calibration, measurement: Measurement, options: IdentifyOptions, progress: Progress | None = None
+) -> Fit:
+    """Fit the options' free parameters from ``start``, with base and tool registered first.
+
+    The standard deviations of points and turns are re-estimated from the residuals until they settle, unless
+    ``noise_mm`` states the first; stated per-row sigmas are kept and a common variance is added to them.
+
+    Raises:
+        TooFewPosesError: fewer measured numbers than free parameters; says how many poses are needed.
+
+    """
+    model, values = start.model.folded(start.values)
+    free = options.free_parameters(model, sees_orientation=measurement.sees_orientation)
+    refuse_too_few(model, measurement, free)
+    T_base, T_tool = register(
+        model, values, measurement, base=options.base == "free" and _any(model, free, "base_"), tool=_any(model, free, "tool_")
+    )
+    model = replace(model, T_base=T_base, T_tool=T_tool)
+    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    point_sigma, turn_sigma = stated or START_SIGMA_M, START_SIGMA_RAD
+    for step in range(WEIGHT_PASSES):
+        weights = Weights(_row_sigmas(measurement, point_sigma), turn_sigma)
+        problem = Problem(model, measurement, free, weights, options.loss)
+        fit = solve(problem, values, _iterations(progress, step))
+        values = fit.values
+        points, turns = _scatter(fit)
+        settled = _near(points, point_sigma) and _near(turns, turn_sigma)
+        point_sigma, turn_sigma = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
+        if settled:
+            break
+    return fit
+
+
+def refuse_too_few(model: RobotModel, measurement: Measurement, free: NDArray[np.int64]) -> None:
+    """Raise :class:`TooFewPosesError` unless the distinct poses give at least as many numbers as there are unknowns."""
+    poses = int(measurement.observations.pose_groups().max()) + 1
+    each = 6 if measurement.sees_orientation else 3
+    needed = math.ceil(len(free) / each)
+    if poses < needed:
+        raise TooFewPosesError(
+            f"{poses} distinct poses give {poses * each} numbers for {len(free)} free parameters: at least {needed} poses "
+            "are needed, and several times that for a result to trust. Measure more, or fix parameters (level 1, fix).",
+            poses=poses,
+            needed=needed,
+            free=len(free),
+        )
+
+
+def _any(model: RobotModel, free: NDArray[np.int64], prefix: str) -> bool:
+    return any(model.names[k].startswith(prefix) for k in free)
+
+
+def _row_sigmas(measurement: Measurement, common: float) -> float | Floats:
+    sigma = measurement.observations.sigma
+    if sigma is None or measurement.marker_points is not None:
+        return common
+    extra = max(common**2 - float(np.mean(sigma**2)), SMALLEST_SIGMA_M**2)
+    return np.asarray(np.sqrt(sigma**2 + extra)[:, None, :])
+
+
+def _scatter(fit: Fit) -> tuple[float, float]:
+    """Standard deviations (m, rad) of points and turns after the fit, corrected for the parameters used."""
+    problem = fit.problem
+    residual = problem.measurement.residual(problem.model.predict(problem.batch, fit.values))
+    count = problem.measurement.scalars()
+    freedom = max(count - fit.effective, 1.0) / count
+    points = residual.points[~np.isnan(residual.points)]
+    if problem.loss == "huber":
+        # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
+        size = float(np.median(np.abs(points))) / 0.6745
+    else:
+        size = float(np.sqrt(np.mean(points**2)))
+    turns = 0.0 if residual.turns is None else float(np.sqrt(np.mean(residual.turns**2)))
+    return size / math.sqrt(freedom), turns / math.sqrt(freedom)
+
+
+def _near(new: float, old: float) -> bool:
+    return new == 0.0 or abs(math.log(new / old)) < 0.05
+
+
+def _iterations(progress: Progress | None, step: int) -> Callable[[int, float], None] | None:
+    if progress is None:
+        return None
+
+    def report(iteration: int, cost: float) -> None:
+        progress(1.0 - 0.7**iteration, f"fit {step + 1}, iteration {iteration}")
+
+    return report

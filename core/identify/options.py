@@ -1,0 +1,119 @@
+"""What can be asked of an identification, checked before anything is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.effects import Effect, effect_from_document
+from core.errors import OptionError
+from core.model import RobotModel
+
+FULL_TILTING = ("clearance_tilt", "backlash_load", "axial_compliance")
+METHODS = ("least_squares",)
+
+
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """Options of an identification, the names of the contract.
+
+    ``level`` 1 joint offsets, 2 geometry, 3 geometry and non-geometric effects (3 when ``effects`` are given, else 2).
+    ``effects`` ids, or documents with options and joints. ``free`` patterns replace the level's geometric parameters,
+    ``fix`` patterns hold parameters (``alpha_*``). ``base`` and ``tool`` are "free" or "fixed". ``tilt_first`` holds the
+    effects of the starting version while the geometry is identified (thesis 4.22, 5.20). ``noise_mm`` is the standard
+    deviation of a coordinate when it is known; otherwise it is estimated.
+    """
+
+    level: int | None = None
+    method: str = "least_squares"
+    tilt_first: bool = False
+    effects: tuple[str | Mapping[str, Any], ...] = ()
+    free: tuple[str, ...] = ()
+    fix: tuple[str, ...] = ()
+    base: str = "free"
+    tool: str = "free"
+    loss: str = "linear"
+    noise_mm: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self._one_of("level", (None, 1, 2, 3))
+        self._one_of("method", METHODS)
+        self._one_of("base", ("free", "fixed"))
+        self._one_of("tool", ("free", "fixed"))
+        self._one_of("loss", ("linear", "huber"))
+        if self.noise_mm is not None and not self.noise_mm > 0:
+            raise OptionError("noise_mm must be above 0: it is a standard deviation.", option="noise_mm")
+        if self.level in (1, 2) and self.effects:
+            raise OptionError(
+                f"Level {self.level} has no effects: drop them, or ask for level 3.", option="level", level=self.level
+            )
+
+    @staticmethod
+    def from_document(document: Mapping[str, Any]) -> IdentifyOptions:
+        """Build options from a JSON object.
+
+        Raises:
+            OptionError: an option that does not exist or cannot be.
+
+        """
+        known = {f.name for f in fields(IdentifyOptions)}
+        unknown = sorted(set(document) - known)
+        if unknown:
+            raise OptionError(f"identify has no option {unknown[0]!r}. It has: {', '.join(sorted(known))}.", option=unknown[0])
+        return IdentifyOptions(**{k: tuple(v) if isinstance(v, list) else v for k, v in document.items()})
+
+    def make_effects(self) -> tuple[Effect, ...]:
+        """Effects of the model: those asked for, or full tilting at level 3."""
+        chosen: Sequence[str | Mapping[str, Any]] = self.effects or (FULL_TILTING if self.level == 3 else ())
+        return tuple(effect_from_document({"id": e} if isinstance(e, str) else e) for e in chosen)
+
+    def free_parameters(self, model: RobotModel, *, sees_orientation: bool) -> NDArray[np.int64]:
+        """Indices of the parameters to identify in ``model``.
+
+        Raises:
+            OptionError: a pattern that matches nothing, or nothing left to identify.
+
+        """
+        names = set(self._geometric(model))
+        names |= {f"base_{k}" for k in FRAME_NAMES} if self.base == "free" else set()
+        names |= {f"tool_{k}" for k in FRAME_NAMES if sees_orientation or len(k) == 1} if self.tool == "free" else set()
+        if not self.tilt_first:
+            names |= set(model.names[model.n_geometric :])
+        names -= set(_matching(model.names, self.fix))
+        if not names:
+            raise OptionError("Nothing is left to identify: free a parameter, the base or the tool.", option="fix")
+        return np.array([k for k, name in enumerate(model.names) if name in names], dtype=np.int64)
+
+    def _geometric(self, model: RobotModel) -> list[str]:
+        chain = model.robot.chain
+        if self.free:
+            return _matching(model.names, self.free)
+        wanted = [chain.elements[k] for k in chain.named]
+        return [str(e.name) for e in wanted if self.level != 1 or e.joint is not None]
+
+    def _one_of(self, name: str, allowed: Sequence[Any]) -> None:
+        value = getattr(self, name)
+        if value not in allowed:
+            offered = ", ".join(str(a) for a in allowed if a is not None)
+            raise OptionError(f"{name} is {value!r}: give {offered}.", option=name, value=value)
+
+
+FRAME_NAMES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def _matching(names: Sequence[str], patterns: Sequence[str]) -> list[str]:
+    out: list[str] = []
+    for pattern in patterns:
+        found = [name for name in names if fnmatchcase(name, pattern)]
+        if not found:
+            raise OptionError(
+                f"No parameter is named {pattern!r}. There are: {', '.join(names)}.", option="free/fix", pattern=pattern
+            )
+        out += found
+    return out

@@ -1,0 +1,106 @@
+"""An identification in the units people read, with what it could not tell said in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.identifiability import identifiable
+from core.identify.least_squares import Fit
+from core.model import Calibration
+from core.observations import Observations
+from core.transforms import xyz_rpy_from_pose
+
+Floats = NDArray[np.float64]
+
+WIRE = {
+    "m": ("mm", 1e3),
+    "rad": ("deg", 180.0 / math.pi),
+    "rad/(N m)": ("deg/(N m)", 180.0 / math.pi),
+    "m/N": ("mm/N", 1e3),
+}
+STILL_RAD = 1e-6  # a joint whose readings stay within this never moved
+
+
+def parameter_rows(calibration: Calibration, fit: Fit) -> list[dict[str, Any]]:
+    """Every free parameter as {name, value, nominal, unit, sigma, identifiable, plausible} in mm and degrees.
+
+    Base and tool are given as x, y, z and rx, ry, rz of the whole frame (URDF order Rz Ry Rx); their sigmas are those
+    of small increments along the frame's own axes.
+    """
+    model = calibration.model
+    known = identifiable(fit.sigma, fit.problem.prior_sigma) & ~np.isin(fit.names, list(_blind_names(fit)))
+    values = _absolute(calibration)
+    rows = []
+    for name, sigma, seen in zip(fit.names, fit.sigma, known, strict=True):
+        parameter = model.parameter(name)
+        unit, scale = WIRE.get(parameter.unit, (parameter.unit, 1.0))
+        rows.append({
+            "name": name,
+            "value": values[name] * scale,
+            "nominal": _nominal(calibration)[name] * scale,
+            "unit": unit,
+            "sigma": float(sigma) * scale,
+            "identifiable": bool(seen),
+            "plausible": parameter.plausible(values[name]),
+        })  # fmt: skip
+    return rows
+
+
+def warnings_of(fit: Fit, train: Observations, repeats: float | None) -> Iterator[dict[str, Any]]:
+    """What a metrologist should know before trusting the result."""
+    for j in still_joints(train):
+        name = fit.problem.model.robot.joints[j].name
+        yield {
+            "code": "joint_never_moves",
+            "joint": name,
+            "message": f"Joint {name} never moves: nothing about it can be identified. Vary it, or fix its parameters.",
+        }
+    if repeats is None:
+        yield {
+            "code": "no_repeats",
+            "message": "No pose was repeated, so the noise is that of the fit itself, model errors included. "
+            "Repeat a few poses to know the instrument's own.",
+        }
+    loaded = [e.id for e in fit.problem.model.effects if "moments" in e.needs]
+    if loaded and not np.any(fit.problem.batch.wrench):
+        yield {
+            "code": "no_load",
+            "message": f"{', '.join(loaded)} need load moments, but neither link masses nor a payload are known: "
+            "give links with mass_kg and com_mm, or payload_kg.",
+        }
+
+
+def still_joints(observations: Observations) -> list[int]:
+    """Joints whose reading never changes."""
+    return [int(j) for j in np.flatnonzero(np.ptp(observations.q, axis=0) < STILL_RAD)]
+
+
+def _blind_names(fit: Fit) -> Iterator[str]:
+    """Parameters of the joint elements that never move: their columns alias their neighbours'."""
+    model = fit.problem.model
+    still = set(still_joints(fit.problem.measurement.observations))
+    for e in model.robot.chain.elements:
+        if e.joint in still and e.name:
+            yield e.name
+
+
+def _absolute(calibration: Calibration) -> dict[str, float]:
+    model = calibration.model
+    values = dict(zip(calibration.names, (float(v) for v in calibration.values), strict=True))
+    return values | _frame("base", np.asarray(model.T_base)) | _frame("tool", np.asarray(model.T_tool))
+
+
+def _nominal(calibration: Calibration) -> dict[str, float]:
+    robot = calibration.robot
+    values = {p.name: p.value for p in calibration.model.parameters}
+    return values | _frame("base", robot.T_base) | _frame("tool", robot.T_tool)
+
+
+def _frame(which: str, T: Floats) -> dict[str, float]:
+    xyz, rpy = xyz_rpy_from_pose(T)
+    return dict(zip([f"{which}_{k}" for k in ("x", "y", "z", "rx", "ry", "rz")], map(float, [*xyz, *rpy]), strict=True))

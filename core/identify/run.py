@@ -1,0 +1,165 @@
+"""An identification from start to report: registration only, the fit, the held-out truth about both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import ObservationError
+from core.identifiability import NullDirection, null_directions
+from core.identify.estimate import estimate, registration_only
+from core.identify.holdout import Folds, fold_splits, split
+from core.identify.least_squares import Fit
+from core.identify.noise import repeat_sigma
+from core.identify.options import IdentifyOptions
+from core.identify.report import parameter_rows, warnings_of
+from core.measurement import Measurement
+from core.metrics import Errors
+from core.model import Calibration
+from core.observations import Observations
+from core.robot import Robot
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+Validation = Observations | float | Folds | None
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Result of :func:`identify`; ``metrics`` as in the contract, ``covariance (F, F)`` SI."""
+
+    calibration: Calibration
+    fit: Fit
+    metrics: dict[str, Any]
+    noise_m: float
+    noise_source: str
+    null_directions: tuple[NullDirection, ...]
+    warnings: tuple[dict[str, Any], ...]
+
+    @property
+    def covariance(self) -> Floats:
+        """Posterior covariance of the free parameters, SI."""
+        return self.fit.covariance
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in the order of the covariance."""
+        return self.fit.names
+
+    def to_document(self) -> dict[str, Any]:
+        """The identify result of the contract: mm, degrees, names, units."""
+        return {
+            "parameters": parameter_rows(self.calibration, self.fit),
+            "null_directions": [
+                {
+                    "parameters": [{"name": name, "weight": weight} for name, weight in d.weights],
+                    "structural": d.structural,
+                    "sentence": d.sentence(),
+                }
+                for d in self.null_directions
+            ],
+            "metrics": self.metrics,
+            "noise_mm": self.noise_m * 1e3,
+            "noise_source": self.noise_source,
+            "warnings": list(self.warnings),
+            "iterations": self.fit.iterations,
+        }
+
+
+def identify(
+    robot: Robot,
+    train: Observations,
+    validation: Validation = None,
+    options: IdentifyOptions | None = None,
+    start: Calibration | None = None,
+    progress: Progress | None = None,
+) -> Identification:
+    """Identify a robot from observations.
+
+    ``validation`` is other observations, a fraction of the poses to hold out, folds, or None. With folds every pose is
+    predicted once by a model that never saw it, and the final fit uses all. ``start`` continues from a version.
+
+    Raises:
+        TooFewPosesError: not enough distinct poses. OptionError: options that do not fit the robot or the data.
+        ObservationError: nothing measured. NotConvergedError: no minimum found.
+
+    """
+    options = options or IdentifyOptions()
+    tell = progress or (lambda fraction, stage: None)
+    begin = _begin(robot, options, start)
+    _refuse_missing_columns(begin, train)
+    tell(0.02, "splitting by pose")
+    held: dict[str, Errors] = {}
+    if isinstance(validation, Folds):
+        held = _cross_validated(begin, train, validation, options, tell)
+    elif isinstance(validation, float):
+        inside, outside = split(train, validation, options.seed)
+        train, validation = train.select(inside), train.select(outside)
+    measurement = Measurement.of(train, begin.marker_points)
+    registered = registration_only(begin, measurement, options.loss)
+    fit = estimate(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s))
+    calibration = Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+    stages = {"nominal": begin, "registration_only": registered, "identified": calibration}
+    if isinstance(validation, Observations):
+        other = Measurement.of(validation, measurement.marker_points)
+        held = {name: Errors.of(stage, other) for name, stage in stages.items()}
+    tell(0.95, "identifiability")
+    sigma = repeat_sigma(train)
+    return Identification(
+        calibration=calibration,
+        fit=fit,
+        metrics=_metrics({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held),
+        noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
+        noise_source="residuals of the fit" if sigma is None else "repeats",
+        null_directions=null_directions(fit.J, fit.names, fit.problem.prior_sigma),
+        warnings=tuple(warnings_of(fit, train, sigma)),
+    )
+
+
+def _begin(robot: Robot, options: IdentifyOptions, start: Calibration | None) -> Calibration:
+    """The model to fit at its starting values: the effects asked for, or with none asked those of the start."""
+    effects = options.make_effects()
+    if start is None:
+        return Calibration.nominal(robot, effects)
+    return start.with_effects(effects or start.model.effects)
+
+
+def _refuse_missing_columns(begin: Calibration, train: Observations) -> None:
+    available = frozenset({"moments"} | set(train._present()))
+    for effect in begin.model.effects:
+        missing = effect.missing(available)
+        if missing:
+            raise ObservationError(
+                f"Effect {effect.id} needs {', '.join(sorted(missing))}, which these observations do not have: "
+                "upload the columns, or leave the effect out.",
+                effect=effect.id,
+                missing=sorted(missing),
+            )
+
+
+def _cross_validated(
+    begin: Calibration, train: Observations, folds: Folds, options: IdentifyOptions, tell: Progress
+) -> dict[str, Errors]:
+    """Errors on held-out poses, pooled over the folds."""
+    shape = Measurement.of(train, begin.marker_points).marker_points
+    parts: dict[str, list[Errors]] = {"nominal": [], "registration_only": [], "identified": []}
+    for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
+        tell(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
+        seen, unseen = Measurement.of(train.select(inside), shape), Measurement.of(train.select(outside), shape)
+        fit = estimate(begin, seen, options)
+        parts["nominal"].append(Errors.of(begin, unseen))
+        parts["registration_only"].append(Errors.of(registration_only(begin, seen, options.loss), unseen))
+        parts["identified"].append(Errors.of(Calibration(fit.problem.model, fit.values, shape), unseen))
+    return {name: Errors.concatenate(errors) for name, errors in parts.items()}
+
+
+def _metrics(train: dict[str, Errors], held: dict[str, Errors]) -> dict[str, Any]:
+    def block(errors: dict[str, Errors]) -> dict[str, Any]:
+        n = len(next(iter(errors.values())).points)
+        return {"n": n, **{name: e.to_document() for name, e in errors.items()}}
+
+    return {"train": block(train), "validation": block(held) if held else None}

@@ -1,0 +1,787 @@
+"""The whole correction of a setpoint, compiled, without allocation: one call from wanted joints to corrected joints.
+
+``program`` (M + 1 + n + 1, COLUMNS) is what :func:`core.correction.compile_program` makes of a calibration: one row per
+move (a joint element with the constant transform before it), one for the constant transform up to the tool, one per
+joint, one of scalars. Every move is turned so that it is about or along z; frame k is the joint frame after move k.
+``work`` (M + 1 + n + 6, COLUMNS) is scratch and may be shared; ``state`` (n + 1, STATE) is the memory of one stream.
+Angles rad, lengths m, masses kg, times s. Base frame throughout: the pose of the base cancels between wanted and actual.
+
+The inverse (thesis eq. 5.22, iterated): with J the identified Jacobian at the wanted joints, the command is
+q + J' y where (J J' + λ²) y solves the wanted pose; λ is zero away from singularities. So the answer lies in the row
+space of J and does not depend on how many iterations reached it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+COLUMNS = 40
+STATE = 10
+INFO = 8  # flags, limit mask, residual m, residual of all rows, error removed x y z m, iterations
+
+# move rows
+NOMINAL, IDENTIFIED, KIND, JOINT, RATIO, PRIMARY, MASS, COM, INERTIA = 0, 12, 24, 25, 26, 27, 28, 29, 32
+# joint rows
+LOWER, UPPER, DQ, XI, TILT, TILT_SOFT, TILT_SHARE, PLAY, PLAY_SOFT = 0, 1, 2, 3, 9, 10, 11, 12, 13
+REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, MOVE = 14, 15, 16, 17, 18, 19
+# scalars
+GRAVITY, ROWS, ROW, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST, RAMP, FILTER, HYSTERESIS, LOADED, REACHED, N, M = (
+    0, 3, 4, 10, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26,
+)  # fmt: skip
+# scratch of a move: nominal frame, then the identified joint line, the sine and cosine of the
+# wanted joints, then force and moment about the base origin of the body on the move
+LINE, SINE, COSINE, LOAD = 12, 18, 19, 20
+# scratch of a joint
+WANTED, COMMAND, SHIFT, LEAN_A, LEAN_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN, COLUMN = (
+    0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 12,
+)  # fmt: skip
+TURN_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW = 18, 19, 20
+# scratch of a task row: matrix row, then residual, multiplier and its step
+ERROR, MULTIPLIER, DELTA = 6, 7, 8
+# state of a joint, and of the stream (row n)
+LAST_A, LAST_B, LAST_SIDE, LAST_Q, TURN, HEADING, OFFSET, LAST_DELTA, SMOOTH, SMOOTH_SPEED = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+STARTED, REBASE, REMAINING, LENGTH = 0, 1, 2, 3
+
+OK, NOT_FINITE, JOINT_LIMIT, TOO_LARGE, RATE_LIMIT = 0, 5, 6, 7, 8
+DYNAMIC, RAMPING, LIMITED, DAMPED, RESIDUAL = 0x0100, 0x0200, 0x0400, 0x0800, 0x1000
+
+# Below this moment a sign would be that of rounding noise.
+NO_MOMENT = 1e-9
+# Moments are taken anew while the command still moves by more than this; then the effects stand still.
+SETTLED_RAD = 1e-7
+# After this many rounds the signs stand still even if they flip back and forth around zero moment.
+SIGN_ROUNDS = 4
+
+
+
+
+@njit(cache=True, error_model="numpy")
+def _constant(P, k, c):
+    """Constant transform in P[k, c:c + 12] as (R row by row, p)."""
+    return (
+        P[k, c], P[k, c + 1], P[k, c + 2], P[k, c + 3], P[k, c + 4], P[k, c + 5],
+        P[k, c + 6], P[k, c + 7], P[k, c + 8], P[k, c + 9], P[k, c + 10], P[k, c + 11],
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _product(A, B):
+    """Product of two frames."""
+    return (
+        A[0] * B[0] + A[1] * B[3] + A[2] * B[6],
+        A[0] * B[1] + A[1] * B[4] + A[2] * B[7],
+        A[0] * B[2] + A[1] * B[5] + A[2] * B[8],
+        A[3] * B[0] + A[4] * B[3] + A[5] * B[6],
+        A[3] * B[1] + A[4] * B[4] + A[5] * B[7],
+        A[3] * B[2] + A[4] * B[5] + A[5] * B[8],
+        A[6] * B[0] + A[7] * B[3] + A[8] * B[6],
+        A[6] * B[1] + A[7] * B[4] + A[8] * B[7],
+        A[6] * B[2] + A[7] * B[5] + A[8] * B[8],
+        A[0] * B[9] + A[1] * B[10] + A[2] * B[11] + A[9],
+        A[3] * B[9] + A[4] * B[10] + A[5] * B[11] + A[10],
+        A[6] * B[9] + A[7] * B[10] + A[8] * B[11] + A[11],
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _turned(A, s, c):
+    """Frame A turned about its z by the angle of sine s and cosine c."""
+    return (
+        c * A[0] + s * A[1], c * A[1] - s * A[0], A[2],
+        c * A[3] + s * A[4], c * A[4] - s * A[3], A[5],
+        c * A[6] + s * A[7], c * A[7] - s * A[6], A[8],
+        A[9], A[10], A[11],
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _moved(A, d):
+    """Frame A moved along its z by d."""
+    return (
+        A[0], A[1], A[2], A[3], A[4], A[5], A[6], A[7], A[8],
+        A[9] + A[2] * d, A[10] + A[5] * d, A[11] + A[8] * d,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _small_turn(s, c, d):
+    """Sine and cosine of a + d from those of a: the series is exact to 1e-17 up to 0.03 rad."""
+    if abs(d) < 0.03:
+        d2 = d * d
+        sd = d * (1.0 - d2 * (1.0 / 6.0 - d2 * (1.0 / 120.0 - d2 / 5040.0)))
+        cd = 1.0 - d2 * (0.5 - d2 * (1.0 / 24.0 - d2 * (1.0 / 720.0 - d2 / 40320.0)))
+    else:
+        sd = math.sin(d)
+        cd = math.cos(d)
+    return s * cd + c * sd, c * cd - s * sd
+
+
+@njit(cache=True, error_model="numpy")
+def _exponential(v0, v1, v2, w0, w1, w2):
+    """exp of the twist (v, w) as a frame."""
+    t2 = w0 * w0 + w1 * w1 + w2 * w2
+    if t2 < 1e-6:  # series: the closed forms lose digits to cancellation here
+        a = 1.0 - t2 / 6.0 * (1.0 - t2 / 20.0)
+        b = 0.5 - t2 / 24.0
+        c = 1.0 / 6.0 - t2 / 120.0
+    else:
+        t = math.sqrt(t2)
+        a = math.sin(t) / t
+        b = (1.0 - math.cos(t)) / t2
+        c = (1.0 - a) / t2
+    d = w0 * v0 + w1 * v1 + w2 * v2  # left Jacobian of SO(3) times v
+    return (
+        1.0 - b * (w1 * w1 + w2 * w2), b * w0 * w1 - a * w2, b * w0 * w2 + a * w1,
+        b * w0 * w1 + a * w2, 1.0 - b * (w0 * w0 + w2 * w2), b * w1 * w2 - a * w0,
+        b * w0 * w2 - a * w1, b * w1 * w2 + a * w0, 1.0 - b * (w0 * w0 + w1 * w1),
+        a * v0 + b * (w1 * v2 - w2 * v1) + c * d * w0,
+        a * v1 + b * (w2 * v0 - w0 * v2) + c * d * w1,
+        a * v2 + b * (w0 * v1 - w1 * v0) + c * d * w2,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _nominal(P, W, m, oj):
+    """Frames of the nominal chain at the command into W; returns the tool frame."""
+    T = _constant(P, 0, NOMINAL)
+    for k in range(m):
+        if k > 0:
+            T = _product(T, _constant(P, k, NOMINAL))
+        j = oj + int(P[k, JOINT])
+        shift = P[k, RATIO] * (W[j, COMMAND] - W[j, WANTED])
+        if P[k, KIND] == 0.0:
+            s, c = _small_turn(W[k, SINE], W[k, COSINE], shift)
+            T = _turned(T, s, c)
+        else:
+            T = _moved(T, P[k, RATIO] * W[j, COMMAND])
+        for i in range(12):
+            W[k, i] = T[i]
+    return _product(T, _constant(P, m, NOMINAL))
+
+
+@njit(cache=True, error_model="numpy")
+def _identified(P, W, m, oj):
+    """Tool frame of the identified chain at the command, with the local corrections in W; joint lines into W."""
+    T = _constant(P, 0, IDENTIFIED)
+    for k in range(m):
+        if k > 0:
+            T = _product(T, _constant(P, k, IDENTIFIED))
+        j = oj + int(P[k, JOINT])
+        shift = P[k, RATIO] * (W[j, COMMAND] - W[j, WANTED] + W[j, SHIFT])
+        if P[k, KIND] == 0.0:
+            s, c = _small_turn(W[k, SINE], W[k, COSINE], shift)
+            T = _turned(T, s, c)
+        else:
+            T = _moved(T, P[k, RATIO] * (W[j, COMMAND] + W[j, SHIFT]))
+        W[k, LINE] = T[2]
+        W[k, LINE + 1] = T[5]
+        W[k, LINE + 2] = T[8]
+        W[k, LINE + 3] = T[9]
+        W[k, LINE + 4] = T[10]
+        W[k, LINE + 5] = T[11]
+        if P[k, PRIMARY] >= 0.0:
+            a = P[j, XI + 3] + W[j, LEAN_A]
+            b = P[j, XI + 4] + W[j, LEAN_B]
+            T = _product(T, _exponential(P[j, XI], P[j, XI + 1], P[j, XI + 2], a, b, P[j, XI + 5]))
+    return _product(T, _constant(P, m, IDENTIFIED))
+
+
+@njit(cache=True, error_model="numpy")
+def _static_moments(P, W, S, m, oj):
+    """Load moments in the joint frames from gravity alone: one pass from the tool inwards over mass and first moment."""
+    g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
+    mass = P[m, MASS]
+    s0, s1, s2 = _point(W, m - 1, P[m, COM], P[m, COM + 1], P[m, COM + 2])
+    s0, s1, s2 = mass * s0, mass * s1, mass * s2
+    for k in range(m - 1, -1, -1):
+        body = P[k, MASS]
+        if body != 0.0:
+            c0, c1, c2 = _point(W, k, P[k, COM], P[k, COM + 1], P[k, COM + 2])
+            mass += body
+            s0 += body * c0
+            s1 += body * c1
+            s2 += body * c2
+        if P[k, PRIMARY] >= 0.0:
+            r0 = s0 - mass * W[k, 9]
+            r1 = s1 - mass * W[k, 10]
+            r2 = s2 - mass * W[k, 11]
+            j = oj + int(P[k, JOINT])
+            _to_joint(W, k, j, r1 * g2 - r2 * g1, r2 * g0 - r0 * g2, r0 * g1 - r1 * g0)
+
+
+@njit(cache=True, error_model="numpy")
+def _point(W, k, x, y, z):
+    """Base coordinates of a point of frame k."""
+    return (
+        W[k, 0] * x + W[k, 1] * y + W[k, 2] * z + W[k, 9],
+        W[k, 3] * x + W[k, 4] * y + W[k, 5] * z + W[k, 10],
+        W[k, 6] * x + W[k, 7] * y + W[k, 8] * z + W[k, 11],
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _to_joint(W, k, j, x, y, z):
+    """Turn a moment in base coordinates into frame k and keep it as that of joint row j."""
+    W[j, MOMENT] = W[k, 0] * x + W[k, 3] * y + W[k, 6] * z
+    W[j, MOMENT + 1] = W[k, 1] * x + W[k, 4] * y + W[k, 7] * z
+    W[j, MOMENT + 2] = W[k, 2] * x + W[k, 5] * y + W[k, 8] * z
+
+
+@njit(cache=True, error_model="numpy")
+def _cross(a0, a1, a2, b0, b1, b2):
+    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+
+
+@njit(cache=True, error_model="numpy")
+def _swing(w, dw, r0, r1, r2):
+    """Acceleration of a point at r on a body that turns with w and dw: dw x r + w x (w x r)."""
+    a0, a1, a2 = _cross(dw[0], dw[1], dw[2], r0, r1, r2)
+    t0, t1, t2 = _cross(w[0], w[1], w[2], r0, r1, r2)
+    u0, u1, u2 = _cross(w[0], w[1], w[2], t0, t1, t2)
+    return a0 + u0, a1 + u1, a2 + u2
+
+
+@njit(cache=True, error_model="numpy")
+def _body_load(P, W, row, k, g, w, dw, acc):
+    """Force and moment about the base origin of the body in row ``row`` that rides on frame k (d'Alembert)."""
+    mass = P[row, MASS]
+    c0, c1, c2 = _point(W, k, P[row, COM], P[row, COM + 1], P[row, COM + 2])
+    s0, s1, s2 = _swing(w, dw, c0 - W[k, 9], c1 - W[k, 10], c2 - W[k, 11])
+    f0 = mass * (g[0] - acc[0] - s0)
+    f1 = mass * (g[1] - acc[1] - s1)
+    f2 = mass * (g[2] - acc[2] - s2)
+    m0, m1, m2 = _cross(c0, c1, c2, f0, f1, f2)
+    h0, h1, h2 = _inertia_times(P, W, row, k, w)
+    i0, i1, i2 = _inertia_times(P, W, row, k, dw)
+    t0, t1, t2 = _cross(w[0], w[1], w[2], h0, h1, h2)
+    return f0, f1, f2, m0 - i0 - t0, m1 - i1 - t1, m2 - i2 - t2
+
+
+@njit(cache=True, error_model="numpy")
+def _inertia_times(P, W, row, k, w):
+    """Inertia of body ``row`` (about its centre of mass, axes of frame k) times a vector in base coordinates."""
+    a = W[k, 0] * w[0] + W[k, 3] * w[1] + W[k, 6] * w[2]
+    b = W[k, 1] * w[0] + W[k, 4] * w[1] + W[k, 7] * w[2]
+    c = W[k, 2] * w[0] + W[k, 5] * w[1] + W[k, 8] * w[2]
+    xx, yy, zz = P[row, INERTIA], P[row, INERTIA + 1], P[row, INERTIA + 2]
+    xy, xz, yz = P[row, INERTIA + 3], P[row, INERTIA + 4], P[row, INERTIA + 5]
+    x = xx * a + xy * b + xz * c
+    y = xy * a + yy * b + yz * c
+    z = xz * a + yz * b + zz * c
+    return (
+        W[k, 0] * x + W[k, 1] * y + W[k, 2] * z,
+        W[k, 3] * x + W[k, 4] * y + W[k, 5] * z,
+        W[k, 6] * x + W[k, 7] * y + W[k, 8] * z,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _moving_bodies(P, W, S, m, oj):
+    """Outward pass of Newton and Euler in base coordinates: load of every body into W."""
+    g = (P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2])
+    w = (0.0, 0.0, 0.0)
+    dw = (0.0, 0.0, 0.0)
+    acc = (0.0, 0.0, 0.0)
+    p = (0.0, 0.0, 0.0)
+    for k in range(m):
+        j = oj + int(P[k, JOINT])
+        speed = P[k, RATIO] * W[j, SPEED_NOW]
+        rate = P[k, RATIO] * W[j, ACCEL_NOW]
+        z0, z1, z2 = W[k, 2], W[k, 5], W[k, 8]
+        s0, s1, s2 = _swing(w, dw, W[k, 9] - p[0], W[k, 10] - p[1], W[k, 11] - p[2])
+        acc = (acc[0] + s0, acc[1] + s1, acc[2] + s2)
+        t0, t1, t2 = _cross(w[0], w[1], w[2], z0, z1, z2)
+        if P[k, KIND] == 0.0:
+            dw = (dw[0] + rate * z0 + speed * t0, dw[1] + rate * z1 + speed * t1, dw[2] + rate * z2 + speed * t2)
+            w = (w[0] + speed * z0, w[1] + speed * z1, w[2] + speed * z2)
+        else:
+            twice = 2.0 * speed
+            acc = (acc[0] + twice * t0 + rate * z0, acc[1] + twice * t1 + rate * z1, acc[2] + twice * t2 + rate * z2)
+        p = (W[k, 9], W[k, 10], W[k, 11])
+        load = _body_load(P, W, k, k, g, w, dw, acc)
+        for i in range(6):
+            W[k, LOAD + i] = load[i]
+        if k == m - 1 and P[m, MASS] != 0.0:
+            load = _body_load(P, W, m, k, g, w, dw, acc)
+            for i in range(6):
+                W[k, LOAD + i] += load[i]
+
+
+@njit(cache=True, error_model="numpy")
+def _dynamic_moments(P, W, S, m, oj):
+    """Load moments in the joint frames from gravity and motion (thesis eq. 5.14, with the sign of the load)."""
+    _moving_bodies(P, W, S, m, oj)
+    f0 = f1 = f2 = m0 = m1 = m2 = 0.0
+    for k in range(m - 1, -1, -1):
+        f0 += W[k, LOAD]
+        f1 += W[k, LOAD + 1]
+        f2 += W[k, LOAD + 2]
+        m0 += W[k, LOAD + 3]
+        m1 += W[k, LOAD + 4]
+        m2 += W[k, LOAD + 5]
+        if P[k, PRIMARY] >= 0.0:
+            t0, t1, t2 = _cross(W[k, 9], W[k, 10], W[k, 11], f0, f1, f2)
+            _to_joint(W, k, oj + int(P[k, JOINT]), m0 - t0, m1 - t1, m2 - t2)
+
+
+@njit(cache=True, error_model="numpy")
+def _soft_sign(x, width):
+    """sign(x), or tanh(x / width): beyond 19.1 widths the two are the same number."""
+    if abs(x) >= 19.1 * width:
+        return math.copysign(1.0, x) if x != 0.0 else 0.0
+    return math.tanh(x / width)
+
+
+@njit(cache=True, error_model="numpy")
+def _lean(P, j, x, y):
+    """Tilt of a joint in its clearance (thesis eq. 5.16-5.18) towards the transverse load (x, y)."""
+    t = P[j, TILT]
+    ax = abs(x)
+    ay = abs(y)
+    total = ax + ay
+    if t == 0.0 or total <= NO_MOMENT:
+        return 0.0, 0.0
+    if P[j, TILT_SHARE] == 0.0:
+        gamma = ax / total * (0.5 * math.pi)
+        s = math.sin(gamma)
+        c = math.cos(gamma)
+    else:
+        h = math.sqrt(x * x + y * y)
+        s = ax / h
+        c = ay / h
+    a = t * s * _soft_sign(x, P[j, TILT_SOFT])
+    b = t * c * _soft_sign(y, P[j, TILT_SOFT])
+    return a / math.sqrt(1.0 + a * a), b / math.sqrt(1.0 + b * b)
+
+
+@njit(cache=True, error_model="numpy")
+def _towards(last, target, reach):
+    """``target``, or as far towards it from ``last`` as ``reach`` allows."""
+    change = target - last
+    if abs(change) <= reach:
+        return target
+    return last + math.copysign(reach, change)
+
+
+@njit(cache=True, error_model="numpy")
+def _signs(P, W, state, n, oj, dt):
+    """Effects with a sign: tilt and backlash of every joint, held to its rate from the last answer; whether one was."""
+    limited = False
+    for i in range(n):
+        j = oj + i
+        a, b = _lean(P, j, W[j, MOMENT], W[j, MOMENT + 1])
+        side = 0.5 * P[j, REVERSAL] * W[j, SIGN]
+        about = W[j, MOMENT + 2]
+        if P[j, PLAY] != 0.0 and abs(about) > NO_MOMENT:
+            side += P[j, PLAY] * _soft_sign(about, P[j, PLAY_SOFT])
+        if dt < math.inf:
+            reach = P[j, RATE] * dt
+            W[j, LEAN_A] = _towards(state[i, LAST_A], a, reach)
+            W[j, LEAN_B] = _towards(state[i, LAST_B], b, reach)
+            W[j, SIDE] = _towards(state[i, LAST_SIDE], side, reach)
+            limited |= W[j, LEAN_A] != a or W[j, LEAN_B] != b or W[j, SIDE] != side
+        else:
+            W[j, LEAN_A] = a
+            W[j, LEAN_B] = b
+            W[j, SIDE] = side
+    return limited
+
+
+@njit(cache=True, error_model="numpy")
+def _jacobian(P, W, S, T, n, m, oj, rows):
+    """Weighted task rows of the identified Jacobian by joint, column r of the joint rows (turns in the tool frame)."""
+    for i in range(n):
+        for r in range(rows):
+            W[oj + i, COLUMN + r] = 0.0
+    for k in range(m):
+        j = oj + int(P[k, JOINT])
+        ratio = P[k, RATIO]
+        z0, z1, z2 = W[k, LINE], W[k, LINE + 1], W[k, LINE + 2]
+        turns = P[k, KIND] == 0.0
+        v0, v1, v2 = z0, z1, z2
+        if turns:
+            v0, v1, v2 = _cross(z0, z1, z2, T[9] - W[k, LINE + 3], T[10] - W[k, LINE + 4], T[11] - W[k, LINE + 5])
+        for r in range(rows):
+            row = int(P[S, ROW + r])
+            value = 0.0
+            if row < 3:
+                value = v0 if row == 0 else (v1 if row == 1 else v2)
+            elif turns:
+                value = _component(T, row - 3, z0, z1, z2)
+            W[j, COLUMN + r] += ratio * P[S, WEIGHT + r] * value
+
+
+@njit(cache=True, error_model="numpy")
+def _component(T, i, x, y, z):
+    """Component i of a vector in the frame T."""
+    if i == 0:
+        return T[0] * x + T[3] * y + T[6] * z
+    if i == 1:
+        return T[1] * x + T[4] * y + T[7] * z
+    return T[2] * x + T[5] * y + T[8] * z
+
+
+@njit(cache=True, error_model="numpy")
+def _factor(W, n, oj, og, rows, added):
+    """LDL' of J J' + added in the task rows of W; returns the smallest pivot."""
+    smallest = math.inf
+    for r in range(rows):
+        for c in range(r + 1):
+            total = added if r == c else 0.0
+            for i in range(n):
+                total += W[oj + i, COLUMN + r] * W[oj + i, COLUMN + c]
+            for k in range(c):
+                total -= W[og + r, k] * W[og + c, k] * W[og + k, k]
+            W[og + r, c] = total if r == c else total / W[og + c, c]
+        smallest = min(smallest, W[og + r, r])
+        if W[og + r, r] <= 1e-15:
+            return 0.0
+    return smallest
+
+
+@njit(cache=True, error_model="numpy")
+def _multipliers(W, og, rows, damping):
+    """Step of the multipliers: (J J' + damping) step = error - damping * multiplier."""
+    for r in range(rows):
+        total = W[og + r, ERROR] - damping * W[og + r, MULTIPLIER]
+        for k in range(r):
+            total -= W[og + r, k] * W[og + k, DELTA]
+        W[og + r, DELTA] = total
+    for r in range(rows - 1, -1, -1):
+        total = W[og + r, DELTA] / W[og + r, r]
+        for k in range(r + 1, rows):
+            total -= W[og + k, r] * W[og + k, DELTA]
+        W[og + r, DELTA] = total
+    for r in range(rows):
+        W[og + r, MULTIPLIER] += W[og + r, DELTA]
+
+
+@njit(cache=True, error_model="numpy")
+def _turn_between(A, B):
+    """Rotation vector from frame A to frame B, in A."""
+    x = 0.5 * (A[2] * B[1] + A[5] * B[4] + A[8] * B[7] - A[1] * B[2] - A[4] * B[5] - A[7] * B[8])
+    y = 0.5 * (A[0] * B[2] + A[3] * B[5] + A[6] * B[8] - A[2] * B[0] - A[5] * B[3] - A[8] * B[6])
+    z = 0.5 * (A[1] * B[0] + A[4] * B[3] + A[7] * B[6] - A[0] * B[1] - A[3] * B[4] - A[6] * B[7])
+    s2 = x * x + y * y + z * z
+    if s2 < 1e-6:
+        f = 1.0 + s2 / 6.0 * (1.0 + 0.45 * s2)
+    else:
+        s = math.sqrt(s2)
+        trace = 0.0
+        for i in range(9):
+            trace += A[i] * B[i]
+        f = math.atan2(s, 0.5 * (trace - 1.0)) / s
+    return f * x, f * y, f * z
+
+
+@njit(cache=True, error_model="numpy")
+def _residual(P, W, S, og, rows, wanted, actual):
+    """Weighted task errors into the task rows; returns the distance of the tool points by axis."""
+    d0, d1, d2 = wanted[9] - actual[9], wanted[10] - actual[10], wanted[11] - actual[11]
+    t0 = t1 = t2 = 0.0
+    if P[S, ROW + rows - 1] >= 3.0:
+        t0, t1, t2 = _turn_between(actual, wanted)
+    error = (d0, d1, d2, t0, t1, t2)
+    for r in range(rows):
+        W[og + r, ERROR] = P[S, WEIGHT + r] * error[int(P[S, ROW + r])]
+    return d0, d1, d2
+
+
+@njit(cache=True, error_model="numpy")
+def _command(W, n, oj, og, rows):
+    """Commands from the multipliers; returns the largest joint step of the last one."""
+    largest = 0.0
+    for i in range(n):
+        j = oj + i
+        shift = 0.0
+        step = 0.0
+        for r in range(rows):
+            shift += W[j, COLUMN + r] * W[og + r, MULTIPLIER]
+            step += W[j, COLUMN + r] * W[og + r, DELTA]
+        W[j, COMMAND] = W[j, WANTED] + shift
+        largest = max(largest, abs(step))
+    return largest
+
+
+@njit(cache=True, error_model="numpy")
+def _loads(P, W, S, m, oj, dynamic):
+    """Load moments at the frames now in W."""
+    if dynamic:
+        _dynamic_moments(P, W, S, m, oj)
+    else:
+        _static_moments(P, W, S, m, oj)
+
+
+@njit(cache=True, error_model="numpy")
+def _prepare(P, W, n, m, oj, og, rows):
+    """Start the search at the wanted joints."""
+    for i in range(n):
+        W[oj + i, COMMAND] = W[oj + i, WANTED]
+        for k in range(3):
+            W[oj + i, MOMENT + k] = 0.0
+    for k in range(m):
+        if P[k, KIND] == 0.0:
+            angle = P[k, RATIO] * W[oj + int(P[k, JOINT]), WANTED]
+            W[k, SINE] = math.sin(angle)
+            W[k, COSINE] = math.cos(angle)
+    for r in range(rows):
+        W[og + r, MULTIPLIER] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _solve(P, W, state, info, n, m, dynamic, dt):
+    """Find the command whose identified pose is the wanted one; leaves it in W and returns the flags."""
+    oj = m + 1
+    og = oj + n
+    S = P.shape[0] - 1
+    rows = int(P[S, ROWS])
+    flags = DYNAMIC if dynamic else 0
+    loaded = P[S, LOADED] != 0.0
+    damping = 0.0
+    limited = False
+    largest = math.inf
+    _prepare(P, W, n, m, oj, og, rows)
+    wanted = _nominal(P, W, m, oj)
+    rounds = int(P[S, ITERATIONS])
+    for it in range(rounds):
+        if it == 0 or (loaded and largest > SETTLED_RAD):
+            if it > 0:
+                _nominal(P, W, m, oj)
+            if loaded:
+                _loads(P, W, S, m, oj, dynamic)
+            if it < SIGN_ROUNDS:
+                limited = _signs(P, W, state, n, oj, dt)
+            for i in range(n):
+                j = oj + i
+                W[j, SHIFT] = P[j, DQ] + W[j, SIDE] + P[j, COMPLIANCE] * W[j, MOMENT + 2]
+        actual = _identified(P, W, m, oj)
+        d = _residual(P, W, S, og, rows, wanted, actual)
+        if it == 0:
+            _jacobian(P, W, S, actual, n, m, oj, rows)
+            smallest = _factor(W, n, oj, og, rows, 0.0)
+            if smallest < P[S, SINGULAR]:
+                damping = P[S, SINGULAR] - smallest
+                _factor(W, n, oj, og, rows, damping)
+                flags |= DAMPED
+            info[4], info[5], info[6] = d[0], d[1], d[2]
+        _multipliers(W, og, rows, damping)
+        largest = _command(W, n, oj, og, rows)
+        info[7] = it + 1.0
+        if largest < P[S, STEP]:
+            break
+    _report(W, info, og, rows, d)
+    if not info[3] <= P[S, REACHED]:
+        flags |= RESIDUAL
+    return flags | (LIMITED if limited else 0)
+
+
+@njit(cache=True, error_model="numpy")
+def _report(W, info, og, rows, d):
+    """Residual of the tool point and of all task rows, as of the last evaluation."""
+    total = 0.0
+    for r in range(rows):
+        total += W[og + r, ERROR] * W[og + r, ERROR]
+    info[2] = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    info[3] = math.sqrt(total)
+
+
+@njit(cache=True, error_model="numpy")
+def _refused(P, state, info, x, n, m, width, dt):
+    """Status of a setpoint before anything is computed: numbers, limits, speed."""
+    for i in range(n * width):
+        if not abs(x[i]) < math.inf:
+            return NOT_FINITE
+    mask = 0
+    for i in range(n):
+        if not P[m + 1 + i, LOWER] <= x[i] <= P[m + 1 + i, UPPER]:
+            mask |= 1 << i
+    if mask != 0:
+        info[1] = mask
+        return JOINT_LIMIT
+    if state[n, STARTED] != 0.0:
+        for i in range(n):
+            if abs(x[i] - state[i, LAST_Q]) > P[m + 1 + i, SPEED] * max(dt, 1e-3):
+                mask |= 1 << i
+    info[1] = mask
+    return RATE_LIMIT if mask != 0 else OK
+
+
+@njit(cache=True, error_model="numpy")
+def _heading(state, W, j, i, x, band, started):
+    """Direction of the last motion of a joint: it turns when the joint comes back by more than the band."""
+    sign = state[i, HEADING] if started else 0.0
+    turn = state[i, TURN] if started else x
+    if x > turn + band or (sign > 0.0 and x > turn):
+        sign = 1.0
+        turn = x
+    elif x < turn - band or (sign < 0.0 and x < turn):
+        sign = -1.0
+        turn = x
+    W[j, SIGN] = sign
+    W[j, TURN_NEW] = turn
+
+
+@njit(cache=True, error_model="numpy")
+def _smooth(state, W, j, i, x, omega, dt, started):
+    """Speed and acceleration of a joint by a critically damped filter that looks back only; it lags by 2 / omega."""
+    place = state[i, SMOOTH] if started else x
+    speed = state[i, SMOOTH_SPEED] if started else 0.0
+    step = min(dt, 0.1)
+    new = (speed + step * omega * omega * (x - place)) / (1.0 + 2.0 * omega * step + (omega * step) ** 2)
+    W[j, SPEED_NOW] = new
+    W[j, ACCEL_NOW] = (new - speed) / step if step > 0.0 else 0.0
+    W[j, SMOOTH_NEW] = place + step * new
+    W[j, SMOOTH_SPEED_NEW] = new
+
+
+@njit(cache=True, error_model="numpy")
+def _motion(P, W, state, x, n, m, width, dt):
+    """Wanted joints, speeds, accelerations and directions into W; whether the load is dynamic."""
+    S = P.shape[0] - 1
+    started = state[n, STARTED] != 0.0
+    omega = P[S, FILTER]
+    for i in range(n):
+        j = m + 1 + i
+        W[j, WANTED] = x[i]
+        _heading(state, W, j, i, x[i], P[S, HYSTERESIS], started)
+        if omega > 0.0:
+            _smooth(state, W, j, i, x[i], omega, dt, started)
+        if width == 3:
+            W[j, SPEED_NOW] = x[n + i]
+            W[j, ACCEL_NOW] = x[2 * n + i]
+    return width == 3 or omega > 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _ramp(P, W, state, n, m, dt):
+    """Advance the ramp from the last version, or from no correction; returns the part of the old offset that remains."""
+    S = P.shape[0] - 1
+    if state[n, REBASE] != 0.0:
+        length = P[S, RAMP]
+        for i in range(n):
+            j = m + 1 + i
+            offset = state[i, LAST_DELTA] - (W[j, COMMAND] - W[j, WANTED])
+            W[j, COLUMN] = offset
+            length = max(length, abs(offset) / P[j, RATE])
+        return 1.0, length
+    for i in range(n):
+        W[m + 1 + i, COLUMN] = state[i, OFFSET]
+    length = state[n, LENGTH]
+    if length <= 0.0:
+        return 0.0, 0.0
+    return max(0.0, state[n, REMAINING] - dt / length), length
+
+
+@njit(cache=True, error_model="numpy")
+def _verdict(P, W, info, out, remaining, n, m):
+    """Corrected joints into ``out`` and their status: size of the correction, then limits of the joints."""
+    large = 0
+    outside = 0
+    for i in range(n):
+        j = m + 1 + i
+        delta = W[j, COMMAND] - W[j, WANTED]
+        if remaining > 0.0:
+            delta += remaining * W[j, COLUMN]
+        out[i] = W[j, WANTED] + delta
+        if not abs(delta) <= P[j, LARGEST]:
+            large |= 1 << i
+        if not P[j, LOWER] <= out[i] <= P[j, UPPER]:
+            outside |= 1 << i
+    S = P.shape[0] - 1
+    far = math.sqrt(info[4] * info[4] + info[5] * info[5] + info[6] * info[6])
+    if large != 0 or not far <= P[S, FARTHEST]:
+        info[1] = large
+        return TOO_LARGE
+    info[1] = outside
+    return JOINT_LIMIT if outside != 0 else OK
+
+
+@njit(cache=True, error_model="numpy")
+def _commit(P, W, state, out, remaining, length, n, m):
+    """Remember what was answered."""
+    for i in range(n):
+        j = m + 1 + i
+        state[i, LAST_A] = W[j, LEAN_A]
+        state[i, LAST_B] = W[j, LEAN_B]
+        state[i, LAST_SIDE] = W[j, SIDE]
+        state[i, LAST_Q] = W[j, WANTED]
+        state[i, TURN] = W[j, TURN_NEW]
+        state[i, HEADING] = W[j, SIGN]
+        state[i, OFFSET] = W[j, COLUMN] if remaining > 0.0 else 0.0
+        state[i, LAST_DELTA] = out[i] - W[j, WANTED]
+        state[i, SMOOTH] = W[j, SMOOTH_NEW]
+        state[i, SMOOTH_SPEED] = W[j, SMOOTH_SPEED_NEW]
+    state[n, STARTED] = 1.0
+    state[n, REBASE] = 0.0
+    state[n, REMAINING] = remaining
+    state[n, LENGTH] = length
+
+
+@njit(cache=True, error_model="numpy")
+def step(P, W, state, x, width, dt, out, info):
+    """Correct one setpoint of a stream and return its status; only status 0 leaves numbers and changes ``state``.
+
+    ``x (width * n,)`` holds q, then qd and qdd; ``dt`` is the time since the last answer; writes ``out (n,)`` and
+    ``info (INFO,)``.
+    """
+    S = P.shape[0] - 1
+    n = int(P[S, N])
+    m = int(P[S, M])
+    info[:] = 0.0
+    status = _refused(P, state, info, x, n, m, width, dt)
+    if status != OK:
+        return status
+    dynamic = _motion(P, W, state, x, n, m, width, dt)
+    fresh = state[n, STARTED] == 0.0 or state[n, REBASE] != 0.0
+    flags = _solve(P, W, state, info, n, m, dynamic, math.inf if fresh else dt)
+    remaining, length = _ramp(P, W, state, n, m, dt)
+    status = _verdict(P, W, info, out, remaining, n, m)
+    info[0] = flags | (RAMPING if remaining > 0.0 else 0)
+    if status == OK:
+        _commit(P, W, state, out, remaining, length, n, m)
+    else:
+        for i in range(n):
+            out[i] = math.nan
+    return status
+
+
+@njit(cache=True, error_model="numpy")
+def follow(P, W, state, x, width, dt, out, info, status):
+    """Correct the points of a chunk or trajectory one after another; returns how many came before the first refusal.
+
+    ``x (K, width * n)``, ``dt (K,)``; writes ``out (K, n)``, ``info (K, INFO)`` and ``status (K,)``. After a refusal
+    the rest is left out, with status -1.
+    """
+    rows = x.shape[0]
+    status[:] = -1
+    for row in range(rows):
+        status[row] = step(P, W, state, x[row], width, dt[row], out[row], info[row])
+        if status[row] != OK:
+            return row
+    return rows
+
+
+@njit(cache=True, error_model="numpy")
+def correct_rows(P, W, state, x, width, direction, out, info, status):
+    """Correct N rows that do not follow one another: no ramp, no rate limits; ``direction (N, n)`` as it was measured.
+
+    Writes ``out (N, n)``, ``info (N, INFO)`` and ``status (N,)``. A row too large or outside the limits keeps its
+    numbers: nothing moves by them.
+    """
+    S = P.shape[0] - 1
+    n = int(P[S, N])
+    m = int(P[S, M])
+    for row in range(x.shape[0]):
+        info[row, :] = 0.0
+        for i in range(n):
+            j = m + 1 + i
+            W[j, WANTED] = x[row, i]
+            W[j, SIGN] = direction[row, i]
+            if width == 3:
+                W[j, SPEED_NOW] = x[row, n + i]
+                W[j, ACCEL_NOW] = x[row, 2 * n + i]
+        flags = _solve(P, W, state, info[row], n, m, width == 3, math.inf)
+        status[row] = _verdict(P, W, info[row], out[row], 0.0, n, m)
+        info[row, 0] = flags

@@ -1,0 +1,52 @@
+"""Errors of a prediction against measurements, in the units people read: mm and degrees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.measurement import Measurement
+from core.model import Calibration
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Point errors (K, 3) m, measured minus predicted, and orientation errors (K,) rad where measured."""
+
+    points: Floats
+    turns: Floats | None
+
+    @staticmethod
+    def of(calibration: Calibration, measurement: Measurement) -> Errors:
+        """Errors of a calibration; every seen marker counts as a point."""
+        residual = measurement.residual(calibration.predict(measurement.observations))
+        points = residual.points.reshape(-1, 3)
+        turns = None if residual.turns is None else np.linalg.norm(residual.turns, axis=1)
+        return Errors(points[~np.isnan(points).any(axis=1)], turns)
+
+    @staticmethod
+    def concatenate(parts: list[Errors]) -> Errors:
+        """Pool the errors of several folds."""
+        turns = [part.turns for part in parts if part.turns is not None]
+        return Errors(np.concatenate([p.points for p in parts]), np.concatenate(turns) if turns else None)
+
+    def to_document(self) -> dict[str, float]:
+        """Mean, rms, 95th percentile and maximum of the 3-D error, rms per axis, in mm; mean orientation error in deg."""
+        size = np.linalg.norm(self.points, axis=1) * 1e3
+        x, y, z = np.sqrt(np.mean(self.points**2, axis=0)) * 1e3
+        out = {
+            "mean_mm": size.mean(),
+            "rms_mm": np.sqrt(np.mean(size**2)),
+            "p95_mm": np.percentile(size, 95),
+            "max_mm": size.max(),
+            "x_mm": x,
+            "y_mm": y,
+            "z_mm": z,
+        }
+        if self.turns is not None:
+            out["orientation_deg"] = np.degrees(self.turns).mean()
+        return {key: float(value) for key, value in out.items()}
