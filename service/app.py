@@ -12,12 +12,13 @@ from service.auth.access import reader
 from service.auth.token import admin_token
 from service.db import Database, revision
 from service.health.routes import router as health
+from service.robots.routes import router as robots
 from service.settings import Settings
 from service.version import code_version
 
 SUMMARY = "Keeps a serial robot arm true: identifies its errors from measured poses and corrects its setpoints."
 
-ROUTERS: tuple[APIRouter, ...] = ()
+ROUTERS: tuple[APIRouter, ...] = (robots,)
 
 # How long the API waits at its start for `kilterd serve` to migrate the database beside it.
 MIGRATION_WAIT_S = 30.0

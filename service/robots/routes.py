@@ -1,0 +1,39 @@
+"""Robots over HTTP."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Response
+
+from service.auth.access import Admin
+from service.robots import service
+from service.robots.schemas import RobotDocument, RobotList, RobotReport
+from service.state import DatabaseOfApp
+
+router = APIRouter(prefix="/v1/robots", tags=["robots"])
+
+
+@router.post("", status_code=201, responses={200: {"model": RobotReport, "description": "Already there, unchanged"}})
+def add(document: RobotDocument, response: Response, database: DatabaseOfApp, _: Admin) -> RobotReport:
+    """Add a robot."""
+    report, new = service.add(database, document)
+    response.status_code = 201 if new else 200
+    response.headers["Location"] = f"/v1/robots/{report.name}"
+    return report
+
+
+@router.get("")
+def listed(database: DatabaseOfApp) -> RobotList:
+    """List the robots."""
+    return service.listed(database)
+
+
+@router.get("/{robot}")
+def get(robot: str, database: DatabaseOfApp) -> RobotReport:
+    """Show a robot."""
+    return service.get(database, robot)
+
+
+@router.delete("/{robot}", status_code=204)
+def remove(robot: str, database: DatabaseOfApp, _: Admin) -> None:
+    """Delete a robot nothing was measured on."""
+    service.remove(database, robot)

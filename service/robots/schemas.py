@@ -1,0 +1,172 @@
+"""Wire types of robots: `robot.json`, in mm and degrees."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Axis = Literal["Rx", "Ry", "Rz", "Tx", "Ty", "Tz"]
+Range = tuple[FiniteFloat, FiniteFloat]
+
+
+class Strict(BaseModel):
+    """No unknown field, no silent conversion of text to numbers."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class Pose(Strict):
+    """A frame: position, then Rz Ry Rx (the convention of URDF)."""
+
+    x_mm: FiniteFloat = 0.0
+    y_mm: FiniteFloat = 0.0
+    z_mm: FiniteFloat = 0.0
+    rx_deg: FiniteFloat = 0.0
+    ry_deg: FiniteFloat = 0.0
+    rz_deg: FiniteFloat = 0.0
+
+
+class Joint(Strict):
+    """A joint; limits in degrees, in mm when it is prismatic."""
+
+    name: Annotated[str, Field(min_length=1, max_length=64)]
+    limits_deg: Range | None = None
+    limits_mm: Range | None = None
+    gear_ratio: FiniteFloat | None = None
+
+
+class Link(Strict):
+    """Mass, centre of mass, and inertia about it as xx, yy, zz, xy, xz, yz, in the link's frame."""
+
+    mass_kg: Annotated[FiniteFloat, Field(ge=0)] = 0.0
+    com_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
+    inertia_kg_m2: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] = (0.0,) * 6
+
+
+class Element(Strict):
+    """An elementary transform: a constant (mm or degrees), or a joint with ratio and zero offset."""
+
+    axis: Axis
+    name: Annotated[str, Field(min_length=1, max_length=128)] | None = None
+    value: FiniteFloat | None = None
+    joint: str | None = None
+    ratio: FiniteFloat | None = None
+    fixed: bool | None = None
+
+
+class DhRow(Strict):
+    """A row of standard Denavit-Hartenberg parameters."""
+
+    theta_offset_deg: FiniteFloat = 0.0
+    d_mm: FiniteFloat = 0.0
+    a_mm: FiniteFloat = 0.0
+    alpha_deg: FiniteFloat = 0.0
+    type: Literal["revolute", "prismatic"] = "revolute"
+
+
+class MdhRow(Strict):
+    """A row of Craig's parameters: alpha, a and beta are those of i-1; a row with beta is Hayati's."""
+
+    alpha_deg: FiniteFloat = 0.0
+    a_mm: FiniteFloat = 0.0
+    beta_deg: FiniteFloat | None = None
+    theta_offset_deg: FiniteFloat = 0.0
+    d_mm: FiniteFloat | None = 0.0
+    type: Literal["revolute", "prismatic"] = "revolute"
+
+
+class _Robot(Strict):
+    name: Name
+    source: Annotated[str, Field(max_length=2000)] | None = None
+    gravity_m_s2: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    links: list[Link] | None = None
+    tool: Pose | None = None
+    base: Pose | None = None
+
+
+class ChainRobot(_Robot):
+    """A robot as a row of elementary transforms."""
+
+    convention: Literal["chain"]
+    joints: list[Joint]
+    elements: Annotated[list[Element], Field(min_length=1)]
+
+
+class DhRobot(_Robot):
+    """A robot as Denavit-Hartenberg rows."""
+
+    convention: Literal["dh"]
+    joints: list[Joint] | None = None
+    rows: Annotated[list[DhRow], Field(min_length=1)]
+
+
+class MdhRobot(_Robot):
+    """A robot as modified Denavit-Hartenberg or Hayati rows."""
+
+    convention: Literal["mdh"]
+    joints: list[Joint] | None = None
+    rows: Annotated[list[MdhRow], Field(min_length=1)]
+
+
+class UrdfRobot(_Robot):
+    """A robot as a URDF; joints, limits and masses are the URDF's, ``joints`` may add gear ratios and limits."""
+
+    convention: Literal["urdf"]
+    joints: list[Joint] | None = None
+    urdf: Annotated[str, Field(min_length=1)]
+    base_link: str
+    tip_link: str
+
+
+class PresetRobot(_Robot):
+    """A robot that ships with Kilter."""
+
+    convention: Literal["preset"]
+    preset: str
+
+
+RobotDocument = Annotated[ChainRobot | DhRobot | MdhRobot | UrdfRobot | PresetRobot, Field(discriminator="convention")]
+
+
+class JointSummary(Strict):
+    """A joint as Kilter understood it."""
+
+    name: str
+    kind: Literal["revolute", "prismatic"]
+    limits_deg: tuple[float | None, float | None] | None = None
+    limits_mm: tuple[float | None, float | None] | None = None
+    gear_ratio: float | None = None
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> JointSummary:
+        assert (self.limits_deg is None) != (self.limits_mm is None)
+        return self
+
+
+class RobotSummary(Strict):
+    """A robot in a list."""
+
+    name: str
+    convention: str
+    created_at: datetime
+    campaigns: int
+    versions: int
+    active_version: str | None
+
+
+class RobotReport(RobotSummary):
+    """A robot with its joints, the names of its geometric parameters, and the document it was posted as."""
+
+    joints: list[JointSummary]
+    parameters: list[str]
+    notes: list[str]
+    document: RobotDocument
+
+
+class RobotList(Strict):
+    """All robots, by name."""
+
+    robots: list[RobotSummary]

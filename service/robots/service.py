@@ -1,0 +1,74 @@
+"""What can be done with robots."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from pydantic import TypeAdapter
+
+from service.db import Database
+from service.robots import store
+from service.robots.documents import core_document
+from service.robots.schemas import JointSummary, RobotDocument, RobotList, RobotReport
+
+if TYPE_CHECKING:
+    from core.robot import Joint
+
+DOCUMENT: TypeAdapter[RobotDocument] = TypeAdapter(RobotDocument)
+
+
+def add(database: Database, document: RobotDocument) -> tuple[RobotReport, bool]:
+    """Check and store a robot; the same document twice changes nothing. Returns the report and whether it is new.
+
+    Raises:
+        RobotError: the document cannot be an arm.
+        ServiceError: the name is taken by another document.
+
+    """
+    from core.robots import robot_from_document  # imports scipy: not at the start of the API process
+
+    posted = document.model_dump(mode="json", exclude_none=True)
+    robot_from_document(core_document(posted).document)
+    with database.transaction() as session:
+        found = store.find(session, document.name)
+        new = found is None or found.document != posted
+        if new:
+            store.add(session, document.name, posted)
+    return get(database, document.name), new
+
+
+def get(database: Database, name: str) -> RobotReport:
+    """Report on the robot of a name."""
+    with database.transaction() as session:
+        stored = store.get(session, name)
+        summary = store.summaries(session, name)[0]
+        robot = store.core_robot(session, stored.id)
+    return RobotReport(
+        **summary.model_dump(),
+        joints=[_joint(joint) for joint in robot.joints],
+        parameters=[str(robot.chain.elements[k].name) for k in robot.chain.named],
+        notes=core_document(stored.document).notes,
+        document=DOCUMENT.validate_python(stored.document),
+    )
+
+
+def listed(database: Database) -> RobotList:
+    """List all robots."""
+    with database.transaction() as session:
+        return RobotList(robots=store.summaries(session))
+
+
+def remove(database: Database, name: str) -> None:
+    """Delete a robot without campaigns."""
+    with database.transaction() as session:
+        store.remove(session, name)
+
+
+def _joint(joint: Joint) -> JointSummary:
+    bounds = tuple(bound if math.isfinite(bound) else None for bound in (joint.lower, joint.upper))
+    scale = 1e3 if joint.kind == "prismatic" else 180.0 / math.pi
+    limits = tuple(None if bound is None else round(bound * scale, 9) for bound in bounds)
+    if joint.kind == "prismatic":
+        return JointSummary(name=joint.name, kind="prismatic", limits_mm=limits, gear_ratio=joint.gear_ratio)
+    return JointSummary(name=joint.name, kind="revolute", limits_deg=limits, gear_ratio=joint.gear_ratio)

@@ -1,0 +1,120 @@
+"""Rows of robots, and what they become in core."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from sqlalchemy import func, select
+from sqlalchemy.exc import IntegrityError
+
+from service.db import Session
+from service.db.tables import ActivationRow, CampaignRow, RobotRow, VersionRow
+from service.errors import ServiceError
+from service.robots.documents import core_document
+from service.robots.schemas import RobotSummary
+
+if TYPE_CHECKING:
+    from core.robot import Robot
+
+
+class StoredRobot(NamedTuple):
+    """A robot's key in the database, its name, and the document it was posted as."""
+
+    id: int
+    name: str
+    document: dict[str, Any]
+
+
+def add(session: Session, name: str, document: dict[str, Any]) -> None:
+    """Store a robot.
+
+    Raises:
+        ServiceError: the name is taken.
+
+    """
+    session.add(RobotRow(name=name, document=document))
+    try:
+        session.flush()
+    except IntegrityError as error:
+        raise ServiceError(
+            f"There is already another robot called {name!r}: give this one its own name, or delete that one.",
+            code="robot_exists",
+            robot=name,
+        ) from error
+
+
+def find(session: Session, name: str) -> StoredRobot | None:
+    """Return the robot of a name, if there is one."""
+    row = session.execute(select(RobotRow).where(RobotRow.name == name)).scalar_one_or_none()
+    return None if row is None else StoredRobot(row.id, row.name, row.document)
+
+
+def get(session: Session, name: str) -> StoredRobot:
+    """Return the robot of a name.
+
+    Raises:
+        ServiceError: there is none.
+
+    """
+    found = find(session, name)
+    if found is None:
+        names = session.execute(select(RobotRow.name).order_by(RobotRow.name)).scalars().all()
+        known = f"There are: {', '.join(names)}." if names else "There is none yet: add one with `kilter robot add`."
+        raise ServiceError(f"There is no robot {name!r}. {known}", code="robot_not_found", robot=name)
+    return found
+
+
+def by_id(session: Session, robot_id: int) -> StoredRobot:
+    """Return the robot of a key that another row refers to."""
+    row = session.get_one(RobotRow, robot_id)
+    return StoredRobot(row.id, row.name, row.document)
+
+
+def core_robot(session: Session, robot_id: int) -> Robot:
+    """Build core's robot from the stored document."""
+    from core.robots import robot_from_document  # imports scipy: not at the start of the API process
+
+    return robot_from_document(core_document(by_id(session, robot_id).document).document)
+
+
+def remove(session: Session, name: str) -> None:
+    """Delete a robot that nothing was measured on.
+
+    Raises:
+        ServiceError: there is none, or it has campaigns.
+
+    """
+    stored = get(session, name)
+    campaigns = _count(session, CampaignRow, stored.id)
+    if campaigns or _count(session, VersionRow, stored.id):
+        raise ServiceError(
+            f"Robot {name!r} has {campaigns} campaigns and cannot be deleted: measurements are kept. "
+            "Add a robot of another name instead.",
+            code="robot_in_use",
+            robot=name,
+            campaigns=campaigns,
+        )
+    session.delete(session.get_one(RobotRow, stored.id))
+
+
+def summaries(session: Session, name: str | None = None) -> list[RobotSummary]:
+    """Return all robots, or the one of a name."""
+    query = select(RobotRow).order_by(RobotRow.name)
+    rows = session.execute(query if name is None else query.where(RobotRow.name == name)).scalars()
+    return [_summary(session, row) for row in rows]
+
+
+def _summary(session: Session, row: RobotRow) -> RobotSummary:
+    last = select(ActivationRow.version_id).where(ActivationRow.robot_id == row.id).order_by(ActivationRow.id.desc())
+    return RobotSummary(
+        name=row.name,
+        convention=row.document["convention"],
+        created_at=row.created_at,
+        campaigns=_count(session, CampaignRow, row.id),
+        versions=_count(session, VersionRow, row.id),
+        active_version=session.execute(last.limit(1)).scalar_one_or_none(),
+    )
+
+
+def _count(session: Session, table: type[CampaignRow] | type[VersionRow], robot_id: int) -> int:
+    return session.execute(select(func.count()).where(table.robot_id == robot_id)).scalar_one()
