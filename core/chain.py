@@ -98,6 +98,32 @@ class Chain:
         return tuple(k for k, e in enumerate(self.elements) if e.name)
 
     @cached_property
+    def link_vectors(self) -> Floats:
+        """Vector (n + 1, 3) m of each link, from its joint's origin to the next joint's, in its joint frame.
+
+        Row n is the base's, from the base frame to the first joint; the last link ends at the flange. Constants between
+        two joints only, at their nominal values.
+        """
+        starts = [(-1, self.n_joints), *sorted((k, j) for j, k in enumerate(self.primary))]
+        ends = [k for k, _ in starts[1:]] + [len(self.elements)]
+        out = np.zeros((self.n_joints + 1, 3))
+        for (start, j), end in zip(starts, ends, strict=True):
+            turn, reach = np.eye(3), np.zeros(3)
+            for e in self.elements[start + 1 : end]:
+                k = e.axis % 3
+                if not e.axis.rotates:
+                    reach = reach + turn[:, k] * e.value
+                elif e.joint is None:
+                    a, b = (k + 1) % 3, (k + 2) % 3
+                    step = np.eye(3)
+                    step[a, a] = step[b, b] = np.cos(e.value)
+                    step[b, a] = np.sin(e.value)
+                    step[a, b] = -step[b, a]
+                    turn = turn @ step
+            out[j] = reach if start < 0 else _joint_frame(self.elements[start]).T @ reach
+        return out
+
+    @cached_property
     def program(self) -> Program:
         """The chain as kernel arrays."""
         es = self.elements

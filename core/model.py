@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.chain import Axis, Element
-from core.effects import Batch, Effect, Local, effect_from_document
+from core.effects import BASE, TOOL, Batch, Effect, Local, effect_from_document
 from core.errors import ObservationError
 from core.kernels import kinematics
-from core.moments import joint_loads
+from core.moments import Loads, joint_loads
 from core.observations import Observations
 from core.parameters import Parameter, indices, refuse_collisions
 from core.robot import Robot
@@ -115,6 +115,7 @@ class RobotModel:
         slot = np.full(len(elements), -1, dtype=np.int64)
         for j, k in enumerate(self.robot.chain.primary):
             slot[6 + k] = j
+        slot[5], slot[-1] = self.robot.n_joints, self.robot.n_joints + 1
         named = [6 + k for k in self.robot.chain.named]
         tool_at = 6 + len(chain)
         return Program(
@@ -139,51 +140,55 @@ class RobotModel:
                 f"The rows have {observations.q.shape[1]} joints, the robot {self.robot.name!r} has {self.robot.n_joints}."
             )
         o = observations
-        rows, n = o.q.shape
-        wrench = (
-            joint_loads(self.robot, o.q, qd=o.qd, qdd=o.qdd, payload_kg=o.payload_kg, payload_com=o.payload_com)
-            if any("moments" in effect.needs for effect in self.effects)
-            else np.zeros((rows, n, 6))
-        )
-        axial = np.where([joint.kind == "revolute" for joint in self.robot.joints], wrench[:, :, 5], wrench[:, :, 2])
+        loads = self._loads(o)
+        revolute = [joint.kind == "revolute" for joint in self.robot.joints]
         return Batch(
-            q=o.q, wrench=wrench, axial=axial, direction=o.direction, qd=o.qd, qdd=o.qdd, t=o.t,
+            q=o.q, wrench=loads.joints, axial=np.where(revolute, loads.joints[:, :, 5], loads.joints[:, :, 2]),
+            end_wrench=loads.ends, base_wrench=loads.base, tool_point=loads.tool_point,
+            link_vectors=self.robot.chain.link_vectors, direction=o.direction, qd=o.qd, qdd=o.qdd, t=o.t,
             temperature_c=o.temperature_c, payload_kg=o.payload_kg, session=o.session,
         )  # fmt: skip
+
+    def _loads(self, o: Observations) -> Loads:
+        if self.effects:
+            return joint_loads(self.robot, o.q, qd=o.qd, qdd=o.qdd, payload_kg=o.payload_kg, payload_com=o.payload_com)
+        none = np.zeros((*o.q.shape, 6))
+        return Loads(none, none, np.zeros((len(o), 6)), np.zeros((len(o), 3)))
 
     def predict(self, observations: Observations | Batch, values: Floats) -> Prediction:
         """Tool poses at ``values (P,)``."""
         batch = self._as_batch(observations)
-        dq, xi, _ = self._local(batch, values)
+        total = self._local(batch, values)
         position, rotation = np.empty((len(batch), 3)), np.empty((len(batch), 3, 3))
         p = self.program
         kinematics.poses(
             p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
-            batch.q, dq, xi, position, rotation,
+            batch.q, total.dq, total.xi, position, rotation,
         )  # fmt: skip
-        return Prediction(position, rotation)
+        return Prediction(position if total.stretch is None else position * total.stretch, rotation)
 
     def jacobian(
         self, observations: Observations | Batch, values: Floats, free: NDArray[np.int64] | None = None
     ) -> tuple[Prediction, Floats]:
-        """Poses and their exact derivative (N, 6, F) by the parameters ``free`` (indices; all when None).
+        """Poses and their exact derivative (N, 6, F) by the parameters ``free`` (ascending indices; all when None).
 
         Rows 0-2 are the position (m per unit), rows 3-5 the rotation vector in the frame of the measurements (rad per unit).
         """
         batch = self._as_batch(observations)
         free = np.arange(len(self.names)) if free is None else free
-        dq, xi, locals_ = self._local(batch, values)
-        prediction, JE, JQ, JX = self._screws(batch, values, dq, xi, free[free < self.n_geometric])
-        if np.all(free < self.n_geometric):
-            return prediction, JE
-        columns = [JE] + [self._effect_columns(locals_, free, JQ, JX)]
-        return prediction, np.concatenate(columns, axis=2)
+        total = self._local(batch, values)
+        prediction, J, JQ, JX = self._screws(batch, values, total, free[free < self.n_geometric])
+        if np.any(free >= self.n_geometric):
+            J = np.concatenate([J, self._effect_columns(total, free, JQ, JX, prediction.position)], axis=2)
+        if total.stretch is None:
+            return prediction, J
+        J[:, :3] *= total.stretch[:, :, None]
+        return Prediction(prediction.position * total.stretch, prediction.rotation), J
 
     def joint_jacobian(self, observations: Observations | Batch, values: Floats) -> tuple[Prediction, Floats]:
         """Poses and their derivative (N, 6, n) by the joint readings, the effects held still."""
         batch = self._as_batch(observations)
-        dq, xi, _ = self._local(batch, values)
-        prediction, _, JQ, _ = self._screws(batch, values, dq, xi, np.zeros(0, dtype=np.int64))
+        prediction, _, JQ, _ = self._screws(batch, values, self._local(batch, values), np.zeros(0, dtype=np.int64))
         return prediction, JQ
 
     def contribution(self, observations: Observations, values: Floats) -> dict[str, Floats]:
@@ -200,8 +205,7 @@ class RobotModel:
     def link_angles(self, observations: Observations | Batch, values: Floats) -> Floats:
         """Joint angles (N, n) behind gear and play: reading plus zero offset error plus the effects' corrections."""
         batch = self._as_batch(observations)
-        dq, _, _ = self._local(batch, values)
-        return batch.q + dq
+        return batch.q + self._local(batch, values).dq
 
     def folded(self, values: Floats) -> tuple[RobotModel, Floats]:
         """Move the base and tool increments of ``values`` into the frames: an equal model with increments zero."""
@@ -221,30 +225,35 @@ class RobotModel:
         out[self.program.element_of] = values[: self.n_geometric]
         return out
 
-    def _local(self, batch: Batch, values: Floats) -> tuple[Floats, Floats, list[tuple[int, Local]]]:
-        """Sum of the local corrections, and each effect's with the index of its first parameter."""
-        dq = np.zeros_like(batch.q)
-        xi = np.zeros((0, batch.q.shape[1], 6))
-        locals_ = []
+    def _local(self, batch: Batch, values: Floats) -> _Total:
+        """Sum of the local corrections, with each effect's own."""
+        rows, n = batch.q.shape
+        dq, stretch = np.zeros((rows, n)), None
+        xi = np.zeros((0, n + 2, 6))
+        parts = []
         for effect, where in zip(self.effects, self.effect_slices().values(), strict=True):
             local = effect.local(batch, values[where])
-            if local.dq is not None:
-                dq = dq + local.dq
-            if local.xi is not None:
-                xi = xi + self._in_element_frames(local.xi) if len(xi) else self._in_element_frames(local.xi)
-            locals_.append((where.start, local))
-        return dq, xi, locals_
+            parts.append((where.start, local))
+            dq = dq if local.dq is None else dq + local.dq
+            if local.scale is not None:
+                stretch = (1.0 if stretch is None else stretch) + local.scale[:, None]
+            if local.xi is not None or local.base is not None or local.tool is not None:
+                xi = xi if len(xi) else np.zeros((rows, n + 2, 6))
+                xi[:, :n] += 0.0 if local.xi is None else self._in_element_frames(local.xi)
+                xi[:, n] += 0.0 if local.base is None else local.base
+                xi[:, n + 1] += 0.0 if local.tool is None else local.tool
+        return _Total(dq, xi, stretch, tuple(parts))
 
     def _in_element_frames(self, xi: Floats) -> Floats:
         """Turn twists (N, n, 6) from the joint frames into the frames after the joints' elements."""
         frames = self.robot.chain.program.joint_frame
         if np.array_equal(frames, np.broadcast_to(np.eye(3), frames.shape)):
-            return np.ascontiguousarray(xi)
+            return xi
         split = xi.reshape(len(xi), -1, 2, 3)
-        return np.ascontiguousarray(np.einsum("jab,njkb->njka", frames, split).reshape(xi.shape))
+        return np.asarray(np.einsum("jab,njkb->njka", frames, split).reshape(xi.shape))
 
     def _screws(
-        self, batch: Batch, values: Floats, dq: Floats, xi: Floats, geometric: NDArray[np.int64]
+        self, batch: Batch, values: Floats, total: _Total, geometric: NDArray[np.int64]
     ) -> tuple[Prediction, Floats, Floats, Floats]:
         rows, n = batch.q.shape
         p = self.program
@@ -252,21 +261,21 @@ class RobotModel:
         column[p.element_of[geometric]] = np.arange(len(geometric))
         position, rotation = np.empty((rows, 3)), np.empty((rows, 3, 3))
         JE, JQ = np.empty((rows, 6, len(geometric))), np.empty((rows, 6, n))
-        JX = np.empty((rows, 6, 6 * n)) if len(xi) else np.empty((0, 6, 6 * n))
+        JX = np.empty((rows, 6, 6 * n + 12)) if len(total.xi) else np.empty((0, 6, 6 * n + 12))
         kinematics.screws(
             p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
-            batch.q, dq, xi, column, position, rotation, JE, JQ, JX,
+            batch.q, total.dq, total.xi, column, position, rotation, JE, JQ, JX,
         )  # fmt: skip
         return Prediction(position, rotation), JE, JQ, JX
 
     def _effect_columns(
-        self, locals_: Sequence[tuple[int, Local]], free: NDArray[np.int64], JQ: Floats, JX: Floats
+        self, total: _Total, free: NDArray[np.int64], JQ: Floats, JX: Floats, position: Floats
     ) -> Floats:
         """Chain rule: tool columns of the free effect parameters from the local derivatives."""
         wanted = [int(k) for k in free if k >= self.n_geometric]
         out = np.zeros((len(JQ), 6, len(wanted)))
         place = {k: c for c, k in enumerate(wanted)}
-        for start, local in locals_:
+        for start, local in total.parts:
             for d in local.derivatives:
                 c = place.get(start + d.parameter)
                 if c is None:
@@ -274,11 +283,27 @@ class RobotModel:
                 if d.dq is not None:
                     out[:, :, c] += JQ[:, :, d.joint] * d.dq[:, None]
                 if d.xi is not None:
-                    frame = self.robot.chain.program.joint_frame[d.joint]
-                    block = JX[:, :, 6 * d.joint : 6 * d.joint + 6]
-                    turned = (d.xi.reshape(-1, 2, 3) @ frame.T).reshape(-1, 6)
-                    out[:, :, c] += np.matmul(block, turned[:, :, None])[:, :, 0]
+                    out[:, :, c] += self._twist_column(d.joint, d.xi, JX)
+                if d.scale is not None:
+                    out[:, :3, c] += position * d.scale[:, None]
         return out
+
+    def _twist_column(self, joint: int, xi: Floats, JX: Floats) -> Floats:
+        n = self.robot.n_joints
+        slot = {BASE: n, TOOL: n + 1}.get(joint, joint)
+        frame = self.robot.chain.program.joint_frame[slot] if slot < n else np.eye(3)
+        turned = (xi.reshape(-1, 2, 3) @ frame.T).reshape(-1, 6)
+        return np.asarray(np.matmul(JX[:, :, 6 * slot : 6 * slot + 6], turned[:, :, None])[:, :, 0])
+
+
+@dataclass(frozen=True)
+class _Total:
+    """Summed local corrections: ``dq (N, n)``, twists ``xi (N, n + 2, 6)`` (empty when none), position ``stretch (N, 1)``."""
+
+    dq: Floats
+    xi: Floats
+    stretch: Floats | None
+    parts: tuple[tuple[int, Local], ...]
 
 
 def _frame_parameters(which: str) -> list[Parameter]:

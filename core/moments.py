@@ -7,6 +7,8 @@ millimetre of geometric error changes them by one part in ten thousand, and the 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,21 @@ from core.kernels.load import load_wrenches
 from core.robot import Robot
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Loads of N rows, force N then moment N·m.
+
+    ``joints (N, n, 6)`` on each joint in its joint frame (z is the axis); ``ends (N, n, 6)`` what follows does to the end
+    of each link, about the next joint's origin but in the frame of the link's own joint; ``base (N, 6)`` on the base about
+    its origin, in the base frame; ``tool_point (N, 3)`` m, the nominal tool point in the base frame.
+    """
+
+    joints: Floats
+    ends: Floats
+    base: Floats
+    tool_point: Floats
 
 
 def joint_loads(
@@ -25,8 +42,8 @@ def joint_loads(
     payload_kg: Floats | None = None,
     payload_com: Floats | None = None,
     external: Floats | None = None,
-) -> Floats:
-    """Load wrench on each joint, shape (N, n, 6): force N, then moment N·m, in the joint frame (z is the joint axis).
+) -> Loads:
+    """Load wrenches on joints, link ends and base.
 
     Args:
         robot: the nominal robot.
@@ -43,7 +60,8 @@ def joint_loads(
     rows, program = len(q), robot.chain.program
     none = np.zeros((0, 0))
     dynamic = qd is not None and qdd is not None
-    out = np.empty((rows, robot.n_joints, 6))
+    shape = (rows, robot.n_joints, 6)
+    loads = Loads(np.empty(shape), np.empty(shape), np.empty((rows, 6)), np.empty((rows, 3)))
     load_wrenches(
         program.axis, program.joint, program.ratio, program.value, program.primary, program.joint_frame,
         np.array([link.element for link in robot.links], dtype=np.int64),
@@ -57,6 +75,6 @@ def joint_loads(
         np.ascontiguousarray(q, dtype=np.float64),
         np.ascontiguousarray(qd, dtype=np.float64) if dynamic and qd is not None else none,
         np.ascontiguousarray(qdd, dtype=np.float64) if dynamic and qdd is not None else none,
-        out,
+        loads.joints, loads.ends, loads.base, loads.tool_point,
     )  # fmt: skip
-    return out
+    return loads

@@ -22,12 +22,17 @@ class Batch:
     """The conditions of N rows as effects may read them, SI.
 
     ``wrench (N, n, 6)`` is the load on each joint; ``axial (N, n)`` its part that works on the joint: the moment about
-    the axis of a revolute joint (N·m), the force along that of a prismatic one (N). An effect declares what it reads in ``needs``; anything not measured is None.
+    the axis of a revolute joint (N·m), the force along that of a prismatic one (N). ``end_wrench``, ``base_wrench`` and
+    ``tool_point`` are those of :class:`~core.moments.Loads`, ``link_vectors (n + 1, 3)`` those of the chain. An effect declares what it reads in ``needs``; anything not measured is None.
     """
 
     q: Floats
     wrench: Floats
     axial: Floats
+    end_wrench: Floats
+    base_wrench: Floats
+    tool_point: Floats
+    link_vectors: Floats
     direction: Floats | None = None
     qd: Floats | None = None
     qdd: Floats | None = None
@@ -45,22 +50,38 @@ class Batch:
         return int(self.q.shape[0])
 
 
+BASE, TOOL = -1, -2  # places of a twist besides the joints: right after the base frame, and on the tool
+
+
 @dataclass(frozen=True)
 class Derivative:
-    """Change of one joint's local correction by one parameter: ``dq (N,)`` and/or ``xi (N, 6)``."""
+    """Change of one local correction by one parameter.
+
+    ``dq (N,)`` and ``xi (N, 6)`` belong to ``joint`` (``xi`` may also sit at :data:`BASE` or :data:`TOOL`);
+    ``scale (N,)`` to the measurement.
+    """
 
     parameter: int
-    joint: int
+    joint: int = BASE
     dq: Floats | None = None
     xi: Floats | None = None
+    scale: Floats | None = None
 
 
 @dataclass(frozen=True)
 class Local:
-    """Local corrections of N rows: ``dq (N, n)`` added to the joints, ``xi (N, n, 6)`` small twists (v, w) in the joint frames."""
+    """Local corrections of N rows.
+
+    ``dq (N, n)`` is added to the joints; ``xi (N, n, 6)`` are small twists (v, w) in the joint frames, ``base (N, 6)``
+    in the base frame and ``tool (N, 6)`` in the tool frame; ``scale (N,)`` stretches the measured position about the
+    origin of the measurements.
+    """
 
     dq: Floats | None = None
     xi: Floats | None = None
+    base: Floats | None = None
+    tool: Floats | None = None
+    scale: Floats | None = None
     derivatives: tuple[Derivative, ...] = ()
 
 
@@ -72,6 +93,7 @@ class Effect(ABC):
     summary: ClassVar[str]
     source: ClassVar[str]
     needs: ClassVar[frozenset[str]] = frozenset()
+    stage: ClassVar[str] = "joint"  # or "base", or "measurement": an error of the instrument, never corrected on the arm
 
     joints: tuple[int, ...] | None = None
 

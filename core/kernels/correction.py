@@ -27,8 +27,8 @@ NOMINAL, IDENTIFIED, KIND, JOINT, RATIO, PRIMARY, MASS, COM, INERTIA = 0, 12, 24
 LOWER, UPPER, DQ, XI, TILT, TILT_SOFT, TILT_SHARE, PLAY, PLAY_SOFT = 0, 1, 2, 3, 9, 10, 11, 12, 13
 REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, MOVE = 14, 15, 16, 17, 18, 19
 # scalars
-GRAVITY, ROWS, ROW, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST, RAMP, FILTER, HYSTERESIS, LOADED, REACHED, N, M = (
-    0, 3, 4, 10, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26,
+GRAVITY, ROWS, ROW, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST, RAMP, FILTER, HYSTERESIS, LOADED, REACHED, N, M, WEAK = (
+    0, 3, 4, 10, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27,
 )  # fmt: skip
 # scratch of a move: nominal frame, then the identified joint line, the sine and cosine of the
 # wanted joints, then force and moment about the base origin of the body on the move
@@ -38,8 +38,8 @@ WANTED, COMMAND, SHIFT, LEAN_A, LEAN_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN
     0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 12,
 )  # fmt: skip
 TURN_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW = 18, 19, 20
-# scratch of a task row: matrix row, then residual, multiplier and its step
-ERROR, MULTIPLIER, DELTA = 6, 7, 8
+# scratch of a task row: factor row, residual, multiplier and its step, then damping, matrix and eigenvector rows
+ERROR, MULTIPLIER, DELTA, DAMPING, MATRIX, VECTOR = 6, 7, 8, 9, 15, 21
 # state of a joint, and of the stream (row n)
 LAST_A, LAST_B, LAST_SIDE, LAST_Q, TURN, HEADING, OFFSET, LAST_DELTA, SMOOTH, SMOOTH_SPEED = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 STARTED, REBASE, REMAINING, LENGTH = 0, 1, 2, 3
@@ -55,6 +55,11 @@ SETTLED_RAD = 1e-7
 SIGN_ROUNDS = 4
 
 
+
+
+@njit(cache=True, error_model="numpy")
+def _cross(a0, a1, a2, b0, b1, b2):
+    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
 
 
 @njit(cache=True, error_model="numpy")
@@ -207,8 +212,8 @@ def _static_moments(P, W, S, m, oj):
             r0 = s0 - mass * W[k, 9]
             r1 = s1 - mass * W[k, 10]
             r2 = s2 - mass * W[k, 11]
-            j = oj + int(P[k, JOINT])
-            _to_joint(W, k, j, r1 * g2 - r2 * g1, r2 * g0 - r0 * g2, r0 * g1 - r1 * g0)
+            t0, t1, t2 = _cross(r0, r1, r2, g0, g1, g2)
+            _to_joint(P, W, k, oj + int(P[k, JOINT]), t0, t1, t2, mass * g0, mass * g1, mass * g2)
 
 
 @njit(cache=True, error_model="numpy")
@@ -222,16 +227,17 @@ def _point(W, k, x, y, z):
 
 
 @njit(cache=True, error_model="numpy")
-def _to_joint(W, k, j, x, y, z):
-    """Turn a moment in base coordinates into frame k and keep it as that of joint row j."""
+def _to_joint(P, W, k, j, x, y, z, f0, f1, f2):
+    """Turn a load in base coordinates into frame k and keep it for joint row j: two moments across, one along the axis.
+
+    Along the axis a joint that turns feels a moment, one that slides a force.
+    """
     W[j, MOMENT] = W[k, 0] * x + W[k, 3] * y + W[k, 6] * z
     W[j, MOMENT + 1] = W[k, 1] * x + W[k, 4] * y + W[k, 7] * z
-    W[j, MOMENT + 2] = W[k, 2] * x + W[k, 5] * y + W[k, 8] * z
-
-
-@njit(cache=True, error_model="numpy")
-def _cross(a0, a1, a2, b0, b1, b2):
-    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+    if P[k, KIND] == 0.0:
+        W[j, MOMENT + 2] = W[k, 2] * x + W[k, 5] * y + W[k, 8] * z
+    else:
+        W[j, MOMENT + 2] = W[k, 2] * f0 + W[k, 5] * f1 + W[k, 8] * f2
 
 
 @njit(cache=True, error_model="numpy")
@@ -323,7 +329,7 @@ def _dynamic_moments(P, W, S, m, oj):
         m2 += W[k, LOAD + 5]
         if P[k, PRIMARY] >= 0.0:
             t0, t1, t2 = _cross(W[k, 9], W[k, 10], W[k, 11], f0, f1, f2)
-            _to_joint(W, k, oj + int(P[k, JOINT]), m0 - t0, m1 - t1, m2 - t2)
+            _to_joint(P, W, k, oj + int(P[k, JOINT]), m0 - t0, m1 - t1, m2 - t2, f0, f1, f2)
 
 
 @njit(cache=True, error_model="numpy")
@@ -424,28 +430,43 @@ def _component(T, i, x, y, z):
 
 
 @njit(cache=True, error_model="numpy")
-def _factor(W, n, oj, og, rows, added):
-    """LDL' of J J' + added in the task rows of W; returns the smallest pivot."""
+def _matrix(W, n, oj, og, rows):
+    """J J' and no damping into the task rows."""
+    for r in range(rows):
+        for c in range(r + 1):
+            total = 0.0
+            for i in range(n):
+                total += W[oj + i, COLUMN + r] * W[oj + i, COLUMN + c]
+            W[og + r, MATRIX + c] = total
+            W[og + c, MATRIX + r] = total
+            W[og + r, DAMPING + c] = 0.0
+            W[og + c, DAMPING + r] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _factor(W, og, rows):
+    """LDL' of J J' + damping in the task rows; returns the smallest pivot, 0 when there is none."""
     smallest = math.inf
     for r in range(rows):
         for c in range(r + 1):
-            total = added if r == c else 0.0
-            for i in range(n):
-                total += W[oj + i, COLUMN + r] * W[oj + i, COLUMN + c]
+            total = W[og + r, MATRIX + c] + W[og + r, DAMPING + c]
             for k in range(c):
                 total -= W[og + r, k] * W[og + c, k] * W[og + k, k]
             W[og + r, c] = total if r == c else total / W[og + c, c]
         smallest = min(smallest, W[og + r, r])
-        if W[og + r, r] <= 1e-15:
+        if W[og + r, r] <= 1e-12:
             return 0.0
     return smallest
 
 
 @njit(cache=True, error_model="numpy")
-def _multipliers(W, og, rows, damping):
-    """Step of the multipliers: (J J' + damping) step = error - damping * multiplier."""
+def _multipliers(W, og, rows, damped):
+    """Step of the multipliers: (J J' + damping) step = error - damping * multipliers."""
     for r in range(rows):
-        total = W[og + r, ERROR] - damping * W[og + r, MULTIPLIER]
+        total = W[og + r, ERROR]
+        if damped:
+            for k in range(rows):
+                total -= W[og + r, DAMPING + k] * W[og + k, MULTIPLIER]
         for k in range(r):
             total -= W[og + r, k] * W[og + k, DELTA]
         W[og + r, DELTA] = total
@@ -456,6 +477,113 @@ def _multipliers(W, og, rows, damping):
         W[og + r, DELTA] = total
     for r in range(rows):
         W[og + r, MULTIPLIER] += W[og + r, DELTA]
+
+
+@njit(cache=True, error_model="numpy")
+def _rotate_pair(W, og, rows, a, b):
+    """One Jacobi rotation that clears element (a, b) of the factor rows, which hold a symmetric matrix here."""
+    off = W[og + a, b]
+    if off == 0.0:
+        return
+    theta = 0.5 * (W[og + b, b] - W[og + a, a]) / off
+    t = math.copysign(1.0, theta) / (abs(theta) + math.sqrt(theta * theta + 1.0))
+    c = 1.0 / math.sqrt(t * t + 1.0)
+    s = t * c
+    for k in range(rows):
+        x = W[og + k, a]
+        y = W[og + k, b]
+        W[og + k, a] = c * x - s * y
+        W[og + k, b] = s * x + c * y
+        x = W[og + k, VECTOR + a]
+        y = W[og + k, VECTOR + b]
+        W[og + k, VECTOR + a] = c * x - s * y
+        W[og + k, VECTOR + b] = s * x + c * y
+    for k in range(rows):
+        x = W[og + a, k]
+        y = W[og + b, k]
+        W[og + a, k] = c * x - s * y
+        W[og + b, k] = s * x + c * y
+
+
+@njit(cache=True, error_model="numpy")
+def _eigenvectors(W, og, rows):
+    """Eigenvalues of J J' on the diagonal of the factor rows, eigenvectors in the vector columns (cyclic Jacobi)."""
+    for r in range(rows):
+        for c in range(rows):
+            W[og + r, c] = W[og + r, MATRIX + c]
+            W[og + r, VECTOR + c] = 1.0 if r == c else 0.0
+    for _ in range(8):
+        for a in range(rows - 1):
+            for b in range(a + 1, rows):
+                _rotate_pair(W, og, rows, a, b)
+
+
+@njit(cache=True, error_model="numpy")
+def _damp(P, W, n, oj, og, rows):
+    """Damp the directions that a singularity makes weak, and no others; whether there was one.
+
+    A direction of singular value s below the weak limit would ask the joints for error / s. Where that exceeds the
+    bound, or s all but vanishes, its damping grows smoothly from zero (after Maciejewski and Klein 1988), so that the
+    answer is continuous, keeps to about the bound and fades out at the singularity itself.
+    """
+    S = P.shape[0] - 1
+    bound = math.inf
+    for i in range(n):
+        bound = min(bound, 0.8 * P[oj + i, LARGEST])
+    _eigenvectors(W, og, rows)
+    damped = False
+    for v in range(rows):
+        square = max(W[og + v, v], 0.0)
+        if square >= P[S, WEAK]:
+            continue
+        along = 0.0
+        for r in range(rows):
+            along += W[og + r, VECTOR + v] * W[og + r, ERROR]
+        limit = max(along * along / (bound * bound), P[S, SINGULAR])
+        if square >= limit:
+            continue
+        damped = True
+        amount = 0.25 * (limit - square)
+        for r in range(rows):
+            for c in range(rows):
+                W[og + r, DAMPING + c] += amount * W[og + r, VECTOR + v] * W[og + c, VECTOR + v]
+    return damped
+
+
+@njit(cache=True, error_model="numpy")
+def _strain(W, n, oj, og, rows):
+    """Length of the joint correction that the undamped first step asks for."""
+    total = 0.0
+    for i in range(n):
+        step = 0.0
+        for r in range(rows):
+            step += W[oj + i, COLUMN + r] * W[og + r, DELTA]
+        total += step * step
+    return math.sqrt(total)
+
+
+@njit(cache=True, error_model="numpy")
+def _linearise(P, W, S, actual, n, m, oj, og, rows):
+    """Jacobian, its factor and the first multipliers; whether a singularity had to be damped."""
+    _jacobian(P, W, S, actual, n, m, oj, rows)
+    _matrix(W, n, oj, og, rows)
+    smallest = _factor(W, og, rows)
+    if smallest > P[S, SINGULAR]:
+        _multipliers(W, og, rows, False)
+        bound = math.inf
+        for i in range(n):
+            bound = min(bound, 0.8 * P[oj + i, LARGEST])
+        if _strain(W, n, oj, og, rows) <= bound:
+            return False
+    for r in range(rows):
+        W[og + r, MULTIPLIER] = 0.0
+    damped = _damp(P, W, n, oj, og, rows)
+    if _factor(W, og, rows) <= 0.0:
+        for r in range(rows):
+            W[og + r, DAMPING + r] += P[S, SINGULAR]
+        _factor(W, og, rows)
+    _multipliers(W, og, rows, damped)
+    return damped
 
 
 @njit(cache=True, error_model="numpy")
@@ -539,7 +667,7 @@ def _solve(P, W, state, info, n, m, dynamic, dt):
     rows = int(P[S, ROWS])
     flags = DYNAMIC if dynamic else 0
     loaded = P[S, LOADED] != 0.0
-    damping = 0.0
+    damped = False
     limited = False
     largest = math.inf
     _prepare(P, W, n, m, oj, og, rows)
@@ -559,14 +687,10 @@ def _solve(P, W, state, info, n, m, dynamic, dt):
         actual = _identified(P, W, m, oj)
         d = _residual(P, W, S, og, rows, wanted, actual)
         if it == 0:
-            _jacobian(P, W, S, actual, n, m, oj, rows)
-            smallest = _factor(W, n, oj, og, rows, 0.0)
-            if smallest < P[S, SINGULAR]:
-                damping = P[S, SINGULAR] - smallest
-                _factor(W, n, oj, og, rows, damping)
-                flags |= DAMPED
+            damped = _linearise(P, W, S, actual, n, m, oj, og, rows)
             info[4], info[5], info[6] = d[0], d[1], d[2]
-        _multipliers(W, og, rows, damping)
+        else:
+            _multipliers(W, og, rows, damped)
         largest = _command(W, n, oj, og, rows)
         info[7] = it + 1.0
         if largest < P[S, STEP]:
@@ -574,7 +698,7 @@ def _solve(P, W, state, info, n, m, dynamic, dt):
     _report(W, info, og, rows, d)
     if not info[3] <= P[S, REACHED]:
         flags |= RESIDUAL
-    return flags | (LIMITED if limited else 0)
+    return flags | (LIMITED if limited else 0) | (DAMPED if damped else 0)
 
 
 @njit(cache=True, error_model="numpy")

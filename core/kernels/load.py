@@ -86,9 +86,21 @@ def _add_inertia(inertia, R, w, dw, moment, a, b, h, t):
 
 
 @njit(cache=True)
+def _in_frame(frame, origin, force, moment, out, t):
+    """Write a wrench about the base origin as one about ``origin`` in ``frame``. t is scratch."""
+    t[:] = 0.0
+    _add_cross(origin, force, t)
+    for a in range(3):
+        out[a] = frame[0, a] * force[0] + frame[1, a] * force[1] + frame[2, a] * force[2]
+        out[3 + a] = (
+            frame[0, a] * (moment[0] - t[0]) + frame[1, a] * (moment[1] - t[1]) + frame[2, a] * (moment[2] - t[2])
+        )
+
+
+@njit(cache=True)
 def load_wrenches(
     axis, joint, ratio, value, primary, joint_frame, link_element, mass, com, inertia, gravity, tool,
-    payload, payload_com, external, q, qd, qdd, out,
+    payload, payload_com, external, q, qd, qdd, out, end, base, point,
 ):
     """Load wrench (force N, moment N·m about the joint) on each joint in its joint frame.
 
@@ -96,7 +108,9 @@ def load_wrenches(
     joint axis. ``link_element (L,)`` is the element whose frame the link's ``com (L, 3)`` and ``inertia (L, 3, 3)`` are
     given in. ``payload (N,)`` kg at ``payload_com (N, 3)`` and ``external (N, 6)`` (force, moment about the tool point)
     are in the tool frame, which stands after the last element. ``qd, qdd`` may be empty: then the load is static.
-    Writes ``out (N, n, 6)``.
+    Writes ``out (N, n, 6)``; ``end (N, n, 6)``, the load of what follows on the end of each link (the origin of the
+    next joint, of the tool for the last), still in the frame of the link's own joint; ``base (N, 6)``, the load on the
+    base about its origin, in the base frame; and ``point (N, 3)``, the tool point in the base frame.
     """
     elements = axis.shape[0]
     n = primary.shape[0]
@@ -171,6 +185,8 @@ def load_wrenches(
                             inertia[b], R, w, dw, moments[e], scratch[0], scratch[1], scratch[2], scratch[3]
                         )
         _turn(R, tool_p, r)
+        for i in range(3):
+            point[row, i] = p[i] + r[i]
         if moving:
             _carry(r, w, dw, acc, t)
         for i in range(3):
@@ -196,13 +212,18 @@ def load_wrenches(
             for i in range(3):
                 forces[e, i] += forces[e + 1, i]
                 moments[e, i] += moments[e + 1, i]
+        for i in range(3):
+            base[row, i] = forces[0, i]
+            base[row, 3 + i] = moments[0, i]
         for i in range(n):
-            F = forces[primary[i]]
-            M = moments[primary[i]]
-            t[:] = 0.0
-            _add_cross(origins[i], F, t)
-            for a in range(3):
-                out[row, i, a] = frames[i, 0, a] * F[0] + frames[i, 1, a] * F[1] + frames[i, 2, a] * F[2]
-                out[row, i, 3 + a] = (
-                    frames[i, 0, a] * (M[0] - t[0]) + frames[i, 1, a] * (M[1] - t[1]) + frames[i, 2, a] * (M[2] - t[2])
-                )
+            _in_frame(frames[i], origins[i], forces[primary[i]], moments[primary[i]], out[row, i], t)
+            # The next joint along the chain, which mimic elements can put elsewhere than at i + 1.
+            following = elements
+            for k in range(n):
+                if primary[i] < primary[k] < following:
+                    following = primary[k]
+            where = point[row]
+            for k in range(n):
+                if primary[k] == following:
+                    where = origins[k]
+            _in_frame(frames[i], where, forces[following], moments[following], end[row, i], t)
