@@ -1,0 +1,57 @@
+"""Files of measurements, made ready for upload."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from kilter_client.errors import FileError
+from kilter_client.files.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
+
+__all__ = ["DEVICES", "Prepared", "prepare"]
+
+
+def _ipa_lasertracker(path: Path) -> Table:
+    from kilter_client.files.ipa_lasertracker import read_ipa_lasertracker
+
+    return read_ipa_lasertracker(path)
+
+
+# device name -> reader of its files; any other device's files must be contract columns or come with a map
+DEVICES: Mapping[str, Callable[[Path], Table]] = {"ipa-lasertracker": _ipa_lasertracker}
+
+TYPES = {".csv": CSV_TYPE, ".parquet": PARQUET_TYPE, ".json": JSON_TYPE}
+
+
+def prepare(path: Path | str, device: str | None = None, column_map: Path | str | None = None) -> Prepared:
+    """Read a file for upload: through its map, else through the device's importer, else byte for byte as it is.
+
+    Raises:
+        FileError: the file, or the map, is not what it should be; the message names place and remedy.
+        MissingPackageError: the format needs the extra ``files``.
+
+    """
+    path = Path(path)
+    if column_map is not None:
+        from kilter_client.files.column_map import read_map
+        from kilter_client.files.mapped import read_mapped
+
+        return Prepared.from_table(read_mapped(path, read_map(Path(column_map))))
+    if device is not None and device in DEVICES:
+        return Prepared.from_table(DEVICES[device](path))
+    return as_it_is(path)
+
+
+def as_it_is(path: Path) -> Prepared:
+    """Read a file that already has contract columns; its bytes, and so its content hash, stay what they are."""
+    kind = TYPES.get(path.suffix.lower())
+    if kind is None:
+        raise FileError(
+            f"{path}: the ending {path.suffix!r} is none of {', '.join(TYPES)}. Bring it in with a column map "
+            f"(--map columns.toml) or name its device ({', '.join(DEVICES)}).",
+            file=str(path),
+        )
+    try:
+        return Prepared(path.read_bytes(), kind, notes=("contract columns, sent as they are",))
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror or error}.", file=str(path)) from error

@@ -1,0 +1,142 @@
+"""A lab's file through its column map: contract columns, converted and counted."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from pathlib import Path
+
+from kilter_client.errors import FileError
+from kilter_client.files.column_map import Column, ColumnMap, Keep, Orientation
+from kilter_client.files.orientation import from_euler, upright
+from kilter_client.files.source import Source, open_source
+from kilter_client.files.table import Table
+from kilter_client.files.units import converter, unit_of
+
+JOINT = re.compile(r"q\d+_(deg|rad|mm|m)")
+MARKER = re.compile(r"m\d+[xyz]_(mm|m)")
+QUATERNION = ("qw", "qx", "qy", "qz")
+
+
+def read_mapped(path: Path, column_map: ColumnMap) -> Table:
+    """Read ``path`` as ``column_map`` says.
+
+    Raises:
+        FileError: a column that is not there, a cell that is no number, columns of different lengths, no row left.
+
+    """
+    source = open_source(path, column_map.form, column_map.layout)
+    measured = {c.target: _convert(c, source) for c in column_map.columns if c.source is not None}
+    if column_map.orientation:
+        measured |= _orientation(source, column_map.orientation)
+    table = _table(path, source, measured)
+    table.notes += [_understood(column) for column in column_map.columns]
+    for column in column_map.columns:
+        if column.value is not None:
+            table.columns[column.target] = [column.value] * len(table)
+    _filter(source, table, column_map.keep)
+    _missing(path, table, column_map.drop_missing)
+    if column_map.repeats_deg is not None:
+        _number_poses(table, column_map.repeats_deg)
+    return table
+
+
+def _convert(column: Column, source: Source) -> list[float]:
+    assert column.source is not None
+    convert = converter(column.unit, unit_of(column.target) or "")
+    assert convert is not None  # the map was checked when it was read
+    return [convert(column.scale * value + column.offset) for value in source.numbers(column.source)]
+
+
+def _understood(column: Column) -> str:
+    if column.value is not None:
+        return f"{column.target} = {column.value:g} in every row"
+    turned = f" x {column.scale:g}" if column.scale != 1 else ""
+    shifted = f" {column.offset:+g}" if column.offset else ""
+    return f"{column.target} from {column.source!r}{turned}{shifted}" + (f" [{column.unit}]" if column.unit else "")
+
+
+def _table(path: Path, source: Source, measured: dict[str, list[float]]) -> Table:
+    lengths = {name: len(values) for name, values in measured.items()}
+    if len(set(lengths.values())) > 1:
+        different = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise FileError(f"{path}: the columns have different numbers of rows ({different}).", file=str(path))
+    rows = next(iter(lengths.values()), 0)
+    if not rows:
+        raise FileError(f"{path}: no rows, or a map of constants only. Map at least the joints.", file=str(path))
+    return Table(measured, source.lines or list(range(1, rows + 1)))
+
+
+def _orientation(source: Source, orientation: Orientation) -> dict[str, list[float]]:
+    parts = list(zip(*(source.numbers(name) for name in orientation.sources), strict=True))
+    if len(orientation.sources) == 4:
+        order = [orientation.order.index(axis) for axis in "wxyz"]
+        turned = [upright((p[order[0]], p[order[1]], p[order[2]], p[order[3]])) for p in parts]
+    else:
+        convert = converter(orientation.unit, "rad")
+        assert convert is not None  # the map was checked when it was read
+        turned = [from_euler((convert(a), convert(b), convert(c)), orientation.order) for a, b, c in parts]
+    return {name: [quaternion[i] for quaternion in turned] for i, name in enumerate(QUATERNION)}
+
+
+def _filter(source: Source, table: Table, keep: tuple[Keep, ...]) -> None:
+    for condition in keep:
+        if condition.equals:
+            good = [text in condition.equals for text in source.texts(condition.column)]
+        else:
+            low = -math.inf if condition.minimum is None else condition.minimum
+            high = math.inf if condition.maximum is None else condition.maximum
+            good = [low <= value <= high for value in source.numbers(condition.column)]
+        left_out = [line for line, is_good in zip(_all_lines(source, good), good, strict=True) if not is_good]
+        gone = set(left_out)
+        before = len(table)
+        table.keep([i for i, line in enumerate(table.lines) if line not in gone])
+        if before != len(table):
+            table.warnings.append(f"{before - len(table)} rows left out by the condition on {condition.column!r}")
+
+
+def _all_lines(source: Source, good: list[bool]) -> list[int]:
+    return source.lines or list(range(1, len(good) + 1))
+
+
+def _missing(path: Path, table: Table, drop: bool) -> None:
+    """Markers may be missing; any other empty cell is dropped with its row, or refused."""
+    needed = {name: values for name, values in table.columns.items() if not MARKER.fullmatch(name)}
+    empty = {i: name for name, values in needed.items() for i, value in enumerate(values) if math.isnan(value)}
+    if empty and not drop:
+        row, name = min(empty.items())
+        raise FileError(
+            f"{path}, line {table.lines[row]}: {name} is missing. Fill the cell, or set drop_missing = true under "
+            f"[rows] to leave such rows out ({len(empty)} of {len(table)}).",
+            file=str(path),
+            line=table.lines[row],
+            column=name,
+        )
+    if empty:
+        table.warnings.append(f"{len(empty)} rows left out because a value is missing")
+        table.keep([i for i in range(len(table)) if i not in empty])
+    if not len(table):
+        raise FileError(f"{path}: no row is left. Loosen the conditions under [rows].", file=str(path))
+
+
+def _number_poses(table: Table, tolerance_deg: float) -> None:
+    """Rows whose joints agree within the tolerance (1 mm counts as 1 deg) share a pose_id, numbered as they come."""
+    clusters = []
+    for name, values in table.columns.items():
+        if JOINT.fullmatch(name):
+            convert = converter(unit_of(name) or "", "deg") or converter(unit_of(name) or "", "mm")
+            assert convert is not None  # joints are angles or lengths
+            clusters.append(_clusters([convert(value) for value in values], tolerance_deg))
+    numbers: dict[tuple[int, ...], int] = {}
+    table.columns["pose_id"] = [float(numbers.setdefault(key, len(numbers) + 1)) for key in zip(*clusters, strict=True)]
+    table.notes.append(f"pose_id: {len(numbers)} poses among {len(table)} rows, by equal joints")
+
+
+def _clusters(values: list[float], tolerance: float) -> list[int]:
+    """Number the values so that those with no gap above the tolerance between them share a number."""
+    labels = [0] * len(values)
+    order = sorted(range(len(values)), key=values.__getitem__)
+    for before, after in itertools.pairwise(order):
+        labels[after] = labels[before] + (values[after] - values[before] > tolerance)
+    return labels

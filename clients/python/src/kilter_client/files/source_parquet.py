@@ -1,0 +1,86 @@
+"""Parquet files of a lab as columns by name."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kilter_client.errors import FileError, MissingPackageError
+from kilter_client.files.names import did_you_mean
+
+
+@dataclass
+class ParquetSource:
+    """A read Parquet file. Rows have no lines: they are numbered from 1."""
+
+    path: Path
+    table: Any
+    missing: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.names: list[str] = list(self.table.column_names)
+
+    @property
+    def lines(self) -> list[int]:
+        """The row numbers, from 1."""
+        return list(range(1, self.table.num_rows + 1))
+
+    def has(self, name: str | int) -> bool:
+        """Tell whether there is such a column."""
+        return name in self.names if isinstance(name, str) else 0 <= name < len(self.names)
+
+    def texts(self, name: str | int) -> list[str]:
+        """Return a column as text, for row filters."""
+        return ["" if value is None else str(value) for value in self._column(name)]
+
+    def numbers(self, name: str | int) -> list[float]:
+        """Return a column as numbers, NaN where there is none.
+
+        Raises:
+            FileError: no such column, or one of text.
+
+        """
+        try:
+            values = [math.nan if value is None else float(value) for value in self._column(name)]
+        except (TypeError, ValueError) as error:
+            raise FileError(
+                f"{self.path}, column {name!r}: holds something else than numbers ({error}).",
+                file=str(self.path),
+                column=name,
+            ) from error
+        missing = set(self.missing)
+        return [math.nan if value in missing else value for value in values]
+
+    def _column(self, name: str | int) -> list[Any]:
+        if not self.has(name):
+            raise FileError(
+                f"{self.path}: there is no column {name!r}{did_you_mean(str(name), self.names)}; "
+                f"the file has {', '.join(self.names)}.",
+                file=str(self.path),
+                column=name,
+            )
+        return list(self.table.column(name).to_pylist())
+
+
+def read_parquet(path: Path, missing: tuple[float, ...] = ()) -> ParquetSource:
+    """Read a Parquet file with pyarrow.
+
+    Raises:
+        MissingPackageError: pyarrow is not installed.
+        FileError: no Parquet file.
+
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise MissingPackageError(
+            f"{path}: Parquet files need pyarrow. Install it with: pip install 'kilter-client[files]'",
+            package="pyarrow",
+        ) from error
+    try:
+        return ParquetSource(path, pyarrow.parquet.read_table(path), missing)
+    except (OSError, pyarrow.ArrowException) as error:
+        raise FileError(f"{path}: is no Parquet file ({error}).", file=str(path)) from error

@@ -1,0 +1,77 @@
+"""Units of lab files and of contract columns, and the factor between them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+
+Convert = Callable[[float], float]
+
+DEG = math.pi / 180
+
+# dimension -> unit -> size in the dimension's base unit
+SIZES: Mapping[str, Mapping[str, float]] = {
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254},
+    "angle": {"rad": 1.0, "deg": DEG, "mrad": 1e-3, "arcmin": DEG / 60, "arcsec": DEG / 3600, "turn": 2 * math.pi},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "angle rate": {"rad/s": 1.0, "deg/s": DEG, "rpm": 2 * math.pi / 60},
+    "length rate": {"m/s": 1.0, "mm/s": 1e-3},
+    "angle acceleration": {"rad/s2": 1.0, "deg/s2": DEG},
+    "length acceleration": {"m/s2": 1.0, "mm/s2": 1e-3},
+    "torque": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3},
+    "mass": {"kg": 1.0, "g": 1e-3},
+}
+
+KELVIN = 273.15
+
+# contract name -> the unit its ending states, in the spelling of SIZES; "" is a plain number
+CONTRACT: tuple[tuple[str, str], ...] = (
+    (r"(?:q|link)\d+_(deg|rad|mm|m)", "{0}"),
+    (r"(?:m\d+)?[xyz]_(mm|m)", "{0}"),
+    (r"s[xyz]_(mm|m)", "{0}"),
+    (r"(?:phi|theta|psi)_(deg|rad)", "{0}"),
+    (r"qd\d+_(deg|rad|mm|m)_s", "{0}/s"),
+    (r"qdd\d+_(deg|rad|mm|m)_s2", "{0}/s2"),
+    (r"tau\d+_nm", "Nm"),
+    (r"t_s", "s"),
+    (r"payload_kg", "kg"),
+    (r"temperature_c", "C"),
+    (r"q[wxyz]|dir\d+|session|pose_id", ""),
+)
+
+
+def unit_of(column: str) -> str | None:
+    """Return the unit a contract column's name states, ``""`` for a plain number, None for no contract column."""
+    for pattern, unit in CONTRACT:
+        match = re.fullmatch(pattern, column)
+        if match:
+            return unit.format(*match.groups())
+    return None
+
+
+def dimension_of(unit: str) -> str | None:
+    """Return the dimension of a unit, None for an unknown one."""
+    if unit in ("C", "K"):
+        return "temperature"
+    return next((name for name, sizes in SIZES.items() if unit in sizes), None)
+
+
+def converter(source: str, target: str) -> Convert | None:
+    """Return the function from ``source`` to ``target`` unit, None when they measure different things."""
+    if source == target:
+        return float
+    dimension = dimension_of(source)
+    if dimension is None or dimension != dimension_of(target):
+        return None
+    if dimension == "temperature":
+        shift = KELVIN if source == "C" else -KELVIN
+        return lambda value: value + shift
+    factor = SIZES[dimension][source] / SIZES[dimension][target]
+    return lambda value: value * factor
+
+
+def units_like(target: str) -> tuple[str, ...]:
+    """Return the units a source of ``target`` may have, for error messages."""
+    dimension = dimension_of(target)
+    return ("C", "K") if dimension == "temperature" else tuple(SIZES.get(dimension or "", {}))
