@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, FastAPI
 from service import errors
 from service.auth.access import reader
 from service.auth.token import admin_token
+from service.campaigns.routes import router as campaigns
 from service.db import Database, revision
 from service.health.routes import router as health
 from service.robots.routes import router as robots
@@ -18,7 +19,7 @@ from service.version import code_version
 
 SUMMARY = "Keeps a serial robot arm true: identifies its errors from measured poses and corrects its setpoints."
 
-ROUTERS: tuple[APIRouter, ...] = (robots,)
+ROUTERS: tuple[APIRouter, ...] = (robots, campaigns)
 
 # How long the API waits at its start for `kilterd serve` to migrate the database beside it.
 MIGRATION_WAIT_S = 30.0

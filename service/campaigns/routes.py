@@ -1,0 +1,71 @@
+"""Campaigns and observations over HTTP."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from fastapi import APIRouter, Request, Response
+from fastapi.concurrency import run_in_threadpool
+
+from service.auth.access import Admin
+from service.campaigns import reading, service
+from service.campaigns.receive import receive
+from service.campaigns.schemas import Campaign, CampaignList, NewCampaign, Uploaded
+from service.state import DatabaseOfApp, SettingsOfApp
+
+router = APIRouter(prefix="/v1", tags=["campaigns"])
+
+FILE = {"schema": {"type": "string", "format": "binary"}}
+COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}}}
+BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS},
+    }
+}
+
+
+@router.post("/robots/{robot}/campaigns", status_code=201)
+def add(robot: str, campaign: NewCampaign, response: Response, database: DatabaseOfApp, _: Admin) -> Campaign:
+    """Add a campaign to a robot."""
+    added = service.add(database, robot, campaign)
+    response.headers["Location"] = f"/v1/campaigns/{added.id}"
+    return added
+
+
+@router.get("/robots/{robot}/campaigns")
+def listed(robot: str, database: DatabaseOfApp) -> CampaignList:
+    """List the campaigns of a robot."""
+    return service.listed(database, robot)
+
+
+@router.get("/campaigns/{campaign}")
+def get(campaign: str, database: DatabaseOfApp) -> Campaign:
+    """Show a campaign and its uploads."""
+    return service.get(database, campaign)
+
+
+@router.post(
+    "/campaigns/{campaign}/observations",
+    status_code=201,
+    openapi_extra=BODY,
+    responses={200: {"model": Uploaded, "description": "These bytes were there already"}},
+)
+async def upload(
+    campaign: str,
+    request: Request,
+    response: Response,
+    database: DatabaseOfApp,
+    settings: SettingsOfApp,
+    _: Admin,
+) -> Uploaded:
+    """Add observations: CSV, Parquet, or JSON columns."""
+    media = reading.media_type(request.headers.get("content-type"))
+    await run_in_threadpool(service.get, database, campaign)
+    with tempfile.TemporaryDirectory(prefix="kilter-upload-") as folder:
+        path = Path(folder) / "body"
+        sha256 = await receive(request, path, settings.max_upload_mb)
+        done = await run_in_threadpool(service.upload, database, campaign, path, media, sha256)
+    response.status_code = 201 if done.new else 200
+    return done

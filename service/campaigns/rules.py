@@ -1,0 +1,164 @@
+"""What a row of observations must be, checked on one piece of an upload after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import ObservationError
+from service.campaigns.columns import Column
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from core.robot import Robot
+
+Floats = NDArray[np.float64]
+
+LIMIT_TOLERANCE = 1e-6  # rad or m: rounding of a controller's file
+QUATERNION_TOLERANCE = 1e-3
+ABSOLUTE_ZERO_C = -273.15
+# Two points of a workspace are at most twice the reach apart; three leaves room for a long tool.
+IMPOSSIBLE_REACHES = 3.0
+TOO_SMALL = 100.0  # measured so many times smaller than the drawn robot moves: metres in a column of mm
+SAMPLE_ROWS = 500
+
+
+class RowRules:
+    """The rules for one upload to one robot; `check` every piece in order, then `finish`."""
+
+    def __init__(self, columns: Sequence[Column], robot: Robot) -> None:
+        self.columns = columns
+        self.robot = robot
+        self.rows = 0
+        self._low: dict[str, float] = {}
+        self._high: dict[str, float] = {}
+        self._sample: list[Floats] = []
+
+    def check(self, table: pa.Table) -> None:
+        """Check the next rows.
+
+        Raises:
+            ObservationError: a cell that cannot be; row and column are named.
+
+        """
+        cells = {c.name: table.column(c.name).to_numpy(zero_copy_only=False) for c in self.columns}
+        for column in self.columns:
+            self._check_column(column, cells[column.name])
+        self._check_markers(cells)
+        self._check_quaternions(cells)
+        self._remember(cells)
+        self.rows += table.num_rows
+
+    def finish(self) -> None:
+        """Check what only the whole upload shows: whether the arm could reach that far.
+
+        Raises:
+            ObservationError: the positions cannot be in their unit.
+
+        """
+        reach = self._reach()
+        for column in self._lengths():
+            spread = self._high.get(column.name, 0.0) - self._low.get(column.name, 0.0)
+            if reach > 0 and spread > IMPOSSIBLE_REACHES * reach:
+                raise self._wrong_unit(column, spread, f"the arm reaches {reach:.3g} m")
+        self._check_not_too_small()
+
+    def _check_column(self, column: Column, cells: Floats) -> None:
+        if not column.may_be_empty:
+            self._refuse(np.isnan(cells), column.name, "is empty: only markers may be missing")
+        if column.is_integer:
+            self._refuse(cells != np.round(cells), column.name, "is not a whole number", cells)
+        if column.quantity == "dir":
+            self._refuse(np.abs(cells) > 1, column.name, "is none of -1, 0 and 1", cells)
+        if column.quantity == "payload":
+            self._refuse(cells < 0, column.name, "is negative", cells)
+        if column.quantity in ("sx", "sy", "sz"):
+            self._refuse(cells <= 0, column.name, "is no standard deviation: it must be above 0", cells)
+        if column.quantity == "temperature":
+            self._refuse(cells < ABSOLUTE_ZERO_C, column.name, "is below absolute zero", cells)
+        if column.quantity == "q" and column.number is not None:
+            self._check_limits(column, column.number, cells)
+
+    def _check_limits(self, column: Column, number: int, cells: Floats) -> None:
+        joint = self.robot.joints[number]
+        q = cells * column.factor
+        outside = (q < joint.lower - LIMIT_TOLERANCE) | (q > joint.upper + LIMIT_TOLERANCE)
+        low, high = joint.lower / column.factor, joint.upper / column.factor
+        what = f"is outside the limits {low:.6g} to {high:.6g} of joint {joint.name!r}: correct the row or the robot"
+        self._refuse(outside, column.name, what, cells)
+
+    def _check_markers(self, cells: dict[str, Floats]) -> None:
+        for x in (c for c in self.columns if c.quantity == "marker_x"):
+            group = sorted(c.name for c in self.columns if c.number == x.number and c.may_be_empty)
+            xyz = np.stack([cells[name] for name in group])
+            missing = np.isnan(xyz)
+            for name, absent in zip(group, missing, strict=True):
+                self._refuse(absent & ~missing.all(axis=0), name, "is empty where the marker's other cells are not")
+            at_zero = (xyz == 0.0).all(axis=0)
+            self._refuse(at_zero, group[0], "and its neighbours are zero: leave the cells of a missing marker empty")
+
+    def _check_quaternions(self, cells: dict[str, Floats]) -> None:
+        parts = [c.name for c in self.columns if c.quantity in ("qw", "qx", "qy", "qz")]
+        if parts:
+            norm = np.linalg.norm(np.stack([cells[name] for name in parts]), axis=0)
+            wrong = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
+            self._refuse(wrong, "qw", "and its neighbours make no unit quaternion; their length is", norm)
+
+    def _remember(self, cells: dict[str, Floats]) -> None:
+        for column in self._lengths():
+            values = cells[column.name] * column.factor
+            values = values[~np.isnan(values)]
+            if len(values):
+                self._low[column.name] = min(self._low.get(column.name, np.inf), float(values.min()))
+                self._high[column.name] = max(self._high.get(column.name, -np.inf), float(values.max()))
+        if not self._sample:
+            joints = [c for c in self.columns if c.quantity == "q"]
+            joints.sort(key=lambda c: c.number or 0)
+            step = max(1, len(cells[joints[0].name]) // SAMPLE_ROWS)
+            self._sample.append(np.stack([cells[c.name][::step] * c.factor for c in joints], axis=1))
+
+    def _lengths(self) -> Iterable[Column]:
+        return (c for c in self.columns if c.quantity in ("x", "y", "z") or c.may_be_empty)
+
+    def _reach(self) -> float:
+        """Return how far the tool point can be from the base (m): all lengths of the arm in a row."""
+        lengths = sum(abs(e.value) for e in self.robot.chain.elements if not e.axis.rotates)
+        strokes = [max(abs(j.lower), abs(j.upper)) for j in self.robot.joints if j.kind == "prismatic"]
+        return float(lengths + sum(strokes) + np.linalg.norm(self.robot.T_tool[:3, 3]))
+
+    def _check_not_too_small(self) -> None:
+        lengths = list(self._lengths())
+        measured = max((self._high.get(c.name, 0.0) - self._low.get(c.name, 0.0) for c in lengths), default=0.0)
+        if not lengths or measured * TOO_SMALL > self._reach():
+            return
+        drawn = self._drawn_spread()
+        if drawn > TOO_SMALL * measured:
+            raise self._wrong_unit(lengths[0], measured, f"the robot as drawn moves {drawn:.3g} m in these rows")
+
+    def _drawn_spread(self) -> float:
+        from core.model import Calibration  # loads compiled kernels; wanted only for a suspicious upload
+        from core.observations import Observations
+
+        position = Calibration.nominal(self.robot).predict(Observations(q=self._sample[0])).position
+        return float(np.ptp(position, axis=0).max())
+
+    def _wrong_unit(self, column: Column, spread: float, why: str) -> ObservationError:
+        unit = "mm" if column.factor == 1.0 else "m"
+        return ObservationError(
+            f"Column {column.name!r} spreads over {spread:.3g} m, but {why}: the values are not in that unit. "
+            f"Are they in {unit}?",
+            column=column.name,
+            spread_m=spread,
+        )
+
+    def _refuse(self, wrong: NDArray[np.bool_], name: str, what: str, cells: Floats | None = None) -> None:
+        if not wrong.any():
+            return
+        row = int(np.argmax(wrong))
+        value = "" if cells is None else f" ({cells[row]:.9g})"
+        number = self.rows + row + 1
+        raise ObservationError(f"Row {number}, column {name!r} {what}{value}.", row=number, column=name)

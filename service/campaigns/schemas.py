@@ -1,0 +1,72 @@
+"""Wire types of campaigns and uploads."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+Role = Literal["train", "validation", "confirmation"]
+Text = Annotated[str, Field(max_length=200)]
+
+
+class Strict(BaseModel):
+    """No unknown field."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class Conditions(Strict):
+    """What held during the whole campaign; a column of the rows goes before it."""
+
+    payload_kg: Annotated[FiniteFloat, Field(ge=0)] | None = None
+    payload_com_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] | None = None
+
+
+class NewCampaign(Strict):
+    """A campaign to measure."""
+
+    name: Annotated[Text, Field(min_length=1)]
+    device: Text = ""
+    role: Role = "train"
+    conditions: Conditions = Conditions()
+    notes: Annotated[str, Field(max_length=20_000)] = ""
+
+
+class Upload(Strict):
+    """A stored file of observations."""
+
+    sha256: str
+    rows: int
+    columns: list[str]
+    media_type: str
+    created_at: datetime
+
+
+class Campaign(NewCampaign):
+    """A campaign and what was uploaded to it."""
+
+    id: str
+    robot: str
+    created_at: datetime
+    rows: int
+    uploads: list[Upload]
+
+
+class CampaignList(Strict):
+    """The campaigns of a robot, oldest first."""
+
+    campaigns: list[Campaign]
+
+
+class Uploaded(Strict):
+    """What an upload became; ``new`` is false when the same bytes were there already."""
+
+    campaign_id: str
+    sha256: str
+    rows: int
+    columns: list[str]
+    total_rows: int
+    new: bool

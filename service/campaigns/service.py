@@ -1,0 +1,115 @@
+"""What can be done with campaigns and their observations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from core.errors import ObservationError
+from service.campaigns import reading, store
+from service.campaigns.chunks import Chunk, write_chunk
+from service.campaigns.columns import has, read_columns
+from service.campaigns.rules import RowRules
+from service.campaigns.schemas import Campaign, CampaignList, NewCampaign, Uploaded
+from service.db import Database, Session
+from service.robots import store as robots
+
+if TYPE_CHECKING:
+    from core.robot import Robot
+
+MEASURED = ("x", "marker_x", "link")
+
+
+def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
+    """Store a new campaign of a robot."""
+    with database.transaction() as session:
+        campaign_id = store.add(session, robots.get(session, robot).id, campaign)
+        session.flush()
+        return store.get(session, campaign_id)
+
+
+def get(database: Database, campaign_id: str) -> Campaign:
+    """Return a campaign."""
+    with database.transaction() as session:
+        return store.get(session, campaign_id)
+
+
+def listed(database: Database, robot: str) -> CampaignList:
+    """List the campaigns of a robot."""
+    with database.transaction() as session:
+        ids = store.ids_of_robot(session, robots.get(session, robot).id)
+        return CampaignList(campaigns=[store.get(session, campaign_id) for campaign_id in ids])
+
+
+def upload(database: Database, campaign_id: str, path: Path, media: str, sha256: str) -> Uploaded:
+    """Check a file and store it whole; a file that breaks a rule leaves nothing behind.
+
+    Raises:
+        ObservationError: a rule is broken; row and column are named.
+        ServiceError: no such campaign.
+
+    """
+    names = reading.column_names(path, media)
+    with database.transaction() as session:
+        known = _uploaded(session, campaign_id, sha256, new=False)
+        if known:
+            return known
+        _same_columns(session, campaign_id, names)
+        robot = robots.core_robot(session, store.row_of(session, campaign_id).robot_id)
+    chunks = checked_chunks(path, media, names, robot)
+    # Parsed outside, so that this transaction is short: SQLite has one writer at a time.
+    with database.transaction() as session:
+        known = _uploaded(session, campaign_id, sha256, new=False)
+        if known:
+            return known
+        _same_columns(session, campaign_id, names)
+        store.add_upload(session, campaign_id, sha256, media, names, chunks)
+        done = _uploaded(session, campaign_id, sha256, new=True)
+        assert done is not None
+        return done
+
+
+def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -> list[Chunk]:
+    """Check every row of a file of measurements and write it as chunks beside it."""
+    columns = read_columns(names, [joint.kind for joint in robot.joints])
+    if not any(has(columns, quantity) for quantity in MEASURED):
+        raise ObservationError(
+            "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ... ."
+        )
+    rules = RowRules(columns, robot)
+    chunks = []
+    for number, table in enumerate(reading.tables(path, media)):
+        rules.check(table)
+        chunks.append(write_chunk(table, path.with_name(f"chunk-{number}")))
+    rules.finish()
+    return chunks
+
+
+def _uploaded(session: Session, campaign_id: str, sha256: str, *, new: bool) -> Uploaded | None:
+    store.row_of(session, campaign_id)
+    uploads = store.uploads_of(session, campaign_id)
+    total = sum(upload.rows for upload in uploads)
+    for upload in uploads:
+        if upload.sha256 == sha256:
+            return Uploaded(
+                campaign_id=campaign_id,
+                sha256=sha256,
+                rows=upload.rows,
+                columns=upload.columns,
+                total_rows=total,
+                new=new,
+            )
+    return None
+
+
+def _same_columns(session: Session, campaign_id: str, names: Sequence[str]) -> None:
+    for before in store.uploads_of(session, campaign_id):
+        odd = sorted(set(names) ^ set(before.columns))
+        if odd:
+            raise ObservationError(
+                f"Column {odd[0]!r} is not in both this upload and the campaign's earlier ones: upload to a new "
+                "campaign, or give the same columns.",
+                column=odd[0],
+                columns=odd,
+            )

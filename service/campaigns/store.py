@@ -1,0 +1,148 @@
+"""Rows of campaigns, uploads and chunks, and what they become in core."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from sqlalchemy import select
+
+from core.errors import ObservationError
+from service.campaigns.assemble import observations as assemble
+from service.campaigns.chunks import Chunk, read_chunk
+from service.campaigns.columns import read_columns
+from service.campaigns.schemas import Campaign, Conditions, NewCampaign, Upload
+from service.db import Session
+from service.db.tables import CampaignRow, ChunkRow, RobotRow, UploadRow
+from service.errors import ServiceError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from core.observations import Observations
+    from core.robot import Robot
+
+
+def add(session: Session, robot_id: int, campaign: NewCampaign) -> str:
+    """Store a new campaign and return its id."""
+    row = CampaignRow(
+        id=f"cmp_{uuid.uuid4().hex[:16]}",
+        robot_id=robot_id,
+        name=campaign.name,
+        device=campaign.device,
+        role=campaign.role,
+        conditions=campaign.conditions.model_dump(mode="json", exclude_none=True),
+        notes=campaign.notes,
+    )
+    session.add(row)
+    return row.id
+
+
+def row_of(session: Session, campaign_id: str) -> CampaignRow:
+    """Return the row of a campaign.
+
+    Raises:
+        ServiceError: there is none.
+
+    """
+    row = session.get(CampaignRow, campaign_id)
+    if row is None:
+        raise ServiceError(
+            f"There is no campaign {campaign_id!r}: list them with GET /v1/robots/{{robot}}/campaigns.",
+            code="campaign_not_found",
+            campaign=campaign_id,
+        )
+    return row
+
+
+def get(session: Session, campaign_id: str) -> Campaign:
+    """Return a campaign with its uploads."""
+    row = row_of(session, campaign_id)
+    uploads = uploads_of(session, campaign_id)
+    return Campaign(
+        id=row.id,
+        robot=session.get_one(RobotRow, row.robot_id).name,
+        name=row.name,
+        device=row.device,
+        role=row.role,
+        conditions=Conditions(**row.conditions),
+        notes=row.notes,
+        created_at=row.created_at,
+        rows=sum(upload.rows for upload in uploads),
+        uploads=uploads,
+    )
+
+
+def ids_of_robot(session: Session, robot_id: int) -> list[str]:
+    """Return the ids of a robot's campaigns, oldest first."""
+    query = select(CampaignRow.id).where(CampaignRow.robot_id == robot_id)
+    return list(session.execute(query.order_by(CampaignRow.created_at, CampaignRow.id)).scalars())
+
+
+def uploads_of(session: Session, campaign_id: str) -> list[Upload]:
+    """Return the uploads of a campaign, oldest first."""
+    rows = session.execute(select(UploadRow).where(UploadRow.campaign_id == campaign_id).order_by(UploadRow.id))
+    return [
+        Upload(
+            sha256=row.sha256, rows=row.rows, columns=row.columns, media_type=row.media_type, created_at=row.created_at
+        )
+        for row in rows.scalars()
+    ]
+
+
+def add_upload(
+    session: Session, campaign_id: str, sha256: str, media: str, columns: Sequence[str], chunks: Sequence[Chunk]
+) -> None:
+    """Store an upload and its chunks."""
+    rows = sum(chunk.rows for chunk in chunks)
+    upload = UploadRow(campaign_id=campaign_id, sha256=sha256, rows=rows, columns=list(columns), media_type=media)
+    session.add(upload)
+    session.flush()
+    for number, chunk in enumerate(chunks):
+        blob = chunk.path.read_bytes()
+        session.add(ChunkRow(upload_id=upload.id, number=number, rows=chunk.rows, sha256=chunk.sha256, parquet=blob))
+        session.flush()
+
+
+def observations(session: Session, campaign_id: str, robot: Robot) -> Observations:
+    """Return all rows of a campaign, SI.
+
+    Raises:
+        ObservationError: nothing was uploaded yet.
+
+    """
+    from pyarrow import concat_tables  # 0.4 s: not at the start of the API process
+
+    row = row_of(session, campaign_id)
+    query = select(UploadRow).where(UploadRow.campaign_id == campaign_id).order_by(UploadRow.id)
+    uploads = session.execute(query).scalars().all()
+    if not uploads:
+        raise ObservationError(f"Campaign {campaign_id} has no observations: upload some.", campaign=campaign_id)
+    columns = read_columns(uploads[0].columns, [joint.kind for joint in robot.joints])
+    tables = [table.select(uploads[0].columns) for upload in uploads for table in _tables(session, upload.id)]
+    return assemble(concat_tables(tables), columns, row.conditions)
+
+
+def numbered(parts: Iterable[Observations]) -> list[Observations]:
+    """Give the poses and sessions of several campaigns numbers of their own: pose 1 of one is not pose 1 of another."""
+    out, poses, sessions = [], 0, 0
+    for part in parts:
+        changes: dict[str, Any] = {}
+        if part.pose_id is not None:
+            ids = np.unique(part.pose_id, return_inverse=True)[1].astype(np.int64)
+            changes["pose_id"] = ids + poses
+            poses += int(ids.max()) + 1
+        if part.session is not None:
+            ids = np.unique(part.session, return_inverse=True)[1].astype(np.int64)
+            changes["session"] = ids + sessions
+            sessions += int(ids.max()) + 1
+        out.append(replace(part, **changes))
+    return out
+
+
+def _tables(session: Session, upload_id: int) -> list[pa.Table]:
+    query = select(ChunkRow.parquet, ChunkRow.sha256).where(ChunkRow.upload_id == upload_id).order_by(ChunkRow.number)
+    return [read_chunk(blob, sha256) for blob, sha256 in session.execute(query)]

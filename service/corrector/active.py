@@ -1,0 +1,78 @@
+"""The version in use of a robot, as the processes of the corrector hand it to each other and announce it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from core.correction import CorrectionProgram
+
+
+@dataclass(frozen=True)
+class Active:
+    """A robot's active version, compiled. ``epoch`` grows with every activation; ``number`` stands in the frames."""
+
+    robot: str
+    version_id: str
+    number: int
+    epoch: int
+    program: CorrectionProgram
+    largest_deg: float = 1.0
+    largest_mm: float = 5.0
+    ramp_s: float = 1.0
+
+    def announcement(self) -> bytes:
+        """JSON that goes out on the ``active`` key."""
+        document = {
+            "robot": self.robot,
+            "version_id": self.version_id,
+            "version": f"{self.number:016x}",
+            "epoch": self.epoch,
+            "joints": self.program.n_joints,
+            "held_rows": list(self.program.held_rows),
+            "effects": list(self.program.supported),
+            "unsupported_effects": list(self.program.unsupported),
+            "largest_deg": self.largest_deg,
+            "largest_mm": self.largest_mm,
+            "ramp_s": self.ramp_s,
+        }
+        return json.dumps(document).encode()
+
+
+def nothing_active(robot: str) -> bytes:
+    """Announcement of a robot that has no version in use any more."""
+    return json.dumps({"robot": robot, "version_id": None, "version": None, "epoch": None}).encode()
+
+
+def version_number(sha256: str) -> int:
+    """Version id of the frames: the first 8 bytes of the version's SHA-256."""
+    return int(sha256[:16], 16)
+
+
+class Source(Protocol):
+    """Where the versions in use come from."""
+
+    def stamp(self) -> Hashable:
+        """Something cheap that changes whenever :meth:`load` would give another answer."""
+        ...
+
+    def load(self) -> Mapping[str, Active]:
+        """Versions in use by robot."""
+        ...
+
+    def close(self) -> None:
+        """Let go of whatever is open."""
+        ...
+
+
+def limits_in_core(limits: Mapping[str, float]) -> dict[str, float]:
+    """Limits of a version (degrees, mm at the wire) as options of the program (rad, m)."""
+    out = {}
+    if "largest_deg" in limits:
+        out["largest_rad"] = math.radians(limits["largest_deg"])
+    if "largest_mm" in limits:
+        out["largest_m"] = out["farthest_m"] = limits["largest_mm"] / 1000.0
+    return out

@@ -1,0 +1,219 @@
+"""One stream: bytes in, bytes out, and the memory between. No zenoh in here, so every rule can be tested alone."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.correction import Track
+from core.kernels.correction import COLUMNS
+from service.corrector import frames
+from service.corrector.active import Active
+from service.corrector.frames import Flag, Kind, Setpoints, Status
+
+NOT_DONE = -1
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Bounds that do not belong to a version.
+
+    Clocks of two machines are never compared. The smallest difference of arrival and sending seen so far is taken as
+    the way; a frame is as old as it exceeds that. ``clock_drift`` lets that smallest difference grow again.
+    """
+
+    max_age_ns: int = 50_000_000
+    clock_drift: float = 200e-6
+    time_slack_s: float = 0.1
+    ring: int = 256
+
+
+@dataclass
+class Counters:
+    """What a stream has done, for its status document."""
+
+    by_status: list[int] = field(default_factory=lambda: [0] * len(Status))
+    limited: int = 0
+    damped: int = 0
+    processing_ns: int = 0
+    processing_max_ns: int = 0
+    last: int = NOT_DONE
+
+    def document(self) -> dict[str, Any]:
+        """Counts by name; times are those inside the corrector."""
+        answered = sum(self.by_status)
+        return {
+            "received": answered,
+            "counters": {status.name: self.by_status[status] for status in Status},
+            "rate_limited": self.limited,
+            "damped": self.damped,
+            "last_status": Status(self.last).name if self.last >= 0 else None,
+            "processing_us": {
+                "mean": round(self.processing_ns / answered / 1000.0, 2) if answered else None,
+                "max": round(self.processing_max_ns / 1000.0, 2),
+            },
+        }
+
+
+class Stream:
+    """Answers the setpoints of one controller in order."""
+
+    def __init__(self, rules: Rules | None = None) -> None:
+        self.rules = rules or Rules()
+        self.counters = Counters()
+        self._active: Active | None = None
+        self._track: Track | None = None
+        self._settled = False
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget sequence and clocks; the next frame is the first."""
+        self._seq = -1
+        self._way_ns: int | None = None
+        self._seen_ns = 0
+        self._applied_ns = 0
+        self._answered_ns = 0
+
+    def answer(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool = False) -> bytes | None:
+        """Bytes to publish for a frame that arrived at ``arrival_ns`` (any monotonic clock), or None without a header."""
+        try:
+            request = frames.decode_setpoints(data)
+        except frames.FrameError as error:
+            self._count(Status.BAD_FRAME, arrival_ns)
+            return (
+                None if error.header is None else self._refusal(error.header, Status.BAD_FRAME, active, 0, arrival_ns)
+            )
+        status = self._admit(request, arrival_ns, active, overloaded)
+        if status != Status.OK or active is None:
+            self._count(status, arrival_ns)
+            return self._refusal(request.header, status, active, 0, arrival_ns)
+        return self._correct(request, arrival_ns, active)
+
+    def _admit(self, request: Setpoints, arrival_ns: int, active: Active | None, overloaded: bool) -> Status:
+        """Everything that can be said before the numbers are looked at."""
+        header = request.header
+        if header.flags & Flag.RESET:
+            self._begin()
+            self._settled = bool(header.flags & Flag.SETTLED)
+            self._track = None
+        if header.seq <= self._seq:
+            return Status.SEQ_BACK
+        gap = self._seq >= 0 and header.seq != self._seq + 1
+        self._seq = header.seq
+        if self._is_stale(arrival_ns, header.t_send_ns):
+            return Status.STALE
+        if gap:
+            return Status.OVERLOAD if overloaded else Status.SEQ_GAP
+        if active is None:
+            return Status.NO_VERSION
+        if header.joints != active.program.n_joints or request.version not in (None, active.number):
+            return Status.VERSION_MISMATCH
+        return Status.OK
+
+    def _is_stale(self, arrival_ns: int, sent_ns: int) -> bool:
+        way = arrival_ns - sent_ns
+        if self._way_ns is None:
+            self._way_ns = way
+        else:
+            grown = self._way_ns + int((arrival_ns - self._seen_ns) * self.rules.clock_drift)
+            self._way_ns = min(grown, way)
+        self._seen_ns = arrival_ns
+        return way - self._way_ns > self.rules.max_age_ns
+
+    def _follow_version(self, active: Active) -> Track:
+        """The track for this version: the old one goes on, its difference ramped, unless the joints changed."""
+        if self._track is None or self._track.program.n_joints != active.program.n_joints:
+            self._track = Track(active.program, settled=self._settled)
+            self._settled = False
+        elif active is not self._active:
+            self._track.change(active.program)
+        self._active = active
+        return self._track
+
+    def _elapsed(self, request: Setpoints, arrival_ns: int) -> float:
+        """Time since the last answered setpoint on the controller's clock, bounded by the time that really passed."""
+        at = request.header.t_apply_ns or request.header.t_send_ns
+        passed = (arrival_ns - self._answered_ns) * 1e-9 + self.rules.time_slack_s
+        return min(max((at - self._applied_ns) * 1e-9, 0.0), passed)
+
+    def _correct(self, request: Setpoints, arrival_ns: int, active: Active) -> bytes:
+        track = self._follow_version(active)
+        header = request.header
+        width = frames.width(header.flags)
+        dt = self._elapsed(request, arrival_ns)
+        if header.kind == Kind.POINT:
+            status = track.step(request.values[0], width, dt)
+            info, numbers = track.info, track.out
+        else:
+            status, info, numbers = self._chunk(track, request, width, dt)
+        if status != Status.OK:
+            self._count(Status(status), arrival_ns)
+            return self._refusal(header, Status(status), active, int(info[1]), arrival_ns)
+        points = len(request.values)
+        at = header.t_apply_ns or header.t_send_ns
+        self._applied_ns = at + (points - 1) * request.step_ns
+        self._answered_ns = arrival_ns
+        flags = int(info[0])
+        self.counters.limited += bool(flags & Flag.LIMITED)
+        self.counters.damped += bool(flags & Flag.DAMPED)
+        return frames.encode_answer(
+            header,
+            numbers.tobytes(),
+            version=active.number,
+            epoch=active.epoch,
+            flags=flags,
+            processing_ns=self._count(Status.OK, arrival_ns),
+            points=points,
+            step_ns=request.step_ns,
+        )
+
+    @staticmethod
+    def _chunk(
+        track: Track, request: Setpoints, width: int, dt: float
+    ) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
+        """All points or none: a refused point refuses the chunk and leaves the memory as it was."""
+        steps = np.full(len(request.values), request.step_ns * 1e-9)
+        steps[0] = dt
+        done, out, info, status = track.follow(request.values, width, steps, atomic=True)
+        if done < len(out):
+            return int(status[done]), info[done], out
+        whole = info[-1].copy()
+        whole[0] = np.bitwise_or.reduce(info[:, 0].astype(np.int64))
+        return 0, whole, out
+
+    def _refusal(
+        self, header: frames.Header, status: Status, active: Active | None, mask: int, arrival_ns: int
+    ) -> bytes:
+        return frames.encode_refusal(
+            header,
+            status,
+            version=active.number if active else 0,
+            epoch=active.epoch if active else 0,
+            limit_mask=mask,
+            processing_ns=max(0, min(time.monotonic_ns() - arrival_ns, 0xFFFFFFFF)),
+        )
+
+    def _count(self, status: Status, arrival_ns: int) -> int:
+        """Count an answer; returns the time spent on it, ns, as it fits into the frame."""
+        spent = max(0, min(time.monotonic_ns() - arrival_ns, 0xFFFFFFFF))
+        counters = self.counters
+        counters.by_status[status] += 1
+        counters.processing_ns += spent
+        counters.processing_max_ns = max(counters.processing_max_ns, spent)
+        counters.last = status
+        return spent
+
+
+def warm(active: Active) -> None:
+    """Run every compiled path once, so that no setpoint waits for the compiler or its cache."""
+    n = active.program.n_joints
+    assert active.program.array.shape[1] == COLUMNS
+    middle = np.nan_to_num(active.program.array[active.program.moves + 1 : -1, :2]).mean(axis=1)
+    x = np.concatenate([middle, np.zeros(2 * n)])
+    for width in (1, 3):
+        Track(active.program, settled=True).step(x[: width * n], width, 0.0)
+        Track(active.program).follow(x[None, : width * n], width, np.zeros(1))
