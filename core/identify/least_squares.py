@@ -24,6 +24,7 @@ Progress = Callable[[int, float], None]
 
 HUBER_SIGMAS = 3.0
 MAX_ITERATIONS = 60
+HOLD = 1e8  # stiffness of a held direction against a prior of 1
 STEP_TOLERANCE = 1e-9  # largest step, in prior sigmas and relative to the posterior, that counts as converged
 
 
@@ -37,13 +38,18 @@ class Weights:
 
 @dataclass(frozen=True)
 class Problem:
-    """What to fit: a model's ``free`` parameters (indices) to a measurement. ``loss`` is "linear" or "huber" (per point)."""
+    """What to fit: a model's ``free`` parameters (indices) to a measurement. ``loss`` is "linear" or "huber" (per point).
+
+    ``held (K, F)`` are orthonormal directions, in prior sigmas, along which the parameters stay at ``anchor (F,)``.
+    """
 
     model: RobotModel
     measurement: Measurement
     free: Ints
     weights: Weights
     loss: str = "linear"
+    held: Floats | None = None
+    anchor: Floats | None = None
     batch: Batch = field(init=False)
     prior_mean: Floats = field(init=False)
     prior_sigma: Floats = field(init=False)
@@ -131,7 +137,7 @@ def solve(problem: Problem, start: Floats, progress: Progress | None = None) -> 
     for iteration in range(1, MAX_ITERATIONS + 1):
         if not np.isfinite(cost):
             raise NotConvergedError("The residuals are not finite: check the observations for impossible values.")
-        H, g = _normal_equations(problem, values, r, J)
+        H, g = _holding(problem, values, *_normal_equations(problem, values, r, J))
         step, drop, damping, trial = _damped_step(problem, values, H, g, cost, damping)
         if progress is not None:
             progress(iteration, cost)
@@ -180,7 +186,20 @@ def _from_prior(problem: Problem, values: Floats) -> Floats:
 def _cost(problem: Problem, values: Floats, r: Floats) -> float:
     """Half the sum of squares, Huber's where asked, with the prior's."""
     prior = float(np.sum(_from_prior(problem, values) ** 2))
-    return 0.5 * (float(r @ r) + prior)
+    return 0.5 * (float(r @ r) + prior + HOLD * float(np.sum(_strayed(problem, values) ** 2)))
+
+
+def _strayed(problem: Problem, values: Floats) -> Floats:
+    """How far the held directions have moved, in prior sigmas."""
+    if problem.held is None or problem.anchor is None:
+        return np.zeros(0)
+    return np.asarray(problem.held @ ((values[problem.free] - problem.anchor) / problem.prior_sigma))
+
+
+def _holding(problem: Problem, values: Floats, H: Floats, g: Floats) -> tuple[Floats, Floats]:
+    if problem.held is None:
+        return H, g
+    return H + HOLD * problem.held.T @ problem.held, g - HOLD * problem.held.T @ _strayed(problem, values)
 
 
 def _huber_root(size: Floats) -> Floats:
