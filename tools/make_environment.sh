@@ -19,7 +19,8 @@ if ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
     apt-get install -y -qq --no-install-recommends python3.11-venv
 fi
 
+echo "Setting up .venv: this takes a few minutes, once."
 [ -x .venv/bin/python ] || "$python" -m venv .venv
 pip() { .venv/bin/python -m pip "$@" --disable-pip-version-check --quiet --constraint constraints.txt; }
 pip install hatchling editables
-pip install --no-build-isolation --editable '.[dev,postgresql]' --editable clients/python
+pip install --no-build-isolation --editable '.[dev,postgresql]' --editable 'clients/python[files,stream]'
