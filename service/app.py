@@ -16,10 +16,11 @@ from service.health.routes import router as health
 from service.robots.routes import router as robots
 from service.settings import Settings
 from service.version import code_version
+from service.versions.routes import router as versions
 
 SUMMARY = "Keeps a serial robot arm true: identifies its errors from measured poses and corrects its setpoints."
 
-ROUTERS: tuple[APIRouter, ...] = (robots, campaigns)
+ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions)
 
 # How long the API waits at its start for `kilterd serve` to migrate the database beside it.
 MIGRATION_WAIT_S = 30.0

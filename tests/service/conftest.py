@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import socket
 import threading
 import time
@@ -17,7 +18,7 @@ from fastapi import FastAPI
 from service.app import create_app
 from service.auth.token import admin_token
 from service.db import Database, revision
-from service.settings import Settings
+from service.settings import DATABASE_FILE, Settings
 
 Serve = Callable[[FastAPI], httpx.Client]
 
@@ -29,10 +30,21 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
     return Settings(data=tmp_path / "data", port=0, zenoh_listen="tcp/127.0.0.1:0")
 
 
-@pytest.fixture
-def database(settings: Settings) -> Iterator[Database]:
-    database = Database(settings.database)
+@pytest.fixture(scope="session")
+def migrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a migrated SQLite file to copy: migrating takes longer than most tests."""
+    path = tmp_path_factory.mktemp("migrated") / "kilter.sqlite"
+    database = Database(f"sqlite:///{path}")
     revision.migrate(database)
+    database.close()
+    return path
+
+
+@pytest.fixture
+def database(settings: Settings, migrated: Path) -> Iterator[Database]:
+    settings.data.mkdir(parents=True)
+    shutil.copy(migrated, settings.data / DATABASE_FILE)
+    database = Database(settings.database)
     yield database
     database.close()
 

@@ -1,0 +1,56 @@
+"""Versions over HTTP."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Response
+
+from service.auth.access import Admin
+from service.state import DatabaseOfApp
+from service.versions import service
+from service.versions.schemas import ActivationList, Version, VersionDiff, VersionList, VersionSummary
+
+router = APIRouter(prefix="/v1", tags=["versions"])
+
+
+@router.get("/robots/{robot}/versions")
+def listed(robot: str, database: DatabaseOfApp) -> VersionList:
+    """List the versions of a robot, newest first."""
+    return service.listed(database, robot)
+
+
+@router.get("/robots/{robot}/activations")
+def activations(robot: str, database: DatabaseOfApp) -> ActivationList:
+    """Show who activated which version, and when."""
+    return service.activations(database, robot)
+
+
+@router.post("/robots/{robot}/rollback")
+def rollback(robot: str, database: DatabaseOfApp, actor: Admin) -> VersionSummary:
+    """Return to the version that was active before."""
+    return service.rollback(database, robot, actor)
+
+
+@router.get("/versions/{version}")
+def get(version: str, database: DatabaseOfApp) -> Version:
+    """Show a version with all it holds."""
+    return service.get(database, version)
+
+
+@router.post("/versions/{version}/activate")
+def activate(version: str, database: DatabaseOfApp, actor: Admin) -> VersionSummary:
+    """Correct the robot with this version from now on."""
+    return service.activate(database, version, actor)
+
+
+@router.get("/versions/{a}/diff/{b}")
+def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
+    """Compare two versions of one robot."""
+    return service.diff(database, a, b)
+
+
+@router.get("/versions/{version}/export", response_class=Response)
+def export(version: str, database: DatabaseOfApp, format: str = "json") -> Response:  # noqa: A002 (the contract's name)
+    """Download a version in the format of another tool."""
+    file = service.exported(database, version, format)
+    headers = {"Content-Disposition": f'attachment; filename="{file.name}"'}
+    return Response(file.text, media_type=file.media_type, headers=headers)

@@ -1,0 +1,102 @@
+"""Wire types of parameter versions."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Strict(BaseModel):
+    """No unknown field."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class CorrectionLimits(Strict):
+    """The largest correction a version may make; anything larger is refused, not clipped."""
+
+    max_joint_deg: Annotated[float, Field(gt=0, le=30)] = 1.0
+    max_position_mm: Annotated[float, Field(gt=0, le=200)] = 5.0
+
+
+class UsedCampaign(Strict):
+    """A campaign a version was made from, and the hashes of its uploads."""
+
+    id: str
+    name: str
+    role: str
+    use: str
+    rows: int
+    sha256: list[str]
+
+
+class VersionSummary(Strict):
+    """A version in a list; metrics are those of the identification."""
+
+    id: str
+    robot: str
+    active: bool
+    parent_id: str | None
+    job_id: str
+    created_at: datetime
+    code_version: str
+    effects: list[str]
+    metrics: dict[str, Any]
+
+
+class Version(VersionSummary):
+    """A version with all it holds; the covariance is SI, everything else in mm and degrees."""
+
+    sha256: str
+    campaigns: list[UsedCampaign]
+    limits: CorrectionLimits
+    parameters: list[dict[str, Any]]
+    null_directions: list[dict[str, Any]]
+    noise_mm: float | None
+    warnings: list[dict[str, Any]]
+    covariance: dict[str, Any]
+
+
+class VersionList(Strict):
+    """The versions of a robot, newest first."""
+
+    versions: list[VersionSummary]
+
+
+class Activation(Strict):
+    """An entry of the log of active versions."""
+
+    version_id: str
+    action: str
+    actor: str
+    at: datetime
+
+
+class ActivationList(Strict):
+    """The log of active versions, newest first."""
+
+    activations: list[Activation]
+
+
+class ParameterChange(Strict):
+    """A parameter in two versions; null where a version does not have it."""
+
+    name: str
+    unit: str
+    a: float | None
+    b: float | None
+    change: float | None
+
+
+class VersionDiff(Strict):
+    """What differs from version a to version b."""
+
+    a: str
+    b: str
+    effects_added: list[str]
+    effects_removed: list[str]
+    parameters: list[ParameterChange]
+    metrics_a: dict[str, Any]
+    metrics_b: dict[str, Any]

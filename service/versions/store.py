@@ -1,0 +1,195 @@
+"""Rows of versions and activations, and what they become in core."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import func, select
+
+from service.db import Session
+from service.db.tables import ActivationRow, RobotRow, VersionRow
+from service.errors import ServiceError
+from service.robots import store as robots
+from service.versions.schemas import Activation, CorrectionLimits, UsedCampaign, Version, VersionSummary
+
+if TYPE_CHECKING:
+    from core.model import Calibration
+
+
+@dataclass(frozen=True)
+class NewVersion:
+    """A version to store: core's calibration document (SI), the identification's report, covariance and origin."""
+
+    calibration: dict[str, Any]
+    report: dict[str, Any]
+    covariance: dict[str, Any]
+    campaigns: list[dict[str, Any]]
+    limits: dict[str, Any]
+    parent_id: str | None
+    code_version: str
+
+
+@dataclass(frozen=True)
+class ActiveVersion:
+    """The version a robot is corrected with, ready for core.
+
+    ``epoch`` grows with every activation on this server; ``sha256`` is that of calibration and limits.
+    ``max_joint`` (rad) and ``max_position`` (m) are the largest correction the version may make.
+    """
+
+    robot: str
+    id: str
+    sha256: str
+    epoch: int
+    calibration: Calibration
+    max_joint: float
+    max_position: float
+
+
+def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
+    """Store the version of a job and return its id; the same job again changes nothing."""
+    version_id = f"ver_{job_id.removeprefix('job_')}"
+    if session.get(VersionRow, version_id) is not None:
+        return version_id
+    session.add(
+        VersionRow(
+            id=version_id,
+            robot_id=robot_id,
+            parent_id=new.parent_id,
+            job_id=job_id,
+            sha256=_digest({"calibration": new.calibration, "limits": new.limits}),
+            calibration=new.calibration,
+            report=new.report,
+            covariance=new.covariance,
+            campaigns=new.campaigns,
+            limits=new.limits,
+            code_version=new.code_version,
+        )
+    )
+    session.flush()
+    return version_id
+
+
+def row_of(session: Session, version_id: str) -> VersionRow:
+    """Return the row of a version.
+
+    Raises:
+        ServiceError: there is none.
+
+    """
+    row = session.get(VersionRow, version_id)
+    if row is None:
+        raise ServiceError(
+            f"There is no version {version_id!r}: list them with GET /v1/robots/{{robot}}/versions.",
+            code="version_not_found",
+            version=version_id,
+        )
+    return row
+
+
+def get(session: Session, version_id: str) -> Version:
+    """Return a version with all it holds."""
+    row = row_of(session, version_id)
+    return Version(
+        **_summary(session, row).model_dump(),
+        sha256=row.sha256,
+        campaigns=[UsedCampaign(**campaign) for campaign in row.campaigns],
+        limits=CorrectionLimits(**row.limits),
+        parameters=row.report.get("parameters", []),
+        null_directions=row.report.get("null_directions", []),
+        noise_mm=row.report.get("noise_mm"),
+        warnings=row.report.get("warnings", []),
+        covariance=row.covariance,
+    )
+
+
+def of_robot(session: Session, robot_id: int) -> list[VersionSummary]:
+    """Return the versions of a robot, newest first."""
+    query = select(VersionRow).where(VersionRow.robot_id == robot_id)
+    rows = session.execute(query.order_by(VersionRow.created_at.desc(), VersionRow.id)).scalars()
+    return [_summary(session, row) for row in rows]
+
+
+def calibration(session: Session, version_id: str) -> Calibration:
+    """Build core's calibration of a version."""
+    from core.model import Calibration  # loads compiled kernels: not at the start of the API process
+
+    row = row_of(session, version_id)
+    return Calibration.from_document(robots.core_robot(session, row.robot_id), row.calibration)
+
+
+def active_stamp(session: Session) -> int:
+    """Return a number that changes whenever any robot's active version does; cheap enough to poll every 100 ms.
+
+    The corrector's way to follow activations without HTTP: poll this, and when it differs from the last one, call
+    `active_version` for the robots it serves (or `service.versions.service.active_calibrations` for all).
+    """
+    return session.execute(select(func.coalesce(func.max(ActivationRow.id), 0))).scalar_one()
+
+
+def active_version(session: Session, robot: str) -> ActiveVersion | None:
+    """Return the version the robot of this name is corrected with; None when none was ever activated."""
+    last = active_row(session, robots.get(session, robot).id)
+    if last is None:
+        return None
+    row = row_of(session, last.version_id)
+    limits = CorrectionLimits(**row.limits)
+    return ActiveVersion(
+        robot=robot,
+        id=row.id,
+        sha256=row.sha256,
+        epoch=last.id,
+        calibration=calibration(session, row.id),
+        max_joint=math.radians(limits.max_joint_deg),
+        max_position=limits.max_position_mm * 1e-3,
+    )
+
+
+def active_row(session: Session, robot_id: int) -> ActivationRow | None:
+    """Return the last activation of a robot, the one that holds."""
+    query = select(ActivationRow).where(ActivationRow.robot_id == robot_id).order_by(ActivationRow.id.desc()).limit(1)
+    return session.execute(query).scalar_one_or_none()
+
+
+def activations(session: Session, robot_id: int) -> list[Activation]:
+    """Return the log of a robot's active versions, newest first."""
+    query = select(ActivationRow).where(ActivationRow.robot_id == robot_id).order_by(ActivationRow.id.desc())
+    return [
+        Activation(version_id=row.version_id, action=row.action, actor=row.actor, at=row.at)
+        for row in session.execute(query).scalars()
+    ]
+
+
+def activate(session: Session, robot_id: int, version_id: str, action: str, actor: str) -> None:
+    """Write into the log that a version is active from now on."""
+    session.add(ActivationRow(robot_id=robot_id, version_id=version_id, action=action, actor=actor))
+    session.flush()
+
+
+def robots_with_active(session: Session) -> list[str]:
+    """Return the names of the robots that have an active version."""
+    query = select(RobotRow.name).where(RobotRow.id.in_(select(ActivationRow.robot_id))).order_by(RobotRow.name)
+    return list(session.execute(query).scalars())
+
+
+def _summary(session: Session, row: VersionRow) -> VersionSummary:
+    last = active_row(session, row.robot_id)
+    return VersionSummary(
+        id=row.id,
+        robot=robots.by_id(session, row.robot_id).name,
+        active=last is not None and last.version_id == row.id,
+        parent_id=row.parent_id,
+        job_id=row.job_id,
+        created_at=row.created_at,
+        code_version=row.code_version,
+        effects=[effect["id"] for effect in row.calibration["effects"]],
+        metrics=row.report.get("metrics", {}),
+    )
+
+
+def _digest(document: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(document, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
