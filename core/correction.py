@@ -9,14 +9,14 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.chain import Axis, Element
+from core.chain import Axis, Chain, Element
 from core.effects import Effect
 from core.effects.axial_compliance import AxialCompliance
 from core.effects.backlash import Backlash
@@ -25,7 +25,7 @@ from core.effects.clearance_tilt import ClearanceTilt
 from core.errors import OptionError
 from core.kernels import correction as kernel
 from core.model import Calibration
-from core.robot import Robot
+from core.robot import Joint, Robot
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -48,7 +48,7 @@ class CorrectionOptions:
     """
 
     task: Task = "auto"
-    orientation_weight_m: float = 0.3
+    orientation_weight_m: float = 0.2
     payload_kg: float = 0.0
     payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     largest_rad: float = math.radians(1.0)
@@ -80,7 +80,7 @@ class CorrectionOptions:
 class CorrectedRows:
     """Corrected joints of N rows that do not follow one another.
 
-    ``q (N, n)``; ``error_removed (N, 3)`` m, the tool error the row would have had, in the frame of the measurements;
+    ``q (N, n)``; ``error_removed (N, 3)`` m, the tool error predicted without correction, in the robot's base frame;
     ``residual (N,)`` m, what remains of it; ``status (N,)`` as in the stream; ``flags (N,)``; ``limit_mask (N,)`` bits
     of the joints concerned.
     """
@@ -103,7 +103,6 @@ class CorrectionProgram:
     rows: tuple[int, ...]
     supported: tuple[str, ...]
     unsupported: tuple[str, ...]
-    T_base: Floats = field(default_factory=lambda: np.eye(4))
 
     @cached_property
     def digest(self) -> str:
@@ -139,7 +138,7 @@ class CorrectionProgram:
         kernel.correct_rows(self.array, self.scratch(), np.zeros((n + 1, kernel.STATE)), x, width, signs, out, info, status)
         return CorrectedRows(
             q=out,
-            error_removed=info[:, 4:7] @ self.T_base[:3, :3].T,
+            error_removed=-info[:, 4:7],
             residual=info[:, 2],
             status=status,
             flags=info[:, 0].astype(np.int64),
@@ -204,6 +203,15 @@ class Track:
         return done, out, info, status
 
 
+def warm_up() -> None:
+    """Compile every kernel, or load it from the cache: a first setpoint must not wait seconds for that."""
+    chain = Chain((Element(Axis.RZ, joint=0),), 1)
+    program = compile_program(Calibration.nominal(Robot("warm", (Joint("j1", lower=-1.0, upper=1.0),), chain)), CorrectionOptions())
+    Track(program).step(np.zeros(1), 1, 0.0)
+    Track(program).follow(np.zeros((1, 1)), 1, np.zeros(1))
+    program.correct_rows(np.zeros((1, 1)))
+
+
 def _side_by_side(q: Floats, qd: Floats | None, qdd: Floats | None) -> tuple[Floats, int]:
     """q, qd and qdd as the kernel takes them, with the number of vectors."""
     if qd is None or qdd is None:
@@ -223,10 +231,11 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     n = robot.n_joints
     task = options.task if options.task != "auto" else ("pose" if n >= 6 else "position")
     rows = _ROWS[task]
-    if len(rows) > n:
+    if len(rows) > n and options.task != "auto":
         raise OptionError(f"task {task!r} holds {len(rows)} rows, the robot has {n} joints: give position.", option="task")
-    folded, values = calibration.model.folded(calibration.values)
-    assert folded.T_base is not None and folded.T_tool is not None  # set by RobotModel itself
+    arm = calibration.with_effects([e for e in calibration.model.effects if e.stage != "measurement"])
+    folded, values = arm.model.folded(arm.values)
+    assert folded.T_tool is not None  # set by RobotModel itself
     moved = dict(zip(folded.names, values.tolist(), strict=True))
     nominal = _fold(robot, [e.value for e in robot.chain.elements], folded.T_tool)
     actual = _fold(robot, [moved[e.name] if e.name else e.value for e in robot.chain.elements], folded.T_tool)
@@ -238,7 +247,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     _write_scalars(P[-1], robot, options, rows, m)
     supported, unsupported = _write_effects(P[m + 1 : m + 1 + n], folded.effects, folded.effect_slices(), values, options)
     P[-1, kernel.LOADED] = float(any("moments" in e.needs for e in folded.effects if e.id in supported))
-    return CorrectionProgram(P, n, m, rows, supported, unsupported, folded.T_base)
+    return CorrectionProgram(P, n, m, rows, supported, unsupported)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from core.chain import Axis, Element
 from core.effects import BASE, TOOL, Batch, Effect, Local, effect_from_document
 from core.errors import ObservationError
 from core.kernels import kinematics
-from core.moments import Loads, joint_loads
+from core.moments import Loads, axial_loads, joint_loads, payload_sensitivity
 from core.observations import Observations
 from core.parameters import Parameter, indices, refuse_collisions
 from core.robot import Robot
@@ -66,6 +66,7 @@ class RobotModel:
             object.__setattr__(self, "T_base", self.robot.T_base)
         if self.T_tool is None:
             object.__setattr__(self, "T_tool", self.robot.T_tool)
+        object.__setattr__(self, "effects", tuple(effect.on(self.robot) for effect in self.effects))
         refuse_collisions([p.name for p in self.parameters])
 
     @cached_property
@@ -141,12 +142,12 @@ class RobotModel:
             )
         o = observations
         loads = self._loads(o)
-        revolute = [joint.kind == "revolute" for joint in self.robot.joints]
         return Batch(
-            q=o.q, wrench=loads.joints, axial=np.where(revolute, loads.joints[:, :, 5], loads.joints[:, :, 2]),
+            q=o.q, wrench=loads.joints, axial=axial_loads(self.robot, loads),
             end_wrench=loads.ends, base_wrench=loads.base, tool_point=loads.tool_point,
             link_vectors=self.robot.chain.link_vectors, direction=o.direction, qd=o.qd, qdd=o.qdd, t=o.t,
             temperature_c=o.temperature_c, payload_kg=o.payload_kg, session=o.session,
+            payload_axial=payload_sensitivity(self.robot, o) if any("payload_kg" in e.needs for e in self.effects) else None,
         )  # fmt: skip
 
     def _loads(self, o: Observations) -> Loads:
@@ -337,11 +338,18 @@ def _increment(six: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A model with values: what a parameter version holds. ``marker_points (m, 3)`` m are in the tool frame."""
+    """A model with values: what a parameter version holds. ``marker_points (m, 3)`` m are in the tool frame.
+
+    ``wanted_base`` and ``wanted_tool`` (4, 4) are the frames in which the nominal chain says where the tool should be:
+    the robot's own where the measurements were taken in them, else those of the registration. The difference to the
+    identified frames is part of the arm's error, for base and first joint, tool and last joint share what they share.
+    """
 
     model: RobotModel
     values: Floats
     marker_points: Floats | None = None
+    wanted_base: Floats | None = None
+    wanted_tool: Floats | None = None
 
     @staticmethod
     def nominal(robot: Robot, effects: tuple[Effect, ...] = ()) -> Calibration:
@@ -368,7 +376,14 @@ class Calibration:
         model = replace(self.model, effects=tuple(effects))
         known = dict(zip(self.names, self.values, strict=True))
         values = np.array([known.get(p.name, p.value) for p in model.parameters])
-        return Calibration(model, values, self.marker_points)
+        return replace(self, model=model, values=values)
+
+    def wanted(self) -> Calibration:
+        """The nominal chain in the wanted frames: where the tool should be."""
+        base = self.robot.T_base if self.wanted_base is None else self.wanted_base
+        tool = self.robot.T_tool if self.wanted_tool is None else self.wanted_tool
+        model = RobotModel(self.robot, (), base, tool)
+        return Calibration(model, model.values0())
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able state, SI: frames, effects, and every parameter's value by name."""
@@ -379,7 +394,9 @@ class Calibration:
             "T_tool": model.T_tool.tolist(),
             "effects": [effect.to_document() for effect in model.effects],
             "values": dict(zip(model.names, values.tolist(), strict=True)),
-            "marker_points": None if self.marker_points is None else self.marker_points.tolist(),
+            "marker_points": _listed(self.marker_points),
+            "wanted_base": _listed(self.wanted_base),
+            "wanted_tool": _listed(self.wanted_tool),
         }
 
     @staticmethod
@@ -390,5 +407,9 @@ class Calibration:
         values = model.values0()
         stored = document["values"]
         values[indices(model.names, stored)] = list(stored.values())
-        points = document.get("marker_points")
-        return Calibration(model, values, None if points is None else np.array(points))
+        others = (document.get(name) for name in ("marker_points", "wanted_base", "wanted_tool"))
+        return Calibration(model, values, *(None if other is None else np.array(other) for other in others))
+
+
+def _listed(array: Floats | None) -> Any:
+    return None if array is None else array.tolist()

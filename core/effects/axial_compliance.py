@@ -17,15 +17,13 @@ class AxialCompliance(Effect):
     summary = "joint compliance about the axis, proportional to the load moment"
     source = "thesis eq. 4.15, 5.19"
     needs = frozenset({"moments"})
+    signs = "positive"
+    aliases = ("link_bending", "radial_compliance", "gravity_spring", "eccentricity")
+    remedy = "repeat old poses with a second payload: geometry cancels, the load does not"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Compliance c per joint, rad/(N m) (m/N for a prismatic joint)."""
-        made = self.per_joint(robot, "compliance", "rad/(N m)", 1e-4, 0.0, 1e-2, "axial compliance c = 1/k")
-        kinds = [robot.joints[j].kind for j in self.acting(robot.n_joints)]
-        return tuple(
-            p if kind == "revolute" else Parameter(p.name, "m/N", 0.0, 1e-5, 0.0, 1e-3, p.description)
-            for p, kind in zip(made, kinds, strict=True)
-        )
+        return self.per_joint(robot, "compliance", "rad/(N m)", 1e-4, 0.0, 1e-2, "axial compliance c = 1/k")
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by c."""

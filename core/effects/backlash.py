@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 from core.effects.base import Batch, Effect, Floats, Local
-from core.errors import ObservationError
 from core.parameters import Parameter
 from core.robot import Robot
 
@@ -22,6 +21,8 @@ class Backlash(Effect):
     summary = "reversal error with the direction of the joint's last motion"
     source = "gap-finder library; Slamani, Nubiola and Bonev 2012"
     needs = frozenset({"direction"})
+    aliases = ("friction_windup", "backlash_load")
+    remedy = "approach the same poses from both sides with every joint: one-sided, it is an encoder offset"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Reversal width b per joint, rad."""
@@ -35,6 +36,4 @@ class Backlash(Effect):
             ObservationError: the rows have no direction.
 
         """
-        if batch.direction is None:
-            raise ObservationError("backlash needs the directions of approach: upload columns dir1...dirn.", effect=self.id)
-        return self.joint_angle(batch, values, batch.direction / 2.0)
+        return self.joint_angle(batch, values, self.column(batch, "direction") / 2.0)

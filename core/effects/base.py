@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.errors import OptionError
+from core.errors import ObservationError, OptionError
+from core.observations import Observations
 from core.parameters import Parameter
 from core.robot import Robot
 
 Floats = NDArray[np.float64]
+
+PRISMATIC_LEVER_M = 0.1  # what the prior of a radian becomes at a prismatic joint
+_PRISMATIC_UNITS = {"rad": "m", "rad/(N m)": "m/N"}
+_COLUMNS = {
+    "direction": "dir1 ... dirn",
+    "qd": "qd1_deg_s ... qdn_deg_s",
+    "t": "t_s",
+    "temperature_c": "temperature_c",
+    "payload_kg": "payload_kg",
+    "session": "session",
+}
 
 
 @dataclass(frozen=True)
@@ -23,7 +35,12 @@ class Batch:
 
     ``wrench (N, n, 6)`` is the load on each joint; ``axial (N, n)`` its part that works on the joint: the moment about
     the axis of a revolute joint (N·m), the force along that of a prismatic one (N). ``end_wrench``, ``base_wrench`` and
-    ``tool_point`` are those of :class:`~core.moments.Loads`, ``link_vectors (n + 1, 3)`` those of the chain. An effect declares what it reads in ``needs``; anything not measured is None.
+    ``tool_point`` are those of :class:`~core.moments.Loads`, ``link_vectors (n + 1, 3)`` those of the chain.
+    ``payload_axial (N, n, 4)`` is what one more kilogram at the payload's place adds to ``axial``, and one more kg·m of
+    first moment along each tool axis; it comes with ``payload_kg``.
+
+    An effect declares what it reads in ``needs``: the loads as "moments", measured columns by name. ``q``,
+    ``tool_point`` and ``link_vectors`` are always there; anything not measured is None.
     """
 
     q: Floats
@@ -40,6 +57,7 @@ class Batch:
     temperature_c: Floats | None = None
     payload_kg: Floats | None = None
     session: NDArray[np.int64] | None = None
+    payload_axial: Floats | None = None
 
     @property
     def moment(self) -> Floats:
@@ -85,17 +103,62 @@ class Local:
     derivatives: tuple[Derivative, ...] = ()
 
 
+def linear(batch: Batch, values: Floats, derivatives: Iterable[Derivative]) -> Local:
+    """Local corrections of an effect that is linear in its parameters: the sum of value times derivative."""
+    rows, n = batch.q.shape
+    derivatives = tuple(derivatives)
+    shapes = {"dq": (rows, n), "xi": (rows, n, 6), "base": (rows, 6), "tool": (rows, 6), "scale": (rows,)}
+    sums: dict[str, Floats] = {}
+
+    def total(name: str) -> Floats:
+        return sums.setdefault(name, np.zeros(shapes[name]))
+
+    for d in derivatives:
+        value = values[d.parameter]
+        if d.dq is not None:
+            total("dq")[:, d.joint] += value * d.dq
+        if d.xi is not None and d.joint in (BASE, TOOL):
+            total("base" if d.joint == BASE else "tool")[:] += value * d.xi
+        elif d.xi is not None:
+            total("xi")[:, d.joint] += value * d.xi
+        if d.scale is not None:
+            total("scale")[:] += value * d.scale
+    return Local(**sums, derivatives=derivatives)
+
+
 @dataclass(frozen=True)
 class Effect(ABC):
-    """One physical error source. ``joints`` are the joints it acts on, from 0; None means all."""
+    """One physical error source. ``joints`` are the joints it acts on, from 0; None means all it can act on.
+
+    The class says what a search for missing effects must know: ``needs`` (columns), ``stage``, ``signs`` ("positive" when
+    physics fixes the sign of the parameters), ``aliases`` (ids whose signatures come nearest), ``remedy`` (what to
+    measure so that it can be tested or told apart), ``empirical`` (a shape without a cause), and ``at_joints`` (whether
+    ``joints`` choose where it acts).
+    """
 
     id: ClassVar[str]
     summary: ClassVar[str]
     source: ClassVar[str]
     needs: ClassVar[frozenset[str]] = frozenset()
-    stage: ClassVar[str] = "joint"  # or "base", or "measurement": an error of the instrument, never corrected on the arm
+    stage: ClassVar[str] = (
+        "joint"  # or "base", or "measurement": an error of the instrument, never corrected on the arm
+    )
+    signs: ClassVar[str] = "any"
+    aliases: ClassVar[tuple[str, ...]] = ()
+    remedy: ClassVar[str] = ""
+    empirical: ClassVar[bool] = False
+    at_joints: ClassVar[bool] = True
+    counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents
 
     joints: tuple[int, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.joints is None:
+            return
+        if not self.at_joints:
+            raise OptionError(f"{self.id} does not act at joints: leave joints out.", effect=self.id)
+        if not self.joints or len(set(self.joints)) < len(self.joints):
+            raise OptionError(f"{self.id} needs different joints, or none named for all.", effect=self.id)
 
     @abstractmethod
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
@@ -104,6 +167,17 @@ class Effect(ABC):
     @abstractmethod
     def local(self, batch: Batch, values: Floats) -> Local:
         """Local corrections and their derivatives at ``values (P,)``."""
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Fill in what the configuration leaves open, from the robot and, where given, the rows to identify it on.
+
+        A model does this with its robot. Doing it twice changes nothing.
+
+        Raises:
+            OptionError: the effect cannot act on this robot.
+
+        """
+        return self
 
     def acting(self, n: int) -> tuple[int, ...]:
         """Joints the effect acts on, for an arm of n joints."""
@@ -115,48 +189,115 @@ class Effect(ABC):
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able configuration: ``id`` and every field, joints counted from 1."""
-        document: dict[str, Any] = {"id": self.id}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            document[field.name] = [j + 1 for j in value] if field.name == "joints" and value is not None else value
-        return document
+        shift = {name: 1 for name in self.counted}
+        own = {f.name: _plain(getattr(self, f.name), shift.get(f.name, 0)) for f in fields(self)}
+        return {"id": self.id, **own}
 
     @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> Effect:
+    def from_document(cls, document: Mapping[str, Any]) -> Self:
         """Build the effect from :meth:`to_document`.
 
         Raises:
-            OptionError: a field the effect does not have.
+            OptionError: a field the effect does not have, or a value it cannot take.
 
         """
-        config = {k: v for k, v in document.items() if k != "id"}
-        unknown = set(config) - {f.name for f in fields(cls)}
-        if unknown:
-            raise OptionError(f"Effect {cls.id} has no option {sorted(unknown)[0]!r}.", effect=cls.id)
-        joints = config.get("joints")
-        if joints is not None:
-            config["joints"] = tuple(int(j) - 1 for j in joints)
-        return cls(**config)
+        try:
+            shift = {name: -1 for name in cls.counted}
+            return cls.made(**{k: _frozen(v, shift.get(k, 0)) for k, v in document.items() if k != "id"})
+        except (TypeError, ValueError) as error:
+            raise OptionError(f"Effect {cls.id} cannot be made of {dict(document)}: {error}", effect=cls.id) from error
 
-    def per_joint(self, robot: Robot, stem: str, unit: str, sigma: float, lower: float, upper: float, text: str) -> tuple[Parameter, ...]:
-        """One parameter per acting joint, named ``<stem>_<joint>``."""
+    @classmethod
+    def made(cls, **config: Any) -> Self:
+        """Make the effect with these options, joints from 0; an unknown one raises :class:`OptionError`."""
+        known = [f.name for f in fields(cls)]
+        for name in config:
+            if name not in known:
+                raise OptionError(f"Effect {cls.id} has no option {name!r}. It has: {', '.join(known)}.", effect=cls.id)
+        return cls(**{name: _frozen(value, 0) for name, value in config.items()})
+
+    def per_joint(
+        self,
+        robot: Robot,
+        stem: str,
+        unit: str,
+        sigma: float,
+        lower: float,
+        upper: float,
+        text: str,
+        turns: bool = False,
+    ) -> tuple[Parameter, ...]:
+        """One parameter per acting joint, named ``<stem>_<joint>``.
+
+        At a prismatic joint a unit of rad becomes one of m, unless the correction ``turns`` whatever the joint.
+        """
         joints = self.acting(robot.n_joints)
-        outside = [j + 1 for j in joints if not 0 <= j < robot.n_joints]
-        if outside:
-            raise OptionError(f"Effect {self.id} names joint {outside[0]}; the robot has {robot.n_joints}.", effect=self.id)
-        return tuple(Parameter(f"{stem}_{j + 1}", unit, 0.0, sigma, lower, upper, text) for j in joints)
+        self.refuse_unknown(robot, joints)
+        made = []
+        for j in joints:
+            slides = robot.joints[j].kind == "prismatic" and not turns and unit in _PRISMATIC_UNITS
+            scale = PRISMATIC_LEVER_M if slides else 1.0
+            unit_here = _PRISMATIC_UNITS[unit] if slides else unit
+            made.append(Parameter(f"{stem}_{j + 1}", unit_here, 0.0, sigma * scale, lower * scale, upper * scale, text))
+        return tuple(made)
 
-    def joint_angle(self, batch: Batch, values: Floats, signal: Floats) -> Local:
-        """Local correction ``dq_j = value_j * signal_j`` of every acting joint; ``signal (N, n)``."""
-        dq = np.zeros_like(batch.q)
-        derivatives = []
-        for k, j in enumerate(self.acting(batch.q.shape[1])):
-            dq[:, j] = values[k] * signal[:, j]
-            derivatives.append(Derivative(k, j, dq=signal[:, j]))
-        return Local(dq=dq, derivatives=tuple(derivatives))
+    def refuse_unknown(self, robot: Robot, joints: Iterable[int]) -> None:
+        """Raise :class:`OptionError` for a joint the robot does not have."""
+        for j in joints:
+            if not 0 <= j < robot.n_joints:
+                raise OptionError(
+                    f"Effect {self.id} names joint {j + 1}; the robot has {robot.n_joints}.", effect=self.id
+                )
+
+    def limited(self, robot: Robot, possible: Collection[int], why: str) -> Self:
+        """Act on the ``possible`` joints only.
+
+        Raises:
+            OptionError: a named joint is not among them, or there are none; the message says ``why``.
+
+        """
+        self.refuse_unknown(robot, self.joints or ())
+        refused = [j + 1 for j in self.joints or () if j not in possible]
+        if refused or not possible:
+            place = f"joint {refused[0]}" if refused else "any joint of this robot"
+            raise OptionError(f"{self.id} cannot act at {place}: {why}", effect=self.id)
+        if self.joints is not None or len(possible) == robot.n_joints:
+            return self
+        return replace(self, joints=tuple(possible))
+
+    def revolute(self, robot: Robot) -> Self:
+        """Act on revolute joints only: the effect is periodic in the angle."""
+        turning = [j for j, joint in enumerate(robot.joints) if joint.kind == "revolute"]
+        return self.limited(robot, turning, "it is periodic in an angle, and the joint slides. Name revolute joints.")
+
+    def column(self, batch: Batch, name: str) -> NDArray[Any]:
+        """Return a measured column of the batch; a missing one raises :class:`ObservationError`."""
+        found: NDArray[Any] | None = getattr(batch, name)
+        if found is None:
+            raise ObservationError(f"{self.id} needs {name}: upload {_COLUMNS[name]}.", effect=self.id, missing=[name])
+        return found
+
+    def joint_angle(self, batch: Batch, values: Floats, *signals: Floats) -> Local:
+        """Local correction ``dq_j = value * signal_j`` summed over ``signals (N, n)``; values signal by signal."""
+        acting = self.acting(batch.q.shape[1])
+        places = [(signal, j) for signal in signals for j in acting]
+        return linear(batch, values, [Derivative(k, j, dq=signal[:, j]) for k, (signal, j) in enumerate(places)])
 
 
 def soft_sign(x: Floats, width: float) -> Floats:
     """sign(x), or tanh(x / width) when ``width`` > 0: a sign read from a noisy moment is not a step."""
     return np.sign(x) if width <= 0.0 else np.tanh(x / width)
 
+
+def _plain(value: Any, shift: int) -> Any:
+    """Turn tuples into lists, and count joints from ``shift``."""
+    if isinstance(value, tuple):
+        return [_plain(v, shift) for v in value]
+    return value + shift if shift and value is not None else value
+
+
+def _frozen(value: Any, shift: int) -> Any:
+    """Undo :func:`_plain`."""
+    if isinstance(value, (list, tuple)):
+        return tuple(_frozen(v, shift) for v in value)
+    return int(value) + shift if shift and value is not None else value

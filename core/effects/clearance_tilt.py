@@ -27,17 +27,23 @@ class ClearanceTilt(Effect):
     summary = "tilt of fixed size towards the transverse load, by joint clearance"
     source = "thesis eq. 5.16-5.18, 5.15 corrected"
     needs = frozenset({"moments"})
+    signs = "positive"
+    aliases = ("radial_compliance", "link_bending", "base_compliance")
+    remedy = "measure poses that turn the transverse load round the joint, or the same poses with another payload"
 
     share: str = "thesis"
     softening_nm: float = 0.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.share not in ("thesis", "vector"):
             raise OptionError(f"clearance_tilt has share {self.share!r}: give thesis or vector.", effect=self.id)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Clearance angle C per joint, rad."""
-        return self.per_joint(robot, "clearance", "rad", math.radians(0.1), 0.0, math.radians(1.0), "clearance angle C")
+        return self.per_joint(
+            robot, "clearance", "rad", math.radians(0.1), 0.0, math.radians(1.0), "clearance angle C", turns=True
+        )
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist (0, 0, 0, δα, δβ, 0) per joint and its derivative by C."""

@@ -30,8 +30,8 @@ def make_effect(effect_id: str, joints: Iterable[int] | None = None, **config: A
         OptionError: no such effect, or an option it does not have.
 
     """
-    chosen = None if joints is None else [j + 1 for j in joints]
-    return effect_from_document({"id": effect_id, "joints": chosen, **config})
+    chosen = None if joints is None else tuple(joints)
+    return _class_of(effect_id).made(joints=chosen, **config)
 
 
 def effect_from_document(document: Mapping[str, Any]) -> Effect:
@@ -41,9 +41,11 @@ def effect_from_document(document: Mapping[str, Any]) -> Effect:
         OptionError: no such effect, or an option it does not have.
 
     """
-    known = EFFECTS.get(str(document.get("id")))
+    return _class_of(str(document.get("id"))).from_document(document)
+
+
+def _class_of(effect_id: str) -> type[Effect]:
+    known = EFFECTS.get(effect_id)
     if known is None:
-        raise OptionError(
-            f"There is no effect {document.get('id')!r}. There are: {', '.join(EFFECTS)}.", effect=document.get("id")
-        )
-    return known.from_document(document)
+        raise OptionError(f"There is no effect {effect_id!r}. There are: {', '.join(EFFECTS)}.", effect=effect_id)
+    return known

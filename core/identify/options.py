@@ -26,7 +26,10 @@ class IdentifyOptions:
     ``effects`` ids, or documents with options and joints. ``free`` patterns replace the level's geometric parameters,
     ``fix`` patterns hold parameters (``alpha_*``). ``base`` and ``tool`` are "free" or "fixed". ``tilt_first`` holds the
     effects of the starting version while the geometry is identified (thesis 4.22, 5.20). ``noise_mm`` is the standard
-    deviation of a coordinate when it is known; otherwise it is estimated.
+    deviation of a coordinate when it is known; otherwise it is estimated. ``reference`` says in which frames a correction
+    should put the tool where the nominal robot would be: "robot" (its own base and tool: the measurements were taken in
+    them), "registration" (where the nominal robot fits the measurements best), or "auto": the robot's own for a frame
+    that is fixed or that the registration finds within 10 mm and 1 degree of it.
     """
 
     level: int | None = None
@@ -39,6 +42,7 @@ class IdentifyOptions:
     tool: str = "free"
     loss: str = "linear"
     noise_mm: float | None = None
+    reference: str = "auto"
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -47,6 +51,7 @@ class IdentifyOptions:
         self._one_of("base", ("free", "fixed"))
         self._one_of("tool", ("free", "fixed"))
         self._one_of("loss", ("linear", "huber"))
+        self._one_of("reference", ("auto", "robot", "registration"))
         if self.noise_mm is not None and not self.noise_mm > 0:
             raise OptionError("noise_mm must be above 0: it is a standard deviation.", option="noise_mm")
         if self.level in (1, 2) and self.effects:

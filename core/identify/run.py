@@ -22,10 +22,14 @@ from core.metrics import Errors
 from core.model import Calibration
 from core.observations import Observations
 from core.robot import Robot
+from core.transforms import rotation_log
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 Validation = Observations | float | Folds | None
+
+NEAR_M = 0.010  # frames nearer than this to the robot's own are taken to be the robot's own
+NEAR_RAD = np.radians(1.0)
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,10 @@ class Identification:
         """Names of the free parameters, in the order of the covariance."""
         return self.fit.names
 
+    def _reference(self, which: str) -> str:
+        own = getattr(self.calibration.robot, f"T_{which}")
+        return "robot" if np.array_equal(getattr(self.calibration, f"wanted_{which}"), own) else "registration"
+
     def to_document(self) -> dict[str, Any]:
         """The identify result of the contract: mm, degrees, names, units."""
         return {
@@ -67,6 +75,7 @@ class Identification:
             "noise_source": self.noise_source,
             "warnings": list(self.warnings),
             "iterations": self.fit.iterations,
+            "reference": {"base": self._reference("base"), "tool": self._reference("tool")},
         }
 
 
@@ -102,7 +111,9 @@ def identify(
     measurement = Measurement.of(train, begin.marker_points)
     registered = registration_only(begin, measurement, options.loss)
     fit = estimate(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s))
-    calibration = Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+    calibration = Calibration(
+        *fit.problem.model.folded(fit.values), measurement.marker_points, *_wanted_frames(registered, options)
+    )
     stages = {"nominal": begin, "registration_only": registered, "identified": calibration}
     if isinstance(validation, Observations):
         other = Measurement.of(validation, measurement.marker_points)
@@ -126,6 +137,24 @@ def _begin(robot: Robot, options: IdentifyOptions, start: Calibration | None) ->
     if start is None:
         return Calibration.nominal(robot, effects)
     return start.with_effects(effects or start.model.effects)
+
+
+def _wanted_frames(registered: Calibration, options: IdentifyOptions) -> tuple[Floats, Floats]:
+    """Base and tool frames (4, 4) a correction should work in, as ``reference`` asks."""
+    robot, found = registered.robot, registered.model
+    pairs = (
+        (robot.T_base, np.asarray(found.T_base), options.base, True),
+        (robot.T_tool, np.asarray(found.T_tool), options.tool, registered.marker_points is not None),
+    )
+    return tuple(own if _own(own, fitted, state, turns, options.reference) else fitted for own, fitted, state, turns in pairs)  # type: ignore[return-value]
+
+
+def _own(own: Floats, fitted: Floats, state: str, turns: bool, reference: str) -> bool:
+    if reference != "auto" or state == "fixed":
+        return reference != "registration"
+    apart = np.linalg.norm(own[:3, 3] - fitted[:3, 3])
+    angle = float(np.linalg.norm(rotation_log((own[:3, :3].T @ fitted[:3, :3])[None])))
+    return bool(apart < NEAR_M and (not turns or angle < NEAR_RAD))
 
 
 def _refuse_missing_columns(begin: Calibration, train: Observations) -> None:
