@@ -20,6 +20,7 @@ SIZES: Mapping[str, Mapping[str, float]] = {
     "angle acceleration": {"rad/s2": 1.0, "deg/s2": DEG},
     "length acceleration": {"m/s2": 1.0, "mm/s2": 1e-3},
     "torque": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3},
+    "force": {"N": 1.0, "kN": 1e3},
     "mass": {"kg": 1.0, "g": 1e-3},
 }
 
@@ -34,6 +35,7 @@ CONTRACT: tuple[tuple[str, str], ...] = (
     (r"qd\d+_(deg|rad|mm|m)_s", "{0}/s"),
     (r"qdd\d+_(deg|rad|mm|m)_s2", "{0}/s2"),
     (r"tau\d+_nm", "Nm"),
+    (r"tau\d+_n", "N"),
     (r"t_s", "s"),
     (r"payload_kg", "kg"),
     (r"temperature_c", "C"),

@@ -1,0 +1,112 @@
+"""Arguments that several commands share, and what their text means."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client.errors import UsageError
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else.")]
+Robot = Annotated[str, typer.Argument(help="Name of the robot.", metavar="ROBOT", show_default=False)]
+File = Annotated[
+    Path, typer.Argument(help="The file.", metavar="FILE", show_default=False, exists=True, dir_okay=False)
+]
+CampaignIds = Annotated[
+    list[str] | None,
+    typer.Option("--campaign", "-c", metavar="ID", help="Campaign to use; give it again for more.", show_default=False),
+]
+ValidationText = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--validation",
+        "-v",
+        metavar="ID|FRACTION|folds:K",
+        help="What to hold out: campaign ids, a fraction of the poses (0.3), or K-fold (folds:5).",
+        show_default=False,
+    ),
+]
+NoWait = Annotated[bool, typer.Option("--no-wait", help="Return as soon as the job is queued.")]
+MoreOptions = Annotated[
+    list[str] | None,
+    typer.Option("--option", metavar="NAME=VALUE", help="Any other option of the job; the value is JSON or text."),
+]
+VersionId = Annotated[str, typer.Argument(help="Id of the version.", show_default=False, metavar="VERSION")]
+
+
+def validation(texts: Iterable[str] | None) -> list[str] | float | dict[str, int] | None:
+    """Understand --validation: campaign ids, one fraction, or one ``folds:K``.
+
+    Raises:
+        UsageError: kinds mixed, or a fraction that is none.
+
+    """
+    given = split_names(texts)
+    if not given:
+        return None
+    if len(given) == 1 and given[0].startswith("folds:"):
+        count = given[0].removeprefix("folds:")
+        if not count.isdecimal() or int(count) < 2:
+            raise UsageError(f"--validation {given[0]}: give folds:K with K from 2, for example folds:5.")
+        return {"folds": int(count)}
+    if len(given) == 1 and _number(given[0]) is not None:
+        fraction = float(given[0])
+        if not 0 < fraction < 1:
+            raise UsageError(f"--validation {given[0]}: a fraction lies between 0 and 1, for example 0.3.")
+        return fraction
+    if any(text.startswith("folds:") or _number(text) is not None for text in given):
+        raise UsageError("--validation takes campaign ids, or one fraction, or one folds:K, not a mixture.")
+    return given
+
+
+def split_names(texts: Iterable[str] | None) -> list[str]:
+    """Return names given as ``a,b`` or by repeating the option."""
+    return [name.strip() for text in texts or () for name in text.split(",") if name.strip()]
+
+
+def effects(texts: Iterable[str] | None) -> list[str | dict[str, Any]]:
+    """Understand --effects: ids as ``a,b``, or a JSON document of one effect with its joints."""
+    found: list[str | dict[str, Any]] = []
+    for text in texts or ():
+        if text.lstrip().startswith("{"):
+            found.append(_document(text))
+        else:
+            found += split_names([text])
+    return found
+
+
+def options(more: Iterable[str] | None, **given: Any) -> dict[str, Any]:
+    """Collect a job's options: those that were given, and every NAME=VALUE of --option.
+
+    Raises:
+        UsageError: an --option without ``=``.
+
+    """
+    chosen = {name: value for name, value in given.items() if value is not None and value != [] and value is not False}
+    for text in more or ():
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip():
+            raise UsageError(f"--option {text}: give NAME=VALUE, for example --option seed=1.")
+        try:
+            chosen[name.strip()] = json.loads(value)
+        except ValueError:
+            chosen[name.strip()] = value
+    return chosen
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _document(text: str) -> dict[str, Any]:
+    try:
+        return dict(json.loads(text))
+    except ValueError as error:
+        raise UsageError(f"--effects {text}: is no JSON object ({error}).") from error

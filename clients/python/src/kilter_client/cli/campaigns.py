@@ -1,0 +1,131 @@
+"""``kilter upload`` and ``kilter campaigns``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli.arguments import File, Json, Robot
+from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
+from kilter_client.cli.progress import upload_bar
+from kilter_client.cli.tables import show_rows
+from kilter_client.errors import ObservationError, UsageError
+from kilter_client.files import DEVICES, Prepared, prepare
+
+Role = Literal["train", "validation", "confirmation"]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the ``kilter`` command."""
+    app.command(epilog="Example: kilter upload ur10 measurements_grid.csv --device ipa-lasertracker")(upload)
+    app.command(epilog="Example: kilter campaigns ur10")(campaigns)
+
+
+def upload(
+    robot: Robot,
+    file: File,
+    device: Annotated[
+        str | None, typer.Option(help=f"Measuring device; files of these are converted: {', '.join(DEVICES)}.")
+    ] = None,
+    role: Annotated[Role, typer.Option(help="What the measurements are for.")] = "train",
+    column_map: Annotated[
+        Path | None,
+        typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False),
+    ] = None,
+    campaign: Annotated[str | None, typer.Option(metavar="ID", help="Add to this campaign, make none.")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the campaign; default is the file's name.")] = None,
+    payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point during the campaign.")] = None,
+    temperature_c: Annotated[float | None, typer.Option(help="Temperature during the campaign.")] = None,
+    notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what is understood of the file, send nothing.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Upload measurements: contract columns as they are, a device's files converted, a lab's own through a map.
+
+    Makes a campaign, or adds to --campaign. The same file again changes nothing.
+    """
+    if campaign and (name or notes or payload_kg is not None or temperature_c is not None):
+        raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
+    prepared = prepare(file, device, column_map)
+    _understood(file, prepared, as_json)
+    if dry_run:
+        emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256}), as_json, lambda _: None)
+        return
+    conditions = {"payload_kg": payload_kg, "temperature_c": temperature_c}
+    wanted = {
+        "name": name or file.name,
+        "device": device or "",
+        "role": role,
+        "conditions": {key: value for key, value in conditions.items() if value is not None},
+        "notes": notes,
+    }
+    with Kilter() as kilter:
+        target = campaign or _campaign(kilter, robot, wanted, prepared.sha256)
+        done = _send(kilter, target, file, prepared, as_json)
+    emit(_report(prepared, done), as_json, _show_upload)
+
+
+def campaigns(robot: Robot, as_json: Json = False) -> None:
+    """List the campaigns of a robot."""
+    with Kilter() as kilter:
+        document = {"campaigns": kilter.campaigns.list(robot)}
+    emit(document, as_json, _show_campaigns)
+
+
+def _campaign(kilter: Kilter, robot: str, wanted: dict[str, Any], sha256: str) -> str:
+    """Return the campaign to fill: one that a refused upload left empty, or the one of these bytes, else a new one."""
+    for known in kilter.campaigns.list(robot):
+        same = all(known[key] == wanted[key] for key in ("name", "device", "role"))
+        if same and (not known["uploads"] or any(done["sha256"] == sha256 for done in known["uploads"])):
+            return str(known["id"])
+    return str(kilter.campaigns.add(robot, **wanted)["id"])
+
+
+def _send(kilter: Kilter, campaign: str, file: Path, prepared: Prepared, as_json: bool) -> dict[str, Any]:
+    try:
+        with upload_bar(file.name, as_json) as sent:
+            return kilter.campaigns.upload(campaign, prepared, sent)
+    except ObservationError as error:
+        raise _with_place(error, file, prepared) from error
+
+
+def _with_place(error: ObservationError, file: Path, prepared: Prepared) -> ObservationError:
+    """Add where the refused row stands in the person's own file, or how such a file comes in."""
+    row = error.context.get("row")
+    if prepared.lines and isinstance(row, int) and 0 < row <= len(prepared.lines):
+        error.context |= {"file": str(file), "line": prepared.lines[row - 1]}
+        error.detail += f" That is line {prepared.lines[row - 1]} of {file}."
+    elif not prepared.lines and row is None:
+        error.detail += f" {REMEDY_FOR_COLUMNS}"
+    return error
+
+
+def _understood(file: Path, prepared: Prepared, as_json: bool) -> None:
+    note(f"{file}: {'' if prepared.rows is None else f'{prepared.rows} rows'}".rstrip(": "), as_json)
+    for text in prepared.notes:
+        note(f"  {text}", as_json)
+    for text in prepared.warnings:
+        note(f"  Warning: {text}.", as_json)
+
+
+def _report(prepared: Prepared, done: dict[str, Any]) -> dict[str, Any]:
+    understood = {"columns": list(prepared.columns), "notes": list(prepared.notes), "warnings": list(prepared.warnings)}
+    return understood | done
+
+
+def _show_upload(done: dict[str, Any]) -> None:
+    known = "" if done.get("new", True) else ", there already"
+    say(f"campaign {done['campaign_id']}: {done['rows']} rows{known} (sha256 {done['sha256'][:12]})")
+
+
+def _show_campaigns(document: dict[str, Any]) -> None:
+    rows = [
+        (c["id"], c["name"], c["device"], c["role"], str(c["rows"]), str(c["created_at"])[:16].replace("T", " "))
+        for c in document["campaigns"]
+    ]
+    show_rows(("campaign", "name", "device", "role", "rows", "made"), rows)

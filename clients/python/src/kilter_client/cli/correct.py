@@ -1,0 +1,57 @@
+"""``kilter correct``: a trajectory in, the corrected one out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli.arguments import File, Json, Robot
+from kilter_client.cli.output import emit, say
+from kilter_client.cli.versions import write
+from kilter_client.errors import UsageError
+from kilter_client.files import prepare
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the ``kilter`` command."""
+    app.command(epilog="Example: kilter correct ur10 path.csv -o corrected.csv")(correct)
+    app.command(epilog="Example: kilter status")(status)
+
+
+def correct(
+    robot: Robot,
+    file: File,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default is stdout.")] = None,
+    column_map: Annotated[
+        Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Correct a trajectory (t_s, q1_deg, ...) with the active version; the answer has the format that was sent."""
+    if as_json and output is None:
+        raise UsageError("--json reports what was written: name the file with -o.")
+    trajectory = prepare(file, column_map=column_map)
+    with Kilter() as kilter:
+        content = kilter.correct(robot, trajectory)
+    if output is None:
+        typer.get_binary_stream("stdout").write(content)
+        return
+    write(output, content)
+    document = {"robot": robot, "output": str(output), "bytes": len(content)}
+    emit(document, as_json, lambda _: say(f"{output}: {len(content)} bytes"))
+
+
+def status(as_json: Json = False) -> None:
+    """Show whether the server is ready."""
+    with Kilter() as kilter:
+        document = {"url": kilter.url, **kilter.health()}
+    emit(document, as_json, _show_status)
+
+
+def _show_status(document: dict[str, Any]) -> None:
+    say(f"{document['url']}: {document['status']}, version {document.get('version')}")
+    for name, check in document.get("checks", {}).items():
+        say(f"  {name}: {'ok' if check['ok'] else 'not ok'} ({check['detail']})")

@@ -1,0 +1,82 @@
+"""``kilter jobs``: list, show, watch, cancel."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli.arguments import Json
+from kilter_client.cli.output import emit
+from kilter_client.cli.progress import job_bar
+from kilter_client.cli.results import show_job
+from kilter_client.cli.tables import show_rows
+
+jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None)
+
+JobId = Annotated[str, typer.Argument(help="Id of the job.", show_default=False, metavar="JOB")]
+State = Annotated[str | None, typer.Option(help="Only queued, running, succeeded, failed or cancelled ones.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the ``kilter`` command."""
+    app.add_typer(jobs, name="jobs")
+
+
+@jobs.callback(invoke_without_command=True)
+def default(context: typer.Context, as_json: Json = False) -> None:
+    """List, show, watch and cancel jobs; without a command, list them."""
+    if context.invoked_subcommand is None:
+        list_(as_json=as_json)
+
+
+@jobs.command("list", epilog="Example: kilter jobs list --state running")
+def list_(
+    robot: Annotated[str | None, typer.Option(help="Only those of this robot.")] = None,
+    state: State = None,
+    as_json: Json = False,
+) -> None:
+    """List the jobs, newest first."""
+    with Kilter() as kilter:
+        document = {"jobs": kilter.jobs.list(robot, state)}
+    emit(document, as_json, _show_list)
+
+
+@jobs.command(epilog="Example: kilter jobs show job_1f")
+def show(job: JobId, as_json: Json = False) -> None:
+    """Show a job and its result."""
+    with Kilter() as kilter:
+        emit(kilter.jobs.get(job), as_json, show_job)
+
+
+@jobs.command(epilog="Example: kilter jobs watch job_1f")
+def watch(job: JobId, as_json: Json = False) -> None:
+    """Follow a job to its end and show its result."""
+    with Kilter() as kilter:
+        known = kilter.jobs.get(job)
+        with job_bar(str(known["kind"]), as_json) as progress:
+            document = kilter.jobs.wait(job, progress)
+    emit(document, as_json, show_job)
+
+
+@jobs.command(epilog="Example: kilter jobs cancel job_1f")
+def cancel(job: JobId, as_json: Json = False) -> None:
+    """Ask a job to stop."""
+    with Kilter() as kilter:
+        emit(kilter.jobs.cancel(job), as_json, show_job)
+
+
+def _show_list(document: dict[str, Any]) -> None:
+    rows = [
+        (
+            job["id"],
+            job["kind"],
+            job["robot"],
+            job["state"],
+            f"{100 * float((job.get('progress') or {}).get('fraction') or 0):.0f} %",
+            str(job.get("created_at", ""))[:16].replace("T", " "),
+        )
+        for job in document["jobs"]
+    ]
+    show_rows(("job", "kind", "robot", "state", "done", "made"), rows)

@@ -1,0 +1,59 @@
+"""What goes to stdout and stderr: one JSON document, or text for people."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import typer
+
+from kilter_client.errors import KilterError, UsageError
+
+Document = dict[str, Any]
+
+REMEDY_FOR_COLUMNS = "A lab's own columns come in with --map columns.toml; see `kilter upload --help`."
+
+
+def emit(document: Document, as_json: bool, show: Callable[[Document], None]) -> None:
+    """Print a command's document: as JSON, or by ``show`` for people."""
+    if as_json:
+        print(json.dumps(document, indent=2, ensure_ascii=False))
+    else:
+        show(document)
+
+
+def say(text: str = "") -> None:
+    """Print a line for people on stdout."""
+    print(text)
+
+
+def note(text: str, as_json: bool = False) -> None:
+    """Print a line about what is being done, on stderr; nothing with --json."""
+    if not as_json:
+        print(text, file=sys.stderr)
+
+
+def report_error(error: KilterError, as_json: bool) -> None:
+    """Print an error: its problem document on stdout with --json, else the sentence on stderr."""
+    if as_json:
+        print(json.dumps(error.to_document(), indent=2, ensure_ascii=False, default=str))
+        return
+    print(f"Error: {error.detail}", file=sys.stderr)
+    if error.request_id and (error.status or 0) >= 500:
+        print(f"Request {error.request_id}.", file=sys.stderr)
+
+
+def report_usage(error: typer.TyperException, as_json: bool) -> None:
+    """Print what was wrong with the command line, and where its help is."""
+    context = getattr(error, "ctx", None)
+    hint = f" Try `{context.command_path} --help`." if context is not None else ""
+    report_error(UsageError(error.format_message() + hint), as_json)
+
+
+def report_interrupt(as_json: bool) -> None:
+    """Say what Ctrl-C did."""
+    report_error(
+        KilterError("Interrupted. A job goes on at the server: see `kilter jobs`.", code="interrupted"), as_json
+    )

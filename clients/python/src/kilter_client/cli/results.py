@@ -1,0 +1,125 @@
+"""Results of jobs and versions for people: metrics, parameters, what the data could not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from kilter_client.cli.output import say
+from kilter_client.cli.tables import number, show_rows
+
+STAGES = {"nominal": "nominal", "registration_only": "registration only", "identified": "identified"}
+MEASURES = (
+    ("mean_mm", "mean mm"),
+    ("rms_mm", "rms mm"),
+    ("p95_mm", "p95 mm"),
+    ("max_mm", "max mm"),
+    ("orientation_deg", "orientation deg"),
+)
+
+
+def show_job(job: dict[str, Any]) -> None:
+    """Print a job: how it stands, and what is in its result."""
+    say(f"{job['kind']} {job['id']} of {job['robot']}: {job['state']}{_stage(job)}")
+    error = job.get("error")
+    if error:
+        say(f"  {error.get('code')}: {error.get('message')}")
+    result = job.get("result") or {}
+    show_result(result)
+    version = result.get("version_id")
+    if version and job["kind"] != "evaluate":
+        say(f"version {version}; make it the one that corrects with: kilter activate {version}")
+
+
+def show_version(version: dict[str, Any]) -> None:
+    """Print a version and its parameters."""
+    say(f"version {version['id']} of {version.get('robot')}, made {str(version.get('created_at'))[:16]}")
+    say(f"  {'active' if version['active'] else 'not active'}, job {version['job_id']}, parent {version['parent_id']}")
+    for campaign in version["campaigns"]:
+        say(f"  {campaign['use']}: campaign {campaign['id']} ({campaign['name']}), {campaign['rows']} rows")
+    show_result(version)
+
+
+def show_result(result: Mapping[str, Any]) -> None:
+    """Print the parts of a result that are tables or sentences for people; the rest is in the JSON."""
+    if result.get("verdict"):
+        say(f"verdict: {result['verdict']}")
+    _metrics(result.get("metrics") or {})
+    _effects(result.get("effects") or [])
+    _parameters(result.get("parameters") or [])
+    _null_directions(result.get("null_directions") or [])
+    for warning in result.get("warnings") or ():
+        say(f"warning: {warning.get('message', warning) if isinstance(warning, Mapping) else warning}")
+    if result.get("noise_mm") is not None:
+        source = f" (from {result['noise_source']})" if result.get("noise_source") else ""
+        say(f"noise of a coordinate: {number(result['noise_mm'])} mm{source}")
+
+
+def _stage(job: Mapping[str, Any]) -> str:
+    progress = job.get("progress") or {}
+    if job["state"] not in ("queued", "running") or not progress:
+        return ""
+    return f", {100 * float(progress.get('fraction') or 0):.0f} %, {progress.get('stage')}"
+
+
+def _metrics(metrics: Mapping[str, Any]) -> None:
+    blocks = {name: block for name, block in metrics.items() if isinstance(block, Mapping)}
+    present = [stage for block in blocks.values() for stage in STAGES if isinstance(block.get(stage), Mapping)]
+    if not present:
+        return
+    measures = [m for m in MEASURES if any(m[0] in (b.get(s) or {}) for b in blocks.values() for s in STAGES)]
+    rows = [
+        (f"{name} ({block.get('n', '?')})", label, *(number((block[stage]).get(key)) for key, _ in measures))
+        for name, block in blocks.items()
+        for stage, label in STAGES.items()
+        if isinstance(block.get(stage), Mapping)
+    ]
+    show_rows(("rows", "model", *(label for _, label in measures)), rows, numbers=True)
+
+
+def _parameters(parameters: list[Mapping[str, Any]]) -> None:
+    if not parameters:
+        return
+    rows = [
+        (
+            str(p["name"]),
+            number(p["value"], 7),
+            number(p.get("sigma"), 2),
+            str(p.get("unit", "")),
+            "" if p.get("identifiable", True) else "not identifiable: left where it was",
+        )
+        for p in parameters
+    ]
+    show_rows(("parameter", "value", "sigma", "unit", ""), rows)
+
+
+def _effects(effects: list[Any]) -> None:
+    found = [effect for effect in effects if isinstance(effect, Mapping) and effect.get("verdict")]
+    if not found:
+        return
+    rows = [
+        (
+            str(effect["id"]),
+            ", ".join(str(joint) for joint in effect.get("joints") or ()),
+            str(effect["verdict"]),
+            number(effect.get("gain_mm")),
+            number(effect.get("p_value"), 2),
+            ", ".join(str(alias) for alias in effect.get("alias_set") or ()),
+        )
+        for effect in found
+    ]
+    show_rows(("effect", "joints", "verdict", "gain mm", "p", "or one of"), rows)
+
+
+def _null_directions(directions: list[Any]) -> None:
+    if not directions:
+        return
+    say("What these data cannot tell apart:")
+    for direction in directions:
+        sentence = direction.get("sentence") if isinstance(direction, Mapping) else direction
+        say(f"  - {sentence or _combination(direction)}")
+
+
+def _combination(direction: Mapping[str, Any]) -> str:
+    parts = direction.get("parameters") or ()
+    return " ".join(f"{part['weight']:+.2f} {part['name']}" for part in parts) + " changes nothing that was measured."

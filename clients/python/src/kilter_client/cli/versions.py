@@ -1,0 +1,130 @@
+"""Parameter versions: list, show, activate, roll back, compare, export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli.arguments import Json, Robot, VersionId
+from kilter_client.cli.output import emit, say
+from kilter_client.cli.results import show_version
+from kilter_client.cli.tables import number, show_rows
+from kilter_client.errors import FileError, UsageError
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the ``kilter`` command."""
+    app.command(epilog="Example: kilter versions ur10")(versions)
+    app.command(epilog="Example: kilter version ver_7c")(version)
+    app.command(epilog="Example: kilter activate ver_7c")(activate)
+    app.command(epilog="Example: kilter rollback ur10")(rollback)
+    app.command(epilog="Example: kilter diff ver_5a ver_7c")(diff)
+    app.command(epilog="Example: kilter export ver_7c --format json -o ur10.json")(export)
+
+
+def versions(robot: Robot, as_json: Json = False) -> None:
+    """List the versions of a robot."""
+    with Kilter() as kilter:
+        document = {"versions": kilter.versions.list(robot)}
+    emit(document, as_json, _show_list)
+
+
+def version(version: VersionId, as_json: Json = False) -> None:
+    """Show a version: where it comes from, and its parameters."""
+    with Kilter() as kilter:
+        emit(kilter.versions.get(version), as_json, show_version)
+
+
+def activate(version: VersionId, as_json: Json = False) -> None:
+    """Make a version the one that corrects."""
+    with Kilter() as kilter:
+        document = kilter.versions.activate(version)
+    emit(document, as_json, lambda _: say(f"{version} is active."))
+
+
+def rollback(robot: Robot, as_json: Json = False) -> None:
+    """Return to the version that was active before."""
+    with Kilter() as kilter:
+        document = kilter.versions.rollback(robot)
+    emit(document, as_json, lambda _: say(f"{document['id']} is active again."))
+
+
+def diff(
+    first: Annotated[str, typer.Argument(help="Id of a version.", show_default=False)],
+    second: Annotated[str, typer.Argument(help="Id of another.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Compare the parameters of two versions."""
+    with Kilter() as kilter:
+        document = kilter.versions.diff(first, second)
+    emit(document, as_json, _show_diff)
+
+
+def export(
+    version: VersionId,
+    form: Annotated[str, typer.Option("--format", help="json, urdf, dh-csv, ...")] = "json",
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default is stdout.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a version as a file for other programs."""
+    if as_json and output is None:
+        raise UsageError("--json reports what was written: name the file with -o.")
+    with Kilter() as kilter:
+        content = kilter.versions.export(version, form)
+    if output is None:
+        typer.get_binary_stream("stdout").write(content)
+        return
+    write(output, content)
+    document = {"version_id": version, "format": form, "output": str(output), "bytes": len(content)}
+    emit(document, as_json, lambda _: say(f"{output}: {len(content)} bytes"))
+
+
+def write(output: Path, content: bytes) -> None:
+    """Write a file of the person's choice.
+
+    Raises:
+        FileError: it cannot be written.
+
+    """
+    try:
+        output.write_bytes(content)
+    except OSError as error:
+        raise FileError(f"{output}: cannot be written: {error.strerror or error}.", file=str(output)) from error
+
+
+def _show_list(document: dict[str, Any]) -> None:
+    rows = [
+        (
+            "*" if v["active"] else "",
+            v["id"],
+            ", ".join(v["effects"]) or "geometry",
+            _held_out(v["metrics"]),
+            v["parent_id"] or "",
+            str(v["created_at"])[:16].replace("T", " "),
+        )
+        for v in document["versions"]
+    ]
+    show_rows(("", "version", "effects", "mean mm", "parent", "made"), rows)
+
+
+def _held_out(metrics: dict[str, Any]) -> str:
+    """The mean error of the identified model, on held-out rows where there were some."""
+    for name in ("validation", "train"):
+        stage = (metrics.get(name) or {}).get("identified")
+        if stage:
+            return f"{number(stage.get('mean_mm'))} {name}"
+    return ""
+
+
+def _show_diff(document: dict[str, Any]) -> None:
+    for word in ("added", "removed"):
+        if document[f"effects_{word}"]:
+            say(f"effects {word}: {', '.join(document[f'effects_{word}'])}")
+    rows = [
+        (p["name"], number(p["a"], 7), number(p["b"], 7), number(p["change"]), p["unit"])
+        for p in document["parameters"]
+    ]
+    show_rows(("parameter", "first", "second", "change", "unit"), rows)

@@ -1,0 +1,77 @@
+"""The library's front door."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from kilter_client.connection import Connection, Document
+from kilter_client.jobs import Jobs
+from kilter_client.locate import locate
+from kilter_client.resources import Campaigns, Robots, Versions
+
+if TYPE_CHECKING:
+    import httpx
+
+    from kilter_client.files import Prepared
+
+CORRECT_TIMEOUT_S = 600.0
+
+
+class Kilter:
+    """A Kilter server: ``robots``, ``campaigns``, ``jobs``, ``versions``, and ``correct`` for trajectories.
+
+    Without arguments it is the server of KILTER_URL, else the one running on this machine.
+
+    Example::
+
+        with Kilter() as kilter:
+            kilter.robots.add({"name": "arm", "convention": "preset", "preset": "katana450-chapter4"})
+            campaign = kilter.campaigns.add("arm", "first", device="leica-at960")
+            kilter.campaigns.upload(campaign["id"], "measured.csv")
+            job = kilter.jobs.run("identify", "arm", [campaign["id"]], validation=0.3, options={"level": 1})
+            kilter.versions.activate(job["result"]["version_id"])
+
+    """
+
+    def __init__(
+        self, url: str | None = None, token: str | None = None, transport: httpx.BaseTransport | None = None
+    ) -> None:
+        self._connection = Connection(locate(url, token), transport)
+        self.robots = Robots(self._connection)
+        self.campaigns = Campaigns(self._connection)
+        self.jobs = Jobs(self._connection)
+        self.versions = Versions(self._connection)
+
+    @property
+    def url(self) -> str:
+        """The server's address."""
+        return self._connection.url
+
+    def health(self) -> Document:
+        """Return whether the server is ready, and what it looked at."""
+        return self._connection.get("/v1/health")
+
+    def correct(self, robot: str, trajectory: Prepared, *, version: str | None = None) -> bytes:
+        """Correct a trajectory with the active version (or ``version``); the answer has the format that was sent."""
+        response = self._connection.request(
+            "POST",
+            f"/v1/robots/{robot}/correct",
+            content=trajectory.content,
+            headers={"Content-Type": trajectory.content_type, "Accept": trajectory.content_type},
+            params={"version": version} if version else {},
+            timeout=CORRECT_TIMEOUT_S,
+        )
+        return response.content
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._connection.close()
+
+    def __enter__(self) -> Kilter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

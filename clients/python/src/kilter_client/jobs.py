@@ -1,0 +1,161 @@
+"""Jobs: ask for one, follow it, take its result."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from kilter_client.connection import Connection, Document
+from kilter_client.errors import (
+    ApiError,
+    JobCancelledError,
+    JobFailedError,
+    JobTimeoutError,
+    NotAuthorisedError,
+    NotFoundError,
+    ServerUnreachableError,
+)
+
+Progress = Callable[[float, str], None]
+Validation = Sequence[str] | float | Mapping[str, int] | None
+
+FINISHED = ("succeeded", "failed", "cancelled")
+POLL_S = (0.1, 0.2, 0.5, 1.0)
+# How often in a row a wait may find no server before it gives up: a restart takes some seconds.
+MAX_SILENCES = 10
+
+
+class Jobs:
+    """The jobs of a server."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def submit(
+        self,
+        kind: str,
+        robot: str,
+        campaigns: Sequence[str] = (),
+        validation: Validation = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> Document:
+        """Ask for a job (identify, gap, evaluate, plan, joint_parameters) and return its document, still queued."""
+        body: Document = {"kind": kind, "robot": robot, "campaigns": list(campaigns), "options": dict(options or {})}
+        if validation is not None:
+            body["validation"] = validation
+        return self._connection.post("/v1/jobs", body)
+
+    def list(self, robot: str | None = None, state: str | None = None) -> list[Document]:
+        """Return the jobs, newest first."""
+        wanted = {key: value for key, value in (("robot", robot), ("state", state)) if value}
+        return list(self._connection.get("/v1/jobs", **wanted)["jobs"])
+
+    def get(self, job_id: str) -> Document:
+        """Return a job's document."""
+        return self._connection.get(f"/v1/jobs/{job_id}")
+
+    def cancel(self, job_id: str) -> Document:
+        """Ask a job to stop."""
+        return self._connection.post(f"/v1/jobs/{job_id}/cancel")
+
+    def wait(self, job_id: str, progress: Progress | None = None, timeout_s: float | None = None) -> Document:
+        """Follow a job to its end and return its document with the result.
+
+        Raises:
+            JobFailedError: it failed; the document is the exception's ``job``.
+            JobCancelledError: it was cancelled.
+            JobTimeoutError: it goes on after ``timeout_s``.
+
+        """
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        for job in self._follow(job_id):
+            if progress is not None:
+                progress(*_progress_of(job))
+            if job.get("state") in FINISHED:
+                break
+            if deadline is not None and time.monotonic() > deadline:
+                raise JobTimeoutError(f"Job {job_id} is still {job.get('state')} after {timeout_s:g} s.", job_id=job_id)
+        return succeeded(self.get(job_id))
+
+    def run(
+        self,
+        kind: str,
+        robot: str,
+        campaigns: Sequence[str] = (),
+        validation: Validation = None,
+        options: Mapping[str, Any] | None = None,
+        progress: Progress | None = None,
+        timeout_s: float | None = None,
+    ) -> Document:
+        """Submit a job and wait for it."""
+        job = self.submit(kind, robot, campaigns, validation, options)
+        return self.wait(job["id"], progress, timeout_s)
+
+    def _follow(self, job_id: str) -> Iterator[Document]:
+        """Yield what the event stream tells; when it breaks or is refused, what the job's document says."""
+        try:
+            yield from self._events(job_id)
+        except (ServerUnreachableError, ApiError) as error:
+            if isinstance(error, NotFoundError | NotAuthorisedError):
+                raise
+        yield from self._polled(job_id)
+
+    def _events(self, job_id: str) -> Iterator[Document]:
+        with self._connection.lines(f"/v1/jobs/{job_id}/events") as lines:
+            for data in event_data(lines):
+                if isinstance(data, dict):
+                    yield data
+
+    def _polled(self, job_id: str) -> Iterator[Document]:
+        looks, silences = 0, 0
+        while True:
+            try:
+                job = self.get(job_id)
+            except ServerUnreachableError:
+                silences += 1
+                if silences >= MAX_SILENCES:
+                    raise
+            else:
+                silences = 0
+                yield job
+                if job.get("state") in FINISHED:
+                    return
+            time.sleep(POLL_S[min(looks, len(POLL_S) - 1)])
+            looks += 1
+
+
+def event_data(lines: Iterator[str]) -> Iterator[Any]:
+    """Yield the JSON of each server-sent event; comments are passed over, an event without JSON is None."""
+    data: list[str] = []
+    for line in lines:
+        if line.startswith("data:"):
+            data.append(line[5:].removeprefix(" "))
+        elif not line and data:
+            yield _json("\n".join(data))
+            data = []
+
+
+def _json(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None
+
+
+def succeeded(job: Document) -> Document:
+    """Return a finished job, or raise what it failed with."""
+    state = job.get("state")
+    if state == "succeeded":
+        return job
+    error = job.get("error") or {}
+    said = error.get("message") or error.get("detail")
+    if state == "cancelled":
+        raise JobCancelledError(str(said or f"Job {job.get('id')} was cancelled."), job=job)
+    raise JobFailedError(str(said or f"Job {job.get('id')} is {state}."), job=job, code=error.get("code"))
+
+
+def _progress_of(job: Document) -> tuple[float, str]:
+    progress = job.get("progress") or job
+    return float(progress.get("fraction") or 0.0), str(progress.get("stage") or job.get("state") or "")

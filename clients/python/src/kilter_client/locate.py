@@ -1,0 +1,77 @@
+"""Where the server is and which token it takes."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from kilter_client.errors import ServerUnreachableError
+
+SERVER_FILE = "server.json"
+TOKEN_FILE = "token"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A server's address, and the token to send with every request (None: send none)."""
+
+    url: str
+    token: str | None
+
+
+def data_folder() -> Path:
+    """Return the data folder of a server on this machine: KILTER_DATA, else ``~/.kilter``."""
+    return Path(os.environ.get("KILTER_DATA") or Path.home() / ".kilter")
+
+
+def locate(url: str | None = None, token: str | None = None) -> Place:
+    """Find the server: the arguments, else KILTER_URL and KILTER_TOKEN, else the running server's own files.
+
+    Raises:
+        ServerUnreachableError: nothing says where the server is.
+
+    """
+    found = (url or os.environ.get("KILTER_URL") or _running_server()).rstrip("/")
+    secret = token or os.environ.get("KILTER_TOKEN")
+    # The token file belongs to a server on this machine: it must not travel to another one.
+    if secret is None and _is_this_machine(found):
+        secret = _token_of(data_folder())
+    return Place(found, secret)
+
+
+def _running_server() -> str:
+    file = data_folder() / SERVER_FILE
+    try:
+        url = json.loads(file.read_text(encoding="utf-8"))["url"]
+    except FileNotFoundError as error:
+        raise ServerUnreachableError(
+            f"No server is known: {file} does not exist. Start one with `kilterd serve`, or set KILTER_URL.",
+            file=str(file),
+        ) from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ServerUnreachableError(
+            f"{file} cannot be read as a server's address ({error}). Restart `kilterd serve`, or set KILTER_URL.",
+            file=str(file),
+        ) from error
+    return str(url)
+
+
+def _token_of(folder: Path) -> str | None:
+    try:
+        return (folder / TOKEN_FILE).read_text(encoding="ascii").strip() or None
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
+def _is_this_machine(url: str) -> bool:
+    host = urlsplit(url).hostname or ""
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,126 @@
+"""Robots, campaigns and versions of a server."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kilter_client.connection import Connection, Document
+
+if TYPE_CHECKING:
+    from kilter_client.files import Prepared
+
+Sent = Callable[[int, int], None]
+
+PIECE = 1 << 18
+UPLOAD_TIMEOUT_S = 600.0
+
+
+class Robots:
+    """The robots."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def add(self, document: Mapping[str, Any]) -> Document:
+        """Add a robot (the contract's ``robot.json``); the same document twice changes nothing."""
+        return self._connection.post("/v1/robots", document)
+
+    def list(self) -> list[Document]:
+        """Return the robots, by name."""
+        return list(self._connection.get("/v1/robots")["robots"])
+
+    def get(self, name: str) -> Document:
+        """Return a robot with its joints, parameters and document."""
+        return self._connection.get(f"/v1/robots/{name}")
+
+    def remove(self, name: str) -> None:
+        """Delete a robot nothing was measured on."""
+        self._connection.request("DELETE", f"/v1/robots/{name}")
+
+
+class Campaigns:
+    """The measurement campaigns."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def add(
+        self,
+        robot: str,
+        name: str,
+        *,
+        device: str = "",
+        role: str = "train",
+        conditions: Mapping[str, Any] | None = None,
+        notes: str = "",
+    ) -> Document:
+        """Add a campaign to a robot."""
+        body = {"name": name, "device": device, "role": role, "conditions": dict(conditions or {}), "notes": notes}
+        return self._connection.post(f"/v1/robots/{robot}/campaigns", body)
+
+    def list(self, robot: str) -> list[Document]:
+        """Return the campaigns of a robot, oldest first."""
+        return list(self._connection.get(f"/v1/robots/{robot}/campaigns")["campaigns"])
+
+    def get(self, campaign_id: str) -> Document:
+        """Return a campaign and its uploads."""
+        return self._connection.get(f"/v1/campaigns/{campaign_id}")
+
+    def upload(self, campaign_id: str, data: Prepared | Path | str, sent: Sent | None = None) -> Document:
+        """Send observations: a prepared file, or the path of one with contract columns. The same bytes change nothing.
+
+        ``sent`` is told the bytes sent and their total.
+        """
+        from kilter_client.files import prepare
+
+        file = prepare(data) if isinstance(data, str | Path) else data
+        headers = {"Content-Type": file.content_type, "Content-Length": str(len(file.content))}
+        response = self._connection.request(
+            "POST",
+            f"/v1/campaigns/{campaign_id}/observations",
+            content=_pieces(file.content, sent),
+            headers=headers,
+            timeout=UPLOAD_TIMEOUT_S,
+        )
+        return self._connection.document(response)
+
+
+class Versions:
+    """The parameter versions."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def list(self, robot: str) -> list[Document]:
+        """Return the versions of a robot."""
+        return list(self._connection.get(f"/v1/robots/{robot}/versions")["versions"])
+
+    def get(self, version_id: str) -> Document:
+        """Return a version: parent, job, campaigns, effects, parameters, covariance."""
+        return self._connection.get(f"/v1/versions/{version_id}")
+
+    def activate(self, version_id: str) -> Document:
+        """Make a version the one that corrects."""
+        return self._connection.post(f"/v1/versions/{version_id}/activate")
+
+    def rollback(self, robot: str) -> Document:
+        """Return to the version that was active before."""
+        return self._connection.post(f"/v1/robots/{robot}/rollback")
+
+    def diff(self, first: str, second: str) -> Document:
+        """Compare two versions."""
+        return self._connection.get(f"/v1/versions/{first}/diff/{second}")
+
+    def export(self, version_id: str, form: str = "json") -> bytes:
+        """Return a version as a file: json, urdf, dh-csv, ..."""
+        return self._connection.request("GET", f"/v1/versions/{version_id}/export", params={"format": form}).content
+
+
+def _pieces(content: bytes, sent: Sent | None) -> Iterator[bytes]:
+    for start in range(0, len(content), PIECE):
+        piece = content[start : start + PIECE]
+        yield piece
+        if sent is not None:
+            sent(start + len(piece), len(content))
