@@ -104,8 +104,8 @@ def _append_motion(chain: _Chain, joint: UrdfJoint) -> None:
         element["ratio"] = sign * multiplier
     if offset:
         element["value"] = float(sign * offset * MM if prismatic else math.degrees(sign * offset))
-    # The six origin constants already hold every direction the zero offset could take.
-    chain.add(**element, fixed=True)
+    # The zero offset is a parameter of its own, though the origin's constants span it: level 1 identifies offsets only.
+    chain.add(**element)
     chain.frames.append((len(chain.elements) - 1, _back(turns), joint.child))
     for axis, degrees in reversed(turns):
         chain.add(axis=axis, value=-degrees, fixed=True)

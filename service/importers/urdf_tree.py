@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
@@ -113,7 +114,9 @@ def parse(text: str) -> UrdfTree:
     from defusedxml.common import DefusedXmlException
     from defusedxml.ElementTree import ParseError, fromstring
 
-    if "xacro" in text and ("<xacro:" in text or "${" in text):
+    # Real URDF files carry the macros they came from in comments (TALOS does).
+    bare = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    if "<xacro:" in bare or "${" in bare:
         raise RobotError(
             "This is xacro, not URDF: run `xacro robot.urdf.xacro > robot.urdf` and give the result.", field="urdf"
         )
