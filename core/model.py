@@ -147,8 +147,12 @@ class RobotModel:
             end_wrench=loads.ends, base_wrench=loads.base, tool_point=loads.tool_point,
             link_vectors=self.robot.chain.link_vectors, direction=o.direction, qd=o.qd, qdd=o.qdd, t=o.t,
             temperature_c=o.temperature_c, payload_kg=o.payload_kg, session=o.session,
-            payload_axial=payload_sensitivity(self.robot, o) if any("payload_kg" in e.needs for e in self.effects) else None,
+            payload_axial=payload_sensitivity(self.robot, o) if "payload_kg" in self._needs else None,
         )  # fmt: skip
+
+    @cached_property
+    def _needs(self) -> frozenset[str]:
+        return frozenset[str]().union(*(effect.needs for effect in self.effects))
 
     def _loads(self, o: Observations) -> Loads:
         if self.effects:
@@ -250,7 +254,7 @@ class RobotModel:
         frames = self.robot.chain.program.joint_frame
         if np.array_equal(frames, np.broadcast_to(np.eye(3), frames.shape)):
             return xi
-        split = xi.reshape(len(xi), -1, 2, 3)
+        split = xi.reshape(len(xi), len(frames), 2, 3)
         return np.asarray(np.einsum("jab,njkb->njka", frames, split).reshape(xi.shape))
 
     def _screws(

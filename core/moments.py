@@ -88,7 +88,7 @@ def axial_loads(robot: Robot, loads: Loads) -> Floats:
 
 
 def payload_sensitivity(robot: Robot, o: Observations) -> Floats:
-    """Axial load (N, n, 4) of one more kilogram at the payload's place, and of one kg·m of first moment along tool x, y, z."""
+    """Axial load (N, n, 4) of 1 kg at the payload's place, and of 1 kg·m of first moment along tool x, y, z."""
     bare, one = replace(robot, links=()), np.ones(len(o))
     place = np.zeros((len(o), 3)) if o.payload_com is None else o.payload_com
 

@@ -130,10 +130,10 @@ def linear(batch: Batch, values: Floats, derivatives: Iterable[Derivative]) -> L
 class Effect(ABC):
     """One physical error source. ``joints`` are the joints it acts on, from 0; None means all it can act on.
 
-    The class says what a search for missing effects must know: ``needs`` (columns), ``stage``, ``signs`` ("positive" when
-    physics fixes the sign of the parameters), ``aliases`` (ids whose signatures come nearest), ``remedy`` (what to
-    measure so that it can be tested or told apart), ``empirical`` (a shape without a cause), and ``at_joints`` (whether
-    ``joints`` choose where it acts).
+    The class says what a search for missing effects must know: ``needs`` (columns), ``stage``, ``signs`` ("positive"
+    when physics fixes the sign of the parameters), ``aliases`` (ids whose signatures come nearest), ``remedy`` (what
+    to measure so that it can be tested or told apart), ``empirical`` (a shape without a cause), and ``at_joints``
+    (whether ``joints`` choose where it acts).
     """
 
     id: ClassVar[str]
@@ -189,7 +189,7 @@ class Effect(ABC):
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able configuration: ``id`` and every field, joints counted from 1."""
-        shift = {name: 1 for name in self.counted}
+        shift = dict.fromkeys(self.counted, 1)
         own = {f.name: _plain(getattr(self, f.name), shift.get(f.name, 0)) for f in fields(self)}
         return {"id": self.id, **own}
 
@@ -202,7 +202,7 @@ class Effect(ABC):
 
         """
         try:
-            shift = {name: -1 for name in cls.counted}
+            shift = dict.fromkeys(cls.counted, -1)
             return cls.made(**{k: _frozen(v, shift.get(k, 0)) for k, v in document.items() if k != "id"})
         except (TypeError, ValueError) as error:
             raise OptionError(f"Effect {cls.id} cannot be made of {dict(document)}: {error}", effect=cls.id) from error

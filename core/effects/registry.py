@@ -30,7 +30,7 @@ def make_effect(effect_id: str, joints: Iterable[int] | None = None, **config: A
         OptionError: no such effect, or an option it does not have.
 
     """
-    chosen = None if joints is None else tuple(joints)
+    chosen = None if joints is None else tuple(int(j) for j in joints)
     return _class_of(effect_id).made(joints=chosen, **config)
 
 
