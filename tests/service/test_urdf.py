@@ -106,7 +106,7 @@ def test_merged_masses_load_the_joints_as_pinocchio_says(seed: int) -> None:
     robot = robot_from_document(result.document)
     names = [joint.name for joint in robot.joints]
     q = np.random.default_rng(seed).uniform(-2, 2, len(names))
-    wrench = joint_loads(robot, q[None])[0]
+    wrench = joint_loads(robot, q[None]).joints[0]
     ours = [w[5] if joint.kind == "revolute" else w[2] for w, joint in zip(wrench, robot.joints, strict=True)]
     model = pinocchio.buildModelFromXML(text)
     full = pinocchio.neutral(model)
