@@ -23,6 +23,7 @@ from core.effects.backlash import Backlash
 from core.effects.backlash_load import BacklashLoad
 from core.effects.clearance_tilt import ClearanceTilt
 from core.errors import OptionError
+from core.folding import fold, write_bodies, write_moves
 from core.kernels import correction as kernel
 from core.model import Calibration
 from core.robot import Joint, Robot
@@ -41,10 +42,11 @@ class CorrectionOptions:
 
     ``task`` "position" holds the tool point, "axis" also the direction of the tool's z, "pose" all six rows; "auto" is
     "pose" from six joints on, else "position". ``orientation_weight_m`` is what a radian of the tool counts in metres.
-    Limits: ``largest_rad`` and ``largest_m`` per joint, ``farthest_m`` at the tool point. ``rate_rad_s`` and ``rate_m_s``
-    bound how fast the effects with a sign (clearance, backlash) may change the correction; ``least_softening_nm``
-    softens their sign where the effect itself does not. ``ramp_s`` is the time of a change of version.
-    ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by 1 / (pi filter_hz).
+    Limits: ``largest_rad`` and ``largest_m`` per joint, ``farthest_m`` at the tool point. ``rate_rad_s`` and
+    ``rate_m_s`` bound how fast the effects with a sign (clearance, backlash) may change the correction;
+    ``least_softening_nm`` softens their sign where the effect itself does not. ``ramp_s`` is the time of a change of
+    version. ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
+    1 / (pi filter_hz) seconds.
     """
 
     task: Task = "auto"
@@ -135,7 +137,8 @@ class CorrectionProgram:
         out, info = np.empty((rows, n)), np.empty((rows, kernel.INFO))
         status = np.empty(rows, dtype=np.int64)
         signs = np.zeros((rows, n)) if direction is None else np.ascontiguousarray(direction, dtype=np.float64)
-        kernel.correct_rows(self.array, self.scratch(), np.zeros((n + 1, kernel.STATE)), x, width, signs, out, info, status)
+        state = np.zeros((n + 1, kernel.STATE))
+        kernel.correct_rows(self.array, self.scratch(), state, x, width, signs, out, info, status)
         return CorrectedRows(
             q=out,
             error_removed=-info[:, 4:7],
@@ -185,9 +188,7 @@ class Track:
         """
         return int(kernel.step(self.program.array, self._work, self.state, x, width, dt, self.out, self.info))
 
-    def follow(
-        self, x: Floats, width: int, dt: Floats, *, atomic: bool = False
-    ) -> tuple[int, Floats, Floats, Ints]:
+    def follow(self, x: Floats, width: int, dt: Floats, *, atomic: bool = False) -> tuple[int, Floats, Floats, Ints]:
         """Correct points ``x (K, width * n)`` in turn, ``dt (K,)`` s each after the one before.
 
         Returns the number of points before the first refusal, the joints (K, n), the info (K, INFO) and the status
@@ -206,7 +207,8 @@ class Track:
 def warm_up() -> None:
     """Compile every kernel, or load it from the cache: a first setpoint must not wait seconds for that."""
     chain = Chain((Element(Axis.RZ, joint=0),), 1)
-    program = compile_program(Calibration.nominal(Robot("warm", (Joint("j1", lower=-1.0, upper=1.0),), chain)), CorrectionOptions())
+    robot = Robot("warm", (Joint("j1", lower=-1.0, upper=1.0),), chain)
+    program = compile_program(Calibration.nominal(robot), CorrectionOptions())
     Track(program).step(np.zeros(1), 1, 0.0)
     Track(program).follow(np.zeros((1, 1)), 1, np.zeros(1))
     program.correct_rows(np.zeros((1, 1)))
@@ -232,120 +234,24 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     task = options.task if options.task != "auto" else ("pose" if n >= 6 else "position")
     rows = _ROWS[task]
     if len(rows) > n and options.task != "auto":
-        raise OptionError(f"task {task!r} holds {len(rows)} rows, the robot has {n} joints: give position.", option="task")
+        message = f"task {task!r} holds {len(rows)} rows, the robot has {n} joints: give position."
+        raise OptionError(message, option="task")
     arm = calibration.with_effects([e for e in calibration.model.effects if e.stage != "measurement"])
     folded, values = arm.model.folded(arm.values)
     assert folded.T_tool is not None  # set by RobotModel itself
     moved = dict(zip(folded.names, values.tolist(), strict=True))
-    nominal = _fold(robot, [e.value for e in robot.chain.elements], folded.T_tool)
-    actual = _fold(robot, [moved[e.name] if e.name else e.value for e in robot.chain.elements], folded.T_tool)
+    nominal = fold(robot, [e.value for e in robot.chain.elements], folded.T_tool)
+    actual = fold(robot, [moved[e.name] if e.name else e.value for e in robot.chain.elements], folded.T_tool)
     m = len(nominal.constants) - 1
     P = np.zeros((m + 1 + n + 1, kernel.COLUMNS))
-    _write_moves(P, robot, nominal, actual)
-    _write_bodies(P, robot, nominal, options)
+    write_moves(P, nominal, actual)
+    write_bodies(P, robot, nominal, options.payload_kg, options.payload_com)
     _write_joints(P[m + 1 : m + 1 + n], robot, options)
     _write_scalars(P[-1], robot, options, rows, m)
-    supported, unsupported = _write_effects(P[m + 1 : m + 1 + n], folded.effects, folded.effect_slices(), values, options)
+    joints = P[m + 1 : m + 1 + n]
+    supported, unsupported = _write_effects(joints, folded.effects, folded.effect_slices(), values, options)
     P[-1, kernel.LOADED] = float(any("moments" in e.needs for e in folded.effects if e.id in supported))
     return CorrectionProgram(P, n, m, rows, supported, unsupported)
-
-
-@dataclass(frozen=True)
-class _Folded:
-    """Chain as constants between moves; ``moves`` are (element, joint, ratio, slides, primary)."""
-
-    constants: list[Floats]
-    moves: list[tuple[int, int, float, bool, bool]]
-    since_move: list[Floats]  # per element: the constant transform since the last move
-    move_of: list[int]  # per element: the last move, -1 before the first
-
-
-def _elementary(axis: Axis, amount: float) -> Floats:
-    T = np.eye(4)
-    k = axis % 3
-    if axis.rotates:
-        a, b = (k + 1) % 3, (k + 2) % 3
-        c, s = math.cos(amount), math.sin(amount)
-        T[a, a], T[a, b], T[b, a], T[b, b] = c, -s, s, c
-    else:
-        T[k, 3] = amount
-    return T
-
-
-def _turn_to_z(element: Element, frame: Floats | None) -> Floats:
-    """Turn (4, 4) that brings z onto the element's axis: the joint frame when there is one."""
-    T = np.eye(4)
-    if frame is not None:
-        T[:3, :3] = frame
-        return T
-    z = element.axis % 3
-    T[:3, :3] = np.eye(3)[:, [(z + 1) % 3, (z + 2) % 3, z]]
-    return T
-
-
-def _fold(robot: Robot, values: list[float], T_tool: Floats) -> _Folded:
-    """Multiply everything that does not move into constants; every move becomes one about or along z."""
-    primary = {k: j for j, k in enumerate(robot.chain.primary)}
-    frames = robot.chain.program.joint_frame
-    out = _Folded([], [], [], [])
-    since = np.eye(4)
-    for k, (element, value) in enumerate(zip(robot.chain.elements, values, strict=True)):
-        since = since @ _elementary(element.axis, value)
-        if element.joint is not None:
-            turn = _turn_to_z(element, frames[primary[k]] if k in primary else None)
-            out.constants.append(since @ turn)
-            sign = turn[element.axis % 3, 2]
-            out.moves.append((k, element.joint, float(sign * element.ratio), not element.axis.rotates, k in primary))
-            since = turn.T
-        out.since_move.append(since)
-        out.move_of.append(len(out.moves) - 1)
-    out.constants.append(since @ T_tool)
-    return out
-
-
-def _write_moves(P: Floats, robot: Robot, nominal: _Folded, actual: _Folded) -> None:
-    for row, (a, b) in enumerate(zip(nominal.constants, actual.constants, strict=True)):
-        for column, T in ((kernel.NOMINAL, a), (kernel.IDENTIFIED, b)):
-            P[row, column : column + 9] = T[:3, :3].ravel()
-            P[row, column + 9 : column + 12] = T[:3, 3]
-    for row, (_, joint, ratio, slides, primary) in enumerate(nominal.moves):
-        P[row, kernel.KIND] = float(slides)
-        P[row, kernel.JOINT] = joint
-        P[row, kernel.RATIO] = ratio
-        P[row, kernel.PRIMARY] = 0.0 if primary else -1.0
-
-
-def _write_bodies(P: Floats, robot: Robot, nominal: _Folded, options: CorrectionOptions) -> None:
-    """Bodies that ride on the same move become one; the payload keeps its own row, on the last move."""
-    last = len(nominal.moves)
-    bodies: dict[int, list[tuple[float, Floats, Floats]]] = {}
-    for link in robot.links:
-        move = nominal.move_of[link.element]
-        if move >= 0 and link.mass != 0.0:
-            T = nominal.since_move[link.element]
-            R = T[:3, :3]
-            bodies.setdefault(move, []).append((link.mass, R @ link.com + T[:3, 3], R @ link.inertia @ R.T))
-    for move, parts in bodies.items():
-        _write_body(P[move], parts)
-    at_tool = nominal.since_move[-1] @ robot.T_tool
-    com = at_tool[:3, :3] @ np.asarray(options.payload_com) + at_tool[:3, 3]
-    _write_body(P[last], [(options.payload_kg, com, np.zeros((3, 3)))])
-
-
-def _write_body(row: Floats, parts: list[tuple[float, Floats, Floats]]) -> None:
-    """Mass, centre and inertia about it of bodies that move as one (parallel axes)."""
-    mass = sum(part[0] for part in parts)
-    if mass == 0.0:
-        return
-    com = sum((m * c for m, c, _ in parts), np.zeros(3)) / mass
-    inertia = np.zeros((3, 3))
-    for m, c, own in parts:
-        d = c - com
-        inertia += own + m * (d @ d * np.eye(3) - np.outer(d, d))
-    row[kernel.MASS] = mass
-    row[kernel.COM : kernel.COM + 3] = com
-    xx, yy, zz, xy, xz, yz = (inertia[a, b] for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
-    row[kernel.INERTIA : kernel.INERTIA + 6] = xx, yy, zz, xy, xz, yz
 
 
 def _write_joints(rows: Floats, robot: Robot, options: CorrectionOptions) -> None:

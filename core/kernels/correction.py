@@ -4,7 +4,7 @@
 move (a joint element with the constant transform before it), one for the constant transform up to the tool, one per
 joint, one of scalars. Every move is turned so that it is about or along z; frame k is the joint frame after move k.
 ``work`` (M + 1 + n + 6, COLUMNS) is scratch and may be shared; ``state`` (n + 1, STATE) is the memory of one stream.
-Angles rad, lengths m, masses kg, times s. Base frame throughout: the pose of the base cancels between wanted and actual.
+Angles rad, lengths m, masses kg, times s. Base frame throughout: the pose of the base cancels out of the task.
 
 The inverse (thesis eq. 5.22, iterated): with J the identified Jacobian at the wanted joints, the command is
 q + J' y where (J J' + λ²) y solves the wanted pose; λ is zero away from singularities. So the answer lies in the row
@@ -27,9 +27,8 @@ NOMINAL, IDENTIFIED, KIND, JOINT, RATIO, PRIMARY, MASS, COM, INERTIA = 0, 12, 24
 LOWER, UPPER, DQ, XI, TILT, TILT_SOFT, TILT_SHARE, PLAY, PLAY_SOFT = 0, 1, 2, 3, 9, 10, 11, 12, 13
 REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, MOVE = 14, 15, 16, 17, 18, 19
 # scalars
-GRAVITY, ROWS, ROW, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST, RAMP, FILTER, HYSTERESIS, LOADED, REACHED, N, M, WEAK = (
-    0, 3, 4, 10, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27,
-)  # fmt: skip
+GRAVITY, ROWS, ROW, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST = 0, 3, 4, 10, 16, 17, 18, 19
+RAMP, FILTER, HYSTERESIS, LOADED, REACHED, N, M, WEAK = 20, 21, 22, 23, 24, 25, 26, 27
 # scratch of a move: nominal frame, then the identified joint line, the sine and cosine of the
 # wanted joints, then force and moment about the base origin of the body on the move
 LINE, SINE, COSINE, LOAD = 12, 18, 19, 20
@@ -41,7 +40,8 @@ TURN_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW = 18, 19, 20
 # scratch of a task row: factor row, residual, multiplier and its step, then damping, matrix and eigenvector rows
 ERROR, MULTIPLIER, DELTA, DAMPING, MATRIX, VECTOR = 6, 7, 8, 9, 15, 21
 # state of a joint, and of the stream (row n)
-LAST_A, LAST_B, LAST_SIDE, LAST_Q, TURN, HEADING, OFFSET, LAST_DELTA, SMOOTH, SMOOTH_SPEED = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+LAST_A, LAST_B, LAST_SIDE, LAST_Q, TURN, HEADING = 0, 1, 2, 3, 4, 5
+OFFSET, LAST_DELTA, SMOOTH, SMOOTH_SPEED = 6, 7, 8, 9
 STARTED, REBASE, REMAINING, LENGTH = 0, 1, 2, 3
 
 OK, NOT_FINITE, JOINT_LIMIT, TOO_LARGE, RATE_LIMIT = 0, 5, 6, 7, 8
@@ -53,8 +53,6 @@ NO_MOMENT = 1e-9
 SETTLED_RAD = 1e-7
 # After this many rounds the signs stand still even if they flip back and forth around zero moment.
 SIGN_ROUNDS = 4
-
-
 
 
 @njit(cache=True, error_model="numpy")
@@ -195,7 +193,7 @@ def _identified(P, W, m, oj):
 
 @njit(cache=True, error_model="numpy")
 def _static_moments(P, W, S, m, oj):
-    """Load moments in the joint frames from gravity alone: one pass from the tool inwards over mass and first moment."""
+    """Load moments in the joint frames from gravity alone: mass and first moment, from the tool inwards."""
     g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
     mass = P[m, MASS]
     s0, s1, s2 = _point(W, m - 1, P[m, COM], P[m, COM + 1], P[m, COM + 2])
@@ -780,7 +778,7 @@ def _motion(P, W, state, x, n, m, width, dt):
 
 @njit(cache=True, error_model="numpy")
 def _ramp(P, W, state, n, m, dt):
-    """Advance the ramp from the last version, or from no correction; returns the part of the old offset that remains."""
+    """Advance the ramp from the last version, or from no correction; returns the part that remains, and its length."""
     S = P.shape[0] - 1
     if state[n, REBASE] != 0.0:
         length = P[S, RAMP]

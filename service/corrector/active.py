@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -66,13 +65,3 @@ class Source(Protocol):
     def close(self) -> None:
         """Let go of whatever is open."""
         ...
-
-
-def limits_in_core(limits: Mapping[str, float]) -> dict[str, float]:
-    """Limits of a version (degrees, mm at the wire) as options of the program (rad, m)."""
-    out = {}
-    if "largest_deg" in limits:
-        out["largest_rad"] = math.radians(limits["largest_deg"])
-    if "largest_mm" in limits:
-        out["largest_m"] = out["farthest_m"] = limits["largest_mm"] / 1000.0
-    return out

@@ -131,7 +131,7 @@ def decode_header(data: bytes) -> Header:
 
 
 def decode_setpoints(data: bytes) -> Setpoints:
-    """Read a point or a chunk; the numbers are a read-only view of ``data``.
+    """Read a point or a chunk. The numbers are writable, for numba compiles read-only arrays apart.
 
     Raises:
         FrameError: anything that is not exactly such a frame.
@@ -160,7 +160,7 @@ def decode_setpoints(data: bytes) -> Setpoints:
     columns = header.joints * width(flags)
     if len(data) != offset + 8 * points * columns:
         raise FrameError(f"{len(data)} bytes instead of {offset + 8 * points * columns}", header)
-    values = np.frombuffer(data, dtype="<f8", offset=offset).reshape(points, columns)
+    values = np.frombuffer(bytearray(data), dtype="<f8", offset=offset).reshape(points, columns)
     return Setpoints(header, values, step_ns, version)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 from pathlib import Path
+from typing import Any
 
 import zenoh
 
@@ -60,3 +61,13 @@ def open_listening(endpoint: str, file: Path | None) -> tuple[zenoh.Session, str
             if attempt == attempts - 1:
                 raise
     raise AssertionError("unreachable")
+
+
+def close(session: Any) -> None:
+    """Close a session, which closes all it declared; its own method has no types."""
+    session.close()
+
+
+def undeclare(declared: Any) -> None:
+    """Undeclare a token or queryable; its own method has no types."""
+    declared.undeclare()

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.correction import Track
-from core.kernels.correction import COLUMNS
 from service.corrector import frames
 from service.corrector.active import Active
 from service.corrector.frames import Flag, Kind, Setpoints, Status
@@ -79,7 +78,7 @@ class Stream:
         self._answered_ns = 0
 
     def answer(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool = False) -> bytes | None:
-        """Bytes to publish for a frame that arrived at ``arrival_ns`` (any monotonic clock), or None without a header."""
+        """Bytes to publish for a frame that arrived at ``arrival_ns`` (monotonic clock), or None without a header."""
         try:
             request = frames.decode_setpoints(data)
         except frames.FrameError as error:
@@ -206,14 +205,3 @@ class Stream:
         counters.processing_max_ns = max(counters.processing_max_ns, spent)
         counters.last = status
         return spent
-
-
-def warm(active: Active) -> None:
-    """Run every compiled path once, so that no setpoint waits for the compiler or its cache."""
-    n = active.program.n_joints
-    assert active.program.array.shape[1] == COLUMNS
-    middle = np.nan_to_num(active.program.array[active.program.moves + 1 : -1, :2]).mean(axis=1)
-    x = np.concatenate([middle, np.zeros(2 * n)])
-    for width in (1, 3):
-        Track(active.program, settled=True).step(x[: width * n], width, 0.0)
-        Track(active.program).follow(x[None, : width * n], width, np.zeros(1))

@@ -1,0 +1,65 @@
+"""Active versions from Kilter's database, compiled for the kernel."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Hashable, Mapping
+
+from core.correction import CorrectionOptions, compile_program
+from core.errors import CoreError
+from service.corrector.active import Active, version_number
+from service.db import Database
+from service.versions import store
+
+log = logging.getLogger("kilter.corrector")
+
+
+class DatabaseSource:
+    """Reads what is active; a version is compiled once."""
+
+    def __init__(self, url: str) -> None:
+        self._database = Database(url)
+        self._compiled: dict[tuple[str, int], Active] = {}
+
+    def stamp(self) -> Hashable:
+        """Number that changes with every activation."""
+        with self._database.transaction() as session:
+            return store.active_stamp(session)
+
+    def load(self) -> Mapping[str, Active]:
+        """Every robot's active version. One that cannot be compiled is logged and leaves the others alone."""
+        with self._database.transaction() as session:
+            found = [store.active_version(session, name) for name in store.robots_with_active(session)]
+        out = {}
+        for version in found:
+            if version is None:
+                continue
+            key = (version.robot, version.epoch)
+            try:
+                active = self._compiled.get(key) or _compiled(version)
+            except CoreError:
+                log.exception("version %s of robot %s cannot be streamed", version.id, version.robot)
+                continue
+            self._compiled[key] = out[version.robot] = active
+        return out
+
+    def close(self) -> None:
+        """Close the database."""
+        self._database.close()
+
+
+def _compiled(version: store.ActiveVersion) -> Active:
+    options = CorrectionOptions(
+        largest_rad=version.max_joint, largest_m=version.max_position, farthest_m=version.max_position
+    )
+    return Active(
+        robot=version.robot,
+        version_id=version.id,
+        number=version_number(version.sha256),
+        epoch=version.epoch,
+        program=compile_program(version.calibration, options),
+        largest_deg=math.degrees(version.max_joint),
+        largest_mm=version.max_position * 1e3,
+        ramp_s=options.ramp_s,
+    )

@@ -1,0 +1,217 @@
+"""`kilterd corrector`: supervises the stream process and the query process, and follows the active versions.
+
+The database is read here and nowhere else, so a slow or absent database never touches a setpoint: the stream goes on
+with the version in use.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import multiprocessing
+import os
+import secrets
+import signal
+import threading
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from service.corrector.active import Active, Source
+from service.corrector.database_source import DatabaseSource
+from service.corrector.loop import StreamSpec, stream_main
+from service.corrector.queries import QuerySpec, query_main
+from service.corrector.session import with_port_zero
+from service.corrector.stream import Rules
+from service.settings import Settings
+
+log = logging.getLogger("kilter.corrector")
+
+CORRECTOR_FILE = "corrector.json"
+POLL_S = 0.25
+START_S = 60.0  # the first start on a machine compiles the kernel
+STOP_S = 5.0
+
+
+class Child:
+    """A spawned process at the other end of a pipe. Spawned, not forked: a fork of a zenoh process hangs."""
+
+    def __init__(self, name: str, entry: Callable[[Any, Connection], None], spec: Any) -> None:
+        self.name = name
+        self._entry = entry
+        self._spec = spec
+        self._process: BaseProcess | None = None
+        self._pipe: Connection | None = None
+
+    def start(self) -> tuple[str, bool]:
+        """Start the process and wait until it listens; returns its endpoint and whether it runs in real time.
+
+        Raises:
+            RuntimeError: it ended or did not listen in time.
+
+        """
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=self._entry, args=(self._spec, theirs), name=f"kilter-{self.name}")
+        self._process.start()
+        theirs.close()
+        try:
+            if self._pipe.poll(START_S):
+                _, endpoint, real_time = self._pipe.recv()
+                # Started anew it listens where its clients look for it.
+                self._spec = replace(self._spec, listen=endpoint)
+                return str(endpoint), bool(real_time)
+        except EOFError:
+            pass
+        self.stop()
+        raise RuntimeError(f"The {self.name} process of the corrector did not start; its messages are above.")
+
+    @property
+    def pid(self) -> int | None:
+        """Process id, for the corrector file."""
+        return self._process.pid if self._process else None
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process is not None and self._process.is_alive()
+
+    def send(self, *message: Any) -> None:
+        """Tell the process something; a process that is gone is started anew by the supervisor."""
+        if self._pipe is not None:
+            try:
+                self._pipe.send(message)
+            except OSError:
+                log.warning("the %s process is gone", self.name)
+
+    def stop(self) -> None:
+        """Ask the process to stop, and end it when it does not."""
+        if self._process is None:
+            return
+        self.send("stop")
+        self._process.join(STOP_S)
+        if self._process.is_alive():
+            log.warning("the %s process did not stop in %.0f s: it is killed", self.name, STOP_S)
+            self._process.kill()
+            self._process.join()
+        self._process = None
+        if self._pipe is not None:
+            self._pipe.close()
+            self._pipe = None
+
+
+class Corrector:
+    """Both processes and the versions they use, from :meth:`start` to :meth:`stop`."""
+
+    def __init__(self, settings: Settings, source: Source, rules: Rules | None = None) -> None:
+        self._settings = settings
+        self._source = source
+        self._rules = rules or Rules()
+        self._stamp: Hashable = object()
+        self._active: dict[str, Active] = {}
+        self.instance = f"{os.getpid()}-{secrets.token_hex(4)}"
+        self.endpoints: dict[str, str] = {}
+        self._children: dict[str, Child] = {}
+
+    @property
+    def file(self) -> Path:
+        """Where clients on this machine find the endpoints."""
+        return self._settings.data / CORRECTOR_FILE
+
+    def start(self) -> None:
+        """Start both processes, write the corrector file and take over the active versions."""
+        listen = self._settings.zenoh_listen
+        site, config = self._settings.site, self._settings.zenoh_config
+        stream = StreamSpec(site, self.instance, listen, config, self._rules)
+        queries = QuerySpec(site, with_port_zero(listen), config)
+        self._children = {
+            "stream": Child("stream", stream_main, stream),
+            "query": Child("query", query_main, queries),
+        }
+        for name in self._children:
+            self._start_child(name)
+        self.poll()
+
+    def _start_child(self, name: str) -> None:
+        endpoint, real_time = self._children[name].start()
+        self.endpoints[name] = endpoint
+        log.info("%s process listens on %s%s", name, endpoint, ", real-time priority" if real_time else "")
+        for active in self._active.values():
+            self._children[name].send("use", active)
+        self._write_file()
+
+    def _write_file(self) -> None:
+        document = {
+            "pid": os.getpid(),
+            "site": self._settings.site,
+            "instance": self.instance,
+            "endpoints": self.endpoints,
+            "zenoh_config": str(self._settings.zenoh_config) if self._settings.zenoh_config else None,
+        }
+        self._settings.data.mkdir(parents=True, exist_ok=True)
+        part = self.file.with_suffix(".part")
+        part.write_text(json.dumps(document, indent=1), encoding="utf-8")
+        part.replace(self.file)
+
+    def poll(self) -> None:
+        """Look once: restart what died, take over what was activated."""
+        for name, child in self._children.items():
+            if not child.alive:
+                log.error("the %s process ended: it is started anew", name)
+                child.stop()
+                self._start_child(name)
+        try:
+            stamp = self._source.stamp()
+            if stamp != self._stamp:
+                self._take_over(self._source.load())
+                self._stamp = stamp
+        except Exception:  # whatever the database says, the stream goes on with what it has
+            log.exception("the active versions could not be read; the versions in use stay")
+
+    def _take_over(self, versions: Mapping[str, Active]) -> None:
+        for robot in [robot for robot in self._active if robot not in versions]:
+            del self._active[robot]
+            self._tell("drop", robot)
+        for robot, active in versions.items():
+            known = self._active.get(robot)
+            if known is not None and (known.epoch, known.number) == (active.epoch, active.number):
+                continue
+            self._active[robot] = active
+            self._tell("use", active)
+            if active.program.unsupported:
+                names = ", ".join(active.program.unsupported)
+                log.warning("version %s of %s: not corrected at run time: %s", active.version_id, robot, names)
+            log.info("robot %s follows version %s, epoch %d", robot, active.version_id, active.epoch)
+
+    def _tell(self, *message: Any) -> None:
+        for child in self._children.values():
+            child.send(*message)
+
+    def stop(self) -> None:
+        """Stop both processes and remove the corrector file."""
+        for child in self._children.values():
+            child.stop()
+        self.file.unlink(missing_ok=True)
+        self._source.close()
+
+
+def run(settings: Settings) -> None:
+    """Correct until SIGTERM or Ctrl-C."""
+    stopped = threading.Event()
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        stopped.set()
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    corrector = Corrector(settings, DatabaseSource(settings.database))
+    try:
+        corrector.start()
+        while not stopped.wait(POLL_S):
+            corrector.poll()
+    finally:
+        corrector.stop()

@@ -1,0 +1,104 @@
+"""Robots, versions and a running corrector for these tests."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.correction import CorrectionOptions, compile_program
+from core.effects import make_effect
+from core.model import Calibration, RobotModel
+from core.robots import robot_from_document
+from service.corrector.active import Active, version_number
+from service.corrector.process import Corrector
+from service.settings import Settings
+
+EFFECTS = ("clearance_tilt", "backlash_load", "axial_compliance", "backlash")
+
+
+def calibration_of(
+    preset: str, effects: tuple[str, ...] = EFFECTS, seed: int = 0, softening_nm: float = 0.0
+) -> Calibration:
+    """A preset with geometric errors of 0.1 mm and 0.02 deg, tilt, backlash and compliance of the thesis's size."""
+    robot = robot_from_document({"convention": "preset", "preset": preset, "name": preset})
+    soft = {"clearance_tilt", "backlash_load"}
+    made = tuple(make_effect(e, **({"softening_nm": softening_nm} if e in soft else {})) for e in effects)
+    model = RobotModel(robot, made)
+    values = model.values0()
+    rng = np.random.default_rng(seed)
+    for k, name in enumerate(model.names):
+        p = model.parameter(name)
+        if name.startswith("clearance"):
+            values[k] = math.radians(0.02)
+        elif name.startswith("backlash"):
+            values[k] = math.radians(0.05)
+        elif name.startswith("compliance"):
+            values[k] = 2e-5
+        elif not name.startswith(("base", "tool")):
+            values[k] += rng.normal() * (1e-4 if p.unit == "m" else math.radians(0.02))
+    return Calibration(model, values)
+
+
+def active_of(calibration: Calibration, epoch: int = 1, **options: float) -> Active:
+    """A version as the processes pass it around."""
+    program = compile_program(calibration, CorrectionOptions(**options))  # type: ignore[arg-type]
+    return Active(calibration.robot.name, f"ver_{epoch}", version_number(program.digest), epoch, program)
+
+
+class MemorySource:
+    """Versions in use, set by the test."""
+
+    def __init__(self) -> None:
+        self.versions: dict[str, Active] = {}
+        self.fails = False
+        self._stamp = 0
+
+    def use(self, active: Active) -> None:
+        self.versions = {**self.versions, active.robot: active}
+        self._stamp += 1
+
+    def withdraw(self, robot: str) -> None:
+        self.versions = {name: active for name, active in self.versions.items() if name != robot}
+        self._stamp += 1
+
+    def stamp(self) -> Hashable:
+        if self.fails:
+            raise RuntimeError("the database is away")
+        return self._stamp
+
+    def load(self) -> Mapping[str, Active]:
+        return self.versions
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="session")
+def katana() -> Calibration:
+    return calibration_of("katana450-chapter4")
+
+
+@pytest.fixture(scope="session")
+def ur10() -> Calibration:
+    return calibration_of("ur10")
+
+
+@pytest.fixture(scope="module")
+def source(katana: Calibration) -> MemorySource:
+    made = MemorySource()
+    made.use(active_of(katana, ramp_s=0.05))
+    return made
+
+
+@pytest.fixture(scope="module")
+def corrector(source: MemorySource, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Corrector]:
+    folder: Path = tmp_path_factory.mktemp("data")
+    settings = Settings(data=folder, zenoh_listen="tcp/127.0.0.1:0", site="test")
+    running = Corrector(settings, source)
+    running.start()
+    yield running
+    running.stop()
