@@ -7,12 +7,14 @@ from contextlib import asynccontextmanager
 
 from fastapi import APIRouter, Depends, FastAPI
 
-from service import errors
+from service import problems
 from service.auth.access import reader
 from service.auth.token import admin_token
 from service.campaigns.routes import router as campaigns
 from service.db import Database, revision
 from service.health.routes import router as health
+from service.jobs.queue import JobQueue
+from service.jobs.routes import router as jobs
 from service.robots.routes import router as robots
 from service.settings import Settings
 from service.version import code_version
@@ -20,7 +22,7 @@ from service.versions.routes import router as versions
 
 SUMMARY = "Keeps a serial robot arm true: identifies its errors from measured poses and corrects its setpoints."
 
-ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions)
+ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs)
 
 # How long the API waits at its start for `kilterd serve` to migrate the database beside it.
 MIGRATION_WAIT_S = 30.0
@@ -33,10 +35,10 @@ def create_app(settings: Settings, *, migration_wait_s: float = 0.0) -> FastAPI:
         version=code_version(),
         summary=SUMMARY,
         lifespan=lambda app: _life(app, settings, migration_wait_s),
-        responses=errors.RESPONSES,
+        responses=problems.RESPONSES,
         redoc_url=None,
     )
-    errors.install(app)
+    problems.install(app)
     app.include_router(health)
     for router in ROUTERS:
         app.include_router(router, dependencies=[Depends(reader)])
@@ -48,8 +50,10 @@ async def _life(app: FastAPI, settings: Settings, migration_wait_s: float) -> As
     app.state.settings = settings
     app.state.token = admin_token(settings)
     app.state.database = Database(settings.database)
+    app.state.queue = JobQueue(settings)
     try:
         revision.wait(app.state.database, migration_wait_s)
         yield
     finally:
+        app.state.queue.close()
         app.state.database.close()

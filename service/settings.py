@@ -13,6 +13,7 @@ DATABASE_FILE = "kilter.sqlite"
 JOBS_FILE = "jobs.sqlite"
 TOKEN_FILE = "token"
 SERVER_FILE = "server.json"
+CORRECTOR_FILE = "corrector.json"
 
 
 def default_data() -> Path:
@@ -59,6 +60,11 @@ class Settings(BaseSettings):
     def server_file(self) -> Path:
         """File in which a running server writes its URL, process id and zenoh endpoint."""
         return self.data / SERVER_FILE
+
+    @property
+    def corrector_file(self) -> Path:
+        """File in which a running corrector writes its process id and endpoints."""
+        return self.data / CORRECTOR_FILE
 
     @property
     def is_loopback(self) -> bool:

@@ -7,7 +7,7 @@ import httpx
 import pytest
 from fastapi import APIRouter, Depends, FastAPI
 
-from service import errors
+from service import problems
 from service.auth.access import Admin, reader
 from service.auth.token import admin_token, check_binding
 from service.errors import ServiceError
@@ -18,7 +18,7 @@ Serve = Callable[[FastAPI], httpx.Client]
 
 def guarded(settings: Settings) -> FastAPI:
     app = FastAPI()
-    errors.install(app)
+    problems.install(app)
     app.state.settings, app.state.token = settings, admin_token(settings)
     router = APIRouter()
 

@@ -9,7 +9,7 @@ from fastapi import FastAPI
 from pydantic import BaseModel
 
 from core.errors import NotConvergedError, TooFewPosesError
-from service import errors
+from service import problems
 from service.errors import PROBLEMS
 
 
@@ -21,7 +21,7 @@ class Payload(BaseModel):
 @pytest.fixture
 def client(serve: Callable[[FastAPI], httpx.Client]) -> httpx.Client:
     app = FastAPI()
-    errors.install(app)
+    problems.install(app)
 
     @app.get("/few")
     def few() -> None:

@@ -1,0 +1,64 @@
+"""What a kind of job is. Adding one is its file in ``kinds/`` and one line in ``registry.py``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from service.versions.schemas import CorrectionLimits
+
+if TYPE_CHECKING:
+    from core.model import Calibration
+    from core.observations import Observations
+    from core.robot import Robot
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class JobInput:
+    """All a kind needs, loaded from the database. ``validation`` is what the job names: rows, a fraction, folds.
+
+    ``version_id`` and ``calibration`` are those of the version the options name (``JobKind.version_option``).
+    """
+
+    robot: Robot
+    campaigns: dict[str, Observations]
+    validation: dict[str, Observations] | float | int | None
+    options: dict[str, Any]
+    version_id: str | None = None
+    calibration: Calibration | None = None
+
+
+@dataclass(frozen=True)
+class VersionContent:
+    """What a job puts into the version it makes."""
+
+    calibration: dict[str, Any]
+    report: dict[str, Any]
+    covariance: dict[str, Any]
+    limits: CorrectionLimits = field(default_factory=CorrectionLimits)
+
+
+@dataclass(frozen=True)
+class JobOutput:
+    """The result document, JSON-able; and the content of the version the job makes, if it makes one."""
+
+    result: dict[str, Any]
+    version: VersionContent | None = None
+
+
+@dataclass(frozen=True)
+class JobKind:
+    """A kind of job.
+
+    ``check`` refuses options at once, before the job is queued; it raises a CoreError. ``run`` computes: it gets
+    ``progress(fraction, stage)``, which raises ``CancelledError`` when the job was cancelled, and must call it at
+    least once a second. Both import core inside, for the API process lists the kinds without it.
+    """
+
+    name: str
+    check: Callable[[dict[str, Any]], None]
+    run: Callable[[JobInput, Progress], JobOutput]
+    version_option: str | None = None

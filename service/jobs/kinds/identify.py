@@ -1,0 +1,70 @@
+"""Job kind ``identify``: observations into a new parameter version."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from core.errors import OptionError
+from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from service.versions.schemas import CorrectionLimits
+
+if TYPE_CHECKING:
+    from core.identify import IdentifyOptions
+
+START, LIMITS = "start", "limits"
+
+
+def check(options: dict[str, Any]) -> None:
+    """Refuse options that identify does not have.
+
+    Raises:
+        OptionError: one that does not exist or cannot be.
+
+    """
+    _options(options).make_effects()
+    _limits(options)
+
+
+def run(job: JobInput, progress: Progress) -> JobOutput:
+    """Identify the robot from all campaigns together."""
+    from core.identify import Folds, identify  # compiled kernels: only the worker needs them
+    from core.observations import Observations
+    from service.campaigns.store import numbered
+
+    validation: Observations | float | Folds | None
+    if isinstance(job.validation, dict):
+        parts = numbered([*job.campaigns.values(), *job.validation.values()])
+        train = Observations.concatenate(parts[: len(job.campaigns)])
+        validation = Observations.concatenate(parts[len(job.campaigns) :])
+    else:
+        train = Observations.concatenate(numbered(job.campaigns.values()))
+        validation = Folds(job.validation) if isinstance(job.validation, int) else job.validation
+    found = identify(job.robot, train, validation, _options(job.options), job.calibration, progress)
+    report = found.to_document()
+    covariance = {"names": list(found.free_names), "matrix": found.covariance.tolist(), "units": "SI"}
+    content = VersionContent(found.calibration.to_document(), report, covariance, _limits(job.options))
+    return JobOutput(report, content)
+
+
+def _options(options: dict[str, Any]) -> IdentifyOptions:
+    from core.identify import IdentifyOptions
+
+    own = {key: value for key, value in options.items() if key not in (START, LIMITS)}
+    try:
+        return IdentifyOptions.from_document(own)
+    except TypeError as error:
+        raise OptionError(f"The options cannot be read: {error}.") from error
+
+
+def _limits(options: dict[str, Any]) -> CorrectionLimits:
+    try:
+        return CorrectionLimits.model_validate(options.get(LIMITS) or {})
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise OptionError(f"options.limits.{place}: {first['msg']}.", option=LIMITS) from error
+
+
+IDENTIFY = JobKind("identify", check, run, version_option=START)

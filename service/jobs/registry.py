@@ -1,0 +1,27 @@
+"""Every kind of job Kilter can run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from service.errors import ServiceError
+from service.jobs.kind import JobKind
+from service.jobs.kinds.evaluate import EVALUATE
+from service.jobs.kinds.identify import IDENTIFY
+
+KINDS: Mapping[str, JobKind] = MappingProxyType({kind.name: kind for kind in (IDENTIFY, EVALUATE)})
+
+
+def kind_of(name: str) -> JobKind:
+    """Return the kind of a name.
+
+    Raises:
+        ServiceError: Kilter has no such kind.
+
+    """
+    if name not in KINDS:
+        raise ServiceError(
+            f"There is no job of kind {name!r}. There are: {', '.join(KINDS)}.", code="kind_unavailable", kinds=[*KINDS]
+        )
+    return KINDS[name]

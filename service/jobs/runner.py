@@ -1,0 +1,115 @@
+"""The two steps of every job: compute its outcome, store its outcome. Both may run again after a crash."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from dataclasses import asdict
+from typing import Any
+
+from core.errors import CancelledError, CoreError
+from service.db import Database
+from service.jobs import store
+from service.jobs.kind import VersionContent
+from service.jobs.registry import kind_of
+from service.versions.schemas import CorrectionLimits
+
+log = logging.getLogger("kilter.worker")
+
+Outcome = dict[str, Any]
+
+TELL_S = 0.2  # at most so often progress is stored and the wish to cancel is read
+MAX_ATTEMPTS = 10  # a job that took the worker down so often would do it for ever
+
+
+class Runner:
+    """Runs jobs one after the other, however many the engine hands out at once."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._slot = threading.Lock()
+
+    def compute(self, job_id: str) -> Outcome:
+        """First step: the outcome of a job, JSON-able; it is checkpointed and not computed again."""
+        tell = Teller(self._database, job_id)
+        try:
+            while not self._slot.acquire(timeout=TELL_S):
+                tell(0.0, "waiting for another job")
+            try:
+                return self._compute(job_id, tell)
+            finally:
+                self._slot.release()
+        except CancelledError:
+            return {"state": "cancelled"}
+        except CoreError as error:
+            return _failed(error.code, error.message)
+        except Exception:
+            log.exception("job %s failed", job_id)
+            return _failed("internal_error", f"Kilter failed. The worker's log has the cause under job {job_id}.")
+
+    def _compute(self, job_id: str, tell: Teller) -> Outcome:
+        with self._database.transaction() as session:
+            attempt = store.begin(session, job_id)
+            kind = kind_of(store.row_of(session, job_id).kind)
+        if attempt == 0:
+            return {"state": "over"}
+        if attempt > MAX_ATTEMPTS:
+            return _failed("internal_error", f"The worker died {MAX_ATTEMPTS} times in this job: see its log.")
+        tell(0.0, "loading", now=True)
+        with self._database.transaction() as session:
+            job = store.load(session, job_id)
+        output = kind.run(job, tell)
+        tell(1.0, "storing", now=True)
+        version = None if output.version is None else _as_document(output.version)
+        return {"state": "succeeded", "result": output.result, "version": version}
+
+    def finish(self, job_id: str, outcome: Outcome) -> None:
+        """Second step: store the outcome; a second time changes nothing."""
+        with self._database.transaction() as session:
+            if outcome["state"] == "succeeded":
+                store.succeed(session, job_id, outcome["result"], _as_content(outcome["version"]))
+            elif outcome["state"] == "failed":
+                store.fail(session, job_id, outcome["code"], outcome["message"])
+            elif outcome["state"] == "cancelled":
+                store.cancel(session, job_id)
+
+
+class Teller:
+    """The progress callback of one job."""
+
+    def __init__(self, database: Database, job_id: str) -> None:
+        self._database = database
+        self._job_id = job_id
+        self._next = 0.0
+
+    def __call__(self, fraction: float, stage: str, *, now: bool = False) -> None:
+        """Store the progress.
+
+        Raises:
+            CancelledError: the job was cancelled.
+
+        """
+        time_s = time.monotonic()
+        if time_s < self._next and not now:
+            return
+        self._next = time_s + TELL_S
+        with self._database.transaction() as session:
+            stop = store.advance(session, self._job_id, fraction, stage)
+        if stop:
+            raise CancelledError(f"Job {self._job_id} was cancelled.")
+
+
+def _failed(code: str, message: str) -> Outcome:
+    return {"state": "failed", "code": code, "message": message}
+
+
+def _as_document(content: VersionContent) -> dict[str, Any]:
+    fields = {key: value for key, value in asdict(content).items() if key != "limits"}
+    return {**fields, "limits": content.limits.model_dump(mode="json")}
+
+
+def _as_content(document: dict[str, Any] | None) -> VersionContent | None:
+    if document is None:
+        return None
+    return VersionContent(**{**document, "limits": CorrectionLimits(**document["limits"])})

@@ -1,0 +1,80 @@
+"""Wire types of jobs."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
+FINAL: frozenset[str] = frozenset({"succeeded", "failed", "cancelled"})
+
+
+class Strict(BaseModel):
+    """No unknown field."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class Folds(Strict):
+    """Cross-validation."""
+
+    folds: Annotated[int, Field(ge=2, le=1000)]
+
+
+Fraction = Annotated[float, Field(gt=0, lt=1)]
+
+
+class NewJob(Strict):
+    """A job to run. Which options there are depends on the kind."""
+
+    kind: str
+    robot: str
+    campaigns: list[str] = []
+    validation: list[str] | Fraction | Folds | None = None
+    options: dict[str, Any] = {}
+
+
+class Progress(Strict):
+    """How far a job is (0 to 1) and what it does."""
+
+    fraction: float
+    stage: str
+
+
+class JobError(Strict):
+    """Why a job failed."""
+
+    code: str
+    message: str
+
+
+class JobSummary(Strict):
+    """A job in a list."""
+
+    id: str
+    kind: str
+    robot: str
+    state: State
+    progress: Progress
+    error: JobError | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+
+
+class Job(JobSummary):
+    """A job with what was asked and what came out; ``result.version_id`` names the version it made."""
+
+    campaigns: list[str]
+    validation: list[str] | Fraction | Folds | None
+    options: dict[str, Any]
+    attempts: int
+    result: dict[str, Any] | None
+
+
+class JobList(Strict):
+    """Jobs, newest first."""
+
+    jobs: list[JobSummary]

@@ -1,0 +1,105 @@
+"""What can be done with jobs."""
+
+from __future__ import annotations
+
+import logging
+
+from service.campaigns import store as campaigns
+from service.db import Database, Session
+from service.errors import ServiceError
+from service.jobs import store
+from service.jobs.queue import JobQueue
+from service.jobs.registry import kind_of
+from service.jobs.schemas import FINAL, Job, JobList, NewJob
+from service.robots import store as robots
+from service.versions import store as versions
+
+log = logging.getLogger("kilter.api")
+
+
+def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
+    """Check a job and queue it.
+
+    Raises:
+        ServiceError: no such kind, robot, campaign or version, or campaigns that do not fit.
+        CoreError: options the kind does not have.
+
+    """
+    kind = kind_of(job.kind)
+    with database.transaction() as session:
+        robot_id = robots.get(session, job.robot).id
+        _check_campaigns(session, robot_id, job)
+        version = job.options.get(kind.version_option) if kind.version_option else None
+        if version is not None:
+            _check_version(session, robot_id, str(version))
+    kind.check(job.options)
+    with database.transaction() as session:
+        job_id = store.add(session, robot_id, job)
+    try:
+        queue.enqueue(job_id)
+    except Exception:  # whatever the job engine lacks (it has not started yet), the worker's sweep finds the row
+        log.warning("job %s waits for the worker to find it", job_id, exc_info=True)
+    return get(database, job_id)
+
+
+def _check_campaigns(session: Session, robot_id: int, job: NewJob) -> None:
+    held = job.validation if isinstance(job.validation, list) else []
+    for campaign in [*job.campaigns, *held]:
+        if campaigns.row_of(session, campaign).robot_id != robot_id:
+            raise ServiceError(
+                f"Campaign {campaign} is not of robot {job.robot!r}: name campaigns of that robot.",
+                code="campaigns_invalid",
+                campaign=campaign,
+            )
+    if not job.campaigns:
+        raise ServiceError("The job names no campaign: give at least one in `campaigns`.", code="campaigns_invalid")
+    known = _hashes(session, job.campaigns)
+    shared = sorted(set(known) & set(_hashes(session, held)))
+    if shared:
+        raise ServiceError(
+            f"The same rows are in {known[shared[0]]} and in `validation`: what was used to identify cannot "
+            "validate. Name other campaigns, or give a fraction.",
+            code="campaigns_invalid",
+            campaign=known[shared[0]],
+        )
+
+
+def _hashes(session: Session, ids: list[str]) -> dict[str, str]:
+    return {upload.sha256: campaign for campaign in ids for upload in campaigns.uploads_of(session, campaign)}
+
+
+def _check_version(session: Session, robot_id: int, version: str) -> None:
+    if versions.row_of(session, version).robot_id != robot_id:
+        raise ServiceError(f"Version {version} is of another robot.", code="option_invalid", version=version)
+
+
+def get(database: Database, job_id: str) -> Job:
+    """Return a job."""
+    with database.transaction() as session:
+        return store.get(session, job_id)
+
+
+def listed(database: Database, robot: str | None, limit: int) -> JobList:
+    """List the newest jobs."""
+    with database.transaction() as session:
+        return JobList(jobs=store.listed(session, robot, limit))
+
+
+def cancel(database: Database, queue: JobQueue, job_id: str) -> Job:
+    """Stop a job; one that was cancelled before stays so.
+
+    Raises:
+        ServiceError: it has finished otherwise.
+
+    """
+    with database.transaction() as session:
+        row = store.row_of(session, job_id)
+        if row.state in FINAL and row.state != "cancelled":
+            raise ServiceError(f"Job {job_id} has {row.state}: there is nothing to cancel.", code="job_finished")
+        never_began = store.request_cancel(session, job_id)
+    if never_began:
+        try:
+            queue.cancel(job_id)
+        except Exception:  # the row says cancelled, so the worker will not compute even if the engine hands it out
+            log.warning("job %s was cancelled before the job engine knew it", job_id, exc_info=True)
+    return get(database, job_id)

@@ -1,0 +1,199 @@
+"""Rows of jobs."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import asdict
+from datetime import timedelta
+from typing import Any
+
+from sqlalchemy import select, update
+
+from service.campaigns import store as campaigns
+from service.db import Session
+from service.db.tables import JobRow, RobotRow, now
+from service.errors import ServiceError
+from service.jobs.kind import JobInput, VersionContent
+from service.jobs.registry import kind_of
+from service.jobs.schemas import FINAL, Folds, Job, JobError, JobSummary, NewJob, Progress
+from service.robots import store as robots
+from service.version import code_version
+from service.versions import store as versions
+from service.versions.store import NewVersion
+
+
+def add(session: Session, robot_id: int, job: NewJob) -> str:
+    """Store a queued job and return its id."""
+    row = JobRow(
+        id=f"job_{uuid.uuid4().hex[:16]}",
+        kind=job.kind,
+        robot_id=robot_id,
+        request=job.model_dump(mode="json"),
+        state="queued",
+    )
+    session.add(row)
+    session.flush()
+    return row.id
+
+
+def row_of(session: Session, job_id: str) -> JobRow:
+    """Return the row of a job.
+
+    Raises:
+        ServiceError: there is none.
+
+    """
+    row = session.get(JobRow, job_id)
+    if row is None:
+        raise ServiceError(
+            f"There is no job {job_id!r}: list them with GET /v1/jobs.", code="job_not_found", job=job_id
+        )
+    return row
+
+
+def get(session: Session, job_id: str) -> Job:
+    """Return a job with its result."""
+    row = row_of(session, job_id)
+    request = NewJob(**row.request)
+    return Job(
+        **_summary(session, row).model_dump(),
+        campaigns=request.campaigns,
+        validation=request.validation,
+        options=request.options,
+        attempts=row.attempts,
+        result=row.result,
+    )
+
+
+def listed(session: Session, robot: str | None, limit: int) -> list[JobSummary]:
+    """Return the newest jobs, of one robot or of all."""
+    query = select(JobRow).order_by(JobRow.created_at.desc(), JobRow.id).limit(limit)
+    if robot is not None:
+        query = query.where(JobRow.robot_id == robots.get(session, robot).id)
+    return [_summary(session, row) for row in session.execute(query).scalars()]
+
+
+def _summary(session: Session, row: JobRow) -> JobSummary:
+    return JobSummary(
+        id=row.id,
+        kind=row.kind,
+        robot=session.get_one(RobotRow, row.robot_id).name,
+        state=row.state,
+        progress=Progress(fraction=row.fraction, stage=row.stage),
+        error=None if row.error is None else JobError(**row.error),
+        created_at=row.created_at,
+        started_at=row.started_at,
+        finished_at=row.finished_at,
+    )
+
+
+def request_cancel(session: Session, job_id: str) -> bool:
+    """Ask a job to stop; returns whether it had not begun, so that it is cancelled already."""
+    session.execute(update(JobRow).where(JobRow.id == job_id).values(cancel_requested=True))
+    waiting = update(JobRow).where(JobRow.id == job_id, JobRow.state == "queued")
+    done = session.execute(waiting.values(state="cancelled", stage="cancelled", finished_at=now()).returning(JobRow.id))
+    return done.scalar_one_or_none() is not None
+
+
+def begin(session: Session, job_id: str) -> int:
+    """Note that a worker works on the job now; returns which attempt this is, 0 when the job is over already."""
+    row = row_of(session, job_id)
+    if row.state in FINAL:
+        return 0
+    row.state, row.attempts, row.started_at = "running", row.attempts + 1, row.started_at or now()
+    return row.attempts
+
+
+def advance(session: Session, job_id: str, fraction: float, stage: str) -> bool:
+    """Store the progress; returns whether the job shall stop."""
+    values = {"fraction": min(max(fraction, 0.0), 1.0), "stage": stage[:200]}
+    changed = update(JobRow).where(JobRow.id == job_id).values(**values).returning(JobRow.cancel_requested)
+    return session.execute(changed).scalar_one()
+
+
+def unfinished(session: Session, older_than_s: float) -> list[tuple[str, str]]:
+    """Return id and state of the jobs that are not over and not brand-new."""
+    before = now() - timedelta(seconds=older_than_s)
+    query = select(JobRow.id, JobRow.state).where(JobRow.state.not_in(FINAL), JobRow.created_at < before)
+    return [(job_id, state) for job_id, state in session.execute(query)]
+
+
+def load(session: Session, job_id: str) -> JobInput:
+    """Load all a job needs."""
+    row = row_of(session, job_id)
+    request, kind = NewJob(**row.request), kind_of(row.kind)
+    robot = robots.core_robot(session, row.robot_id)
+    named = request.options.get(kind.version_option) if kind.version_option else None
+    if named is None and kind.version_option == "version":
+        active = versions.active_row(session, row.robot_id)
+        named = None if active is None else active.version_id
+    validation = request.validation
+    return JobInput(
+        robot=robot,
+        campaigns={c: campaigns.observations(session, c, robot) for c in request.campaigns},
+        validation=validation.folds
+        if isinstance(validation, Folds)
+        else {c: campaigns.observations(session, c, robot) for c in validation}
+        if isinstance(validation, list)
+        else validation,
+        options=request.options,
+        version_id=named,
+        calibration=None if named is None else versions.calibration(session, named),
+    )
+
+
+def succeed(session: Session, job_id: str, result: dict[str, Any], content: VersionContent | None) -> None:
+    """Store the result and the version of a job; a job that is over already is left alone."""
+    row = row_of(session, job_id)
+    if row.state in FINAL:
+        return
+    if content is not None:
+        version_id = versions.add(session, row.robot_id, job_id, _version(session, row, content))
+        result = {**result, "version_id": version_id}
+    row.result = result
+    _finish(row, "succeeded", "done", 1.0)
+
+
+def fail(session: Session, job_id: str, code: str, message: str) -> None:
+    """Store why a job failed; a job that is over already is left alone."""
+    row = row_of(session, job_id)
+    if row.state not in FINAL:
+        row.error = {"code": code, "message": message}
+        _finish(row, "failed", "failed", row.fraction)
+
+
+def cancel(session: Session, job_id: str) -> None:
+    """Store that a job was cancelled; a job that is over already is left alone."""
+    row = row_of(session, job_id)
+    if row.state not in FINAL:
+        _finish(row, "cancelled", "cancelled", row.fraction)
+
+
+def _finish(row: JobRow, state: str, stage: str, fraction: float) -> None:
+    row.state, row.stage, row.fraction, row.finished_at = state, stage, fraction, now()
+
+
+def _version(session: Session, row: JobRow, content: VersionContent) -> NewVersion:
+    request, kind = NewJob(**row.request), kind_of(row.kind)
+    held = request.validation if isinstance(request.validation, list) else []
+    used = [_used(session, c, "train") for c in request.campaigns] + [_used(session, c, "validation") for c in held]
+    fields = {key: value for key, value in asdict(content).items() if key != "limits"}
+    return NewVersion(
+        **fields,
+        limits=content.limits.model_dump(mode="json"),
+        campaigns=used,
+        parent_id=request.options.get(kind.version_option) if kind.version_option else None,
+        code_version=code_version(),
+    )
+
+
+def _used(session: Session, campaign_id: str, use: str) -> dict[str, Any]:
+    campaign = campaigns.get(session, campaign_id)
+    return {
+        "id": campaign.id,
+        "name": campaign.name,
+        "role": campaign.role,
+        "use": use,
+        "rows": campaign.rows,
+        "sha256": [upload.sha256 for upload in campaign.uploads],
+    }
