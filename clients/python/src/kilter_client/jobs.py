@@ -47,9 +47,9 @@ class Jobs:
             body["validation"] = validation
         return self._connection.post("/v1/jobs", body)
 
-    def list(self, robot: str | None = None, state: str | None = None) -> list[Document]:
-        """Return the jobs, newest first."""
-        wanted = {key: value for key, value in (("robot", robot), ("state", state)) if value}
+    def list(self, robot: str | None = None, limit: int = 100) -> list[Document]:
+        """Return the newest jobs, of one robot or of all."""
+        wanted: Document = {"limit": limit} | ({"robot": robot} if robot else {})
         return list(self._connection.get("/v1/jobs", **wanted)["jobs"])
 
     def get(self, job_id: str) -> Document:
@@ -74,7 +74,7 @@ class Jobs:
             if progress is not None:
                 progress(*_progress_of(job))
             if job.get("state") in FINISHED:
-                break
+                return succeeded(job if "result" in job else self.get(job_id))
             if deadline is not None and time.monotonic() > deadline:
                 raise JobTimeoutError(f"Job {job_id} is still {job.get('state')} after {timeout_s:g} s.", job_id=job_id)
         return succeeded(self.get(job_id))

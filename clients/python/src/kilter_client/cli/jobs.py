@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -16,7 +16,9 @@ from kilter_client.cli.tables import show_rows
 jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None)
 
 JobId = Annotated[str, typer.Argument(help="Id of the job.", show_default=False, metavar="JOB")]
-State = Annotated[str | None, typer.Option(help="Only queued, running, succeeded, failed or cancelled ones.")]
+State = Annotated[
+    Literal["queued", "running", "succeeded", "failed", "cancelled"] | None, typer.Option(help="Only jobs in this state.")
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -35,11 +37,12 @@ def default(context: typer.Context, as_json: Json = False) -> None:
 def list_(
     robot: Annotated[str | None, typer.Option(help="Only those of this robot.")] = None,
     state: State = None,
+    limit: Annotated[int, typer.Option(min=1, max=1000, help="How many of the newest to look at.")] = 100,
     as_json: Json = False,
 ) -> None:
     """List the jobs, newest first."""
     with Kilter() as kilter:
-        document = {"jobs": kilter.jobs.list(robot, state)}
+        document = {"jobs": [job for job in kilter.jobs.list(robot, limit) if state in (None, job["state"])]}
     emit(document, as_json, _show_list)
 
 

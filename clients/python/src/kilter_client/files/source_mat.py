@@ -100,6 +100,7 @@ def read_mat(path: Path, missing: tuple[float, ...] = ()) -> MatSource:
     """
     try:
         from scipy.io import loadmat
+        from scipy.io.matlab import MatReadError
     except ImportError as error:
         raise MissingPackageError(
             f"{path}: .mat files need scipy. Install it with: pip install 'kilter-client[files]'", package="scipy"
@@ -108,6 +109,6 @@ def read_mat(path: Path, missing: tuple[float, ...] = ()) -> MatSource:
         content = loadmat(path, simplify_cells=True)
     except NotImplementedError as error:
         raise FileError(f"{path}: a .mat file of version 7.3. Save it in MATLAB with '-v7'.", file=str(path)) from error
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, MatReadError) as error:
         raise FileError(f"{path}: is no .mat file that scipy can read ({error}).", file=str(path)) from error
     return MatSource(path, {name: value for name, value in content.items() if not name.startswith("__")}, missing)
