@@ -17,7 +17,7 @@ $(READY): pyproject.toml clients/python/pyproject.toml constraints.txt tools/mak
 	touch $@
 
 demo: $(READY) ## calibrate a simulated Katana 450 from measured poses to corrected setpoints
-	$(BIN)/python tools/demo.py
+	$(BIN)/python -m tools.demo
 
 serve: $(READY) ## run the server on this machine until Ctrl-C
 	$(BIN)/kilterd serve

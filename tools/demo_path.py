@@ -18,7 +18,7 @@ CENTRE_MM = (0.0, -300.0, 139.2893)
 FIRST_MM = (0.0, -370.7107, 210.0)
 SECOND_MM = (-100.0, -300.0, 139.2893)
 # The posture the free motion of five joints around a three-dimensional path is drawn to.
-POSTURE_DEG = (-41.0, 14.0, -38.0, -9.0, -32.0)
+POSTURE_DEG = (-90.0, 70.0, -110.0, 20.0, 0.0)
 
 TOLERANCE_M = 1e-10
 TOLERANCE_RAD = 1e-6
