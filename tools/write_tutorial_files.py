@@ -1,0 +1,33 @@
+"""Write the files of the tutorial: the demo's simulated campaigns and the circle, as tables of the contract."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from core.design.iso9283 import iso_poses
+from core.twin import thesis_katana
+from tools import demo, demo_path
+
+FOLDER = Path(__file__).resolve().parent.parent / "docs" / "tutorial"
+CIRCLE_RATE_HZ = 25.0
+
+
+def main() -> None:
+    """Write measured.csv, held-out.csv and circle.csv into docs/tutorial."""
+    twin = thesis_katana(demo.PRESET)
+    for name, count, seed in (("measured", demo.TRAIN_POSES, 1), ("held-out", demo.HELD_OUT_POSES, 2)):
+        poses = iso_poses(twin.robot, count, seed)
+        demo.write_campaign(FOLDER / f"{name}.csv", twin.observe(poses, noise_m=demo.NOISE_MM / 1000.0, seed=seed))
+    path = demo_path.circle(twin.robot, seconds=demo.CIRCLE_S, rate_hz=CIRCLE_RATE_HZ)
+    with (FOLDER / "circle.csv").open("w", newline="", encoding="utf-8") as out:
+        rows = csv.writer(out)
+        rows.writerow(["t_s", *(f"q{joint + 1}_deg" for joint in range(path.q.shape[1]))])
+        for t, q in zip(path.t, np.degrees(path.q), strict=True):
+            rows.writerow([f"{t:.3f}", *(f"{value:.8f}" for value in q)])
+
+
+if __name__ == "__main__":
+    main()
