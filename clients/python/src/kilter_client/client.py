@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from kilter_client.connection import Connection, Document
+from kilter_client.connection import Connection, Document, address
 from kilter_client.jobs import Jobs
 from kilter_client.locate import locate
 from kilter_client.resources import Campaigns, Robots, Versions
@@ -56,7 +56,7 @@ class Kilter:
         """Correct a trajectory with the active version (or ``version``); the answer has the format that was sent."""
         response = self._connection.request(
             "POST",
-            f"/v1/robots/{robot}/correct",
+            address("robots", robot, "correct"),
             content=trajectory.content,
             headers={"Content-Type": trajectory.content_type, "Accept": trajectory.content_type},
             params={"version": version} if version else {},

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from kilter_client.errors import ApiError, ServerUnreachableError, from_problem
 from kilter_client.locate import Place
@@ -19,6 +20,11 @@ TIMEOUT_S = 60.0
 EVENTS_TIMEOUT_S = 90.0  # the server sends something at least every 15 s
 
 
+def address(*parts: str) -> str:
+    """Return the path of a resource; names are quoted, whatever they hold."""
+    return "/v1/" + "/".join(quote(part, safe="") for part in parts)
+
+
 class Connection:
     """One server, kept connected."""
 
@@ -27,7 +33,6 @@ class Connection:
 
         self.url = place.url
         headers = {"Authorization": f"Bearer {place.token}"} if place.token else {}
-        # trust_env off for this machine would miss a company proxy elsewhere, so httpx decides by NO_PROXY
         self._client = httpx.Client(base_url=place.url, headers=headers, transport=transport, timeout=TIMEOUT_S)
 
     def close(self) -> None:

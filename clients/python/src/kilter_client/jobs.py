@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from kilter_client.connection import Connection, Document
+from kilter_client.connection import Connection, Document, address
 from kilter_client.errors import (
     ApiError,
     JobCancelledError,
@@ -54,11 +54,11 @@ class Jobs:
 
     def get(self, job_id: str) -> Document:
         """Return a job's document."""
-        return self._connection.get(f"/v1/jobs/{job_id}")
+        return self._connection.get(address("jobs", job_id))
 
     def cancel(self, job_id: str) -> Document:
         """Ask a job to stop."""
-        return self._connection.post(f"/v1/jobs/{job_id}/cancel")
+        return self._connection.post(address("jobs", job_id, "cancel"))
 
     def wait(self, job_id: str, progress: Progress | None = None, timeout_s: float | None = None) -> Document:
         """Follow a job to its end and return its document with the result.
@@ -103,7 +103,7 @@ class Jobs:
         yield from self._polled(job_id)
 
     def _events(self, job_id: str) -> Iterator[Document]:
-        with self._connection.lines(f"/v1/jobs/{job_id}/events") as lines:
+        with self._connection.lines(address("jobs", job_id, "events")) as lines:
             for data in event_data(lines):
                 if isinstance(data, dict):
                     yield data

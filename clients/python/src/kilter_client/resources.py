@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kilter_client.connection import Connection, Document
+from kilter_client.connection import Connection, Document, address
 
 if TYPE_CHECKING:
     from kilter_client.files import Prepared
@@ -33,11 +33,11 @@ class Robots:
 
     def get(self, name: str) -> Document:
         """Return a robot with its joints, parameters and document."""
-        return self._connection.get(f"/v1/robots/{name}")
+        return self._connection.get(address("robots", name))
 
     def remove(self, name: str) -> None:
         """Delete a robot nothing was measured on."""
-        self._connection.request("DELETE", f"/v1/robots/{name}")
+        self._connection.request("DELETE", address("robots", name))
 
 
 class Campaigns:
@@ -58,15 +58,15 @@ class Campaigns:
     ) -> Document:
         """Add a campaign to a robot."""
         body = {"name": name, "device": device, "role": role, "conditions": dict(conditions or {}), "notes": notes}
-        return self._connection.post(f"/v1/robots/{robot}/campaigns", body)
+        return self._connection.post(address("robots", robot, "campaigns"), body)
 
     def list(self, robot: str) -> list[Document]:
         """Return the campaigns of a robot, oldest first."""
-        return list(self._connection.get(f"/v1/robots/{robot}/campaigns")["campaigns"])
+        return list(self._connection.get(address("robots", robot, "campaigns"))["campaigns"])
 
     def get(self, campaign_id: str) -> Document:
         """Return a campaign and its uploads."""
-        return self._connection.get(f"/v1/campaigns/{campaign_id}")
+        return self._connection.get(address("campaigns", campaign_id))
 
     def upload(self, campaign_id: str, data: Prepared | Path | str, sent: Sent | None = None) -> Document:
         """Send observations: a prepared file, or the path of one with contract columns. The same bytes change nothing.
@@ -79,7 +79,7 @@ class Campaigns:
         headers = {"Content-Type": file.content_type, "Content-Length": str(len(file.content))}
         response = self._connection.request(
             "POST",
-            f"/v1/campaigns/{campaign_id}/observations",
+            address("campaigns", campaign_id, "observations"),
             content=_pieces(file.content, sent),
             headers=headers,
             timeout=UPLOAD_TIMEOUT_S,
@@ -95,27 +95,29 @@ class Versions:
 
     def list(self, robot: str) -> list[Document]:
         """Return the versions of a robot."""
-        return list(self._connection.get(f"/v1/robots/{robot}/versions")["versions"])
+        return list(self._connection.get(address("robots", robot, "versions"))["versions"])
 
     def get(self, version_id: str) -> Document:
         """Return a version: parent, job, campaigns, effects, parameters, covariance."""
-        return self._connection.get(f"/v1/versions/{version_id}")
+        return self._connection.get(address("versions", version_id))
 
     def activate(self, version_id: str) -> Document:
         """Make a version the one that corrects."""
-        return self._connection.post(f"/v1/versions/{version_id}/activate")
+        return self._connection.post(address("versions", version_id, "activate"))
 
     def rollback(self, robot: str) -> Document:
         """Return to the version that was active before."""
-        return self._connection.post(f"/v1/robots/{robot}/rollback")
+        return self._connection.post(address("robots", robot, "rollback"))
 
     def diff(self, first: str, second: str) -> Document:
         """Compare two versions."""
-        return self._connection.get(f"/v1/versions/{first}/diff/{second}")
+        return self._connection.get(address("versions", first, "diff", second))
 
     def export(self, version_id: str, form: str = "json") -> bytes:
         """Return a version as a file: json, urdf, dh-csv, ..."""
-        return self._connection.request("GET", f"/v1/versions/{version_id}/export", params={"format": form}).content
+        return self._connection.request(
+            "GET", address("versions", version_id, "export"), params={"format": form}
+        ).content
 
 
 def _pieces(content: bytes, sent: Sent | None) -> Iterator[bytes]:
