@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 def marker_shape(markers: Floats) -> Floats:
     """Common shape (m, 3) m of rigid marker sets (N, m, 3), in its own frame.
 
-    Origin at the mean marker, x towards marker 1, z normal to the first three. The shape is the mean of all complete
+    Origin at the mean marker, z normal to the first three, x along the line from their middle to marker 1. The shape is the mean of all complete
     rows after a rigid alignment to each other (generalised Procrustes), so its noise is that of one row over sqrt(N).
 
     Raises:
@@ -53,10 +53,12 @@ def fit_poses(shape: Floats, markers: Floats) -> tuple[Floats, Floats, NDArray[n
 
 def _own_frame(points: Floats) -> Floats:
     centred = points - points.mean(axis=0)
-    x = centred[0] / np.linalg.norm(centred[0])
     normal = np.cross(centred[1] - centred[0], centred[2] - centred[0])
     size = np.linalg.norm(normal)
     if size < 1e-6 * np.linalg.norm(centred) ** 2 or not np.isfinite(size):
         raise ObservationError("The markers lie in one line: their turn about it cannot be seen. Add one off the line.")
     z = normal / size
+    # From the middle of the first three, so that x lies in their plane wherever the others pull the origin.
+    x = points[0] - points[:3].mean(axis=0)
+    x = x / np.linalg.norm(x)
     return np.asarray(centred @ np.stack([x, np.cross(z, x), z], axis=1))

@@ -107,6 +107,8 @@ def _from_elements(document: Document) -> tuple[tuple[Joint, ...], Chain, tuple[
     described: Sequence[Document] = document.get("joints") or ()
     elements: Sequence[Document] = document.get("elements") or ()
     order = [str(j["name"]) for j in described] or list(dict.fromkeys(str(e["joint"]) for e in elements if e.get("joint")))
+    if not order:
+        raise RobotError("A robot of convention chain needs elements, at least one with a joint.", field="elements")
     seen: set[str] = set()
     made = tuple(_element(k, element, order, seen) for k, element in enumerate(elements))
     chain = Chain(made, len(order))
