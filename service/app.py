@@ -11,6 +11,7 @@ from service import problems
 from service.auth.access import reader
 from service.auth.token import admin_token
 from service.campaigns.routes import router as campaigns
+from service.correction.routes import router as correction
 from service.db import Database, revision
 from service.health.routes import router as health
 from service.jobs.queue import JobQueue
@@ -22,7 +23,7 @@ from service.versions.routes import router as versions
 
 SUMMARY = "Keeps a serial robot arm true: identifies its errors from measured poses and corrects its setpoints."
 
-ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs)
+ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction)
 
 # How long the API waits at its start for `kilterd serve` to migrate the database beside it.
 MIGRATION_WAIT_S = 30.0

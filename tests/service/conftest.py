@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, ClassVar
 
 import httpx
+import numpy as np
 import pytest
 import uvicorn
 from fastapi import FastAPI
@@ -18,8 +23,10 @@ from fastapi import FastAPI
 from service.app import create_app
 from service.auth.token import admin_token
 from service.db import Database, revision
+from service.db.tables import HeartbeatRow
 from service.settings import DATABASE_FILE, Settings
 
+REPOSITORY = Path(__file__).resolve().parents[2]
 Serve = Callable[[FastAPI], httpx.Client]
 
 
@@ -91,3 +98,91 @@ def client(settings: Settings, database: Database, serve: Serve) -> httpx.Client
     client = serve(create_app(settings))
     client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
     return client
+
+
+class WorkerProcess:
+    """`kilterd worker` as a process of its own."""
+
+    def __init__(self, settings: Settings, database: Database) -> None:
+        self._settings, self._database = settings, database
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start it and wait until it says that it is alive."""
+        environment = {**os.environ, **self._settings.environment()}
+        self.process = subprocess.Popen([sys.executable, "-m", "service", "worker"], env=environment, cwd=REPOSITORY)
+        wait_for(lambda: self._beats() or self.process is None or self.process.poll() is not None)
+        assert self._beats()
+
+    def _beats(self) -> bool:
+        with self._database.transaction() as session:
+            rows = session.query(HeartbeatRow).all()
+            return any(self.process is not None and row.pid == self.process.pid for row in rows)
+
+    def kill(self) -> None:
+        """End it as a power cut would."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait(10)
+            self.process = None
+
+    def stop(self) -> int:
+        """Ask it to stop; returns its exit code."""
+        assert self.process is not None
+        self.process.terminate()
+        code = self.process.wait(10)
+        self.process = None
+        return code
+
+
+@pytest.fixture
+def worker(settings: Settings, database: Database) -> Iterator[WorkerProcess]:
+    """Return a worker that is not started yet."""
+    worker = WorkerProcess(settings, database)
+    yield worker
+    worker.kill()
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Wait until something is so."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.02)
+
+
+class Katana:
+    """A simulated Katana 450: its robot document and campaigns as JSON columns."""
+
+    name = "katana"
+    document: ClassVar[dict[str, Any]] = {"name": "katana", "convention": "preset", "preset": "katana450-chapter5"}
+
+    def columns(self, rows: int, seed: int = 0, noise_m: float = 1e-5) -> dict[str, list[float]]:
+        """Measure random poses."""
+        from core.twin import thesis_katana
+
+        twin = thesis_katana()
+        limits = twin.robot.limits
+        q = np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (rows, twin.robot.n_joints))
+        found = twin.observe(q, noise_m=noise_m, seed=seed)
+        assert found.position is not None
+        out = {f"q{j + 1}_deg": np.degrees(q[:, j]).tolist() for j in range(q.shape[1])}
+        return out | {f"{axis}_mm": (found.position[:, k] * 1e3).tolist() for k, axis in enumerate("xyz")}
+
+    def campaign(self, client: httpx.Client, rows: int, seed: int = 0) -> str:
+        """Upload random poses as a new campaign; returns its id."""
+        client.post("/v1/robots", json=self.document).raise_for_status()
+        answer = client.post(f"/v1/robots/{self.name}/campaigns", json={"name": f"seed {seed}"}).raise_for_status()
+        campaign = str(answer.json()["id"])
+        client.post(f"/v1/campaigns/{campaign}/observations", json=self.columns(rows, seed)).raise_for_status()
+        return campaign
+
+
+@pytest.fixture
+def katana() -> Katana:
+    return Katana()
+
+
+@pytest.fixture
+def until() -> Callable[..., None]:
+    return wait_for

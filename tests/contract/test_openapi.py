@@ -1,0 +1,58 @@
+"""The HTTP interface is a promise: a change of it must be seen, in the snapshot beside this file."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from service.app import create_app
+from service.settings import Settings
+
+SNAPSHOT = Path(__file__).with_name("openapi.json")
+PROMISED = {
+    "POST /v1/robots",
+    "POST /v1/robots/{robot}/campaigns",
+    "POST /v1/campaigns/{campaign}/observations",
+    "POST /v1/jobs",
+    "GET /v1/jobs/{job}",
+    "GET /v1/jobs/{job}/events",
+    "POST /v1/jobs/{job}/cancel",
+    "GET /v1/robots/{robot}/versions",
+    "GET /v1/versions/{version}",
+    "POST /v1/versions/{version}/activate",
+    "POST /v1/robots/{robot}/rollback",
+    "GET /v1/versions/{version}/export",
+    "GET /v1/versions/{a}/diff/{b}",
+    "POST /v1/robots/{robot}/correct",
+}
+
+
+def document(tmp_path: Path) -> dict[str, Any]:
+    found = create_app(Settings(data=tmp_path)).openapi()
+    # The version is that of the installed distribution, which is no part of the promise.
+    found["info"]["version"] = "0"
+    return found
+
+
+def test_the_interface_is_the_snapshot(tmp_path: Path) -> None:
+    """Run with KILTER_WRITE_SNAPSHOTS=1 to accept a change, and say it in the changelog."""
+    text = json.dumps(document(tmp_path), indent=1, sort_keys=True) + "\n"
+    if os.environ.get("KILTER_WRITE_SNAPSHOTS"):
+        SNAPSHOT.write_text(text, encoding="utf-8")
+    assert text == SNAPSHOT.read_text(encoding="utf-8")
+
+
+def test_what_the_contract_promises_is_there(tmp_path: Path) -> None:
+    paths = document(tmp_path)["paths"]
+    there = {f"{method.upper()} {path}" for path, methods in paths.items() for method in methods}
+    assert there >= PROMISED
+
+
+def test_every_route_says_that_errors_are_problem_documents(tmp_path: Path) -> None:
+    for path, methods in document(tmp_path)["paths"].items():
+        for method, operation in methods.items():
+            schema = operation["responses"]["4XX"]["content"]["application/json"]["schema"]
+            assert schema["$ref"].endswith("/Problem"), (method, path)
+            assert operation["summary"]

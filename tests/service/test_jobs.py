@@ -1,0 +1,170 @@
+"""Jobs through the real job engine: the API in this process, the worker in its own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+from service.db import Database
+from service.versions import store as versions
+
+Until = Callable[..., None]
+FINAL = ("succeeded", "failed", "cancelled")
+# Hours of work that tell their progress at every fold.
+LONG = {"validation": {"folds": 900}, "options": {"level": 3}}
+
+
+def submit(client: httpx.Client, **job: Any) -> dict[str, Any]:
+    answer = client.post("/v1/jobs", json={"kind": "identify", "robot": "katana", **job})
+    assert answer.status_code == 202, answer.text
+    found: dict[str, Any] = answer.json()
+    assert answer.headers["location"] == f"/v1/jobs/{found['id']}"
+    return found
+
+
+def state(client: httpx.Client, job: dict[str, Any]) -> str:
+    return str(client.get(f"/v1/jobs/{job['id']}").json()["state"])
+
+
+def finished(client: httpx.Client, job: dict[str, Any], until: Until) -> dict[str, Any]:
+    until(lambda: state(client, job) in FINAL)
+    found: dict[str, Any] = client.get(f"/v1/jobs/{job['id']}").json()
+    return found
+
+
+def test_identify_evaluate_and_follow(client: httpx.Client, katana: Any, worker: Any, until: Until) -> None:
+    campaign, other = katana.campaign(client, 60), katana.campaign(client, 40, seed=1)
+    worker.start()
+    job = submit(client, campaigns=[campaign], validation=[other], options={"level": 2})
+    events = []
+    with client.stream("GET", f"/v1/jobs/{job['id']}/events") as stream:
+        assert stream.headers["content-type"].startswith("text/event-stream")
+        for line in stream.iter_lines():
+            if line.startswith("event: "):
+                events.append([line.removeprefix("event: ")])
+            elif line.startswith("data: "):
+                events[-1].append(line.removeprefix("data: "))
+    assert [name for name, _ in events][-1] == "end"
+    assert {name for name, _ in events[:-1]} == {"progress"}
+    done = json.loads(events[-1][1])
+    assert done["state"] == "succeeded", done
+    assert done["progress"]["fraction"] == 1
+    assert done == client.get(f"/v1/jobs/{job['id']}").json()
+    metrics = done["result"]["metrics"]["validation"]
+    assert metrics["n"] == 40
+    assert metrics["identified"]["mean_mm"] < 0.7 * metrics["nominal"]["mean_mm"]
+
+    version = client.get(f"/v1/versions/{done['result']['version_id']}").json()
+    assert version["job_id"] == job["id"]
+    assert not version["active"]
+    assert [(c["id"], c["use"], c["rows"]) for c in version["campaigns"]] == [
+        (campaign, "train", 60), (other, "validation", 40),
+    ]  # fmt: skip
+    assert version["limits"] == {"max_joint_deg": 1.0, "max_position_mm": 5.0}
+    names = version["covariance"]["names"]
+    assert {row["name"] for row in version["parameters"]} == set(names)
+    assert len(version["covariance"]["matrix"]) == len(names)
+
+    options = {"version": version["id"], "refit": ["base"]}
+    job = submit(client, kind="evaluate", campaigns=[other], options=options)
+    result = finished(client, job, until)["result"]
+    assert result["version_id"] == version["id"]
+    assert result["metrics"][other]["identified"]["mean_mm"] == pytest.approx(metrics["identified"]["mean_mm"], rel=0.2)
+    refined = submit(client, campaigns=[campaign, other], options={"level": 2, "start": version["id"]})
+    child = client.get(f"/v1/versions/{finished(client, refined, until)['result']['version_id']}").json()
+    assert child["parent_id"] == version["id"]
+    listed = client.get("/v1/robots/katana/versions").json()["versions"]
+    assert [v["id"] for v in listed] == [child["id"], version["id"]]
+    assert len(client.get("/v1/jobs", params={"robot": "katana"}).json()["jobs"]) == 3
+
+
+def test_a_running_job_is_cancelled_within_seconds(
+    client: httpx.Client, katana: Any, worker: Any, until: Until
+) -> None:
+    campaign = katana.campaign(client, 1000)
+    worker.start()
+    job = submit(client, campaigns=[campaign], **LONG)
+    until(lambda: "fold" in client.get(f"/v1/jobs/{job['id']}").json()["progress"]["stage"])
+    client.post(f"/v1/jobs/{job['id']}/cancel").raise_for_status()
+    until(lambda: state(client, job) == "cancelled", seconds=10)
+    again = client.post(f"/v1/jobs/{job['id']}/cancel")
+    assert (again.status_code, again.json()["state"]) == (200, "cancelled")
+    assert client.get("/v1/robots/katana/versions").json() == {"versions": []}
+    # The worker is free for the next one.
+    few = katana.campaign(client, 3, seed=2)
+    failed = finished(client, submit(client, campaigns=[few]), until)
+    assert failed["state"] == "failed"
+    assert failed["error"]["code"] == "too_few_poses"
+    assert failed["result"] is None
+    refused = client.post(f"/v1/jobs/{failed['id']}/cancel")
+    assert (refused.status_code, refused.json()["code"]) == (409, "job_finished")
+    assert worker.stop() == 0
+
+
+def test_kill_9_resumes_and_leaves_one_version(client: httpx.Client, katana: Any, worker: Any, until: Until) -> None:
+    campaign = katana.campaign(client, 200)
+    worker.start()
+    job = submit(client, campaigns=[campaign], validation={"folds": 8}, options={"level": 3})
+    until(lambda: "fold" in client.get(f"/v1/jobs/{job['id']}").json()["progress"]["stage"])
+    worker.kill()
+    assert state(client, job) == "running"
+    worker.start()
+    done = finished(client, job, until)
+    assert done["state"] == "succeeded", done
+    assert done["attempts"] == 2
+    assert len(client.get("/v1/robots/katana/versions").json()["versions"]) == 1
+
+
+def test_jobs_wait_for_a_worker_and_can_be_cancelled_before(
+    client: httpx.Client, katana: Any, worker: Any, until: Until, database: Database
+) -> None:
+    """Without a worker ever started there is no job engine's database: the jobs are rows only, and are found later."""
+    campaign = katana.campaign(client, 60)
+    first, second = (submit(client, campaigns=[campaign], options={"level": 1}) for _ in range(2))
+    cancelled = client.post(f"/v1/jobs/{second['id']}/cancel").json()
+    assert cancelled["state"] == "cancelled"
+    assert state(client, first) == "queued"
+    worker.start()
+    assert finished(client, first, until)["state"] == "succeeded"
+    assert state(client, second) == "cancelled"
+    with database.transaction() as session:
+        assert len(versions.of_robot(session, 1)) == 1
+
+
+def test_what_cannot_run_is_refused_at_once(client: httpx.Client, katana: Any) -> None:
+    campaign = katana.campaign(client, 60)
+    other = {**katana.document, "name": "other"}
+    client.post("/v1/robots", json=other).raise_for_status()
+    same = client.post("/v1/robots/katana/campaigns", json={"name": "copy"}).json()["id"]
+    client.post(f"/v1/campaigns/{same}/observations", json=katana.columns(60)).raise_for_status()
+    refusals: list[tuple[dict[str, Any], int, str]] = [
+        ({"kind": "paint"}, 400, "kind_unavailable"),
+        ({"robot": "nobody"}, 404, "robot_not_found"),
+        ({"campaigns": ["cmp_none"]}, 404, "campaign_not_found"),
+        ({"validation": ["cmp_none"]}, 404, "campaign_not_found"),
+        ({"robot": "other"}, 400, "campaigns_invalid"),
+        ({"campaigns": []}, 400, "campaigns_invalid"),
+        ({"validation": [campaign]}, 400, "campaigns_invalid"),
+        ({"validation": [same]}, 400, "campaigns_invalid"),
+        ({"validation": 1.5}, 422, "payload_invalid"),
+        ({"validation": {"folds": 1}}, 422, "payload_invalid"),
+        ({"priority": 1}, 422, "payload_invalid"),
+        ({"options": {"speed": 1}}, 400, "option_invalid"),
+        ({"options": {"effects": ["ghost"]}}, 400, "option_invalid"),
+        ({"options": {"level": 7}}, 400, "option_invalid"),
+        ({"options": {"limits": {"max_joint_deg": -1}}}, 400, "option_invalid"),
+        ({"options": {"start": "ver_none"}}, 404, "version_not_found"),
+        ({"kind": "evaluate", "options": {"refit": ["tool"]}}, 400, "option_invalid"),
+        ({"kind": "evaluate", "options": {"speed": 1}}, 400, "option_invalid"),
+    ]
+    for change, status, code in refusals:
+        job = {"kind": "identify", "robot": "katana", "campaigns": [campaign], **change}
+        answer = client.post("/v1/jobs", json=job)
+        assert (answer.status_code, answer.json()["code"]) == (status, code), (change, answer.text)
+    assert client.get("/v1/jobs").json() == {"jobs": []}
+    assert client.get("/v1/jobs/job_none").json()["code"] == "job_not_found"
+    assert client.get("/v1/jobs/job_none/events").json()["code"] == "job_not_found"

@@ -1,0 +1,136 @@
+"""`kilterd serve` from outside: its processes are real, and so are the ways they end."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from service.settings import Settings
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+Until = Callable[..., None]
+
+
+def alive(pid: int) -> bool:
+    try:
+        # A child that was killed and not yet reaped by init is dead all the same.
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+
+
+def children(pid: int) -> dict[str, int]:
+    """Process ids of the supervisor's children by command."""
+    found = {}
+    for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split():
+        command = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+        if b"service" in command:
+            found[command[command.index(b"service") + 1].decode()] = int(child)
+    return found
+
+
+class Server:
+    """A server in a process of its own, and its ready line."""
+
+    def __init__(self, settings: Settings) -> None:
+        environment = {**os.environ, **settings.environment()}
+        command = [sys.executable, "-m", "service", "serve"]
+        self.process = subprocess.Popen(command, env=environment, cwd=REPOSITORY, stdout=subprocess.PIPE)
+        watch = threading.Timer(90, self.process.kill)
+        watch.start()
+        assert self.process.stdout is not None
+        self.ready: dict[str, Any] = json.loads(self.process.stdout.readline() or b"{}")
+        watch.cancel()
+
+    def stop(self) -> int:
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(20)
+
+
+@pytest.fixture
+def server(settings: Settings) -> Iterator[Server]:
+    server = Server(settings)
+    yield server
+    if server.process.poll() is None:
+        server.process.kill()
+        server.process.wait()
+    if server.process.stdout is not None:
+        server.process.stdout.close()
+
+
+def test_serve_is_ready_survives_kill_9_of_its_processes_and_stops_clean(
+    server: Server, settings: Settings, until: Until
+) -> None:
+    url = server.ready["url"]
+    assert json.loads(settings.server_file.read_text()) == server.ready
+    assert server.ready["pid"] == server.process.pid
+    assert server.ready["zenoh"].startswith("tcp/127.0.0.1:")
+    assert not server.ready["zenoh"].endswith(":0")
+    assert httpx.get(f"{url}/v1/health/ready").json()["status"] == "ready"
+    assert oct(settings.token_file.stat().st_mode)[-3:] == "600"
+
+    before = children(server.process.pid)
+    assert set(before) == {"api", "worker", "corrector"}
+    for name in ("api", "worker"):
+        os.kill(before[name], signal.SIGKILL)
+    until(lambda: {"api", "worker"} <= set(children(server.process.pid)))
+    until(lambda: not set(before.values()) & {children(server.process.pid).get(name) for name in ("api", "worker")})
+    # The socket belongs to the supervisor: a request waits for the new API process instead of failing.
+    assert httpx.get(f"{url}/v1/health/live", timeout=30).status_code == 200
+
+    second = subprocess.run(
+        [sys.executable, "-m", "service", "serve"],
+        env={**os.environ, **settings.environment()}, cwd=REPOSITORY, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert second.returncode == 1
+    assert "A server runs in" in second.stderr
+
+    last = children(server.process.pid)
+    assert server.stop() == 0
+    assert not any(alive(pid) for pid in last.values())
+    assert not settings.server_file.exists()
+    assert not settings.corrector_file.exists()
+
+
+def test_processes_end_when_the_supervisor_is_killed(server: Server, until: Until) -> None:
+    left = children(server.process.pid)
+    assert len(left) == 3
+    server.process.kill()
+    server.process.wait()
+    until(lambda: not any(alive(pid) for pid in left.values()), seconds=20)
+
+
+def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "service", *arguments],
+        env={**os.environ, **environment}, cwd=REPOSITORY, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+
+
+def test_usage_errors_exit_2_and_name_the_remedy(tmp_path: Path) -> None:
+    data = str(tmp_path / "data")
+    wide = run("serve", "--data", data, "--host", "0.0.0.0", "--port", "0")
+    assert (wide.returncode, "KILTER_TOKEN" in wide.stderr) == (2, True)
+    port = run("serve", "--data", data, "--port", "70000")
+    assert (port.returncode, "port" in port.stderr) == (2, True)
+    assert run("paint").returncode == 2
+
+
+def test_help_has_an_example_for_every_command() -> None:
+    for command in ("serve", "api", "worker", "corrector", "migrate"):
+        assert "Example: " in run(command, "--help").stdout
+
+
+def test_migrate_says_what_it_did(tmp_path: Path) -> None:
+    assert "was brought to revision" in run("migrate", KILTER_DATA=str(tmp_path)).stdout
+    assert "is at revision" in run("migrate", KILTER_DATA=str(tmp_path)).stdout

@@ -1,0 +1,199 @@
+"""Versions and correction, on versions stored as a job would store them."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from typing import Any
+
+import httpx
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from core.compensate import CorrectOptions, correct
+from core.model import Calibration
+from core.twin import Twin, thesis_katana
+from service.correction.service import last_motion
+from service.db import Database
+from service.db.tables import JobRow, VersionRow
+from service.versions import store
+from service.versions.service import active_calibrations
+from service.versions.store import NewVersion
+
+
+@dataclass
+class Versions:
+    """Makes versions of the Katana."""
+
+    database: Database
+
+    def add(self, name: str, calibration: Calibration, **limits: float) -> str:
+        document = calibration.to_document()
+        report = {"parameters": [], "metrics": {"train": {"n": 1}}, "noise_mm": 0.01}
+        limits = {"max_joint_deg": 1.0, "max_position_mm": 5.0} | limits
+        new = NewVersion(document, report, {"names": [], "matrix": [], "units": "SI"}, [], limits, None, "test")
+        with self.database.transaction() as session:
+            session.add(JobRow(id=f"job_{name}", kind="identify", robot_id=1, request={}, state="running"))
+            session.flush()
+            first = store.add(session, 1, f"job_{name}", new)
+            assert store.add(session, 1, f"job_{name}", new) == first
+        return first
+
+
+@pytest.fixture
+def versions(client: httpx.Client, database: Database, katana: Any) -> Versions:
+    client.post("/v1/robots", json=katana.document).raise_for_status()
+    return Versions(database)
+
+
+@pytest.fixture(scope="module")
+def twin() -> Twin:
+    return thesis_katana()
+
+
+def test_activation_rollback_and_their_log(client: httpx.Client, versions: Versions, twin: Twin) -> None:
+    a, b, c = (versions.add(name, twin.truth) for name in "abc")
+
+    def active() -> str | None:
+        found: str | None = client.get("/v1/robots/katana").json()["active_version"]
+        return found
+
+    def stamp() -> int:
+        with versions.database.transaction() as session:
+            return store.active_stamp(session)
+
+    stamps = [stamp()]
+    assert active() is None
+    assert client.post("/v1/robots/katana/rollback").json()["code"] == "nothing_to_roll_back"
+    for version in (a, b, c):
+        assert client.post(f"/v1/versions/{version}/activate").json()["active"] is True
+        stamps.append(stamp())
+    assert len(set(stamps)) == 4
+    client.post(f"/v1/versions/{c}/activate")
+    assert stamp() == stamps[-1]
+    assert client.post("/v1/robots/katana/rollback").json()["id"] == b
+    assert client.post("/v1/robots/katana/rollback").json()["id"] == a
+    assert active() == a
+    assert client.post("/v1/robots/katana/rollback").status_code == 409
+    client.post(f"/v1/versions/{c}/activate")
+    assert client.post("/v1/robots/katana/rollback").json()["id"] == a
+    log = client.get("/v1/robots/katana/activations").json()["activations"]
+    assert [(e["version_id"], e["action"]) for e in reversed(log)] == [
+        (a, "activate"), (b, "activate"), (c, "activate"), (b, "rollback"), (a, "rollback"), (c, "activate"),
+        (a, "rollback"),
+    ]  # fmt: skip
+    assert {e["actor"] for e in log} == {"admin"}
+    flags = {v["id"]: v["active"] for v in client.get("/v1/robots/katana/versions").json()["versions"]}
+    assert flags == {a: True, b: False, c: False}
+
+
+def test_the_active_version_comes_back_as_core_knows_it(client: httpx.Client, versions: Versions, twin: Twin) -> None:
+    with versions.database.transaction() as session:
+        assert active_calibrations(session) == {}
+        assert store.active_version(session, "katana") is None
+    version = versions.add("a", twin.truth, max_joint_deg=2.0)
+    client.post(f"/v1/versions/{version}/activate")
+    with versions.database.transaction() as session:
+        found = active_calibrations(session)["katana"]
+    assert (found.id, found.max_position) == (version, 0.005)
+    assert found.max_joint == pytest.approx(np.radians(2.0))
+    rows = twin.observe(np.full((1, 5), 0.3))
+    assert np.allclose(found.calibration.predict(rows).position, twin.truth.predict(rows).position, atol=1e-12)
+
+
+def test_a_version_cannot_be_changed(versions: Versions, twin: Twin) -> None:
+    version = versions.add("a", twin.truth)
+    with pytest.raises(RuntimeError, match="immutable"), versions.database.transaction() as session:
+        session.get_one(VersionRow, version).code_version = "other"
+
+
+def test_diff_names_effects_and_changes(client: httpx.Client, versions: Versions, twin: Twin) -> None:
+    a, b = versions.add("a", Calibration.nominal(twin.robot)), versions.add("b", twin.truth)
+    diff = client.get(f"/v1/versions/{a}/diff/{b}").json()
+    assert diff["effects_added"] == ["clearance_tilt", "backlash_load", "axial_compliance"]
+    changes = {row["name"]: row for row in diff["parameters"]}
+    assert changes["a_2"]["unit"] == "mm"
+    assert changes["a_2"]["change"] == pytest.approx(0.003)
+    assert changes["theta_offset_1"]["change"] == pytest.approx(-0.061)
+    assert changes["clearance_1"]["a"] is None
+    assert changes["base_x"]["a"] == pytest.approx(twin.robot.T_base[0, 3] * 1e3)
+    assert client.get(f"/v1/versions/{a}/diff/ver_none").json()["code"] == "version_not_found"
+
+
+def test_export_json_and_the_list_of_formats(client: httpx.Client, versions: Versions, twin: Twin) -> None:
+    version = versions.add("a", twin.truth)
+    answer = client.get(f"/v1/versions/{version}/export", params={"format": "json"})
+    assert version in answer.headers["content-disposition"]
+    document = answer.json()
+    assert document["format"] == "kilter-version/1"
+    assert document["calibration_si"] == twin.truth.to_document()
+    refused = client.get(f"/v1/versions/{version}/export", params={"format": "stone"})
+    assert (refused.status_code, refused.json()["context"]["formats"]) == (400, ["json"])
+
+
+def trajectory(rows: int = 50) -> dict[str, list[float]]:
+    t = np.linspace(0, 1, rows)
+    q = np.stack([20 * np.sin(2 * t + j) for j in range(5)], axis=1)
+    q[:, 1] += 30
+    return {"t_s": t.tolist()} | {f"q{j + 1}_deg": q[:, j].tolist() for j in range(5)}
+
+
+def test_correction_over_http_is_cores(client: httpx.Client, versions: Versions, twin: Twin) -> None:
+    columns = trajectory()
+    none = client.post("/v1/robots/katana/correct", json=columns)
+    assert (none.status_code, none.json()["code"]) == (409, "no_active_version")
+    version = versions.add("a", twin.truth)
+    client.post(f"/v1/versions/{version}/activate")
+    q = np.radians(np.stack([columns[f"q{j + 1}_deg"] for j in range(5)], axis=1))
+    expected = correct(twin.truth, q, direction=last_motion(q), options=CorrectOptions())
+
+    out = client.post("/v1/robots/katana/correct", json=columns).json()
+    assert list(out) == [*columns, "dx_mm", "dy_mm", "dz_mm", "status"]
+    assert out["t_s"] == columns["t_s"]
+    assert set(out["status"]) == {"OK"}
+    assert np.allclose(np.radians(out["q3_deg"]), expected.q[:, 2], atol=1e-12)
+    assert np.allclose(out["dz_mm"], expected.error_removed[:, 2] * 1e3, atol=1e-9)
+    assert np.abs(np.array(out["q2_deg"]) - columns["q2_deg"]).max() > 1e-3
+
+    buffer = io.BytesIO()
+    parquet.write_table(pa.table(columns), buffer)
+    headers = {"content-type": "application/vnd.apache.parquet"}
+    as_parquet = client.post("/v1/robots/katana/correct", content=buffer.getvalue(), headers=headers)
+    assert as_parquet.headers["content-type"] == "application/vnd.apache.parquet"
+    assert parquet.read_table(io.BytesIO(as_parquet.content)).to_pydict() == out
+
+    text = ",".join(columns) + "\n" + "\n".join(",".join(map(repr, row)) for row in zip(*columns.values(), strict=True))
+    as_csv = client.post("/v1/robots/katana/correct", content=text, headers={"content-type": "text/csv"})
+    rows = list(csv.DictReader(io.StringIO(as_csv.text)))
+    assert [float(row["q3_deg"]) for row in rows] == out["q3_deg"]
+    assert rows[0]["status"] == "OK"
+
+
+def test_rows_that_cannot_be_corrected_carry_no_numbers(client: httpx.Client, versions: Versions, twin: Twin) -> None:
+    version = versions.add("small", twin.truth, max_joint_deg=0.0001)
+    out = client.post("/v1/robots/katana/correct", params={"version": version}, json=trajectory(3)).json()
+    assert out["status"] == ["CORRECTION_TOO_LARGE"] * 3
+    assert out["q1_deg"] == [None] * 3
+
+
+def test_what_is_no_trajectory_is_refused(client: httpx.Client, versions: Versions, twin: Twin) -> None:
+    client.post(f"/v1/versions/{versions.add('a', twin.truth)}/activate")
+    columns: dict[str, list[Any]] = dict(trajectory(3))
+    refusals = [
+        (columns | {"x_mm": [1, 2, 3], "y_mm": [1, 2, 3], "z_mm": [1, 2, 3]}, "is a measurement"),
+        (columns | {"q1_deg": [1, None, 3]}, "Row 2, column 'q1_deg' is empty"),
+        ({key: value for key, value in columns.items() if key != "q5_deg"}, "'q5_deg' is missing"),
+    ]
+    for body, message in refusals:
+        answer = client.post("/v1/robots/katana/correct", json=body)
+        assert answer.status_code == 400
+        assert message in answer.json()["detail"]
+    assert client.post("/v1/robots/nobody/correct", json=columns).status_code == 404
+
+
+def test_last_motion_is_remembered_while_a_joint_rests() -> None:
+    q = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, -1.0], [1.0, -1.0], [0.5, -1.0]])
+    assert last_motion(q).tolist() == [[0, 0], [1, 0], [1, -1], [1, -1], [-1, -1]]
