@@ -64,7 +64,7 @@ class CorrectionOptions:
     least_softening_nm: float = 0.05
     filter_hz: float = 0.0
     reversal_band: float = 1e-5
-    singular_m: float = 0.01
+    singular_m: float = 1e-5
     weak_m: float = 0.1
     reached_m: float = 1e-6
     step: float = 1e-8
@@ -82,7 +82,7 @@ class CorrectionOptions:
 class CorrectedRows:
     """Corrected joints of N rows that do not follow one another.
 
-    ``q (N, n)``; ``error_removed (N, 3)`` m, the tool error predicted without correction, in the robot's base frame;
+    ``q (N, n)``; ``error_removed (N, 3)`` m, the tool error predicted without correction, in the wanted base frame;
     ``residual (N,)`` m, what remains of it; ``status (N,)`` as in the stream; ``flags (N,)``; ``limit_mask (N,)`` bits
     of the joints concerned.
     """
@@ -238,10 +238,14 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
         raise OptionError(message, option="task")
     arm = calibration.with_effects([e for e in calibration.model.effects if e.stage != "measurement"])
     folded, values = arm.model.folded(arm.values)
-    assert folded.T_tool is not None  # set by RobotModel itself
     moved = dict(zip(folded.names, values.tolist(), strict=True))
-    nominal = fold(robot, [e.value for e in robot.chain.elements], folded.T_tool)
-    actual = fold(robot, [moved[e.name] if e.name else e.value for e in robot.chain.elements], folded.T_tool)
+    ideal = calibration.wanted().model
+    nominal = fold(robot, [e.value for e in robot.chain.elements], np.eye(4), np.asarray(ideal.T_tool))
+    # Seen from the wanted base, so that the frames, too, are part of the error.
+    seen = np.linalg.solve(np.asarray(ideal.T_base), np.asarray(folded.T_base))
+    actual = fold(
+        robot, [moved[e.name] if e.name else e.value for e in robot.chain.elements], seen, np.asarray(folded.T_tool)
+    )
     m = len(nominal.constants) - 1
     P = np.zeros((m + 1 + n + 1, kernel.COLUMNS))
     write_moves(P, nominal, actual)

@@ -49,12 +49,12 @@ def _turn_to_z(element: Element, frame: Floats | None) -> Floats:
     return T
 
 
-def fold(robot: Robot, values: list[float], T_tool: Floats) -> Folded:
+def fold(robot: Robot, values: list[float], T_base: Floats, T_tool: Floats) -> Folded:
     """Multiply everything that does not move into constants; every move becomes one about or along z."""
     primary = {k: j for j, k in enumerate(robot.chain.primary)}
     frames = robot.chain.program.joint_frame
     out = Folded([], [], [], [])
-    since = np.eye(4)
+    since = T_base
     for k, (element, value) in enumerate(zip(robot.chain.elements, values, strict=True)):
         since = since @ _elementary(element.axis, value)
         if element.joint is not None:

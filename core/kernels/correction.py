@@ -51,6 +51,8 @@ DYNAMIC, RAMPING, LIMITED, DAMPED, RESIDUAL = 0x0100, 0x0200, 0x0400, 0x0800, 0x
 NO_MOMENT = 1e-9
 # Moments are taken anew while the command still moves by more than this; then the effects stand still.
 SETTLED_RAD = 1e-7
+# A singularity may ask a joint for this part of the largest correction; damping overshoots it by up to 16 %.
+BOUND = 0.85
 # After this many rounds the signs stand still even if they flip back and forth around zero moment.
 SIGN_ROUNDS = 4
 
@@ -521,13 +523,13 @@ def _damp(P, W, n, oj, og, rows):
     """Damp the directions that a singularity makes weak, and no others; whether there was one.
 
     A direction of singular value s below the weak limit would ask the joints for error / s. Where that exceeds the
-    bound, or s all but vanishes, its damping grows smoothly from zero (after Maciejewski and Klein 1988), so that the
-    answer is continuous, keeps to about the bound and fades out at the singularity itself.
+    bound, its damping grows smoothly from zero (after Maciejewski and Klein 1988), so that the answer is continuous,
+    keeps to about the bound and fades out at the singularity itself.
     """
     S = P.shape[0] - 1
     bound = math.inf
     for i in range(n):
-        bound = min(bound, 0.8 * P[oj + i, LARGEST])
+        bound = min(bound, BOUND * P[oj + i, LARGEST])
     _eigenvectors(W, og, rows)
     damped = False
     for v in range(rows):
@@ -570,7 +572,7 @@ def _linearise(P, W, S, actual, n, m, oj, og, rows):
         _multipliers(W, og, rows, False)
         bound = math.inf
         for i in range(n):
-            bound = min(bound, 0.8 * P[oj + i, LARGEST])
+            bound = min(bound, BOUND * P[oj + i, LARGEST])
         if _strain(W, n, oj, og, rows) <= bound:
             return False
     for r in range(rows):
@@ -852,6 +854,7 @@ def step(P, W, state, x, width, dt, out, info):
     n = int(P[S, N])
     m = int(P[S, M])
     info[:] = 0.0
+    out[:] = math.nan
     status = _refused(P, state, info, x, n, m, width, dt)
     if status != OK:
         return status
@@ -864,8 +867,7 @@ def step(P, W, state, x, width, dt, out, info):
     if status == OK:
         _commit(P, W, state, out, remaining, length, n, m)
     else:
-        for i in range(n):
-            out[i] = math.nan
+        out[:] = math.nan
     return status
 
 

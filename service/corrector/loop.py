@@ -23,7 +23,7 @@ import zenoh
 from core.correction import warm_up
 from service.corrector import keys
 from service.corrector.active import Active, nothing_active
-from service.corrector.session import ENCODING, close, open_listening, undeclare
+from service.corrector.session import ENCODING, close, open_listening
 from service.corrector.stream import Rules, Stream
 
 log = logging.getLogger("kilter.corrector.stream")
@@ -166,9 +166,6 @@ class House(threading.Thread):
     def _drop(self, robot: str) -> None:
         self._loop.active.pop(robot, None)
         self._put(keys.RobotKeys(self._loop.spec.site, robot).active, nothing_active(robot))
-        token = self._tokens.pop(robot, None)
-        if token is not None:
-            undeclare(token)
 
     def _put(self, key: str, payload: bytes) -> None:
         self._loop.session.put(

@@ -66,8 +66,3 @@ def open_listening(endpoint: str, file: Path | None) -> tuple[zenoh.Session, str
 def close(session: Any) -> None:
     """Close a session, which closes all it declared; its own method has no types."""
     session.close()
-
-
-def undeclare(declared: Any) -> None:
-    """Undeclare a token or queryable; its own method has no types."""
-    declared.undeclare()

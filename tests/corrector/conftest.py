@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +75,16 @@ class MemorySource:
 
     def close(self) -> None:
         pass
+
+
+@pytest.fixture(scope="session", name="calibration_of")
+def calibration_maker() -> Callable[..., Calibration]:
+    return calibration_of
+
+
+@pytest.fixture(scope="session", name="active_of")
+def active_maker() -> Callable[..., Active]:
+    return active_of
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,271 @@
+"""The real processes on loopback: stream, queries, announcements, restart."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+from kilter_client.stream import CorrectedStream, Statistics, StreamError, corrected
+
+from core.correction import Track, compile_program
+from core.model import Calibration
+from service.corrector import frames
+from service.corrector.process import Corrector
+from service.corrector.queries import encode_trajectory
+from service.corrector.session import config
+
+ROBOT = "katana450-chapter4"
+ROOT = f"kilter/@v1/test/{ROBOT}"
+Q = (0.1, 0.6, 0.4, 0.3, 0.2)
+
+
+def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    """Wait until the condition holds; fail when it does not in time."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.01)
+
+
+def open_stream(corrector: Corrector, name: str, **options: object) -> CorrectedStream:
+    # A loaded test machine may take its time: nothing here depends on being fast.
+    given = {"deadline_s": 2.0, "data": corrector.file.parent, "stream": name, "settled": True, **options}
+    return CorrectedStream(ROBOT, **given)  # type: ignore[arg-type]
+
+
+def peer(corrector: Corrector) -> zenoh.Session:
+    return zenoh.open(config("tcp/127.0.0.1:0", tuple(corrector.endpoints.values())))
+
+
+def ask(session: zenoh.Session, key: str, payload: bytes = b"") -> zenoh.Reply:
+    """The answer to a query, asked again while the session is still connecting."""
+    answers: list[zenoh.Reply] = []
+
+    def answered() -> bool:
+        answers.extend(session.get(key, payload=payload, timeout=5.0))
+        return bool(answers)
+
+    until(answered)
+    return answers[0]
+
+
+def test_a_circle_comes_back_corrected(corrector: Corrector, katana: Calibration) -> None:
+    phase = np.linspace(0, 2 * math.pi, 200)
+    path = np.array(Q) + 0.1 * np.column_stack([np.sin(phase * k) for k in (1, 1, 2, 1, 1)])
+    statistics = Statistics()
+    out = list(
+        corrected(
+            path.tolist(), ROBOT, data=corrector.file.parent, stream="circle", deadline_s=2.0, settled=True,
+            statistics=statistics,
+        )
+    )  # fmt: skip
+    assert [setpoint.source for setpoint in out] == ["corrected"] * len(path)
+    assert statistics.corrected == statistics.sent == len(path)
+    assert not statistics.refused
+    first = Track(compile_program(katana), settled=True)
+    first.step(path[0].copy(), 1, 0.0)
+    assert np.array_equal(out[0], first.out)
+    assert max(abs(d) for setpoint in out for d in setpoint.delta) > 1e-4
+
+
+def test_a_paced_stream_sends_every_setpoint(corrector: Corrector) -> None:
+    statistics = Statistics()
+    options = {"data": corrector.file.parent, "stream": "paced", "deadline_s": 2.0, "settled": True}
+    out = list(corrected([Q] * 50, ROBOT, period_s=0.004, statistics=statistics, **options))
+    assert len(out) == statistics.sent == 50
+
+
+def test_a_chunk_comes_back_in_one_frame(corrector: Corrector) -> None:
+    with open_stream(corrector, "chunk") as stream:
+        answer = stream.correct_chunk([Q] * 100, 0.002)
+    assert answer is not None
+    assert (answer.status, answer.joints, len(answer.q)) == ("OK", 5, 500)
+
+
+def test_a_refused_setpoint_holds_the_last_correction_then_bypasses(corrector: Corrector) -> None:
+    with open_stream(corrector, "hold", hold_cycles=3, release_s=1e9) as stream:
+        good = stream.correct(Q)
+        beyond = (0.1, 9.0, 0.4, 0.3, 0.2)
+        after = [stream.correct(beyond) for _ in range(5)]
+        back = stream.correct(Q)
+    assert [setpoint.source for setpoint in after] == ["held"] * 3 + ["bypass"] * 2
+    assert {setpoint.status for setpoint in after} == {"JOINT_LIMIT"}
+    for setpoint in after:
+        assert np.allclose(setpoint.delta, good.delta, rtol=0, atol=1e-9)
+    assert back.source == "corrected"
+    assert stream.statistics.refused == {"JOINT_LIMIT": 5}
+
+
+def test_the_version_is_announced_followed_and_withdrawn(
+    corrector: Corrector, source: object, calibration_of: Callable[..., Calibration], active_of: Callable[..., object]
+) -> None:
+    old = source.versions[ROBOT]  # type: ignore[attr-defined]
+    new = active_of(calibration_of(ROBOT, seed=3), epoch=old.epoch + 1, ramp_s=0.05)
+    with open_stream(corrector, "follow") as stream:
+        assert stream.active is not None
+        assert stream.active["epoch"] == old.epoch
+        stream.correct(Q)
+        source.use(new)  # type: ignore[attr-defined]
+        corrector.poll()
+        until(lambda: stream.active is not None and stream.active["epoch"] == old.epoch + 1)
+        assert stream.correct(Q).source == "corrected"
+        source.withdraw(ROBOT)  # type: ignore[attr-defined]
+        corrector.poll()
+        until(lambda: stream.active is None)
+        assert stream.correct(Q).status == "NO_VERSION"
+        with pytest.raises(StreamError, match=r"active version|does not answer"):
+            open_stream(corrector, "early", connect_timeout_s=0.3).__enter__()
+        source.use(active_of(calibration_of(ROBOT), epoch=old.epoch + 2, ramp_s=0.05))  # type: ignore[attr-defined]
+        corrector.poll()
+        until(lambda: stream.active is not None)
+        assert stream.correct(Q).status == "OK"
+
+
+def test_the_stream_outlives_the_database(corrector: Corrector, source: object) -> None:
+    with open_stream(corrector, "database") as stream:
+        source.fails = True  # type: ignore[attr-defined]
+        try:
+            corrector.poll()
+            assert stream.correct(Q).source == "corrected"
+        finally:
+            source.fails = False  # type: ignore[attr-defined]
+
+
+def test_status_is_published(corrector: Corrector) -> None:
+    with peer(corrector) as session, open_stream(corrector, "status") as stream:
+        heard: list[dict[str, object]] = []
+        with session.declare_subscriber(f"{ROOT}/stream/status/status", zenoh.handlers.RingChannel(8)) as subscriber:
+
+            def listen() -> bool:
+                stream.correct(Q)
+                sample = subscriber.handler.try_recv()
+                if sample is not None:
+                    heard.append(json.loads(sample.payload.to_bytes()))
+                return bool(heard)
+
+            until(listen)
+    assert heard[0]["last_status"] == "OK"
+    assert heard[0]["instance"] == corrector.instance
+
+
+def test_a_trajectory_by_query_equals_the_kernel(corrector: Corrector, source: object) -> None:
+    t = np.arange(1000) * 0.002
+    q = np.array(Q) + 0.2 * np.sin(t)[:, None]
+    with peer(corrector) as session:
+        reply = ask(session, f"{ROOT}/@rpc/correct", encode_trajectory(t, q, joints=5))
+    assert reply.ok is not None
+    data = reply.ok.payload.to_bytes()
+    numbers = np.frombuffer(data, offset=frames.HEADER.size + frames.VERDICT.size + frames.BLOCK.size)
+    track = Track(source.versions[ROBOT].program, settled=True)  # type: ignore[attr-defined]
+    done, out, _, _ = track.follow(q, 1, np.diff(t, prepend=t[:1]))
+    assert done == len(t)
+    assert np.array_equal(numbers[: len(t)], t)
+    assert np.array_equal(numbers[len(t) :].reshape(-1, 5), out)
+
+
+def test_a_bad_trajectory_names_its_first_bad_point(corrector: Corrector) -> None:
+    t = np.arange(10) * 0.002
+    q = np.tile(Q, (10, 1))
+    q[6, 1] = 9.0
+    with peer(corrector) as session:
+        reply = ask(session, f"{ROOT}/@rpc/correct", encode_trajectory(t, q, joints=5))
+        assert reply.err is not None
+        refused = json.loads(reply.err.payload.to_bytes())
+        assert (refused["code"], refused["first_bad_index"], refused["joints"]) == ("JOINT_LIMIT", 6, [2])
+        reply = ask(session, f"{ROOT}/@rpc/correct", b"KLT1 and rubbish")
+        assert reply.err is not None
+        assert json.loads(reply.err.payload.to_bytes())["code"] == "BAD_FRAME"
+
+
+def test_the_robot_is_described(corrector: Corrector) -> None:
+    with peer(corrector) as session:
+        reply = ask(session, f"{ROOT}/@rpc/describe")
+    assert reply.ok is not None
+    document = json.loads(reply.ok.payload.to_bytes())
+    assert document["active"]["held_rows"] == ["x", "y", "z"]
+    assert document["statuses"]["OK"] == 0
+
+
+def test_malformed_frames_get_no_numbers_and_stop_nothing(corrector: Corrector) -> None:
+    with peer(corrector) as session, open_stream(corrector, "rubbish") as stream:
+        with session.declare_subscriber(f"{ROOT}/stream/rubbish2/out", zenoh.handlers.FifoChannel(100)) as answers:
+            publisher = session.declare_publisher(f"{ROOT}/stream/rubbish2/in")
+            until(lambda: publisher.matching_status.matching)
+            for data in (b"", b"KLT1", b"KLT1" + bytes(28), b"KLT1" + bytes(60), os.urandom(200)):
+                publisher.put(data)
+            session.put(f"{ROOT}/stream/{'x' * 200}/in", b"KLT1")
+
+            def refused() -> bool:
+                sample = answers.handler.try_recv()
+                return sample is not None and frames.decode_answer(sample.payload.to_bytes()).values.size == 0
+
+            until(refused)
+        assert stream.correct(Q).source == "corrected"
+
+
+def test_the_stream_comes_back_after_kill_9(corrector: Corrector) -> None:
+    with open_stream(corrector, "kill", hold_cycles=2) as stream:
+        stream.correct(Q)
+        pid = corrector._children["stream"].pid
+        assert pid is not None
+        os.kill(pid, signal.SIGKILL)
+        until(lambda: not stream.alive)
+        stream.deadline_s = 0.05
+        gone = [stream.correct(Q).source for _ in range(4)]
+        assert gone == ["held", "held", "bypass", "bypass"]
+        until(lambda: not corrector._children["stream"].alive)
+        corrector.poll()
+        stream.deadline_s = 2.0
+        until(lambda: stream.alive)
+        until(lambda: stream.correct(Q).source == "corrected")
+
+
+LEFT_OPEN = """
+import sys
+from pathlib import Path
+from kilter_client.stream import CorrectedStream
+stream = CorrectedStream("katana450-chapter4", data=Path(sys.argv[1]), stream="left", deadline_s=2.0).__enter__()
+print(stream.correct([0.1, 0.6, 0.4, 0.3, 0.2]).source, "numpy" in sys.modules)
+"""
+
+
+def test_a_stream_left_open_does_not_keep_its_process(corrector: Corrector, tmp_path: Path) -> None:
+    script = tmp_path / "left.py"
+    script.write_text(LEFT_OPEN)
+    done = subprocess.run(
+        [sys.executable, str(script), str(corrector.file.parent)],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=True,
+    )
+    assert done.stdout.split() == ["corrected", "False"]
+
+
+def test_without_a_corrector_the_remedy_is_named(tmp_path: Path) -> None:
+    with pytest.raises(StreamError, match="kilterd serve"):
+        CorrectedStream(ROBOT, data=tmp_path)
+
+
+def test_stopping_removes_the_file_and_ends_both_processes(
+    tmp_path: Path, source: object, corrector: Corrector
+) -> None:
+    other = Corrector(corrector._settings.model_copy(update={"data": tmp_path}), source)  # type: ignore[arg-type]
+    other.start()
+    pids = [child.pid for child in other._children.values()]
+    other.stop()
+    assert not other.file.exists()
+    for pid in pids:
+        assert pid is not None
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)

@@ -1,0 +1,247 @@
+"""The rules of one stream, without zenoh: every verdict, and nothing but OK with numbers."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from core.correction import Track, compile_program
+from core.model import Calibration
+from service.corrector import frames
+from service.corrector.active import Active
+from service.corrector.frames import Answer, Flag, Kind, Status
+from service.corrector.stream import Rules, Stream
+
+Q = [0.1, 0.6, 0.4, 0.3, 0.2]
+MS = 1_000_000
+RESET = Flag.RESET | Flag.SETTLED
+MakeCalibration = Callable[..., Calibration]
+
+
+class Controller:
+    """Sends setpoints to a stream on a clock of its own, a constant way behind the corrector's."""
+
+    def __init__(self, active: Active | None, rules: Rules | None = None) -> None:
+        self.stream = Stream(rules)
+        self.active = active
+        self.seq = 0
+        self.now = 10**12
+
+    def send(
+        self, q: list[float] = Q, *, flags: int = 0, seq: int | None = None, late_ns: int = 0,
+        version: int | None = None, overloaded: bool = False,
+    ) -> Answer:  # fmt: skip
+        self.seq = self.seq + 1 if seq is None else seq
+        self.now += 2 * MS
+        sent = self.now - 7 * 10**9
+        width = frames.width(flags)
+        data = frames.encode_setpoints(
+            np.array([q]), joints=len(q) // width, seq=self.seq, t_send_ns=sent, t_apply_ns=0, flags=flags,
+            version=version,
+        )  # fmt: skip
+        return self.raw(data, late_ns, overloaded)
+
+    def raw(self, data: bytes, late_ns: int = 0, overloaded: bool = False) -> Answer:
+        answer = self.stream.answer(data, self.now + late_ns, self.active, overloaded)
+        assert answer is not None
+        decoded = frames.decode_answer(answer)
+        assert (decoded.values.size > 0) == (decoded.status == Status.OK)
+        return decoded
+
+
+@pytest.fixture
+def active(katana: Calibration, active_of: Callable[..., Active]) -> Active:
+    return active_of(katana)
+
+
+def test_a_setpoint_is_corrected(active: Active, katana: Calibration) -> None:
+    controller = Controller(active)
+    answer = controller.send(flags=RESET)
+    track = Track(compile_program(katana), settled=True)
+    track.step(np.array(Q), 1, 0.0)
+    assert answer.status == Status.OK
+    assert (answer.version, answer.epoch, answer.header.seq) == (active.number, active.epoch, 1)
+    assert np.array_equal(answer.values[0], track.out)
+    assert not answer.header.flags & Flag.DYNAMIC
+
+
+def test_speeds_and_accelerations_make_the_moments_dynamic(active: Active) -> None:
+    answer = Controller(active).send(Q + [0.5] * 5 + [2.0] * 5, flags=RESET | Flag.QD | Flag.QDD)
+    assert answer.header.flags & Flag.DYNAMIC
+
+
+def test_a_chunk_equals_its_points(active: Active) -> None:
+    points = np.array(Q) + 0.01 * np.sin(np.arange(40))[:, None]
+    one = Controller(active)
+    single = [one.send(list(p), flags=RESET if k == 0 else 0).values[0] for k, p in enumerate(points)]
+    many = Controller(active)
+    many.send(list(points[0]), flags=RESET)
+    many.now += 2 * MS
+    data = frames.encode_setpoints(
+        points[1:], joints=5, seq=2, t_send_ns=many.now - 7 * 10**9, t_apply_ns=0, step_ns=2 * MS
+    )
+    answer = many.raw(data)
+    assert answer.header.kind == Kind.CHUNK
+    assert np.allclose(answer.values, single[1:], rtol=0, atol=1e-12)
+
+
+def test_a_chunk_with_one_bad_point_is_refused_as_a_whole(active: Active) -> None:
+    points = np.tile(Q, (5, 1))
+    points[3, 1] = 9.0
+    controller = Controller(active)
+    first = controller.send(flags=RESET)
+    controller.now += 2 * MS
+    sent = controller.now - 7 * 10**9
+    data = frames.encode_setpoints(points, joints=5, seq=2, t_send_ns=sent, t_apply_ns=0, step_ns=MS)
+    refused = controller.raw(data)
+    assert (refused.status, refused.limit_mask) == (Status.JOINT_LIMIT, 0b10)
+    assert np.allclose(controller.send(seq=3).values, first.values, rtol=0, atol=1e-9)
+
+
+def test_sequence_gap_repetition_and_reset(active: Active) -> None:
+    controller = Controller(active)
+    assert controller.send(flags=RESET).status == Status.OK
+    assert controller.send(seq=5).status == Status.SEQ_GAP
+    assert controller.send(seq=6).status == Status.OK
+    assert controller.send(seq=6).status == Status.SEQ_BACK
+    assert controller.send(seq=2).status == Status.SEQ_BACK
+    assert controller.send(seq=9, overloaded=True).status == Status.OVERLOAD
+    assert controller.send(seq=1, flags=Flag.RESET).status == Status.OK
+    assert controller.send().status == Status.OK
+
+
+def test_two_controllers_on_one_key_never_both_get_numbers(active: Active) -> None:
+    controller = Controller(active)
+    controller.send(flags=RESET)
+    first = [controller.send(seq=s).status for s in (2, 3)]
+    second = [controller.send(seq=s).status for pair in ((1002, 4), (1003, 5), (1004, 6)) for s in pair]
+    assert first == [Status.OK, Status.OK]
+    assert second == [Status.SEQ_GAP, Status.SEQ_BACK, Status.OK, Status.SEQ_BACK, Status.OK, Status.SEQ_BACK]
+
+
+def test_a_burst_after_a_hang_is_stale(active: Active) -> None:
+    controller = Controller(active)
+    controller.send(flags=RESET)
+    assert controller.send(late_ns=20 * MS).status == Status.OK
+    hang = 8 * 10**9
+    stale = [controller.send(late_ns=hang - k * 2 * MS).status for k in range(100)]
+    assert set(stale) == {Status.STALE}
+    assert controller.send().status == Status.OK
+
+
+def test_nothing_to_correct_with(active: Active) -> None:
+    controller = Controller(None)
+    assert controller.send(flags=RESET).status == Status.NO_VERSION
+    controller.active = active
+    assert controller.send().status == Status.OK
+    controller.active = None
+    assert controller.send().status == Status.NO_VERSION
+
+
+def test_another_version_or_robot_is_a_mismatch(active: Active) -> None:
+    controller = Controller(active)
+    assert controller.send(flags=RESET, version=active.number).status == Status.OK
+    assert controller.send(version=active.number ^ 1).status == Status.VERSION_MISMATCH
+    assert controller.send([0.0] * 6).status == Status.VERSION_MISMATCH
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("place", [0, 4])
+def test_numbers_that_are_none(active: Active, bad: float, place: int) -> None:
+    controller = Controller(active)
+    controller.send(flags=RESET)
+    q = [*Q]
+    q[place] = bad
+    assert controller.send(q).status == Status.NOT_FINITE
+
+
+def test_limits_and_leaps(active: Active) -> None:
+    controller = Controller(active)
+    controller.send(flags=RESET)
+    low = controller.send([0.1, -3.0, 0.4, 9.0, 0.2])
+    assert (low.status, low.limit_mask) == (Status.JOINT_LIMIT, 0b01010)
+    leap = controller.send([0.1, 0.6, -0.4, 0.3, 0.2])
+    assert (leap.status, leap.limit_mask) == (Status.RATE_LIMIT, 0b00100)
+    assert controller.send().status == Status.OK
+
+
+def test_joint_limits_hold_after_the_correction(katana: Calibration, active_of: Callable[..., Active]) -> None:
+    active = active_of(katana)
+    controller = Controller(active)
+    delta = controller.send(flags=RESET).values[0] - Q
+    upper = active.program.array[active.program.moves + 1 : -1, 1]
+    lower = active.program.array[active.program.moves + 1 : -1, 0]
+    j = int(np.argmax(np.abs(delta)))
+    (upper if delta[j] > 0 else lower)[j] = Q[j]
+    answer = Controller(active).send(flags=RESET)
+    assert (answer.status, answer.limit_mask) == (Status.JOINT_LIMIT, 1 << j)
+
+
+def test_a_correction_beyond_the_version_s_limit_is_refused(
+    katana: Calibration, active_of: Callable[..., Active]
+) -> None:
+    answer = Controller(active_of(katana, largest_rad=1e-5)).send(flags=RESET)
+    assert answer.status == Status.CORRECTION_TOO_LARGE
+
+
+def test_a_change_of_version_flips_between_samples_and_ramps(
+    calibration_of: MakeCalibration, katana: Calibration, active_of: Callable[..., Active]
+) -> None:
+    old, new = active_of(katana, 1), active_of(calibration_of("katana450-chapter4", seed=5), 2)
+    controller = Controller(old)
+    before = controller.send(flags=RESET)
+    controller.active = new
+    after = controller.send()
+    assert (before.epoch, after.epoch) == (1, 2)
+    assert after.header.flags & Flag.RAMPING
+    assert np.abs(after.values - before.values).max() < math.radians(0.5) * 0.01
+    for _ in range(1200):
+        after = controller.send()
+    assert not after.header.flags & Flag.RAMPING
+    assert np.abs(after.values - before.values).max() > 1e-6
+
+
+def test_a_controller_cannot_loosen_the_rate_limit_by_its_clock(active: Active) -> None:
+    stream = Stream()
+    data = frames.encode_setpoints(np.array([Q]), joints=5, seq=1, t_send_ns=0, t_apply_ns=10, flags=RESET)
+    stream.answer(data, 0, active)
+    far = frames.decode_setpoints(
+        frames.encode_setpoints(np.array([Q]), joints=5, seq=2, t_send_ns=0, t_apply_ns=10**15)
+    )
+    assert stream._elapsed(far, 2 * MS) <= 0.002 + Rules().time_slack_s
+
+
+def test_counters_say_what_happened(active: Active) -> None:
+    controller = Controller(active)
+    controller.send(flags=RESET)
+    controller.send(seq=9)
+    document = controller.stream.counters.document()
+    assert document["received"] == 2
+    assert document["counters"]["OK"] == document["counters"]["SEQ_GAP"] == 1
+    assert document["last_status"] == "SEQ_GAP"
+
+
+def test_malformed_frames_are_answered_without_numbers(active: Active) -> None:
+    """Twenty thousand damaged frames: no crash, and numbers only where the frame was a good one after all."""
+    rng = random.Random(1)
+    stream = Stream()
+    good = frames.encode_setpoints(np.array([Q]), joints=5, seq=1, t_send_ns=0, t_apply_ns=0, flags=RESET)
+    for _ in range(20_000):
+        data = bytearray(good)
+        for _ in range(rng.randrange(1, 4)):
+            data[rng.randrange(len(data))] = rng.randrange(256)
+        if rng.random() < 0.3:
+            data = data[: rng.randrange(len(data))]
+        answer = stream.answer(bytes(data), 0, active)
+        if answer is None:
+            continue
+        decoded = frames.decode_answer(answer)
+        if decoded.status == Status.OK:
+            assert np.all(np.isfinite(decoded.values))
+            assert decoded.values.shape[1] == 5
+        else:
+            assert decoded.values.size == 0
