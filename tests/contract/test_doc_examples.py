@@ -1,7 +1,9 @@
 """The examples of the documentation run: every block marked "tested", page by page, against a real server.
 
-A page's blocks share one working folder, in which ``docs`` is the documentation. A block marked ``tested with FOLDER``
-also finds there the files of that folder of real measurements.
+A page's blocks share one working folder, in which ``docs`` and ``clients`` are the repository's. A block marked
+``tested with FOLDER`` also finds there the files of that folder of real measurements. Where a page writes ``cmp_1``,
+``ver_2`` or ``job_1`` the test puts the first campaign's, second version's or first job's id that the page's commands
+have printed, as its reader does.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ from tools.local_server import LocalServer, local_server
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
 BLOCK = re.compile(r"^```(sh|python) tested(?: with (\S+))?\n(.*?)^```", re.MULTILINE | re.DOTALL)
+IDENTIFIER = re.compile(r"\b(?:cmp|ver|job)_[0-9a-f]{8,}\b")
+PLACEHOLDER = re.compile(r"\b(cmp|ver|job)_(\d)\b")
 DEADLINE_S = 240
 
 
@@ -53,20 +57,35 @@ def link_measurements(folder: Path, request: pytest.FixtureRequest, data: str) -
             (folder / file.name).symlink_to(file)
 
 
+def with_identifiers(source: str, printed: list[str]) -> str:
+    def put(match: re.Match[str]) -> str:
+        known = [identifier for identifier in dict.fromkeys(printed) if identifier.startswith(match[1])]
+        return known[int(match[2]) - 1]
+
+    return PLACEHOLDER.sub(put, source)
+
+
+def run(example: Example, folder: Path, server: LocalServer, printed: list[str]) -> None:
+    command = ["bash", "-euo", "pipefail", "-c"] if example.language == "sh" else [sys.executable, "-c"]
+    done = subprocess.run(
+        [*command, with_identifiers(example.source, printed)],
+        cwd=folder,
+        env=server.environment(),
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=False,
+    )
+    assert done.returncode == 0, f"{example.source}\n{done.stdout}\n{done.stderr}"
+    printed += IDENTIFIER.findall(done.stdout + done.stderr)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
 def test_examples_run(page: Path, server: LocalServer, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    (tmp_path / "docs").symlink_to(DOCS)
+    for name in ("docs", "clients"):
+        (tmp_path / name).symlink_to(REPOSITORY / name)
+    printed: list[str] = []
     for example in examples(page):
         if example.data:
             link_measurements(tmp_path, request, example.data)
-        command = ["bash", "-euo", "pipefail", "-c"] if example.language == "sh" else [sys.executable, "-c"]
-        done = subprocess.run(
-            [*command, example.source],
-            cwd=tmp_path,
-            env=server.environment(),
-            capture_output=True,
-            text=True,
-            timeout=DEADLINE_S,
-            check=False,
-        )
-        assert done.returncode == 0, f"{example.source}\n{done.stdout}\n{done.stderr}"
+        run(example, tmp_path, server, printed)
