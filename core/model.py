@@ -290,7 +290,9 @@ class RobotModel:
                 if d.xi is not None:
                     out[:, :, c] += self._twist_column(d.joint, d.xi, JX)
                 if d.scale is not None:
-                    out[:, :3, c] += position * d.scale[:, None]
+                    assert total.stretch is not None
+                    # The stretch that multiplies all columns afterwards must not multiply its own derivative.
+                    out[:, :3, c] += position / total.stretch * d.scale[:, None]
         return out
 
     def _twist_column(self, joint: int, xi: Floats, JX: Floats) -> Floats:

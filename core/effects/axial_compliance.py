@@ -18,7 +18,7 @@ class AxialCompliance(Effect):
     source = "thesis eq. 4.15, 5.19"
     needs = frozenset({"moments"})
     signs = "positive"
-    aliases = ("backlash_load",)
+    aliases = ("link_bending", "radial_compliance", "gravity_spring", "eccentricity")
     remedy = "repeat old poses with a second payload: geometry cancels, the load does not"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:

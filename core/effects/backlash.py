@@ -21,7 +21,7 @@ class Backlash(Effect):
     summary = "reversal error with the direction of the joint's last motion"
     source = "gap-finder library; Slamani, Nubiola and Bonev 2012"
     needs = frozenset({"direction"})
-    aliases = ("backlash_load",)
+    aliases = ("friction_windup", "backlash_load")
     remedy = "approach the same poses from both sides with every joint: one-sided, it is an encoder offset"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:

@@ -23,7 +23,7 @@ class BacklashLoad(Effect):
     source = "thesis eq. 5.19"
     needs = frozenset({"moments"})
     signs = "positive"
-    aliases = ("axial_compliance", "backlash")
+    aliases = ("axial_compliance", "eccentricity", "backlash")
     remedy = "measure poses where the load on the joint has both signs, or the same poses with another payload"
 
     softening_nm: float = 0.0

@@ -28,6 +28,7 @@ class ClearanceTilt(Effect):
     source = "thesis eq. 5.16-5.18, 5.15 corrected"
     needs = frozenset({"moments"})
     signs = "positive"
+    aliases = ("radial_compliance", "link_bending", "base_compliance")
     remedy = "measure poses that turn the transverse load round the joint, or the same poses with another payload"
 
     share: str = "thesis"

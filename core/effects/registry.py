@@ -10,7 +10,26 @@ from core.effects.axial_compliance import AxialCompliance
 from core.effects.backlash import Backlash
 from core.effects.backlash_load import BacklashLoad
 from core.effects.base import Effect
+from core.effects.base_compliance import BaseCompliance
 from core.effects.clearance_tilt import ClearanceTilt
+from core.effects.drift import Drift
+from core.effects.eccentricity import Eccentricity
+from core.effects.encoder_scale import EncoderScale
+from core.effects.friction_windup import FrictionWindup
+from core.effects.gear_error import GearError
+from core.effects.gravity_spring import GravitySpring
+from core.effects.joint_coupling import JointCoupling
+from core.effects.link_bending import LinkBending
+from core.effects.measurement_scale import MeasurementScale
+from core.effects.payload_error import PayloadError
+from core.effects.radial_compliance import RadialCompliance
+from core.effects.second_harmonic import SecondHarmonic
+from core.effects.session_shift import SessionShift
+from core.effects.thermal_growth import ThermalGrowth
+from core.effects.time_offset import TimeOffset
+from core.effects.tracking_lag import TrackingLag
+from core.effects.unknown_field import UnknownField
+from core.effects.unknown_joint_curve import UnknownJointCurve
 from core.errors import OptionError
 
 _ALL: tuple[type[Effect], ...] = (
@@ -18,6 +37,25 @@ _ALL: tuple[type[Effect], ...] = (
     Backlash,
     BacklashLoad,
     AxialCompliance,
+    RadialCompliance,
+    Eccentricity,
+    SecondHarmonic,
+    GearError,
+    EncoderScale,
+    JointCoupling,
+    GravitySpring,
+    LinkBending,
+    BaseCompliance,
+    ThermalGrowth,
+    PayloadError,
+    FrictionWindup,
+    TimeOffset,
+    TrackingLag,
+    Drift,
+    MeasurementScale,
+    SessionShift,
+    UnknownJointCurve,
+    UnknownField,
 )
 
 EFFECTS: Mapping[str, type[Effect]] = MappingProxyType({effect.id: effect for effect in _ALL})

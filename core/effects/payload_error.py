@@ -1,0 +1,65 @@
+"""Payload whose mass or centre is not what was stated, seen through the compliance of the joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear
+from core.errors import OptionError
+from core.observations import Observations
+from core.parameters import Parameter
+from core.robot import Robot
+
+
+@dataclass(frozen=True)
+class PayloadError(Effect):
+    """dq_j = c_j (A_j dm + m B_j · dcom) in the rows that carry a payload of stated mass m > 0.
+
+    ``compliances`` c_j, one per joint, rad/(N m) (m/N at a slide), come from an earlier identification: products of
+    two unknowns would not be linear. A_j is the load of one kilogram at the stated place, B_j that of one kg·m of
+    first moment along the tool axes, so the load is linear in dm and m dcom; the product dm dcom is left out. dm is
+    the same in all loaded rows (a forgotten adapter), dcom the same shift in the tool frame.
+    """
+
+    id = "payload_error"
+    summary = "mass or centre of the payload not as stated, seen through joint compliance"
+    source = "thesis eq. 4.21 with eq. 4.15, differentiated by the payload"
+    needs = frozenset({"payload_kg"})
+    aliases = ("axial_compliance", "link_bending")
+    remedy = "identify axial_compliance with a known payload first, then measure with two loads, one of them none"
+    at_joints = False
+
+    compliances: tuple[float, ...] = ()
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Check that every joint has a compliance.
+
+        Raises:
+            OptionError: there is not one compliance per joint.
+
+        """
+        if len(self.compliances) != robot.n_joints:
+            raise OptionError(
+                f"payload_error has {len(self.compliances)} compliances for {robot.n_joints} joints: identify "
+                "axial_compliance first and give its values in rad/(N m), 0 for a stiff joint.",
+                effect=self.id,
+            )
+        return self
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Mass error dm, kg, then the error of the centre dcom along x, y, z of the tool, m."""
+        mass = Parameter("payload_mass", "kg", 0.0, 0.5, -10.0, 10.0, "mass of the payload beyond what was stated")
+        text = "centre of the payload beyond what was stated, along tool "
+        return (mass, *(Parameter(f"payload_com_{k}", "m", 0.0, 0.03, -0.3, 0.3, text + k) for k in "xyz"))
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint corrections and their derivatives by dm and dcom."""
+        mass = np.asarray(self.column(batch, "payload_kg"), dtype=np.float64)
+        if batch.payload_axial is None:
+            raise OptionError("payload_error needs the sensitivity of the loads: make the batch by a model with it.")
+        per_unit = np.stack([(mass > 0.0) * 1.0, mass, mass, mass], axis=1)
+        signal = np.einsum("njk,nk,j->kjn", batch.payload_axial, per_unit, np.asarray(self.compliances))
+        return linear(batch, values, [Derivative(k, j, dq=dq) for k, s in enumerate(signal) for j, dq in enumerate(s)])
