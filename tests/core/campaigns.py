@@ -1,0 +1,40 @@
+"""Campaigns measured on the independent arms of :mod:`tests.core.truth`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from core.observations import Observations
+from tests.core.truth import Arm
+
+Floats = NDArray[np.float64]
+MARKERS = np.array([[0.04, 0.0, 0.01], [-0.02, 0.03, 0.0], [-0.02, -0.03, 0.02]])
+
+
+def joints(arm: Arm, count: int, rng: np.random.Generator) -> Floats:
+    """Joint vectors within the arm's limits."""
+    return rng.uniform(*arm.limits, (count, arm.n))
+
+
+def measured(
+    arm: Arm, q: Floats, rng: np.random.Generator, noise_m: float = 0.0, see: str = "position", **columns: Any
+) -> Observations:
+    """What an instrument sees of the arm: its tool "position", "pose" (with 1 rad of noise per metre) or "markers"."""
+    position, rotation = arm.poses(q)
+    if see == "markers":
+        points = position[:, None] + np.einsum("nij,mj->nmi", rotation, MARKERS)
+        return Observations(q, markers=points + rng.normal(0.0, noise_m, points.shape), **columns)
+    seen = position + rng.normal(0.0, noise_m, position.shape)
+    if see == "position":
+        return Observations(q, position=seen, **columns)
+    turned = Rotation.from_rotvec(rng.normal(0.0, noise_m, (len(q), 3))).as_matrix() @ rotation
+    return Observations(q, position=seen, rotation=turned, **columns)
+
+
+def table_errors(arm: Arm, rng: np.random.Generator, metres: float = 5e-4, radians: float = 1e-3) -> dict[str, float]:
+    """A random error for every named step."""
+    return {s.name: float(rng.normal(0.0, radians if s.axis[0] == "r" else metres)) for s in arm.steps if s.name}

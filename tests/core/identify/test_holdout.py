@@ -1,0 +1,67 @@
+"""Held-out poses: never on both sides, whatever the repeats."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.errors import OptionError, TooFewPosesError
+from core.identify.holdout import fold_splits, split
+from core.observations import Observations
+
+POSE_IDS = st.lists(st.integers(0, 40), min_size=2, max_size=80).filter(lambda ids: len(set(ids)) >= 2)
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def rows(ids: list[int], named: bool) -> Observations:
+    """Rows of poses, told apart by their id or by their joints alone."""
+    q = np.array(ids, dtype=np.float64)[:, None] * [0.1, -0.2]
+    return Observations(q, pose_id=np.array(ids) if named else None)
+
+
+@given(POSE_IDS, st.floats(0.01, 0.99), SEEDS, st.booleans())
+def test_a_fraction_splits_whole_poses(ids: list[int], fraction: float, seed: int, named: bool) -> None:
+    poses = len(set(ids))
+    if round(fraction * poses) in (0, poses):
+        with pytest.raises(TooFewPosesError):
+            split(rows(ids, named), fraction, seed)
+        return
+    train, held = split(rows(ids, named), fraction, seed)
+    assert sorted([*train, *held]) == list(range(len(ids)))
+    sides = [{ids[k] for k in side} for side in (train, held)]
+    assert not sides[0] & sides[1]
+    assert len(sides[1]) == round(fraction * poses)
+
+
+@given(POSE_IDS, st.integers(2, 8), SEEDS, st.booleans())
+def test_folds_hold_every_pose_out_once(ids: list[int], folds: int, seed: int, named: bool) -> None:
+    if len(set(ids)) < folds:
+        with pytest.raises(TooFewPosesError):
+            list(fold_splits(rows(ids, named), folds, seed))
+        return
+    held_rows = []
+    sizes = []
+    for train, held in fold_splits(rows(ids, named), folds, seed):
+        assert sorted([*train, *held]) == list(range(len(ids)))
+        assert not {ids[k] for k in train} & {ids[k] for k in held}
+        held_rows += list(held)
+        sizes.append(len({ids[k] for k in held}))
+    assert sorted(held_rows) == list(range(len(ids)))
+    assert max(sizes) - min(sizes) <= 1
+
+
+def test_the_seed_decides() -> None:
+    o = rows(list(range(50)), True)
+    np.testing.assert_array_equal(split(o, 0.3, 1)[1], split(o, 0.3, 1)[1])
+    assert not np.array_equal(split(o, 0.3, 1)[1], split(o, 0.3, 2)[1])
+
+
+def test_impossible_splits_are_refused() -> None:
+    o = rows([0, 1, 2, 3], True)
+    for fraction in (0.0, 1.0, -0.2, 3.0):
+        with pytest.raises(OptionError, match="between 0 and 1"):
+            split(o, fraction, 0)
+    with pytest.raises(OptionError, match="two or more"):
+        list(fold_splits(o, 1, 0))
