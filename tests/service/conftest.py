@@ -100,6 +100,16 @@ def client(settings: Settings, database: Database, serve: Serve) -> httpx.Client
     return client
 
 
+@pytest.fixture(scope="module")
+def shared_client(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[httpx.Client]:
+    """Serve one application to all tests of a module that do not care what the others left there."""
+    settings = Settings(data=tmp_path_factory.mktemp("shared"), database_url=None, host="127.0.0.1", token=None)
+    shutil.copy(migrated, settings.data / DATABASE_FILE)
+    with served(create_app(settings)) as client:
+        client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
+        yield client
+
+
 class WorkerProcess:
     """`kilterd worker` as a process of its own."""
 

@@ -58,6 +58,13 @@ def campaign(client: httpx.Client) -> str:
     return str(answer.json()["id"])
 
 
+@pytest.fixture
+def shared_campaign(shared_client: httpx.Client) -> str:
+    """A new campaign on the module's server."""
+    shared_client.post("/v1/robots", json=ROBOT).raise_for_status()
+    return str(shared_client.post("/v1/robots/arm/campaigns", json={"name": "shared"}).json()["id"])
+
+
 def send(client: httpx.Client, campaign: str, body: str | bytes, media: str = "text/csv") -> httpx.Response:
     return client.post(f"/v1/campaigns/{campaign}/observations", content=body, headers={"content-type": media})
 
@@ -88,16 +95,16 @@ def test_csv_parquet_and_json_become_the_same_observations(client: httpx.Client,
         assert np.array_equal(found.position[:, 1], np.array(rows["y_mm"]) * 1e-3)
 
 
-def test_the_same_bytes_twice_change_nothing(client: httpx.Client, campaign: str) -> None:
+def test_the_same_bytes_twice_change_nothing(shared_client: httpx.Client, shared_campaign: str) -> None:
     body = csv_of(columns())
-    assert send(client, campaign, body).status_code == 201
-    again = send(client, campaign, body)
+    assert send(shared_client, shared_campaign, body).status_code == 201
+    again = send(shared_client, shared_campaign, body)
     assert (again.status_code, again.json()["new"], again.json()["total_rows"]) == (200, False, 5)
-    more = send(client, campaign, csv_of(columns(7)))
+    more = send(shared_client, shared_campaign, csv_of(columns(7)))
     assert (more.status_code, more.json()["total_rows"]) == (201, 12)
-    report = client.get(f"/v1/campaigns/{campaign}").json()
+    report = shared_client.get(f"/v1/campaigns/{shared_campaign}").json()
     assert (report["rows"], len(report["uploads"]), report["role"]) == (12, 2, "train")
-    assert client.get("/v1/robots/arm/campaigns").json()["campaigns"] == [report]
+    assert shared_client.get("/v1/robots/arm/campaigns").json()["campaigns"][-1] == report
 
 
 def change(name: str, row: int, value: Any) -> str:
@@ -172,16 +179,16 @@ BAD: list[tuple[str, str, int | None, str | None]] = [
 
 @pytest.mark.parametrize(("body", "message", "row", "column"), BAD)
 def test_a_broken_rule_names_its_place_and_nothing_is_stored(
-    client: httpx.Client, campaign: str, body: str, message: str, row: int | None, column: str | None
+    shared_client: httpx.Client, shared_campaign: str, body: str, message: str, row: int | None, column: str | None
 ) -> None:
-    answer = send(client, campaign, body)
+    answer = send(shared_client, shared_campaign, body)
     assert answer.status_code == 400, answer.text
     problem = answer.json()
     assert problem["code"] == "observations_invalid"
     assert message in problem["detail"]
     assert problem["context"].get("row") == row
     assert problem["context"].get("column") == column
-    assert client.get(f"/v1/campaigns/{campaign}").json()["rows"] == 0
+    assert shared_client.get(f"/v1/campaigns/{shared_campaign}").json()["rows"] == 0
 
 
 @pytest.mark.parametrize(
@@ -198,33 +205,33 @@ def test_a_broken_rule_names_its_place_and_nothing_is_stored(
         ("{", "not JSON"),
     ],
 )
-def test_json_is_as_strict(client: httpx.Client, campaign: str, body: str, message: str) -> None:
-    answer = send(client, campaign, body, "application/json")
+def test_json_is_as_strict(shared_client: httpx.Client, shared_campaign: str, body: str, message: str) -> None:
+    answer = send(shared_client, shared_campaign, body, "application/json")
     assert answer.status_code == 400
     assert message in answer.json()["detail"]
 
 
-def test_parquet_is_as_strict(client: httpx.Client, campaign: str) -> None:
+def test_parquet_is_as_strict(shared_client: httpx.Client, shared_campaign: str) -> None:
     media = "application/vnd.apache.parquet"
-    assert "not a Parquet file" in send(client, campaign, b"PAR1 no", media).json()["detail"]
-    text = send(client, campaign, parquet_of(columns() | {"x_mm": ["a"] * 5}), media).json()
+    assert "not a Parquet file" in send(shared_client, shared_campaign, b"PAR1 no", media).json()["detail"]
+    text = send(shared_client, shared_campaign, parquet_of(columns() | {"x_mm": ["a"] * 5}), media).json()
     assert text["context"]["column"] == "x_mm"
     rows = columns()
     rows["y_mm"][1] = float("nan")
-    assert "Row 2, column 'y_mm'" in send(client, campaign, parquet_of(rows), media).json()["detail"]
+    assert "Row 2, column 'y_mm'" in send(shared_client, shared_campaign, parquet_of(rows), media).json()["detail"]
 
 
-def test_unknown_media_types_and_campaigns_are_refused(client: httpx.Client, campaign: str) -> None:
-    assert send(client, campaign, "x", "application/pdf").status_code == 415
-    assert send(client, "cmp_none", "x").json()["code"] == "campaign_not_found"
-    assert client.post("/v1/robots/nobody/campaigns", json={"name": "a"}).json()["code"] == "robot_not_found"
-    unknown = client.post("/v1/robots/arm/campaigns", json={"name": "a", "colour": "red"})
+def test_unknown_media_types_and_campaigns_are_refused(shared_client: httpx.Client, shared_campaign: str) -> None:
+    assert send(shared_client, shared_campaign, "x", "application/pdf").status_code == 415
+    assert send(shared_client, "cmp_none", "x").json()["code"] == "campaign_not_found"
+    assert shared_client.post("/v1/robots/nobody/campaigns", json={"name": "a"}).json()["code"] == "robot_not_found"
+    unknown = shared_client.post("/v1/robots/arm/campaigns", json={"name": "a", "colour": "red"})
     assert unknown.status_code == 422
 
 
-def test_columns_of_later_uploads_must_be_the_same(client: httpx.Client, campaign: str) -> None:
-    send(client, campaign, csv_of(columns()))
-    other = send(client, campaign, csv_of(columns() | {"t_s": [1, 2, 3, 4, 5]}))
+def test_columns_of_later_uploads_must_be_the_same(shared_client: httpx.Client, shared_campaign: str) -> None:
+    send(shared_client, shared_campaign, csv_of(columns()))
+    other = send(shared_client, shared_campaign, csv_of(columns() | {"t_s": [1, 2, 3, 4, 5]}))
     assert (other.status_code, other.json()["context"]["columns"]) == (400, ["t_s"])
 
 

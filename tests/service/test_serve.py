@@ -34,7 +34,7 @@ def children(pid: int) -> dict[str, int]:
     found = {}
     for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split():
         command = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
-        if b"service" in command:
+        if b"service" in command[:-1]:
             found[command[command.index(b"service") + 1].decode()] = int(child)
     return found
 
@@ -102,12 +102,16 @@ def test_serve_is_ready_survives_kill_9_of_its_processes_and_stops_clean(
     assert not settings.corrector_file.exists()
 
 
-def test_processes_end_when_the_supervisor_is_killed(server: Server, until: Until) -> None:
-    left = children(server.process.pid)
-    assert len(left) == 3
-    server.process.kill()
-    server.process.wait()
-    until(lambda: not any(alive(pid) for pid in left.values()), seconds=20)
+def test_processes_end_when_the_supervisor_is_killed(settings: Settings, until: Until) -> None:
+    environment = {**os.environ, **settings.environment()}
+    supervisor = subprocess.Popen([sys.executable, "-m", "service", "serve"], env=environment, cwd=REPOSITORY)
+    try:
+        until(lambda: set(children(supervisor.pid)) == {"api", "worker", "corrector"})
+        left = children(supervisor.pid)
+    finally:
+        supervisor.kill()
+        supervisor.wait()
+    until(lambda: not any(alive(pid) for pid in left.values()), seconds=30)
 
 
 def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
