@@ -2,6 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 READY := .venv/.ready
+KERNELS := .venv/.kernels
 IMAGE ?= kilter
 
 .DEFAULT_GOAL := help
@@ -10,29 +11,33 @@ IMAGE ?= kilter
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
 
-setup: $(READY) ## build .venv with pinned dependencies (done once, again when a dependency list changes)
+setup: $(READY) $(KERNELS) ## build .venv with pinned dependencies (done once, again when a dependency list changes)
 
 $(READY): pyproject.toml clients/python/pyproject.toml constraints.txt tools/make_environment.sh
 	sh tools/make_environment.sh "$(PYTHON)"
 	touch $@
 
-demo: $(READY) ## calibrate a simulated Katana 450 from measured poses to corrected setpoints
+$(KERNELS): $(READY) $(wildcard core/kernels/*.py)
+	$(BIN)/python -m tools.compile_kernels
+	touch $@
+
+demo: $(KERNELS) ## calibrate a simulated Katana 450 from measured poses to corrected setpoints
 	$(BIN)/python -m tools.demo
 
-serve: $(READY) ## run the server on this machine until Ctrl-C
+serve: $(KERNELS) ## run the server on this machine until Ctrl-C
 	$(BIN)/kilterd serve
 
-test: $(READY) ## run the tests
+test: $(KERNELS) ## run the tests
 	$(BIN)/python -m pytest
 
-check: $(READY) ## style, types, import rules
+check: $(KERNELS) ## style, types, import rules
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -q tests/contract/test_layout.py tests/contract/test_docs.py tests/contract/test_openapi.py
 
-bench: $(READY) ## measure speed against other tools and print the ratios
+bench: $(KERNELS) ## measure speed against other tools and print the ratios
 	$(BIN)/python -m pytest -m bench -s tests/bench
 
 image: ## build the container image (needs a container engine)

@@ -1,0 +1,60 @@
+"""The demo runs from start to end and shows what it promises: the end-to-end test of the whole job."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DEADLINE_S = 180
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("demo") / "path.json"
+
+
+@pytest.fixture(scope="module")
+def output(record: Path) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.demo", "--record", str(record)],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=False,
+    )
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    assert done.stderr == ""
+    return done.stdout
+
+
+def figures(output: str, name: str) -> list[float]:
+    found = re.search(rf"^{name} +([\d. ]+)$", output, re.MULTILINE)
+    assert found, output
+    return [float(figure) for figure in found[1].split()]
+
+
+def test_full_tilting_reaches_the_noise_on_held_out_poses(output: str) -> None:
+    before, conventional = figures(output, "before")[3], figures(output, "conventional")[3]
+    stiffness, full = figures(output, "stiffness only")[3], figures(output, "full tilting")[3]
+    assert before > conventional > stiffness > full
+    assert full <= 0.020
+
+
+def test_the_streamed_circle_is_corrected(output: str, record: Path) -> None:
+    document = json.loads(record.read_text(encoding="utf-8"))
+    before, after = document["before_mm"], document["after_mm"]
+    assert len(before) == len(after) == 4001
+    assert sum(after) < 0.1 * sum(before)
+
+
+def test_it_names_what_to_try_next(output: str) -> None:
+    named = re.findall(r"docs/\S+\.md", output)
+    assert named
+    assert all((REPOSITORY / page).is_file() for page in named)
