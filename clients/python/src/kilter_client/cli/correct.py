@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,10 +13,11 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.arguments import File, Json, Robot
-from kilter_client.cli.output import emit, say
+from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 from kilter_client.files import prepare
+from kilter_client.files.table import CSV_TYPE, JSON_TYPE
 
 
 def register(app: typer.Typer) -> None:
@@ -36,12 +41,31 @@ def correct(
     trajectory = prepare(file, column_map=column_map)
     with Kilter() as kilter:
         content = kilter.correct(robot, trajectory)
+    status = verdicts(content, trajectory.content_type)
+    left = {name: count for name, count in status.items() if name != "OK"}
+    if left:
+        counts = ", ".join(f"{name} {count}" for name, count in left.items())
+        note(f"Warning: {sum(left.values())} rows are not corrected and have empty cells ({counts}).", as_json)
     if output is None:
         typer.get_binary_stream("stdout").write(content)
         return
     write(output, content)
-    document = {"robot": robot, "output": str(output), "bytes": len(content)}
-    emit(document, as_json, lambda _: say(f"{output}: {len(content)} bytes"))
+    document = {"robot": robot, "output": str(output), "bytes": len(content), "status": status}
+    emit(
+        document,
+        as_json,
+        lambda _: say(f"{output}: {sum(status.values()) or len(content)} {'rows' if status else 'bytes'}"),
+    )
+
+
+def verdicts(content: bytes, content_type: str) -> dict[str, int]:
+    """Count the rows of each status in a corrected trajectory; nothing for Parquet, which needs a package to read."""
+    if content_type == CSV_TYPE:
+        rows = csv.DictReader(io.StringIO(content.decode()))
+        return dict(Counter(row["status"] for row in rows))
+    if content_type == JSON_TYPE:
+        return dict(Counter(json.loads(content)["status"]))
+    return {}
 
 
 def status(as_json: Json = False) -> None:

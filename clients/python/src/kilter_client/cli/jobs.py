@@ -17,7 +17,8 @@ jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=N
 
 JobId = Annotated[str, typer.Argument(help="Id of the job.", show_default=False, metavar="JOB")]
 State = Annotated[
-    Literal["queued", "running", "succeeded", "failed", "cancelled"] | None, typer.Option(help="Only jobs in this state.")
+    Literal["queued", "running", "succeeded", "failed", "cancelled"] | None,
+    typer.Option(help="Only jobs in this state."),
 ]
 
 
