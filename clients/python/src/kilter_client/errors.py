@@ -24,7 +24,7 @@ class KilterError(Exception):
     def to_document(self) -> dict[str, Any]:
         """Return the error as a problem document (RFC 9457), as the server writes them."""
         return {
-            "type": "about:blank",
+            "type": f"urn:kilter:problem:{self.code}",
             "title": self.title,
             "status": self.status,
             "detail": self.detail,
