@@ -23,9 +23,10 @@ Floats = NDArray[np.float64]
 class Loads:
     """Loads of N rows, force N then moment N·m.
 
-    ``joints (N, n, 6)`` on each joint in its joint frame (z is the axis); ``ends (N, n, 6)`` what follows does to the end
-    of each link, about the next joint's origin but in the frame of the link's own joint; ``base (N, 6)`` on the base about
-    its origin, in the base frame; ``tool_point (N, 3)`` m, the nominal tool point in the base frame.
+    ``joints (N, n, 6)`` on each joint in its joint frame (z is the axis); ``ends (N, n, 6)`` what follows does to the
+    end of each link, about where the next joint stands (the flange for the last; a slide before it moves) but in the
+    frame of the link's own joint; ``base (N, 6)`` on the base about its origin, in the base frame; ``tool_point (N, 3)``
+    m, the nominal tool point in the base frame.
     """
 
     joints: Floats

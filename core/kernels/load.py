@@ -108,9 +108,9 @@ def load_wrenches(
     joint axis. ``link_element (L,)`` is the element whose frame the link's ``com (L, 3)`` and ``inertia (L, 3, 3)`` are
     given in. ``payload (N,)`` kg at ``payload_com (N, 3)`` and ``external (N, 6)`` (force, moment about the tool point)
     are in the tool frame, which stands after the last element. ``qd, qdd`` may be empty: then the load is static.
-    Writes ``out (N, n, 6)``; ``end (N, n, 6)``, the load of what follows on the end of each link (the origin of the
-    next joint, of the tool for the last), still in the frame of the link's own joint; ``base (N, 6)``, the load on the
-    base about its origin, in the base frame; and ``point (N, 3)``, the tool point in the base frame.
+    Writes ``out (N, n, 6)``; ``end (N, n, 6)``, the load of what follows on the end of each link (where the next joint
+    stands before it moves, the flange for the last), still in the frame of the link's own joint; ``base (N, 6)``, the
+    load on the base about its origin, in the base frame; and ``point (N, 3)``, the tool point in the base frame.
     """
     elements = axis.shape[0]
     n = primary.shape[0]
@@ -129,6 +129,8 @@ def load_wrenches(
     moments = np.empty((elements + 1, 3))
     frames = np.empty((n, 3, 3))
     origins = np.empty((n, 3))
+    feet = np.empty((n, 3))
+    flange = np.empty(3)
     tool_R = np.ascontiguousarray(tool[:3, :3])
     tool_p = np.ascontiguousarray(tool[:3, 3])
     for row in range(q.shape[0]):
@@ -155,6 +157,9 @@ def load_wrenches(
             for i in range(3):
                 z[i] = R[i, k]
                 r[i] = p[i]
+            for i in range(n):
+                if primary[i] == e:
+                    feet[i] = p
             _move(axis[e], amount, R, p)
             if moving and axis[e] < 3:
                 for i in range(3):
@@ -186,6 +191,7 @@ def load_wrenches(
                         )
         _turn(R, tool_p, r)
         for i in range(3):
+            flange[i] = p[i]
             point[row, i] = p[i] + r[i]
         if moving:
             _carry(r, w, dw, acc, t)
@@ -222,8 +228,8 @@ def load_wrenches(
             for k in range(n):
                 if primary[i] < primary[k] < following:
                     following = primary[k]
-            where = point[row]
+            where = flange
             for k in range(n):
                 if primary[k] == following:
-                    where = origins[k]
+                    where = feet[k]
             _in_frame(frames[i], where, forces[following], moments[following], end[row, i], t)

@@ -1,4 +1,4 @@
-"""Small arms drawn by hand, and arms with small motions put in by hand, in Pinocchio: nothing of the effects is used."""
+"""Small arms drawn by hand, and arms with small motions put in by hand: nothing of the effects is used."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def inserted(
     base: Floats | None = None,
     tool: Floats | None = None,
 ) -> Any:
-    """Tool pose (SE3) of one row with exp of twists (v, w) after joints, in their joint frames, after base, on the tool."""
+    """Tool pose (SE3) of a row with exp of twists (v, w): in the joint frames, after base, on the tool."""
     pose = arm.base * pin.exp6(np.zeros(6) if base is None else base)
     carrier = {arm.first_of(j): j for j in range(arm.n)}
     moving = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from core.errors import OptionError
 from core.observations import Observations
 from tests.core.effects.by_hand import G, effect_on, one_joint, tool_with
-from tests.core.truth import Arm, Step
+from tests.core.truth import Arm, Body, Step
 
 
 def test_a_beam_under_a_tip_load_sags_by_the_handbook() -> None:
@@ -20,6 +21,25 @@ def test_a_beam_under_a_tip_load_sags_by_the_handbook() -> None:
     assert tool.position[0, 2] == pytest.approx(-load * 0.8**3 / 3.0 * flexibility, rel=1e-4)
     slope = math.atan2(-tool.rotation[0, 2, 0], tool.rotation[0, 0, 0])
     assert slope == pytest.approx(load * 0.8**2 / 2.0 * flexibility, rel=1e-4)
+
+
+def test_a_beam_sags_by_its_own_weight() -> None:
+    length, a, mass, flexibility = 0.8, 0.5, 4.0, 1.0 / 5000.0
+    arm = replace(one_joint("ry", length=length), bodies=(Body(0, mass, np.array([a, 0.0, 0.0])),))
+    tool = tool_with(arm, effect_on(arm, "link_bending"), {"bending_1": flexibility}, Observations(np.zeros((1, 1))))
+    sag = mass * G * a**2 * (3.0 * length - a) / 6.0 * flexibility
+    assert tool.position[0, 2] == pytest.approx(-sag, rel=1e-4)
+    slope = math.atan2(-tool.rotation[0, 2, 0], tool.rotation[0, 0, 0])
+    assert slope == pytest.approx(mass * G * a**2 / 2.0 * flexibility, rel=1e-4)
+
+
+def test_the_centre_of_a_link_is_found_along_it() -> None:
+    steps = (Step("rx", 0.0, 0, -1.0), Step("tz", -0.4), Step("ry", 0.3), Step("tx", 0.0, 1), Step("ty", 0.2))
+    bodies = (Body(0, 3.0, np.array([0.1, 0.05, -0.15])), Body(1, 1.0, np.array([0.0, 0.5, 0.0])))
+    effect = effect_on(Arm(steps, 2, bodies=bodies), "link_bending")
+    np.testing.assert_allclose(effect.to_document()["centres_m"], [0.15, 0.2])  # the second one's is beyond its end
+    with pytest.raises(OptionError, match="centres_m"):
+        effect_on(Arm(steps, 2, bodies=bodies), "link_bending", centres_m=(0.1,))
 
 
 def test_a_beam_loaded_aside_bends_as_its_pieces_do() -> None:
