@@ -4,6 +4,8 @@ BIN := .venv/bin
 READY := .venv/.ready
 KERNELS := .venv/.kernels
 IMAGE ?= kilter
+# Small fits gain nothing from threads of the linear algebra library and lose tenfold to them on two busy cores.
+export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo serve test check bench image fmt clean

@@ -40,7 +40,9 @@ class Child:
     def __init__(self, name: str, settings: Settings, *arguments: str, keep: tuple[int, ...] = ()) -> None:
         self.name = name
         self._command = [sys.executable, "-m", "service", name, *arguments]
-        self._environment = {**os.environ, **settings.environment(), SUPERVISED: "1"}
+        # The fits are small: threads of the linear algebra library only wait for each other there, ten times slower on a
+        # busy machine with two cores (docs/explanation/surprises.md). A setting of the operator's stays.
+        self._environment = {"OPENBLAS_NUM_THREADS": "1", **os.environ, **settings.environment(), SUPERVISED: "1"}
         self._keep = keep
         self._process: subprocess.Popen[bytes] | None = None
         self._started = 0.0
