@@ -1,0 +1,39 @@
+"""From the generator's documents and columns to core's robot and observations: the only bridge between the two."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.observations import Observations
+from core.robot import Robot
+from core.robots import robot_from_document
+from tests.blind.generator import Campaign
+
+
+def robot_of(campaign: Campaign) -> Robot:
+    """Kilter's robot, from the document alone."""
+    return robot_from_document(campaign.document)
+
+
+def observations_of(columns: Mapping[str, NDArray[Any]]) -> Observations:
+    """Columns of the contract (mm, degrees) as observations (SI, radians)."""
+    n = sum(name.startswith("q") and name.endswith("_deg") for name in columns)
+
+    def stack(names: list[str], scale: float) -> NDArray[np.float64]:
+        return np.stack([np.asarray(columns[name], dtype=np.float64) * scale for name in names], axis=1)
+
+    joints = range(1, n + 1)
+    return Observations(
+        q=stack([f"q{i}_deg" for i in joints], np.pi / 180.0),
+        position=stack(["x_mm", "y_mm", "z_mm"], 1e-3),
+        direction=stack([f"dir{i}" for i in joints], 1.0),
+        t=np.asarray(columns["t_s"], dtype=np.float64),
+        payload_kg=np.asarray(columns["payload_kg"], dtype=np.float64),
+        temperature_c=np.asarray(columns["temperature_c"], dtype=np.float64),
+        session=np.asarray(columns["session"], dtype=np.int64),
+        pose_id=np.asarray(columns["pose_id"], dtype=np.int64),
+    )
