@@ -1,0 +1,89 @@
+"""Is anything left that noise does not explain (E2): chi-square, lack of fit on repeats, errors on held-out poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, f
+
+from core.gap.scan import residual_given
+from core.gap.world import World
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+ADEQUATE = 0.01
+CLOSED_LEVERAGE = 1.0 - 1e-6
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """Chi-square of the residual with its freedom, lack of fit F and its p; p is None where noise is relative."""
+
+    chi2: float
+    nu: float
+    lack_of_fit: float
+    p_value: float | None
+
+    @property
+    def adequate(self) -> bool | None:
+        """Whether noise explains what is left; None when the noise itself came from the fit."""
+        return None if self.p_value is None else self.p_value > ADEQUATE
+
+    def to_document(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return {
+            "chi2": self.chi2, "freedom": self.nu, "chi2_per_freedom": self.chi2 / max(self.nu, 1.0),
+            "lack_of_fit_f": self.lack_of_fit, "p_value": self.p_value,
+        }  # fmt: skip
+
+
+def adequacy(world: World, condition: Ints, chosen: Sequence[int]) -> Adequacy:
+    """Judge what is left after geometry and the chosen columns; ``condition (V,)`` numbers visits that should agree."""
+    left = world.gram.given(chosen)
+    pure, freedom = _pure_error(world, condition, chosen)
+    lof_freedom = max(left.nu - freedom, 1.0)
+    lof = max(left.yy - pure, 0.0) / lof_freedom
+    noise = world.setting.noise
+    if not noise.absolute:
+        return Adequacy(left.yy, left.nu, lof, None)
+    p = chi2.sf(lof * lof_freedom, lof_freedom) if np.isinf(noise.freedom) else f.sf(lof, lof_freedom, noise.freedom)
+    return Adequacy(left.yy, left.nu, lof, float(p))
+
+
+def left_out_errors(world: World, chosen: Sequence[int]) -> Floats:
+    """Whitened errors (V, m) of each visit predicted by the fit without its whole pose (leave one pose out)."""
+    basis = world.basis(chosen)
+    size = world.setting.whitener.shape[-1]
+    r = residual_given(world, chosen).reshape(-1, size)
+    blocks = basis.reshape(-1, size, basis.shape[1])
+    out = np.zeros_like(r)
+    order = np.argsort(world.setting.group, kind="stable")
+    starts = np.flatnonzero(np.diff(world.setting.group[order], prepend=-1))
+    for index in np.split(order, starts[1:]):
+        B = blocks[index].reshape(-1, basis.shape[1])
+        w, V = np.linalg.eigh(B @ B.T)
+        shrink = 1.0 / (1.0 - np.minimum(w, CLOSED_LEVERAGE))
+        out[index] = ((V * shrink) @ (V.T @ r[index].reshape(-1))).reshape(-1, size)
+    return out
+
+
+def gain(before: Floats, after: Floats, group: Ints) -> tuple[float, float]:
+    """Mean drop of the squared error per pose and its standard error, from errors (V, m) before and after."""
+    drop = np.bincount(group, np.sum(before**2, axis=1) - np.sum(after**2, axis=1))
+    drop = drop[np.bincount(group) > 0]
+    return float(np.mean(drop)), float(np.std(drop, ddof=1) / np.sqrt(len(drop))) if len(drop) > 1 else np.inf
+
+
+def _pure_error(world: World, condition: Ints, chosen: Sequence[int]) -> tuple[float, float]:
+    size = world.setting.whitener.shape[-1]
+    used = world.setting.used
+    r = residual_given(world, chosen).reshape(-1, size)[used]
+    group = np.unique(condition[used], return_inverse=True)[1]
+    count = np.bincount(group)
+    mean = np.stack([np.bincount(group, c) for c in r.T], axis=1) / count[:, None]
+    return float(np.sum((r - mean[group]) ** 2)), float(size * (len(group) - len(count)))

@@ -1,0 +1,193 @@
+"""The library as candidates: each effect at one joint, at all joints together, or as a whole; and what cannot be asked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.effects import EFFECTS, Effect
+from core.effects.joint_coupling import JointCoupling
+from core.effects.unknown_joint_curve import UnknownJointCurve
+from core.errors import OptionError
+from core.observations import Observations
+from core.parameters import Parameter
+from core.robot import Robot
+
+JOINT, FAMILY, WHOLE = "joint", "family", "whole"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A nameable piece of the library: an effect at some joints (None for effects that do not act at joints).
+
+    ``columns`` are its parameters in the library's order; ``positive`` says physics fixes their sign.
+    """
+
+    id: str
+    joints: tuple[int, ...] | None
+    columns: tuple[int, ...]
+    level: str
+    empirical: bool = False
+    positive: bool = False
+    stage: str = "joint"
+    effects: tuple[Effect, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Name for people: ``backlash j2``."""
+        if self.joints is None:
+            return self.id
+        if self.level == FAMILY:
+            return f"{self.id} all"
+        return f"{self.id} j{','.join(str(j + 1) for j in self.joints)}"
+
+    def named(self) -> dict[str, object]:
+        """Id and joints from 1."""
+        return {"id": self.id, "joints": None if self.joints is None else [j + 1 for j in self.joints]}
+
+
+@dataclass(frozen=True)
+class Untestable:
+    """What these data cannot say, why, and what to measure."""
+
+    id: str
+    joints: tuple[int, ...] | None
+    reason: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Library:
+    """Effects completed for this robot and these rows, their parameters in order, and the candidates made of them."""
+
+    effects: tuple[Effect, ...]
+    parameters: tuple[Parameter, ...]
+    candidates: tuple[Candidate, ...]
+    refused: tuple[Untestable, ...]
+
+
+def library_of(
+    robot: Robot, rows: Observations, started: Sequence[str] = (), only: Sequence[str] = ()
+) -> Library:
+    """Every effect that the rows have columns for and the robot can show.
+
+    ``started`` are parameters that the starting model already has; ``only`` restricts the library to some ids.
+
+    Raises:
+        OptionError: ``only`` names an effect that does not exist.
+
+    """
+    unknown = [k for k in only if k not in EFFECTS]
+    if unknown:
+        raise OptionError(f"There is no effect {unknown[0]!r}. There are: {', '.join(EFFECTS)}.", option="effects")
+    shelf = _Shelf(robot, rows, frozenset(started))
+    for effect_id, kind in EFFECTS.items():
+        if not only or effect_id in only:
+            shelf.add(kind)
+    return Library(tuple(shelf.effects), tuple(shelf.parameters), tuple(shelf.candidates), tuple(shelf.refused))
+
+
+@dataclass
+class _Shelf:
+    """A library being filled."""
+
+    robot: Robot
+    rows: Observations
+    started: frozenset[str]
+    effects: list[Effect] = field(default_factory=list)
+    parameters: list[Parameter] = field(default_factory=list)
+    candidates: list[Candidate] = field(default_factory=list)
+    refused: list[Untestable] = field(default_factory=list)
+
+    def add(self, kind: type[Effect]) -> None:
+        """Add an effect in all its variants, or say why not."""
+        missing = kind.needs - frozenset({"moments"} | set(self.rows._present()))
+        if missing:
+            columns = " and no ".join(sorted(missing))
+            self.refused.append(Untestable(kind.id, None, f"The observations have no {columns}.", kind.remedy))
+            return
+        for config in _variants(kind, self.robot):
+            try:
+                whole = kind(**config).on(self.robot, self.rows)
+            except OptionError as error:
+                self.refused.append(Untestable(kind.id, None, error.message, kind.remedy))
+                continue
+            self._add_variant(kind, whole, config)
+        self._add_whole_curves(kind)
+
+    def _add_variant(self, kind: type[Effect], whole: Effect, config: Mapping[str, Any]) -> None:
+        if not kind.at_joints:
+            if not self.started & {p.name for p in whole.parameters(self.robot)}:
+                self._put(whole)
+                self.candidates.append(self._candidate((whole,), None, WHOLE))
+            return
+        single = {}
+        for j in whole.acting(self.robot.n_joints):
+            try:
+                one = kind(**{**config, "joints": (j,)}).on(self.robot, self.rows)
+            except OptionError:
+                continue
+            if not self.started & {p.name for p in one.parameters(self.robot)}:
+                single[j] = one
+        if not single:
+            return
+        cut = len(single) < len(whole.acting(self.robot.n_joints))
+        self._put(kind(**{**config, "joints": tuple(single)}).on(self.robot, self.rows) if cut else whole)
+        for j, effect in single.items():
+            self.candidates.append(self._candidate((effect,), (j,), JOINT))
+        if len(single) > 1 and not kind.empirical and "drivers" not in config:
+            self.candidates.append(self._candidate(tuple(single.values()), tuple(single), FAMILY))
+
+    def _put(self, effect: Effect) -> None:
+        self.effects.append(effect)
+        self.parameters += effect.parameters(self.robot)
+
+    def _candidate(self, effects: tuple[Effect, ...], joints: tuple[int, ...] | None, level: str) -> Candidate:
+        place = {p.name: k for k, p in enumerate(self.parameters)}
+        columns = tuple(place[p.name] for e in effects for p in e.parameters(self.robot))
+        first = effects[0]
+        return Candidate(
+            first.id, joints, columns, level, first.empirical, first.signs == "positive", first.stage, effects
+        )
+
+    def _add_whole_curves(self, kind: type[Effect]) -> None:
+        """The unknown curve of a joint in all its orders at once, beside order by order."""
+        if kind is not UnknownJointCurve:
+            return
+        own = [c for c in self.candidates if c.id == kind.id and c.effects[0].orders]  # type: ignore[attr-defined]
+        for j in sorted({c.joints for c in own if c.joints}):
+            parts = tuple(e for c in own if c.joints == j for e in c.effects)
+            if len(parts) > 1:
+                self.candidates.append(self._candidate(parts, j, JOINT))
+
+
+def _variants(kind: type[Effect], robot: Robot) -> list[dict[str, Any]]:
+    """Configurations to try: the default, the drivers two joints before, the unknown curve order by order and in pairs."""
+    if kind is UnknownJointCurve:
+        alone = [{"orders": (m,)} for m in UnknownJointCurve().orders]
+        return alone + [{"orders": (), "partner": p} for p in range(robot.n_joints)]
+    if kind is JointCoupling:
+        return [{}] + [{"joints": (j,), "drivers": (j - 2,)} for j in range(2, robot.n_joints)]
+    return [{}]
+
+
+def with_testable(library: Library, testable: NDArray[np.bool_]) -> tuple[Candidate, ...]:
+    """Candidates that the data can see: families cut down to such joints, and left out below two of them."""
+    out = []
+    for c in library.candidates:
+        if c.level != FAMILY:
+            columns = tuple(k for k in c.columns if testable[k])
+            if columns and (c.level == WHOLE or len(columns) == len(c.columns)):
+                out.append(replace(c, columns=columns))
+            continue
+        singles = [m for m in library.candidates if m.id == c.id and m.level == JOINT and set(m.columns) <= set(c.columns)]
+        kept = [m for m in singles if all(testable[k] for k in m.columns)]
+        if len(kept) > 1:
+            joints = tuple(j for m in kept for j in m.joints or ())
+            columns = tuple(k for m in kept for k in m.columns)
+            out.append(replace(c, columns=columns, joints=joints, effects=tuple(e for m in kept for e in m.effects)))
+    return tuple(out)

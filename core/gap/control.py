@@ -1,0 +1,126 @@
+"""Negative control (E7): the labels an effect lives on are shuffled over the poses, and its name must vanish."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from core.gap.candidates import Candidate
+from core.gap.hunt import Hunt
+from core.gap.scan import residual_given
+from core.gap.world import world_at
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LABELS = {
+    "direction": ("direction",),
+    "moments": ("wrench", "axial", "end_wrench", "base_wrench"),
+    "payload_kg": ("payload_kg", "payload_axial"),
+    "temperature_c": ("temperature_c",),
+    "t": ("t",),
+    "session": ("session",),
+    "qd": ("qd",),
+}
+WORDS = {"moments": "load", "payload_kg": "load", "temperature_c": "temperature", "t": "time", "qd": "speed"}
+SURVIVING = 0.1  # share of shuffles in which a name may come back before the control counts as failed
+LARGE = 3000  # visits above which fewer shuffles do
+FEW = 8
+
+
+@dataclass(frozen=True)
+class Control:
+    """Outcome for one effect: what was shuffled, how often, and in which share the effect was still named."""
+
+    place: int
+    label: str
+    shuffles: int
+    survived: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the name vanished."""
+        return self.survived <= SURVIVING
+
+
+def controls(hunt: Hunt, shuffles: int, seed: int, tell: Callable[[float], None]) -> tuple[Control, ...]:
+    """Shuffle for every chosen effect. One that needs no label has the residual vectors shuffled over the poses."""
+    rng = np.random.default_rng(seed)
+    count = min(shuffles, FEW) if len(hunt.world.setting.used) > LARGE else shuffles
+    out = []
+    for n, place in enumerate(hunt.chosen):
+        candidate = hunt.selector.scorer.candidates[place]
+        label = next((need for need in LABELS if need in candidate.effects[0].needs), None)
+        hits = 0
+        for k in range(count):
+            tell((n + k / count) / len(hunt.chosen))
+            order = _order(hunt.world.setting.group, rng)
+            hits += _poses_named(hunt, place, order) if label is None else _label_named(hunt, place, label, order)
+        out.append(Control(place, "poses" if label is None else WORDS.get(label, label), count, hits / count))
+    return tuple(out)
+
+
+def false_names(hunt: Hunt, shuffles: int, seed: int) -> float:
+    """Share of shuffles of the residuals over the poses in which anything at all would be named."""
+    rng = np.random.default_rng(seed)
+    world, selector = hunt.world, hunt.selector
+    size = world.setting.whitener.shape[-1]
+    basis = world.basis(hunt.columns)
+    r = residual_given(world, hunt.columns).reshape(-1, size)
+    given = world.gram.given(hunt.columns)
+    hits = 0
+    for _ in range(shuffles):
+        mixed = r[_order(world.setting.group, rng)].reshape(-1)
+        mixed = mixed - basis @ (basis.T @ mixed)
+        k, _ = selector.entry(given.with_data(world.W.T @ mixed, float(mixed @ mixed)), (), hunt.critical)
+        hits += k is not None
+    return hits / shuffles
+
+
+def _order(group: Ints, rng: np.random.Generator) -> Ints:
+    """Shuffle of the visits that keeps the visits of a pose together as far as their numbers allow."""
+    poses = rng.permutation(int(group.max()) + 1)
+    rank = np.argsort(poses)
+    return np.argsort(rank[group], kind="stable").astype(np.int64)
+
+
+def _label_named(hunt: Hunt, place: int, label: str, order: Ints) -> bool:
+    """Whether the effect, fed with shuffled labels, would still be entered in its own place."""
+    world = hunt.world
+    source = world.setting.source
+    batch = source.batch
+    shuffled = replace(batch, **{n: v[order] for n in LABELS[label] if (v := getattr(batch, n)) is not None})
+    rest = hunt.selector.columns([k for k in hunt.chosen if k != place])
+    other = _only(hunt.selector.scorer.candidates[place], world_at(world.setting, world.values, shuffled).W_raw)
+    basis = world.basis(rest)
+    return _named(hunt, place, other - basis @ (basis.T @ other), residual_given(world, rest))
+
+
+def _poses_named(hunt: Hunt, place: int, order: Ints) -> bool:
+    """Whether the effect would be entered for the residuals of other poses."""
+    world = hunt.world
+    rest = hunt.selector.columns([k for k in hunt.chosen if k != place])
+    size = world.setting.whitener.shape[-1]
+    r = residual_given(world, rest).reshape(-1, size)[order].reshape(-1)
+    basis = world.basis(rest)
+    W = _only(hunt.selector.scorer.candidates[place], world.W_raw)
+    return _named(hunt, place, W - basis @ (basis.T @ W), r - basis @ (basis.T @ r))
+
+
+def _only(candidate: Candidate, W: Floats) -> Floats:
+    return W[:, list(candidate.columns)]
+
+
+def _named(hunt: Hunt, place: int, W: Floats, r: Floats) -> bool:
+    u, s, _ = np.linalg.svd(W, full_matrices=False)
+    u = u[:, s > 1e-3]
+    if not u.shape[1]:
+        return False
+    taken = u.T @ r
+    S = float(taken @ taken)
+    variance = max(1.0, (float(r @ r) - S) / max(hunt.world.nu - u.shape[1], 1.0))
+    return bool(chi2.sf(S / variance, u.shape[1]) < hunt.critical)

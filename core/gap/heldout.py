@@ -1,0 +1,138 @@
+"""Errors before and after in mm, on what was fitted and on what was not: a validation set, or one pose left out at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.gap.adequacy import gain, left_out_errors
+from core.gap.hunt import Hunt
+from core.gap.prepare import Prepared
+from core.gap.scan import residual_given
+from core.gap.source import LinkSource, Source, ToolSource
+from core.gap.world import World, refit
+from core.measurement import Measurement
+from core.model import RobotModel
+from core.observations import Observations
+
+Floats = NDArray[np.float64]
+
+SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is no measurement
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Whitened errors (V, m) by the fits before and after, the groups that belong together, and how they came about."""
+
+    before: Floats
+    after: Floats
+    group: NDArray[np.int64]
+    lower: Floats  # (m, m), turns whitened errors back into m or rad
+    how: str
+
+
+class Bench:
+    """Predicts held-out poses by any set of library columns, fitted to the training rows only."""
+
+    def __init__(self, hunt: Hunt, prepared: Prepared, validation: Observations | None) -> None:
+        self.hunt, self.prepared = hunt, prepared
+        self.rows = validation
+        self.plain = prepared.world
+
+    def errors(self, columns: Sequence[int]) -> Floats:
+        """Whitened errors (V, m) of the held-out poses."""
+        if self.rows is None:
+            return left_out_errors(self.hunt.world, columns)[self.hunt.world.setting.used]
+        world = refit(self.hunt.world.setting, self._near(columns), columns)
+        source = on_rows(world.setting.source, self.rows, self.hunt, world)
+        r = np.nan_to_num(source[0].residual(source[1]))
+        return np.asarray(r @ np.linalg.inv(np.linalg.cholesky(self.hunt.world.setting.noise.row + 1e-20 * np.eye(r.shape[1]))).T)
+
+    def report(self) -> HeldOut:
+        """Geometry only, and everything named."""
+        before, after = self.errors([]), self.errors(self.hunt.columns)
+        if self.rows is None:
+            used = self.hunt.world.setting.used
+            lower = np.linalg.cholesky(np.mean(self.hunt.world.setting.noise.visit[used], axis=0) + 1e-20 * np.eye(before.shape[1]))
+            return HeldOut(before, after, self.hunt.world.setting.group[used], lower, "leave one pose out")
+        spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
+        lower = np.linalg.cholesky(self.hunt.world.setting.noise.row + 1e-20 * np.eye(before.shape[1]))
+        return HeldOut(before[~spike], after[~spike], self.rows.pose_groups()[~spike], lower, "validation observations")
+
+    def gain_of(self, place: int) -> tuple[float, float]:
+        """Gain by one chosen candidate beyond the others, and its standard error."""
+        rest = self.hunt.selector.columns([k for k in self.hunt.chosen if k != place])
+        without, with_ = self.errors(rest), self.errors(self.hunt.columns)
+        group = self.hunt.world.setting.group[self.hunt.world.setting.used] if self.rows is None else self.rows.pose_groups()
+        return gain(without, with_, group)
+
+    def _near(self, columns: Sequence[int]) -> Floats:
+        return self.plain.values if not len(columns) else self.hunt.world.values
+
+
+def on_rows(source: Source, rows: Observations, hunt: Hunt, world: World) -> tuple[Source, Floats]:
+    """The fitted model on other rows: only the effects in use, so that only their columns are needed."""
+    effects = tuple(e for k in hunt.chosen for e in hunt.selector.scorer.candidates[k].effects)
+    if isinstance(source, ToolSource):
+        started = len(source.model.effects) - _library_effects(source)
+        model = RobotModel(source.model.robot, (*source.model.effects[:started], *effects), source.model.T_base, source.model.T_tool)
+        known = dict(zip(source.model.names, world.values, strict=True))
+        values = np.array([known[p.name] for p in model.parameters])
+        measurement = Measurement.of(rows, source.measurement.marker_points)
+        return ToolSource.of(model, measurement, source.free, 0), values
+    assert isinstance(source, LinkSource)
+    return LinkSource.of(source.model, rows, source.n_library), world.values
+
+
+def _library_effects(source: ToolSource) -> int:
+    left, count = source.n_library, 0
+    for effect in reversed(source.model.effects):
+        if left <= 0:
+            break
+        left -= len(effect.parameters(source.model.robot))
+        count += 1
+    return count
+
+
+def rms(errors: Floats, lower: Floats) -> float:
+    """Root mean square size of the error of a point (m), or of a joint (rad), from whitened errors (V, m)."""
+    e = errors @ lower.T
+    points = e[:, : 3 * max(1, e.shape[1] // 3)] if e.shape[1] % 3 == 0 and e.shape[1] != 6 else e[:, :3]
+    return float(np.sqrt(np.mean(np.sum(points**2, axis=1)) / max(1, points.shape[1] // 3)))
+
+
+def train_rms(world: World, columns: Sequence[int]) -> float:
+    """Rms error (m or rad) of the visits at a set of columns, geometry re-fitted."""
+    setting = world.setting
+    r = residual_given(world, columns).reshape(-1, setting.whitener.shape[-1])
+    e = np.einsum("vij,vj->vi", np.linalg.inv(setting.whitener), r)[setting.used]
+    return rms(e, np.eye(e.shape[1]))
+
+
+def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any]:
+    """The gap before and after in mm (rms of the 3-D error), on training and held-out poses, beside the noise."""
+    world = hunt.world
+    size = world.setting.whitener.shape[-1]
+    noise = rms(np.linalg.cholesky(np.mean(world.setting.noise.visit, axis=0) + 1e-20 * np.eye(size)).T * np.sqrt(size), np.eye(size))
+    r0, r1 = rms(held.before, held.lower), rms(held.after, held.lower)
+    sigma = rms(np.eye(size) * np.sqrt(size), held.lower)
+    closure = None if r0**2 <= sigma**2 or not hunt.chosen else (r0**2 - r1**2) / (r0**2 - sigma**2)
+    numbers = {
+        "before": train_rms(world, []), "after": train_rms(world, hunt.columns), "noise": noise,
+        "validation_before": r0, "validation_after": r1, "validation_noise": sigma,
+    }  # fmt: skip
+    joint = isinstance(world.setting.source, LinkSource)
+    unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
+    out: dict[str, Any] = {f"{k}_{unit}": v * scale for k, v in numbers.items()}
+    if joint:
+        out |= {f"{k}_mm": None for k in ("before", "after", "noise", "validation_before", "validation_after")}
+    steps = [{"names": list(s.names), "chi2_per_freedom": s.chi2_per_freedom} for s in hunt.steps]
+    return out | {"closure": closure, "held_out": held.how, "steps": steps}
+
+
+def _scale(errors: Floats) -> float:
+    return float(np.median(np.abs(errors)) / 0.6745)

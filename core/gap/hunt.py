@@ -1,0 +1,88 @@
+"""The hunt itself: enter the best, re-fit everything, swap and drop, until what is left is no better than noise (E5)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.gap.options import GapOptions
+from core.gap.scan import Null, Scorer, bootstrap, null_of
+from core.gap.select import Selector
+from core.gap.world import Setting, World, refit
+
+Floats = NDArray[np.float64]
+Tell = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One refit of the hunt: the set after it (labels), and rms of the residual in whitened units."""
+
+    names: tuple[str, ...]
+    chi2_per_freedom: float
+
+
+@dataclass(frozen=True)
+class Hunt:
+    """Where the hunt ended: the world at the final fit, the chosen candidates, the limits it used, its steps."""
+
+    world: World
+    selector: Selector
+    chosen: tuple[int, ...]
+    null: Null
+    critical: float
+    steps: tuple[Step, ...]
+
+    @property
+    def columns(self) -> list[int]:
+        """Library columns of the chosen set."""
+        return self.selector.columns(self.chosen)
+
+
+def hunt(setting: Setting, world: World, scorer: Scorer, options: GapOptions, tell: Tell) -> Hunt:
+    """Run from the geometry-only ``world``; every change of the set is followed by a nonlinear re-fit of everything."""
+    selector = Selector(scorer, world.rows)
+    chosen: tuple[int, ...] = ()
+    first: Null | None = None
+    steps = [_step(world, selector, chosen)]
+    seen = {chosen}
+    for round_ in range(2 * options.max_effects):
+        tell(min(0.9, round_ / 6.0), f"scan {round_ + 1}: {len(scorer.candidates)} candidates")
+        null = _null(world, selector, chosen, options)
+        first = first or null
+        critical = null.critical(options.alpha)
+        k, _ = selector.entry(world.gram, chosen, critical)
+        after = chosen if k is None or len(chosen) >= options.max_effects else (*chosen, k)
+        after = selector.improved(world.gram, after, critical)
+        if set(after) == set(chosen) or frozenset(after) in {frozenset(s) for s in seen}:
+            break
+        chosen = after
+        seen.add(chosen)
+        tell(min(0.9, (round_ + 0.5) / 6.0), "re-fitting with " + ", ".join(scorer.candidates[m].label for m in chosen))
+        world = refit(setting, world.values, selector.columns(chosen))
+        steps.append(_step(world, selector, chosen))
+    assert first is not None
+    return Hunt(world, selector, chosen, first, first.critical(options.alpha), tuple(steps))
+
+
+def _null(world: World, selector: Selector, chosen: tuple[int, ...], options: GapOptions) -> Null:
+    """Null of the next entry. What the data seem to want by the bootstrap alone is kept out of the flipped residual."""
+    gram = world.gram.given(selector.columns(chosen))
+    rng = np.random.default_rng(options.seed)
+    rough = float(np.quantile(bootstrap(gram, selector.scorer, 499, rng), options.alpha))
+    full = tuple(chosen)
+    for _ in range(options.max_effects):
+        k, _ = selector.entry(world.gram, full, rough)
+        if k is None or k in full:
+            break
+        full = (*full, k)
+    columns = selector.columns(chosen)
+    return null_of(world, selector.scorer, columns, selector.columns(full), options.bootstraps, options.seed)
+
+
+def _step(world: World, selector: Selector, chosen: tuple[int, ...]) -> Step:
+    left = world.gram.given(selector.columns(chosen))
+    return Step(tuple(selector.scorer.candidates[k].label for k in chosen), left.yy / max(left.nu, 1.0))

@@ -1,0 +1,209 @@
+"""Measurement noise from repeats (E0): within a visit and from one approach to the next, with full covariance.
+
+The only noise that owes nothing to the model. Assuming it 1.5 times too small gives 50 % false alarms, so it is never
+guessed: without repeats the hunt goes on with the scatter of the fit itself, and every verdict becomes relative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.gap.visits import Visits
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+FEWEST = 3  # independent deviations below which repeats say too little
+SPIKE = 6.0  # robust standard deviations from its own repeats at which a row is a spike
+SMALLEST = 1e-9  # m or rad: keeps noise-free simulations solvable
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Covariance (V, m, m) of each visit's mean, and of a single row on average, ``row (m, m)``.
+
+    ``freedom`` is the number of independent scalars behind it; ``absolute`` says it does not come from the fit.
+    ``within`` and ``between`` are the standard deviations of a coordinate (m, or rad for joint data), None when unknown.
+    """
+
+    visit: Floats
+    row: Floats
+    freedom: float
+    absolute: bool
+    source: str
+    within: float | None = None
+    between: float | None = None
+
+    def whiteners(self) -> Floats:
+        """Inverse Cholesky factors (V, m, m)."""
+        size = self.visit.shape[-1]
+        L = np.linalg.cholesky(self.visit + SMALLEST**2 * np.eye(size))
+        return np.linalg.solve(L, np.broadcast_to(np.eye(size), L.shape))
+
+
+def spikes(residual: Floats, visits: Visits) -> Bools:
+    """Rows (N,) that stand far from the other rows of their own visit: three or more rows needed to tell which."""
+    middle = np.zeros_like(residual)
+    for v in np.flatnonzero(visits.count >= 3):
+        own = visits.visit == v
+        middle[own] = np.nanmedian(residual[own], axis=0)
+    told = (visits.count >= 3)[visits.visit]
+    if not told.any():
+        return told
+    size = np.abs(residual - middle)
+    scale = np.nanmedian(size[told], axis=0) / 0.6745 + SMALLEST
+    return np.asarray(told & (np.nan_to_num(size / scale).max(axis=1) > SPIKE))
+
+
+def repeat_noise(residual: Floats, visit_residual: Floats, visits: Visits, points: Floats | None) -> Noise | None:
+    """Noise from repeats, None when there are too few.
+
+    ``residual (N, m)`` of the rows and ``visit_residual (V, m)`` of the visit means at a fit: between repeats only their
+    differences count, so the model cancels. ``points (V, 3)`` are the measured positions, from which a tracker's line
+    of sight is tried against one covariance for the whole room.
+    """
+    if np.isnan(residual).any():
+        residual, visit_residual = np.nan_to_num(residual), np.nan_to_num(visit_residual)
+    within, k_within = _pooled(residual, visits.visit)
+    between, k_between = _pooled(visit_residual, visits.condition)
+    if k_within + k_between < FEWEST:
+        return None
+    share = 1.0 / visits.count
+    at = None if points is None else points
+    rows_cov = _spread(within, k_within, None if at is None else at[visits.visit], at)
+    if k_between < FEWEST:
+        return _noise(rows_cov * share[:, None, None], rows_cov.mean(axis=0), k_within, rows_cov, None)
+    if k_within < FEWEST:
+        total = _spread(between, k_between, at, at)
+        return _noise(total, total.mean(axis=0), k_between, None, total)
+    extra = _positive(_shrunk(_second(between[0]), k_between) - np.mean(rows_cov * share[:, None, None], axis=0))
+    visit = extra + rows_cov * share[:, None, None]
+    weight = np.trace(extra) / max(np.trace(visit.mean(axis=0)), 1e-300)
+    freedom = 1.0 / (weight**2 / k_between + (1.0 - weight) ** 2 / k_within)
+    return _noise(visit, extra + rows_cov.mean(axis=0), freedom, rows_cov, extra)
+
+
+def stated_noise(sigma: Floats | float, visits: Visits, size: int) -> Noise:
+    """Noise as the user or the columns ``sx_mm ...`` state it: ``sigma`` m, one number or (V, 3) for the visit means."""
+    if isinstance(sigma, float):
+        each = sigma**2 / visits.count[:, None, None] * np.eye(size)
+        return Noise(each, sigma**2 * np.eye(size), np.inf, True, "stated", sigma)
+    each = np.zeros((len(visits), size, size))
+    each[:, range(size), range(size)] = np.tile(sigma**2, (1, size // 3))
+    single = float(np.sqrt(np.mean(sigma**2 * visits.count[:, None])))
+    return Noise(each, np.mean(each * visits.count[:, None, None], axis=0), np.inf, True, "columns", single)
+
+
+def fit_noise(visit_residual: Floats, visits: Visits, used: Bools, lost: float) -> Noise:
+    """Scatter of the fit itself: no repeats, so the scale is relative. ``lost`` is the share of freedom the fit took."""
+    kept = np.nan_to_num(visit_residual[used])
+    size = np.abs(kept - np.median(kept, axis=0))
+    robust = np.median(size, axis=0) / 0.6745 + SMALLEST
+    inside = kept[(size / robust).max(axis=1) < SPIKE]
+    cov = _shrunk(inside.T @ inside / max(len(inside) * (1.0 - lost), 1.0), len(inside))
+    return Noise(np.broadcast_to(cov, (len(visits), *cov.shape)).copy(), cov, 0.0, False, "residuals of the fit")
+
+
+def _noise(visit: Floats, row: Floats, vectors: float, within: Floats | None, between: Floats | None) -> Noise:
+    def size(cov: Floats | None) -> float | None:
+        return None if cov is None else float(np.sqrt(np.trace(cov.mean(axis=0) if cov.ndim == 3 else cov) / cov.shape[-1]))
+
+    return Noise(visit, row, vectors * visit.shape[-1], True, "repeats", size(within), size(between))
+
+
+def _pooled(values: Floats, group: Ints) -> tuple[tuple[Floats, Ints], int]:
+    """Deviations from the mean of their group, made unbiased, without spikes; and how many are independent."""
+    count = np.bincount(group)
+    many = count[group] > 1
+    if not many.any():
+        return (np.zeros((0, values.shape[1])), np.zeros(0, dtype=np.int64)), 0
+    kept = many.copy()
+    deviation = np.zeros_like(values)
+    for _ in range(3):
+        count = np.bincount(group[kept], minlength=len(count))
+        mean = np.stack([np.bincount(group[kept], c[kept], len(count)) for c in values.T], axis=1) / np.maximum(count, 1)[:, None]
+        free = np.sqrt(np.maximum(count, 2) / np.maximum(count - 1, 1))[group]
+        deviation = (values - mean[group]) * free[:, None]
+        scale = np.median(np.abs(deviation[kept]), axis=0) / 0.6745 + SMALLEST
+        again = many & ((np.abs(deviation) / scale).max(axis=1) < SPIKE) & (count[group] > 1)
+        if np.array_equal(again, kept) or not again.any():
+            break
+        kept = again
+    index = np.flatnonzero(kept & (np.bincount(group[kept], minlength=len(count))[group] > 1))
+    independent = int(len(index) - len(np.unique(group[index])))
+    return (deviation[index], index.astype(np.int64)), independent
+
+
+def _spread(pooled: tuple[Floats, Ints], vectors: int, rows_at: Floats | None, visits_at: Floats | None) -> Floats:
+    """Covariance at each visit (V, m, m): one for the room, or along and across the line of sight when that fits better."""
+    deviation, index = pooled
+    room = _shrunk(_second(deviation), vectors) if vectors else np.eye(deviation.shape[1])
+    if visits_at is None or rows_at is None:
+        return room[None]
+    flat = np.broadcast_to(room, (len(visits_at), *room.shape)).copy()
+    if deviation.shape[1] != 3 or vectors < 20:
+        return flat
+    sight = _Sight.of(deviation, rows_at[index])
+    share = vectors / len(deviation)
+    gain = share * (_likelihood(deviation, sight.at(rows_at[index])) - _likelihood(deviation, np.broadcast_to(room, (len(index), 3, 3))))
+    return sight.at(visits_at) if gain > -1.5 * np.log(vectors) else flat  # three numbers against six
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """Tracker at the origin of the measurements: variance along the line of sight, and a + b d² across it."""
+
+    along: float
+    across: float
+    angle: float
+
+    @staticmethod
+    def of(deviation: Floats, at: Floats) -> _Sight:
+        d2 = np.sum(at**2, axis=1)
+        u = at / np.sqrt(d2)[:, None]
+        radial = np.sum(deviation * u, axis=1) ** 2
+        side = (np.sum(deviation**2, axis=1) - radial) / 2.0
+        start = float(side.mean() / d2.mean())
+        # The share that grows with distance, by weighted least squares kept to what variances can be.
+        w = 1.0 / np.maximum(start * d2, 1e-300)
+        A = np.stack([np.ones_like(d2), d2], axis=1)
+        a, b = np.linalg.lstsq(A * w[:, None], side * w, rcond=None)[0]
+        if b < 0.0 or np.ptp(d2) < 0.2 * d2.mean():
+            return _Sight(float(radial.mean()), float(side.mean()), 0.0)
+        return _Sight(float(radial.mean()), 0.0, start) if a < 0.0 else _Sight(float(radial.mean()), float(a), float(b))
+
+    def at(self, points: Floats) -> Floats:
+        d2 = np.sum(points**2, axis=1)
+        u = points / np.sqrt(d2)[:, None]
+        along = u[:, :, None] * u[:, None, :]
+        across = self.across + self.angle * d2
+        return self.along * along + across[:, None, None] * (np.eye(3) - along)
+
+
+def _likelihood(deviation: Floats, cov: Floats) -> float:
+    safe = cov + SMALLEST**2 * np.eye(3)
+    return float(-0.5 * np.sum(np.linalg.slogdet(safe)[1] + np.einsum("ni,nij,nj->n", deviation, np.linalg.inv(safe), deviation)))
+
+
+def _second(deviation: Floats) -> Floats:
+    return np.asarray(deviation.T @ deviation / max(len(deviation), 1))
+
+
+def _shrunk(cov: Floats, vectors: float) -> Floats:
+    """Covariance drawn towards equal variances within each triple, so that few repeats still give a usable one."""
+    size = len(cov)
+    target = np.zeros_like(cov)
+    step = 3 if size % 3 == 0 else 1
+    for k in range(0, size, step):
+        target[range(k, k + step), range(k, k + step)] = np.trace(cov[k : k + step, k : k + step]) / step
+    pull = (size + 2.0) / (size + 2.0 + vectors)
+    return np.asarray((1.0 - pull) * cov + pull * target)
+
+
+def _positive(cov: Floats) -> Floats:
+    w, V = np.linalg.eigh(cov)
+    return np.asarray((V * np.maximum(w, 0.0)) @ V.T)

@@ -1,0 +1,56 @@
+"""Visits that nothing in the library could explain: broken beams, wrong poses.
+
+No visit is masked because the model under test fails there. Each is predicted from all others by geometry and the whole
+library at once, every parameter within its prior; only what stands far from that prediction is set aside, and named.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from core.gap.world import World
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+CHANCE = 0.001  # of setting any good visit aside
+MOST = 0.06  # share of visits above which it is structure, not outliers
+PASSES = 3
+
+
+def outliers(world: World) -> Bools:
+    """Visits (V,) to set aside. Leave-one-out residual against geometry and whole library, studentised, robust scale."""
+    setting = world.setting
+    used = setting.used.copy()
+    size = setting.whitener.shape[-1]
+    X = np.hstack([world.G * setting.source.prior_sigma, world.W_raw * (setting.source.library_sigma * world.size)])
+    y = world.raw + world.W_raw @ (setting.source.library(world.values) * world.size)
+    for _ in range(PASSES):
+        distance = _left_out(X, y, np.repeat(used, size), size)
+        scale = max(1.0, float(np.median(distance[used])) / float(chi2.median(size)))
+        far = used & (distance / scale > chi2.isf(CHANCE / len(used), size))
+        if not far.any():
+            break
+        used &= ~far
+    found = setting.used & ~used
+    return found if found.sum() <= max(1, MOST * setting.used.sum()) else np.zeros_like(found)
+
+
+def _left_out(X: Floats, y: Floats, kept: Bools, size: int) -> Floats:
+    """Squared studentised leave-one-out distance (V,) of every visit, from the fit to the rows kept."""
+    K = X[kept]
+    H = K.T @ K
+    H[np.diag_indices_from(H)] += 1.0
+    factor = scipy.linalg.cho_factor(H)
+    e = y - X @ scipy.linalg.cho_solve(factor, K.T @ y[kept])
+    half = scipy.linalg.solve_triangular(factor[0], X.T, lower=factor[1], trans=0 if factor[1] else 1).T
+    blocks = half.reshape(-1, size, X.shape[1])
+    hat = np.matmul(blocks, blocks.transpose(0, 2, 1))
+    inside = kept.reshape(-1, size)[:, 0]
+    spread = np.where(inside[:, None, None], np.eye(size) - hat, np.eye(size) + hat)
+    spread += 1e-9 * np.eye(size)
+    r = e.reshape(-1, size)
+    return np.asarray(np.einsum("vi,vi->v", r, np.linalg.solve(spread, r[..., None])[..., 0]))

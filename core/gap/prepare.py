@@ -1,0 +1,233 @@
+"""From rows to the first linear world: visits, the robust geometry fit, noise, outliers, the library (E0, E1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from core.errors import ObservationError, TooFewPosesError
+from core.gap.candidates import Library, library_of
+from core.gap.noise import Noise, fit_noise, repeat_noise, spikes, stated_noise
+from core.gap.options import GapOptions
+from core.gap.outliers import outliers
+from core.gap.source import LinkSource, Source, ToolSource
+from core.gap.trajectory import averaged, blocks, correlation_length, is_trajectory, windows_of
+from core.gap.visits import Visits, visits_of
+from core.gap.world import Setting, World, refit
+from core.identify.estimate import estimate
+from core.identify.options import IdentifyOptions
+from core.measurement import Measurement
+from core.model import Calibration, RobotModel
+from core.observations import Observations
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+Tell = Callable[[float, str], None]
+
+CHUNK = 20_000
+SPARE = 6  # scalars beyond the geometry below which nothing can be tested
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """All that the hunt starts from. ``kept (N,)`` marks the rows used of those given, before averaging."""
+
+    world: World
+    library: Library
+    visits: Visits
+    rows: Observations
+    kept: Bools
+    outlying: Ints  # rows set aside
+    moving: bool
+    warnings: tuple[dict[str, Any], ...]
+
+
+@dataclass
+class Workshop:
+    """Steps of the preparation, in order; each leaves what the next needs."""
+
+    start: Calibration
+    rows: Observations
+    options: GapOptions
+    tell: Tell
+    warnings: list[dict[str, Any]] = field(default_factory=list)
+
+    def run(self) -> Prepared:
+        """Prepare.
+
+        Raises:
+            TooFewPosesError: not enough poses for the geometry and a test. ObservationError: nothing measured.
+
+        """
+        kept = self._without_copies()
+        rows = self.rows.select(kept)
+        moving = is_trajectory(rows)
+        self.tell(0.02, "fitting the geometry")
+        visits = visits_of(rows.select(windows_of(rows).middle) if moving else rows)
+        source, values, library = self._source(visits)
+        if moving:
+            rows = self._windowed(rows, source, values)
+            visits = visits_of(replace(rows, pose_id=np.arange(len(rows))))
+        else:
+            residual = _row_residual(source, values, rows)
+            spiky = spikes(residual, visits)
+            if spiky.any():
+                kept[np.flatnonzero(kept)[spiky]] = False
+                rows = rows.select(~spiky)
+                visits = visits_of(rows)
+        source = _on(source, visits.observations)
+        self.tell(0.3, "noise from repeats")
+        noise = self._noise(source, values, rows, visits)
+        setting = Setting(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
+        world = self._enough(refit(setting, values, []))
+        self.tell(0.6, "looking for outliers")
+        world = self._correlated(world, visits) if moving else self._without_outliers(world, visits)
+        outlying = _outlying(kept, visits, world)
+        return Prepared(world, library, visits, rows, kept, outlying, moving, tuple(self.warnings))
+
+    def _without_copies(self) -> Bools:
+        """Rows that are not exact copies of an earlier one: a copy would make the noise look like nothing."""
+        o = self.rows
+        measured = [v.reshape(len(o), -1) for v in (o.position, o.markers, o.link_q, o.t) if v is not None]
+        whole = np.nan_to_num(np.hstack([o.q, *measured]), nan=-1e300)
+        first = np.unique(whole, axis=0, return_index=True)[1]
+        kept = np.zeros(len(o), dtype=bool)
+        kept[first] = True
+        if len(first) < len(o):
+            count = len(o) - len(first)
+            self._warn("copied_rows", f"{count} rows are exact copies of others and were left out: a copy is no repeat.")
+        return kept
+
+    def _source(self, visits: Visits) -> tuple[Source, Floats, Library]:
+        rows = visits.observations
+        if rows.link_q is not None and rows.position is None and rows.markers is None:
+            return self._link_source(rows)
+        options = self.options
+        identify = IdentifyOptions(loss="huber", free=options.free, fix=options.fix, base=options.base, tool=options.tool)
+        measurement = Measurement.of(rows, self.start.marker_points)
+        fit = estimate(self.start, measurement, identify)
+        model = fit.problem.model
+        library = library_of(self.start.robot, rows, model.names, options.effects)
+        whole = RobotModel(model.robot, (*model.effects, *library.effects), model.T_base, model.T_tool)
+        source = ToolSource.of(whole, measurement, fit.problem.free, len(library.parameters))
+        return source, np.concatenate([fit.values, np.zeros(len(library.parameters))]), library
+
+    def _link_source(self, rows: Observations) -> tuple[Source, Floats, Library]:
+        model = self.start.model
+        library = library_of(self.start.robot, rows, model.names, self.options.effects)
+        source = LinkSource.of(RobotModel(model.robot, (*model.effects, *library.effects)), rows, len(library.parameters))
+        if not source.live.any():
+            raise ObservationError("Every link-side encoder is constant: the channels are dead, upload others.")
+        dead = [j + 1 for j in np.flatnonzero(~source.live)]
+        if dead:
+            joints = ", ".join(str(j) for j in dead)
+            self._warn("dead_encoder", f"The link-side encoder of joint {joints} is constant and was left out.")
+        values = np.concatenate([source.prior_mean, np.zeros(len(library.parameters))])
+        return source, values, library
+
+    def _windowed(self, rows: Observations, source: Source, values: Floats) -> Observations:
+        self.tell(0.15, f"averaging {len(rows)} samples of a motion")
+        return averaged(rows, _row_residual(source, values, rows), windows_of(rows))
+
+    def _noise(self, source: Source, values: Floats, rows: Observations, visits: Visits) -> Noise:
+        visit_residual = source.residual(values)
+        size = visit_residual.shape[1]
+        points = visits.observations.position if size == 3 else None
+        linear = isinstance(source, LinkSource) or visits.observations.rotation is not None
+        if self.options.noise_mm is not None and not linear:
+            return stated_noise(self.options.noise_mm * 1e-3, visits, size)
+        found = None
+        if len(rows) > len(np.unique(visits.condition)):
+            found = repeat_noise(_row_residual(source, values, rows), visit_residual, visits, points)
+        if found is not None:
+            return found
+        if visits.observations.sigma is not None and not linear:
+            return stated_noise(visits.observations.sigma, visits, size)
+        self._warn(
+            "no_repeats",
+            "No pose was repeated often enough, so the noise is that of the fit itself: every verdict is relative to it, "
+            "and none can be more than provisional. Repeat ten poses three times, leaving them in between.",
+        )
+        lost = min(0.9, len(source.prior_mean) / max(visit_residual.size, 1))
+        return fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost)
+
+    def _enough(self, world: World) -> World:
+        if world.nu < SPARE:
+            poses = int(world.setting.group.max()) + 1
+            raise TooFewPosesError(
+                f"{poses} poses determine the geometry and leave {world.nu:.0f} numbers to test anything with: "
+                "measure at least twice as many poses as the geometry needs.",
+                poses=poses,
+            )
+        return world
+
+    def _without_outliers(self, world: World, visits: Visits) -> World:
+        far = outliers(world)
+        if not far.any():
+            return world
+        self._warn(
+            "outliers",
+            f"{int(far.sum())} of {len(far)} visits could be explained by nothing in the whole library and were set aside.",
+        )
+        setting = replace(world.setting, used=~far)
+        if not setting.noise.absolute:
+            lost = len(setting.source.prior_mean) / max(world.nu, 1.0)
+            noise = fit_noise(setting.source.residual(world.values), visits, ~far, min(0.9, lost))
+            setting = replace(setting, noise=noise)
+        return refit(setting, world.values, [])
+
+    def _correlated(self, world: World, visits: Visits) -> World:
+        """Noise and its correlation from what the whole library could not explain; blocks instead of poses."""
+        rest = _unexplained(world)
+        length = correlation_length(rest)
+        group = blocks(len(rest), length)
+        setting = world.setting
+        L = np.linalg.inv(setting.whitener)
+        noise = fit_noise(np.einsum("vij,vj->vi", L, rest), visits, setting.used, 0.0)
+        self._warn(
+            "correlated",
+            f"The rows are samples of a motion; one in {length:.0f} counts as independent, and blocks of "
+            f"{int(np.bincount(group).max())} are shuffled and held out together.",
+        )
+        return refit(replace(setting, noise=noise, group=group, inflation=length, trusted=True), world.values, [])
+
+    def _warn(self, code: str, message: str) -> None:
+        self.warnings.append({"code": code, "message": message})
+
+
+def _on(source: Source, rows: Observations) -> Source:
+    if isinstance(source, ToolSource):
+        return source.on(Measurement.of(rows, source.measurement.marker_points))
+    assert isinstance(source, LinkSource)
+    return LinkSource.of(source.model, rows, source.n_library)
+
+
+def _row_residual(source: Source, values: Floats, rows: Observations) -> Floats:
+    """Residuals (N, m) of single rows, in chunks."""
+    parts = [_on(source, rows.select(slice(k, k + CHUNK))).residual(values) for k in range(0, len(rows), CHUNK)]
+    return np.concatenate(parts)
+
+
+def _unexplained(world: World) -> Floats:
+    """Whitened residual (V, m) off geometry and the whole library, every parameter within its prior."""
+    setting = world.setting
+    X = np.hstack([world.G * setting.source.prior_sigma, world.W_raw * (setting.source.library_sigma * world.size)])
+    y = world.raw + world.W_raw @ (setting.source.library(world.values) * world.size)
+    H = X.T @ X
+    H[np.diag_indices_from(H)] += 1.0
+    r = y - X @ scipy.linalg.solve(H, X.T @ y, assume_a="pos")
+    return np.asarray(r.reshape(-1, setting.whitener.shape[-1]))
+
+
+def _outlying(kept: Bools, visits: Visits, world: World) -> Ints:
+    """Rows (of those given) set aside as spikes or with their visit."""
+    aside = np.zeros(len(kept), dtype=bool)
+    if len(visits.visit) == kept.sum():
+        aside[kept] = ~world.setting.used[visits.visit]
+    return np.flatnonzero(aside).astype(np.int64)

@@ -1,0 +1,198 @@
+"""Selection on the linear world: enter the best, swap, drop, and write a family as a family.
+
+Forward selection alone leaves wrong extra names: an effect that covered for two true ones stays. Hence after each entry
+a swap pass (one for one, and two for one) and a backward pass; and an effect that most joints share is named once.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.gap.candidates import FAMILY, JOINT
+from core.gap.scan import Scorer, Scores
+from core.gap.world import Gram
+
+Floats = NDArray[np.float64]
+
+MARGIN = 6.0  # criterion points (2 log of a Bayes factor of 20) within which two explanations count as equal
+FAMILY_MARGIN = 3.0
+CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
+TIME_FIRST = ("time_offset", "tracking_lag")
+
+
+@dataclass(frozen=True)
+class Selector:
+    """A search over sets of candidates; a set is a tuple of places in ``scorer.candidates``.
+
+    ``rows`` is the number of measured scalars N in the price d ln N of d parameters.
+    """
+
+    scorer: Scorer
+    rows: int
+
+    def columns(self, chosen: Sequence[int]) -> list[int]:
+        """Library columns of a set, each once."""
+        return sorted({k for c in chosen for k in self.scorer.candidates[c].columns})
+
+    def price(self, places: Sequence[int], degrees: Sequence[int]) -> float:
+        """What parameters cost; an empirical term must beat every physical one by the margin."""
+        empirical = sum(self.scorer.candidates[k].empirical for k in places)
+        return float(sum(degrees)) * float(np.log(self.rows)) + MARGIN * empirical
+
+    def criterion(self, gram: Gram, chosen: Sequence[int], variance: float) -> float:
+        """Chi-square taken over the noise variance, less the price."""
+        columns = self.columns(chosen)
+        degrees = gram.nu - gram.given(columns).nu
+        return gram.reduction(columns) / variance - self.price(chosen, [int(degrees)])
+
+    def variance(self, gram: Gram, chosen: Sequence[int]) -> float:
+        """Noise variance for comparisons at a set: 1 for repeats, more when structure is left."""
+        left = gram.given(self.columns(chosen))
+        ratio = left.yy / max(left.nu, 1.0)
+        return max(1.0, ratio) if self.scorer.absolute else max(ratio, 1e-12)
+
+    def entry(self, gram: Gram, chosen: Sequence[int], critical: float) -> tuple[int | None, Scores]:
+        """Best candidate to add, None when the best is no better than noise."""
+        given = gram.given(self.columns(chosen))
+        scores = self.scorer.scores(given)
+        ranked = self.ranked(given, scores)
+        able = (scores.p < critical) & (scores.d > 0)
+        for k in np.argsort(-np.where(able, ranked, -np.inf), kind="stable"):
+            if not able[k]:
+                break
+            if self.plausible(gram, [*chosen, int(k)], int(k)):
+                return self._time_first(int(k), scores, able), scores
+        return None, scores
+
+    def ranked(self, given: Gram, scores: Scores) -> Floats:
+        """S over the noise left, less the price (K,), to a tenth: equal explanations keep the library's order."""
+        left = (given.yy - scores.S) / np.maximum(given.nu - scores.d, 1.0)
+        best = float(np.min(left))
+        variance = max(1.0, best) if self.scorer.absolute else max(best, 1e-12)
+        empirical = np.array([c.empirical for c in self.scorer.candidates])
+        return np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * empirical, 1)
+
+    def plausible(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
+        """Whether no parameter of known sign comes out clearly negative."""
+        candidate = self.scorer.candidates[place]
+        if not candidate.positive:
+            return True
+        columns = self.columns(chosen)
+        index = [columns.index(k) for k in candidate.columns]
+        A = gram.A[np.ix_(columns, columns)]
+        sigma = np.sqrt(np.diag(np.linalg.pinv(A, rcond=1e-7, hermitian=True)))[index]
+        return bool(np.all(gram.solve(columns)[index] > -CLEARLY_WRONG * sigma))
+
+    def improved(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+        """Swap, merge and drop until nothing improves."""
+        seen = {chosen}
+        while True:
+            after = self.dropped(gram, self.merged(gram, self.swapped(gram, chosen, critical)), critical)
+            if after == chosen or after in seen:
+                return after
+            seen.add(after)
+            chosen = after
+
+    def swapped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+        """Replace one or two members by one outside as long as the criterion grows."""
+        for _ in range(3 * len(chosen)):
+            variance = self.variance(gram, chosen)
+            best, gain = chosen, 1e-3
+            now = self.criterion(gram, chosen, variance)
+            for out in [(m,) for m in chosen] + list(itertools.combinations(chosen, 2)):
+                rest = tuple(m for m in chosen if m not in out)
+                k, value = self._best_instead(gram, rest, variance, critical, set(chosen))
+                if k is not None and value - now > gain:
+                    best, gain = (*rest, k), value - now
+            if best == chosen:
+                return chosen
+            chosen = best
+        return chosen
+
+    def merged(self, gram: Gram, chosen: tuple[int, ...]) -> tuple[int, ...]:
+        """Name an effect of most joints as a family, one of few joints by its joints."""
+        for effect in sorted({self.scorer.candidates[k].id for k in chosen}):
+            family = [k for k, c in enumerate(self.scorer.candidates) if c.id == effect and c.level == FAMILY]
+            own = [k for k in chosen if self.scorer.candidates[k].id == effect]
+            if not family or (own != family and len(own) < 2):
+                continue
+            rest = tuple(k for k in chosen if k not in own)
+            variance = self.variance(gram, (*rest, family[0]))
+            members = self._members(gram, rest, family[0], variance)
+            whole = self.criterion(gram, (*rest, family[0]), variance)
+            if self.criterion(gram, (*rest, *members), variance) > whole + FAMILY_MARGIN:
+                chosen = (*rest, *members)
+            elif self.plausible(gram, (*rest, family[0]), family[0]):
+                chosen = (*rest, family[0])
+        return chosen
+
+    def dropped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+        """Drop members that, given the others, noise could be, or whose sign contradicts physics."""
+        while chosen:
+            tails = []
+            for k in chosen:
+                rest = tuple(m for m in chosen if m != k)
+                p = self.scorer.scores(gram.given(self.columns(rest))).p[k]
+                tails.append(p if self.plausible(gram, chosen, k) else 1.0)
+            worst = int(np.argmax(tails))
+            if tails[worst] <= critical:
+                return chosen
+            chosen = tuple(m for m in chosen if m != chosen[worst])
+        return chosen
+
+    def searched(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
+        """Whole selection on one linear world, for resamples."""
+        chosen: tuple[int, ...] = ()
+        for _ in range(2 * most):
+            k, _ = self.entry(gram, chosen, critical)
+            if k is None or len(chosen) >= most:
+                break
+            chosen = self.improved(gram, (*chosen, k), critical)
+        return chosen
+
+    def _best_instead(
+        self, gram: Gram, rest: tuple[int, ...], variance: float, critical: float, taken: set[int]
+    ) -> tuple[int | None, float]:
+        columns = self.columns(rest)
+        given = gram.given(columns)
+        scores = self.scorer.scores(given)
+        empirical = np.array([c.empirical for c in self.scorer.candidates])
+        value = scores.S / variance - scores.d * np.log(self.rows) - MARGIN * empirical
+        able = (scores.p < critical) & (scores.d > 0)
+        able[list(taken)] = False
+        base = self.criterion(gram, rest, variance)
+        for k in np.argsort(-np.where(able, value, -np.inf), kind="stable")[:5]:
+            if able[k] and self.plausible(gram, (*rest, int(k)), int(k)):
+                return int(k), base + float(value[k])
+        return None, -np.inf
+
+    def _members(self, gram: Gram, rest: tuple[int, ...], family: int, variance: float) -> tuple[int, ...]:
+        """Joints of a family that pay their price, by dropping the least worthy one after another."""
+        effect = self.scorer.candidates[family]
+        inside = [
+            k
+            for k, c in enumerate(self.scorer.candidates)
+            if c.id == effect.id and c.level == JOINT and set(c.columns) <= set(effect.columns)
+        ]
+        value = self.criterion(gram, (*rest, *inside), variance)
+        while len(inside) > 1:
+            tried = [self.criterion(gram, (*rest, *(m for m in inside if m != k)), variance) for k in inside]
+            best = int(np.argmax(tried))
+            if tried[best] <= value:
+                break
+            value = tried[best]
+            inside.pop(best)
+        return tuple(inside)
+
+    def _time_first(self, k: int, scores: Scores, able: NDArray[np.bool_]) -> int:
+        """A shared time offset enters before any joint's own lag."""
+        first, second = TIME_FIRST
+        if self.scorer.candidates[k].id != second:
+            return k
+        shared = [m for m, c in enumerate(self.scorer.candidates) if c.id == first and able[m]]
+        return shared[0] if shared else k

@@ -1,0 +1,226 @@
+"""What a hunt measures: the tool (points, poses, markers) or the joints themselves; residuals and their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.effects import Batch
+from core.measurement import Measurement, Residual
+from core.model import Calibration, RobotModel
+from core.observations import Observations
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Residuals ``r (V, m)`` and derivatives of the prediction by geometry ``G (V, m, P)`` and library ``W (V, m, Q)``."""
+
+    r: Floats
+    G: Floats
+    W: Floats
+
+
+class Source(Protocol):
+    """A model over the whole library and the rows it is compared with."""
+
+    @property
+    def prior_mean(self) -> Floats:
+        """Prior mean (P,) of the geometry."""
+
+    @property
+    def prior_sigma(self) -> Floats:
+        """Prior standard deviation (P,) of the geometry."""
+
+    @property
+    def library_sigma(self) -> Floats:
+        """Prior standard deviation (Q,) of the library."""
+
+    @property
+    def batch(self) -> Batch:
+        """Conditions of the rows."""
+
+    def residual(self, values: Floats) -> Floats:
+        """Residuals (V, m), NaN where nothing was seen."""
+
+    def linear(self, values: Floats, batch: Batch | None = None) -> Linear:
+        """Residuals and derivatives; ``batch`` replaces the conditions the effects see, not the rows."""
+
+    def geometry(self, values: Floats) -> Floats:
+        """Values (P,) of the geometric parameters."""
+
+    def moved(self, values: Floats, geometry: Floats, library: Floats) -> Floats:
+        """Values with the geometry moved by ``geometry (P,)`` and the library set to ``library (Q,)``."""
+
+    def library(self, values: Floats) -> Floats:
+        """Values (Q,) of the library's parameters."""
+
+
+@dataclass(frozen=True)
+class ToolSource:
+    """Tool measurements against a :class:`RobotModel` whose last ``n_library`` parameters are the library's."""
+
+    model: RobotModel
+    measurement: Measurement
+    free: Ints  # geometric parameters and those of the starting model's effects, ascending
+    n_library: int
+    batch: Batch
+    prior_mean: Floats
+    prior_sigma: Floats
+    library_sigma: Floats
+
+    @staticmethod
+    def of(model: RobotModel, measurement: Measurement, free: Ints, n_library: int) -> ToolSource:
+        """Wrap a model and its rows."""
+        chosen = [model.parameters[k] for k in free]
+        library = model.parameters[len(model.names) - n_library :]
+        return ToolSource(
+            model, measurement, free, n_library, model.batch(measurement.observations),
+            np.array([p.value for p in chosen]), np.array([p.prior_sigma for p in chosen]),
+            np.array([p.prior_sigma for p in library]),
+        )  # fmt: skip
+
+    def on(self, measurement: Measurement) -> ToolSource:
+        """The same model on other rows."""
+        return replace(self, measurement=measurement, batch=self.model.batch(measurement.observations))
+
+    def residual(self, values: Floats) -> Floats:
+        """Residuals (V, m)."""
+        return _stacked(self.measurement.residual(self.model.predict(self.batch, values)))
+
+    def linear(self, values: Floats, batch: Batch | None = None) -> Linear:
+        """Residuals and derivatives."""
+        columns = np.concatenate([self.free, np.arange(len(self.model.names) - self.n_library, len(self.model.names))])
+        prediction, J = self.model.jacobian(batch or self.batch, values, columns)
+        residual = self.measurement.residual(prediction, J)
+        assert residual.d_points is not None
+        parts = [residual.d_points.reshape(len(J), -1, len(columns))]
+        if residual.d_turns is not None:
+            parts.append(residual.d_turns)
+        D = np.concatenate(parts, axis=1)
+        r = _stacked(residual)
+        D[np.isnan(r)] = 0.0
+        return Linear(r, D[:, :, : len(self.free)], D[:, :, len(self.free) :])
+
+    def geometry(self, values: Floats) -> Floats:
+        """Values of the free geometric parameters."""
+        return values[self.free]
+
+    def moved(self, values: Floats, geometry: Floats, library: Floats) -> Floats:
+        """Take a step."""
+        out = values.copy()
+        out[self.free] += geometry
+        out[len(out) - self.n_library :] = library
+        return out
+
+    def library(self, values: Floats) -> Floats:
+        """Values of the library's parameters."""
+        return values[len(values) - self.n_library :]
+
+
+@dataclass(frozen=True)
+class LinkSource:
+    """Link-side encoders: measured minus read joint angle, with a constant offset per joint as the only geometry.
+
+    Values are the offsets (n,) and then the starting effects' and the library's parameters. ``live (n,)`` marks joints
+    whose encoder moves; a measured torque, where there is one, replaces the computed load about the axis.
+    """
+
+    model: RobotModel
+    observations: Observations
+    live: NDArray[np.bool_]
+    n_library: int
+    batch: Batch
+    prior_mean: Floats
+    prior_sigma: Floats
+    library_sigma: Floats
+
+    @staticmethod
+    def of(model: RobotModel, observations: Observations, n_library: int) -> LinkSource:
+        """Wrap a model and its rows."""
+        assert observations.link_q is not None
+        started = model.parameters[model.n_geometric : len(model.names) - n_library]
+        library = model.parameters[len(model.names) - n_library :]
+        n = model.robot.n_joints
+        return LinkSource(
+            model, observations, np.ptp(np.nan_to_num(observations.link_q), axis=0) > 0.0, n_library,
+            with_torque(model.batch(observations), observations),
+            np.concatenate([np.zeros(n), [p.value for p in started]]),
+            np.concatenate([np.full(n, 0.1), [p.prior_sigma for p in started]]),
+            np.array([p.prior_sigma for p in library]),
+        )  # fmt: skip
+
+    def residual(self, values: Floats) -> Floats:
+        """Residuals (V, live joints)."""
+        assert self.observations.link_q is not None
+        n = self.model.robot.n_joints
+        effects = np.concatenate([np.zeros(self.model.n_geometric), values[n:]])
+        r = self.observations.link_q - self.model.link_angles(self.batch, effects) - values[:n]
+        return r[:, self.live]
+
+    def linear(self, values: Floats, batch: Batch | None = None) -> Linear:
+        """Residuals and derivatives."""
+        n = self.model.robot.n_joints
+        rows, start = len(self.observations), n
+        D = np.zeros((rows, n, len(values)))
+        D[:, range(n), range(n)] = 1.0
+        for effect in self.model.effects:
+            count = len(effect.parameters(self.model.robot))
+            for d in effect.local(batch or self.batch, values[start : start + count]).derivatives:
+                if d.dq is not None:
+                    D[:, d.joint, start + d.parameter] += d.dq
+            start += count
+        D = D[:, self.live]
+        split = len(values) - self.n_library
+        return Linear(self.residual(values), D[:, :, :split], D[:, :, split:])
+
+    def geometry(self, values: Floats) -> Floats:
+        """Offsets and the starting effects."""
+        return values[: len(values) - self.n_library]
+
+    def moved(self, values: Floats, geometry: Floats, library: Floats) -> Floats:
+        """Take a step."""
+        return np.concatenate([self.geometry(values) + geometry, library])
+
+    def library(self, values: Floats) -> Floats:
+        """Values of the library's parameters."""
+        return values[len(values) - self.n_library :]
+
+
+def with_torque(batch: Batch, observations: Observations) -> Batch:
+    """Replace the load about each axis by the measured torque: wrong masses blur names, a torque does not.
+
+    The motor holds against the load, so the load is the torque's negative; only constant factors matter to a name.
+    """
+    if observations.tau is None:
+        return batch
+    wrench = batch.wrench.copy()
+    wrench[:, :, 5] = -observations.tau
+    return replace(batch, axial=-observations.tau, wrench=wrench)
+
+
+def calibrated(source: Source, values: Floats, model: RobotModel, shape: Floats | None) -> Calibration:
+    """The fitted state as a calibration of ``model``, which holds the effects to keep; values go by name."""
+    if isinstance(source, ToolSource):
+        known = dict(zip(source.model.names, values, strict=True))
+    else:
+        n = source.model.robot.n_joints  # type: ignore[attr-defined]
+        named = source.model.names[source.model.n_geometric :]  # type: ignore[attr-defined]
+        known = dict(zip(named, values[n:], strict=True))
+        chain = model.robot.chain
+        for j, k in enumerate(chain.primary):
+            element = chain.elements[k]
+            if element.name is not None:
+                known[element.name] = element.value + element.ratio * float(values[j])
+    made = np.array([known.get(p.name, p.value) for p in model.parameters])
+    return Calibration(*model.folded(made), shape)
+
+
+def _stacked(residual: Residual) -> Floats:
+    points = residual.points.reshape(len(residual.points), -1)
+    return points if residual.turns is None else np.concatenate([points, residual.turns], axis=1)

@@ -1,0 +1,171 @@
+"""Where simulation and measurement disagree (E3): contrasts of the same pose first, then bins of every factor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from core.gap.source import LinkSource, ToolSource
+from core.gap.world import World
+from core.observations import Observations
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+BINS = 6
+FEWEST = 4  # visits in a bin
+FLIPS = 999
+FEWEST_PAIRS = 3
+
+
+@dataclass(frozen=True)
+class Place:
+    """A level of a factor: chi-square above what noise gives there, per degree of freedom, and its family-wise p."""
+
+    factor: str
+    level: str
+    excess: float
+    p_value: float
+    visits: int
+
+
+def where(world: World, rows: Observations, seed: int = 0) -> tuple[Place, ...]:
+    """Levels by how far they stand out, most significant first; contrasts before bins at equal p."""
+    size = world.setting.whitener.shape[-1]
+    r = _studentised(world).reshape(-1, size)
+    scale = 1.0 if world.setting.trusted else float(np.mean(r[world.setting.used] ** 2))
+    found = list(_contrasts(world, rows, r, scale)) + _bins(world, rows, r, scale, seed)
+    return tuple(sorted(found, key=lambda p: (p.p_value, -p.excess)))
+
+
+def _studentised(world: World) -> Floats:
+    leverage = np.minimum(np.sum(world.U**2, axis=1), 0.99)
+    return np.asarray(world.y / np.sqrt(1.0 - leverage))
+
+
+def _contrasts(world: World, rows: Observations, r: Floats, scale: float) -> Iterator[Place]:
+    """Same pose under two conditions: geometry cancels, so chi-square of the difference needs no fit."""
+    used, group = world.setting.used, world.setting.group
+    labels: dict[str, NDArray[np.float64]] = {}
+    if rows.direction is not None:
+        labels |= {f"direction of joint {j + 1}": rows.direction[:, j] for j in range(rows.direction.shape[1])}
+    if rows.payload_kg is not None:
+        labels["load"] = rows.payload_kg
+    if rows.temperature_c is not None:
+        labels["temperature"] = np.round(rows.temperature_c / 2.0)
+    if rows.qd is not None:
+        labels["speed"] = np.round(np.log2(1e-3 + np.linalg.norm(rows.qd, axis=1)))
+    for factor, label in labels.items():
+        taken, freedom, pairs = _contrast(r[used], group[used], label[used])
+        if pairs >= FEWEST_PAIRS:
+            p = float(chi2.sf(taken / scale, freedom))
+            excess = taken / scale / freedom - 1.0
+            yield Place(f"contrast: {factor}", f"{pairs} poses measured under both", excess, p, 2 * pairs)
+
+
+def _contrast(r: Floats, group: Ints, label: Floats) -> tuple[float, float, int]:
+    low, high = label.min(), label.max()
+    if low == high:
+        return 0.0, 0.0, 0
+    poses = int(group.max()) + 1
+    sums, counts = [], []
+    for value in (low, high):
+        own = label == value
+        counts.append(np.bincount(group[own], minlength=poses))
+        sums.append(np.stack([np.bincount(group[own], c, poses) for c in r[own].T], axis=1))
+    both = (counts[0] > 0) & (counts[1] > 0)
+    if not both.any():
+        return 0.0, 0.0, 0
+    n0, n1 = counts[0][both], counts[1][both]
+    difference = (sums[1][both] / n1[:, None] - sums[0][both] / n0[:, None]) / np.sqrt(1.0 / n0 + 1.0 / n1)[:, None]
+    return float(np.sum(difference**2)), float(difference.size), int(both.sum())
+
+
+def _bins(world: World, rows: Observations, r: Floats, scale: float, seed: int) -> list[Place]:
+    """Mean residual of each bin, with the largest over all bins under sign flips of whole poses as the yardstick."""
+    used, group = world.setting.used, world.setting.group
+    bins = [(f, level, mask & used, part) for f, level, mask, part in _levels(world, rows, r)]
+    bins = [b for b in bins if b[2].sum() >= FEWEST]
+    if not bins:
+        return []
+    rng = np.random.default_rng(seed)
+    poses = int(group.max()) + 1
+    flips = np.vstack([np.ones(poses), rng.choice([-1.0, 1.0], size=(FLIPS, poses))])
+    z = []
+    excess = []
+    for _, _, mask, part in bins:
+        sums = np.stack([np.bincount(group[mask], c[mask], poses) for c in part.T], axis=1) / np.sqrt(mask.sum() * scale)
+        T = np.sum((flips @ sums) ** 2, axis=1)
+        excess.append(float(T[0]) / part.shape[1] - 1.0)
+        z.append(-chi2.logsf(T, part.shape[1]))
+    Z = np.stack(z)
+    best = Z[:, 1:].max(axis=0)
+    return [
+        Place(f, level, e, (1.0 + float(np.sum(best >= row[0]))) / (FLIPS + 1.0), int(mask.sum()))
+        for (f, level, mask, _), e, row in zip(bins, excess, Z, strict=True)
+    ]
+
+
+def _levels(world: World, rows: Observations, r: Floats) -> Iterator[tuple[str, str, Bools, Floats]]:
+    """Factor, level, members (V,), and the residual part (V, k) that the factor would move."""
+    for j, along in enumerate(_along_joints(world, rows, r)):
+        if np.ptp(rows.q[:, j]) < 1e-6:
+            continue
+        for level, mask in _ranges(np.degrees(rows.q[:, j]), "°"):
+            yield f"angle of joint {j + 1}", level, mask, along
+        if rows.direction is not None:
+            for s, word in ((-1, "-"), (1, "+")):
+                yield f"direction of joint {j + 1}", word, rows.direction[:, j] == s, along
+    for name, values, unit in (
+        ("load", rows.payload_kg, " kg"),
+        ("temperature", rows.temperature_c, " °C"),
+        ("time", rows.t, " s"),
+    ):
+        if values is not None and np.ptp(values) > 0.0:
+            for level, mask in _ranges(values, unit):
+                yield name, level, mask, r
+    if rows.position is not None:
+        above = rows.position > np.median(rows.position, axis=0)
+        octant = above @ np.array([1, 2, 4])
+        for k in range(8):
+            word = "".join(f"{axis}{'+' if k >> i & 1 else '-'}" for i, axis in enumerate("xyz"))
+            yield "octant", word, octant == k, r
+
+
+def _along_joints(world: World, rows: Observations, r: Floats) -> Iterator[Floats]:
+    """Residual (V, 1) along what each joint's own angle would move, in units of noise."""
+    source = world.setting.source
+    if not isinstance(source, ToolSource):
+        assert isinstance(source, LinkSource)
+        for j in range(rows.q.shape[1]):
+            live = int(np.sum(source.live[:j]))
+            yield r[:, live : live + 1] if source.live[j] else np.zeros((len(r), 1))
+        return
+    _, JQ = source.model.joint_jacobian(source.batch, world.values)
+    residual = source.measurement.residual(source.model.predict(source.batch, world.values), JQ)
+    assert residual.d_points is not None
+    D = residual.d_points.reshape(len(r), -1, JQ.shape[2])
+    if residual.d_turns is not None:
+        D = np.concatenate([D, residual.d_turns], axis=1)
+    D = np.matmul(world.setting.whitener, np.nan_to_num(D))
+    size = np.linalg.norm(D, axis=1)
+    for j in range(rows.q.shape[1]):
+        unit = D[:, :, j] / np.maximum(size[:, j], 1e-12 + 1e-6 * size[:, j].max())[:, None]
+        yield np.sum(r * unit, axis=1, keepdims=True)
+
+
+def _ranges(values: Floats, unit: str) -> Iterator[tuple[str, Bools]]:
+    distinct = np.unique(values)
+    if len(distinct) <= BINS:
+        for v in distinct:
+            yield f"{v:.4g}{unit}", values == v
+        return
+    edges = np.quantile(values, np.linspace(0, 1, BINS + 1))
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        last = high == edges[-1]
+        yield f"{low:.4g} to {high:.4g}{unit}", (values >= low) & ((values <= high) if last else (values < high))

@@ -1,0 +1,228 @@
+"""The linear world at a fit: data and candidates whitened, geometry projected off, everything small after that.
+
+Geometry hides physics: after it is re-fitted only 6-90 % of an effect's variance is left (trap 1). So every statistic
+of the hunt works on A = W'MW and c = W'My, with M the projection off the geometric Jacobian; a set of candidates I
+takes c_I' A_II^-1 c_I off chi-square, and conditioning on a set is a Schur complement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from core.effects import Batch
+from core.gap.noise import Noise
+from core.gap.source import Source
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+SEEN = 1e-3  # singular value (data sigmas per prior sigma) below which a geometric direction moves nothing
+VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
+REFITS = 6
+STILL = 1e-2  # change of the fit, in sigmas over all data, that counts as converged
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What stays the same through a hunt: source, whitening, which visits count, and which belong to one pose."""
+
+    source: Source
+    noise: Noise
+    used: Bools
+    group: Ints
+    inflation: float = 1.0  # variance of a sum over its variance if samples were independent (trajectories)
+    trusted: bool = True  # whether the whitened scale is a floor for every test (repeats, or a measured correlation)
+    whitener: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "whitener", self.noise.whiteners() / np.sqrt(self.inflation))
+
+    def whitened(self, values: Floats) -> Floats:
+        """Whitened residuals (V, m), zero where nothing was seen or the visit does not count."""
+        r = np.nan_to_num(self.source.residual(values))
+        return np.asarray(np.einsum("vij,vj->vi", self.whitener, r) * self.used[:, None])
+
+
+@dataclass(frozen=True)
+class World:
+    """Whitened, projected data at ``values``. R = V m rows, Q library columns (unit raw norm), P geometric ones.
+
+    ``y (R,)`` is what the data say with every library effect taken out; ``scale (Q,)`` turns a unit-column coefficient
+    into a parameter. ``U (R, p)`` spans the geometry; ``nu`` is the freedom left after it.
+    """
+
+    setting: Setting
+    values: Floats
+    y: Floats
+    W: Floats
+    U: Floats
+    scale: Floats
+    nu: float
+    A: Floats
+    c: Floats
+    raw: Floats  # whitened residual at ``values`` (R,)
+    G: Floats  # whitened geometric columns (R, P)
+    W_raw: Floats  # whitened unit columns before projection (R, Q)
+
+    @property
+    def size(self) -> Floats:
+        """Raw whitened norm (Q,) of one unit of each parameter, the inverse of ``scale``."""
+        return np.where(self.scale > 0.0, 1.0 / np.where(self.scale > 0.0, self.scale, 1.0), 0.0)
+
+    @property
+    def gram(self) -> Gram:
+        """Everything selection needs."""
+        return Gram(self.A, self.c, float(self.y @ self.y), self.nu)
+
+    @property
+    def rows(self) -> int:
+        """Number of independent scalars that count."""
+        return max(2, int(self.setting.used.sum() * self.setting.whitener.shape[-1] / self.setting.inflation))
+
+    @property
+    def row_visit(self) -> Ints:
+        """Visit of each row (R,)."""
+        size = self.setting.whitener.shape[-1]
+        return np.repeat(np.arange(len(self.setting.used)), size)
+
+    def basis(self, columns: Sequence[int]) -> Floats:
+        """Orthonormal basis (R, p + d) of geometry and the library ``columns``."""
+        if not len(columns):
+            return self.U
+        return np.hstack([self.U, _orthonormal(self.W[:, list(columns)])])
+
+
+@dataclass(frozen=True)
+class Gram:
+    """Inner products: ``A (Q, Q)``, ``c (Q,)``, chi-square ``yy`` and freedom ``nu`` before any candidate enters."""
+
+    A: Floats
+    c: Floats
+    yy: float
+    nu: float
+
+    def solve(self, columns: Sequence[int]) -> Floats:
+        """Least-squares coefficients of unit columns."""
+        index = list(columns)
+        return _pinv(self.A[np.ix_(index, index)]) @ self.c[index]
+
+    def reduction(self, columns: Sequence[int]) -> float:
+        """How much chi-square the columns take together."""
+        index = list(columns)
+        return float(self.c[index] @ self.solve(index)) if index else 0.0
+
+    def given(self, columns: Sequence[int]) -> Gram:
+        """Conditioned on a set of columns: their space projected off everything."""
+        index = list(columns)
+        if not index:
+            return self
+        inverse = _pinv(self.A[np.ix_(index, index)])
+        K = self.A[:, index] @ inverse
+        rank = np.linalg.matrix_rank(self.A[np.ix_(index, index)], tol=VISIBLE, hermitian=True)
+        A = self.A - K @ self.A[index]
+        return Gram(0.5 * (A + A.T), self.c - K @ self.c[index], self.yy - self.reduction(index), self.nu - float(rank))
+
+    def with_data(self, c: Floats, yy: float) -> Gram:
+        """The same candidates with other data."""
+        return replace(self, c=c, yy=yy)
+
+
+def world_at(setting: Setting, values: Floats, batch: Batch | None = None) -> World:
+    """Linearise at ``values``: whiten, project off geometry, take the library's own part back into the data."""
+    linear = setting.source.linear(values, batch)
+    r = (np.einsum("vij,vj->vi", setting.whitener, np.nan_to_num(linear.r)) * setting.used[:, None]).reshape(-1)
+    G = _white(setting, linear.G)
+    W = _white(setting, linear.W)
+    norm = np.linalg.norm(W, axis=0)
+    unit = np.where(norm > 0.0, norm, 1.0)
+    W = W / unit
+    U = _seen(G * setting.source.prior_sigma)
+    y = r + W @ (setting.source.library(values) * unit)
+    Wp = W - U @ (U.T @ W)
+    yp = y - U @ (U.T @ y)
+    nu = float(setting.used.sum() * setting.whitener.shape[-1] - U.shape[1])
+    return World(setting, values, yp, Wp, U, np.where(norm > 0.0, 1.0 / unit, 0.0), nu, Wp.T @ Wp, Wp.T @ yp, r, G, W)
+
+
+def refit(
+    setting: Setting, values: Floats, columns: Sequence[int], held: tuple[int, float] | None = None
+) -> World:
+    """Nonlinear re-fit of geometry (with its priors) and the library ``columns`` (free), from ``values``.
+
+    ``held`` keeps one more library parameter at a value, as a profile does.
+    """
+    world = world_at(setting, values)
+    for _ in range(REFITS):
+        values, change = _step(world, list(columns), held)
+        world = world_at(setting, values)
+        if change < STILL:
+            break
+    return world
+
+
+def fitted(world: World, columns: Sequence[int]) -> tuple[Floats, Floats]:
+    """Parameters (d,) of the columns and their covariance (d, d), geometry re-optimised, no prior on them."""
+    index = list(columns)
+    scale = world.scale[index]
+    covariance = _pinv(world.A[np.ix_(index, index)])
+    return world.gram.solve(index) * scale, covariance * np.outer(scale, scale)
+
+
+def left_over(world: World, columns: Sequence[int], held: tuple[int, float]) -> float:
+    """Chi-square with one parameter held and the columns and the geometry at their best."""
+    gram, k, value = world.gram, held[0], held[1] * world.size[held[0]]
+    data = gram.with_data(gram.c - gram.A[:, k] * value, gram.yy - 2.0 * value * gram.c[k] + value**2 * gram.A[k, k])
+    return data.yy - data.reduction(columns)
+
+
+def _step(world: World, index: list[int], held: tuple[int, float] | None) -> tuple[Floats, float]:
+    """Gauss-Newton step; also the size of the change it makes, in sigmas."""
+    source = world.setting.source
+    now = source.library(world.values)
+    beta = np.zeros(len(now))
+    gram = world.gram
+    if held is not None:
+        beta[held[0]] = held[1]
+        gram = gram.with_data(gram.c - gram.A[:, held[0]] * (held[1] * world.size[held[0]]), gram.yy)
+    if index:
+        beta[index] = gram.solve(index) * world.scale[index]
+    moved = world.W_raw @ ((beta - now) * world.size)
+    left = world.raw - moved
+    pull = (source.prior_mean - source.geometry(world.values)) / source.prior_sigma
+    scaled = world.G * source.prior_sigma
+    H = scaled.T @ scaled
+    H[np.diag_indices_from(H)] += 1.0
+    step = scipy.linalg.solve(H, scaled.T @ left + pull, assume_a="pos") if len(H) else np.zeros(0)
+    change = float(np.linalg.norm(moved + scaled @ step))
+    return source.moved(world.values, step * source.prior_sigma, beta), change
+
+
+def _white(setting: Setting, columns: Floats) -> Floats:
+    white = np.matmul(setting.whitener, columns) * setting.used[:, None, None]
+    return np.asarray(white.reshape(-1, columns.shape[-1]))
+
+
+def _seen(scaled: Floats) -> Floats:
+    """Orthonormal basis of the directions of geometry that the data see at all."""
+    if scaled.shape[1] == 0 or len(scaled) == 0:
+        return np.zeros((len(scaled), 0))
+    Q, R = np.linalg.qr(scaled)
+    u, s, _ = np.linalg.svd(R)
+    return np.asarray(Q @ u[:, : len(s)][:, s > max(SEEN, 1e-10 * float(s[0]))])
+
+
+def _orthonormal(W: Floats) -> Floats:
+    u, s, _ = np.linalg.svd(W, full_matrices=False)
+    return np.asarray(u[:, s > np.sqrt(VISIBLE)])
+
+
+def _pinv(A: Floats) -> Floats:
+    w, V = np.linalg.eigh(A)
+    keep = w > VISIBLE
+    return np.asarray((V[:, keep] / w[keep]) @ V[:, keep].T)
