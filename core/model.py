@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -220,7 +221,14 @@ class RobotModel:
         flat = values.copy()
         flat[:6] = 0.0
         flat[n - 6 : n] = 0.0
-        return replace(self, T_base=T_base, T_tool=T_tool), flat
+        return self.in_frames(T_base, T_tool), flat
+
+    def in_frames(self, T_base: Floats, T_tool: Floats) -> RobotModel:
+        """Return the same model about other base and tool frames (4, 4)."""
+        other = copy.copy(self)  # with the cached parameters and kernel arrays, which know nothing of the frames
+        object.__setattr__(other, "T_base", T_base)
+        object.__setattr__(other, "T_tool", T_tool)
+        return other
 
     def _as_batch(self, observations: Observations | Batch) -> Batch:
         return observations if isinstance(observations, Batch) else self.batch(observations)

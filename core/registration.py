@@ -51,7 +51,7 @@ def _measured(measurement: Measurement) -> tuple[Floats, Floats | None, NDArray[
 
 def _flange(model: RobotModel, values: Floats, measurement: Measurement) -> Floats:
     """Flange poses (N, 4, 4) in the robot's base frame."""
-    bare = RobotModel(model.robot, model.effects, np.eye(4), np.eye(4))
+    bare = model.in_frames(np.eye(4), np.eye(4))
     prediction = bare.predict(measurement.observations, values)
     out = np.tile(np.eye(4), (len(prediction.position), 1, 1))
     out[:, :3, :3], out[:, :3, 3] = prediction.rotation, prediction.position

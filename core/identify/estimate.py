@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,14 +51,14 @@ def estimate(
     T_base, T_tool = register(
         model, values, measurement, base=options.base == "free" and _any(model, free, "base_"), tool=_any(model, free, "tool_")
     )
-    model = replace(model, T_base=T_base, T_tool=T_tool)
+    model = model.in_frames(T_base, T_tool)
     stated = None if options.noise_mm is None else options.noise_mm * 1e-3
     point_sigma, turn_sigma = stated or START_SIGMA_M, START_SIGMA_RAD
     held: Floats | None = None
     anchor = values[free]
+    problem = Problem(model, measurement, free, Weights(point_sigma, turn_sigma), options.loss, held, anchor)
     for step in range(WEIGHT_PASSES):
-        weights = Weights(_row_sigmas(measurement, point_sigma), turn_sigma)
-        problem = Problem(model, measurement, free, weights, options.loss, held, anchor)
+        problem = problem.reweighted(Weights(_row_sigmas(measurement, point_sigma), turn_sigma), held)
         fit = solve(problem, values, _iterations(progress, step))
         points, turns = _scatter(fit)
         blind = _blind(fit)
@@ -122,8 +121,7 @@ def _row_sigmas(measurement: Measurement, common: float) -> float | Floats:
 
 def _scatter(fit: Fit) -> tuple[float, float]:
     """Standard deviations (m, rad) of points and turns after the fit, corrected for the parameters used."""
-    problem = fit.problem
-    residual = problem.measurement.residual(problem.model.predict(problem.batch, fit.values))
+    problem, residual = fit.problem, fit.residual
     count = problem.measurement.scalars()
     freedom = max(count - fit.effective, 1.0) / count
     points = residual.points[~np.isnan(residual.points)]

@@ -6,6 +6,7 @@ whatever the poses do not see. (Without priors a rank-deficient fit wandered to 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from core.effects import Batch
 from core.errors import NotConvergedError
-from core.measurement import Measurement
+from core.measurement import Measurement, Residual
 from core.model import RobotModel
 
 Floats = NDArray[np.float64]
@@ -25,6 +26,7 @@ Progress = Callable[[int, float], None]
 HUBER_SIGMAS = 3.0
 MAX_ITERATIONS = 60
 HOLD = 1e8  # stiffness of a held direction against a prior of 1
+ROUNDING = 1e-13  # share of the loss that a step must promise to be worth taking
 STEP_TOLERANCE = 1e-9  # largest step, in prior sigmas and relative to the posterior, that counts as converged
 
 
@@ -60,44 +62,74 @@ class Problem:
         object.__setattr__(self, "prior_mean", np.array([p.value for p in parameters]))
         object.__setattr__(self, "prior_sigma", np.array([p.prior_sigma for p in parameters]))
 
-    def whitened(self, values: Floats) -> Floats:
-        """Whitened residuals (R,); coordinates of unseen markers are zero."""
-        residual = self.measurement.residual(self.model.predict(self.batch, values))
-        points = np.nan_to_num(residual.points / self.weights.points)
-        turns = None if residual.turns is None else residual.turns / self.weights.turns
-        return self._robust(points, turns)[0]
+    def reweighted(self, weights: Weights, held: Floats | None) -> Problem:
+        """Return the same problem with other weights and held directions; the batch is shared."""
+        other = copy.copy(self)
+        object.__setattr__(other, "weights", weights)
+        object.__setattr__(other, "held", held)
+        return other
 
-    def linearised(self, values: Floats) -> tuple[Floats, Floats]:
-        """Whitened residuals (R,) and the whitened Jacobian of the prediction (R, F)."""
+    def whitened(self, values: Floats) -> Floats:
+        """Whitened residuals (R,) whose squares sum to twice the loss; coordinates of unseen markers are zero."""
+        residual = self.measurement.residual(self.model.predict(self.batch, values))
+        points, turns = self._over_sigma(residual)
+        return self._stacked(points, turns, *self._roots(points, turns, _loss_root))
+
+    def linearised(self, values: Floats) -> Linearised:
+        """Whitened residuals and the whitened Jacobian of the prediction, with the loss they stand for."""
         prediction, J = self.model.jacobian(self.batch, values, self.free)
         residual = self.measurement.residual(prediction, J)
         assert residual.d_points is not None
+        points, turns = self._over_sigma(residual)
         scale = self.weights.points if isinstance(self.weights.points, float) else self.weights.points[..., None]
-        seen = ~np.isnan(residual.points)
-        points = np.nan_to_num(residual.points / self.weights.points)
-        d_points = np.where(seen[..., None], residual.d_points / scale, 0.0)
-        turns = d_turns = None
-        if residual.turns is not None and residual.d_turns is not None:
-            turns, d_turns = residual.turns / self.weights.turns, residual.d_turns / self.weights.turns
-        r, root_points, root_turns = self._robust(points, turns)
+        d_points = residual.d_points / scale
+        if self.measurement.marker_points is not None:
+            d_points[np.isnan(residual.points)] = 0.0
+        root_points, root_turns = self._roots(points, turns, _weight_root)
         columns = len(self.free)
-        stacked = [(root_points[..., None] * d_points).reshape(-1, columns)]
-        if d_turns is not None:
-            stacked.append((root_turns[..., None] * d_turns).reshape(-1, columns))
-        return r, np.concatenate(stacked)
+        stacked = [_times(root_points, d_points, 1).reshape(-1, columns)]
+        if residual.d_turns is not None:
+            stacked.append(_times(root_turns, residual.d_turns / self.weights.turns, 1).reshape(-1, columns))
+        weighted = self._stacked(points, turns, root_points, root_turns)
+        exact = weighted if root_points is None else self._stacked(points, turns, *self._roots(points, turns, _loss_root))
+        whole = stacked[0] if len(stacked) == 1 else np.concatenate(stacked)
+        return Linearised(weighted, whole, self.loss_at(values, exact), residual)
 
-    def _robust(self, points: Floats, turns: Floats | None) -> tuple[Floats, Floats, Floats]:
-        """Stack residuals, each scaled by the root of its Huber weight; also those roots."""
-        root_points = np.ones((*points.shape[:2], 1))
-        root_turns = np.ones((len(points), 1))
-        if self.loss == "huber":
-            root_points = _huber_root(np.linalg.norm(points, axis=2, keepdims=True))
-            if turns is not None:
-                root_turns = _huber_root(np.linalg.norm(turns, axis=1, keepdims=True))
-        parts = [(root_points * points).reshape(-1)]
-        if turns is not None:
-            parts.append((root_turns * turns).reshape(-1))
-        return np.concatenate(parts), root_points, root_turns
+    def loss_at(self, values: Floats, r: Floats) -> float:
+        """Half the sum of squares of ``r``, of the prior and of what strayed along held directions."""
+        prior = (values[self.free] - self.prior_mean) / self.prior_sigma
+        with np.errstate(over="ignore"):  # a residual beyond all bounds is said in words by the solver
+            return 0.5 * (float(r @ r) + float(prior @ prior) + HOLD * float(np.sum(_strayed(self, values) ** 2)))
+
+    def _over_sigma(self, residual: Residual) -> tuple[Floats, Floats | None]:
+        points = residual.points / self.weights.points
+        if self.measurement.marker_points is not None:
+            points[np.isnan(points)] = 0.0
+        return points, None if residual.turns is None else residual.turns / self.weights.turns
+
+    def _roots(
+        self, points: Floats, turns: Floats | None, root: Callable[[Floats], Floats]
+    ) -> tuple[Floats | None, Floats | None]:
+        """Roots of the weights (N, m, 1) of points and (N, 1) of turns, None where all are one."""
+        if self.loss != "huber":
+            return None, None
+        of_points = root(np.linalg.norm(points, axis=2, keepdims=True))
+        return of_points, None if turns is None else root(np.linalg.norm(turns, axis=1, keepdims=True))
+
+    @staticmethod
+    def _stacked(points: Floats, turns: Floats | None, root_points: Floats | None, root_turns: Floats | None) -> Floats:
+        whole = _times(root_points, points).reshape(-1)
+        return whole if turns is None else np.concatenate([whole, _times(root_turns, turns).reshape(-1)])
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A problem near some values: ``r (R,)``, ``J (R, F)`` with Jᵀr the downhill slope of the ``loss``; the raw residual."""
+
+    r: Floats
+    J: Floats
+    loss: float
+    residual: Residual
 
 
 @dataclass(frozen=True)
@@ -111,6 +143,7 @@ class Fit:
     cost: float
     effective: float
     iterations: int
+    residual: Residual
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -130,23 +163,20 @@ def solve(problem: Problem, start: Floats, progress: Progress | None = None) -> 
         NotConvergedError: no minimum within the iteration limit, or numbers that are not finite.
 
     """
-    values = start.copy()
-    damping = 1e-6
-    r, J = problem.linearised(values)
-    cost = _cost(problem, values, r)
+    values, damping = start.copy(), 1e-6
+    here = problem.linearised(values)
     for iteration in range(1, MAX_ITERATIONS + 1):
-        if not np.isfinite(cost):
+        if not np.isfinite(here.loss):
             raise NotConvergedError("The residuals are not finite: check the observations for impossible values.")
-        H, g = _holding(problem, values, *_normal_equations(problem, values, r, J))
-        step, drop, damping, trial = _damped_step(problem, values, H, g, cost, damping)
+        H, g = _holding(problem, values, *_normal_equations(problem, values, here))
+        taken = _damped_step(problem, values, H, g, here.loss, damping)
         if progress is not None:
-            progress(iteration, cost)
-        if trial is not None:
-            values = trial
-            r, J = problem.linearised(values)
-            cost = _cost(problem, values, r)
-        if trial is None or np.max(np.abs(step), initial=0.0) < STEP_TOLERANCE or drop < 1e-12 * (1.0 + cost):
-            return _finish(problem, values, r, J, iteration)
+            progress(iteration, here.loss)
+        if taken is None:
+            return _finish(problem, values, here, iteration)
+        drop, (step, damping, values, here) = here.loss - taken[3].loss, taken
+        if np.max(np.abs(step), initial=0.0) < STEP_TOLERANCE or drop < 1e-12 * (1.0 + here.loss):
+            return _finish(problem, values, here, iteration)
     raise NotConvergedError(
         f"No minimum after {MAX_ITERATIONS} iterations: fix some parameters, or start from a better version.",
         iterations=MAX_ITERATIONS,
@@ -154,39 +184,37 @@ def solve(problem: Problem, start: Floats, progress: Progress | None = None) -> 
 
 
 def _damped_step(
-    problem: Problem, values: Floats, H: Floats, g: Floats, cost: float, damping: float
-) -> tuple[Floats, float, float, Floats | None]:
-    """Raise the damping until a step lowers the cost. No such step (None) means a minimum to rounding."""
-    step = np.zeros(len(g))
+    problem: Problem, values: Floats, H: Floats, g: Floats, loss: float, damping: float
+) -> tuple[Floats, float, Floats, Linearised] | None:
+    """Raise the damping until a step lowers the loss: the step, the next damping, the new values and what is there.
+
+    None where no step does: a minimum to rounding.
+    """
+    diagonal = np.diag(H)
     for _ in range(25):
-        damped = H + damping * np.diag(np.diag(H))
-        step = scipy.linalg.solve(damped, g, assume_a="pos")
+        damped = H.copy()
+        damped[np.diag_indices_from(H)] += damping * diagonal
+        step = scipy.linalg.solve(damped, g, assume_a="pos", check_finite=False)
+        promised = float(step @ g)
+        if promised < ROUNDING * (1.0 + loss):
+            return None
         trial = values.copy()
         trial[problem.free] += step * problem.prior_sigma
-        lower = _cost(problem, trial, problem.whitened(trial))
-        if lower < cost:
-            return step, cost - lower, damping * 0.1, trial
+        # Nearly every step is good, so its Jacobian is taken at once instead of after its loss.
+        there = problem.linearised(trial)
+        if there.loss < loss:
+            return step, damping * 0.1, trial, there
         if np.max(np.abs(step), initial=0.0) < STEP_TOLERANCE:
-            break
+            return None
         damping = max(damping * 10.0, 1e-9)
-    return step, 0.0, damping, None
+    return None
 
 
-def _normal_equations(problem: Problem, values: Floats, r: Floats, J: Floats) -> tuple[Floats, Floats]:
-    scaled = J * problem.prior_sigma
+def _normal_equations(problem: Problem, values: Floats, here: Linearised) -> tuple[Floats, Floats]:
+    scaled = here.J * problem.prior_sigma
     H = scaled.T @ scaled
     H[np.diag_indices_from(H)] += 1.0
-    return H, scaled.T @ r - _from_prior(problem, values)
-
-
-def _from_prior(problem: Problem, values: Floats) -> Floats:
-    return np.asarray((values[problem.free] - problem.prior_mean) / problem.prior_sigma)
-
-
-def _cost(problem: Problem, values: Floats, r: Floats) -> float:
-    """Half the sum of squares, Huber's where asked, with the prior's."""
-    prior = float(np.sum(_from_prior(problem, values) ** 2))
-    return 0.5 * (float(r @ r) + prior + HOLD * float(np.sum(_strayed(problem, values) ** 2)))
+    return H, scaled.T @ here.r - (values[problem.free] - problem.prior_mean) / problem.prior_sigma
 
 
 def _strayed(problem: Problem, values: Floats) -> Floats:
@@ -202,23 +230,35 @@ def _holding(problem: Problem, values: Floats, H: Floats, g: Floats) -> tuple[Fl
     return H + HOLD * problem.held.T @ problem.held, g - HOLD * problem.held.T @ _strayed(problem, values)
 
 
-def _huber_root(size: Floats) -> Floats:
-    """Root of rho(s)/s² for Huber's rho, so that scaled residuals square to twice the robust cost."""
+def _times(root: Floats | None, array: Floats, more_axes: int = 0) -> Floats:
+    if root is None:
+        return array
+    return np.asarray(root.reshape(root.shape + (1,) * more_axes) * array)
+
+
+def _loss_root(size: Floats) -> Floats:
+    """Root of 2 rho(s) / s² for Huber's rho: residuals scaled by it square to twice the loss."""
     k = HUBER_SIGMAS
     safe = np.maximum(size, k)
     return np.asarray(np.where(size <= k, 1.0, np.sqrt(2.0 * k * safe - k * k) / safe))
 
 
-def _finish(problem: Problem, values: Floats, r: Floats, J: Floats, iterations: int) -> Fit:
-    H, _ = _normal_equations(problem, values, r, J)
-    inverse = scipy.linalg.inv(H)
+def _weight_root(size: Floats) -> Floats:
+    """Root of rho'(s) / s: residuals and Jacobian scaled by it have the slope of the loss."""
+    return np.asarray(np.sqrt(HUBER_SIGMAS / np.maximum(size, HUBER_SIGMAS)))
+
+
+def _finish(problem: Problem, values: Floats, here: Linearised, iterations: int) -> Fit:
+    H, _ = _normal_equations(problem, values, here)
+    inverse = scipy.linalg.inv(H, check_finite=False)
     scale = problem.prior_sigma
     return Fit(
         problem=problem,
         values=values,
         covariance=inverse * np.outer(scale, scale),
-        J=J,
-        cost=_cost(problem, values, r),
+        J=here.J,
+        cost=here.loss,
         effective=float(len(H) - np.trace(inverse)),
         iterations=iterations,
+        residual=here.residual,
     )

@@ -99,7 +99,7 @@ def identify(
     """
     options = options or IdentifyOptions()
     tell = progress or (lambda fraction, stage: None)
-    begin = _begin(robot, options, start)
+    begin = _begin(robot, train, options, start)
     _refuse_missing_columns(begin, train)
     tell(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
@@ -131,9 +131,9 @@ def identify(
     )
 
 
-def _begin(robot: Robot, options: IdentifyOptions, start: Calibration | None) -> Calibration:
+def _begin(robot: Robot, train: Observations, options: IdentifyOptions, start: Calibration | None) -> Calibration:
     """The model to fit at its starting values: the effects asked for, or with none asked those of the start."""
-    effects = options.make_effects()
+    effects = tuple(effect.on(robot, train) for effect in options.make_effects())
     if start is None:
         return Calibration.nominal(robot, effects)
     return start.with_effects(effects or start.model.effects)
@@ -146,7 +146,9 @@ def _wanted_frames(registered: Calibration, options: IdentifyOptions) -> tuple[F
         (robot.T_base, np.asarray(found.T_base), options.base, True),
         (robot.T_tool, np.asarray(found.T_tool), options.tool, registered.marker_points is not None),
     )
-    return tuple(own if _own(own, fitted, state, turns, options.reference) else fitted for own, fitted, state, turns in pairs)  # type: ignore[return-value]
+    return tuple(
+        own if _own(own, fitted, state, turns, options.reference) else fitted for own, fitted, state, turns in pairs
+    )  # type: ignore[return-value]
 
 
 def _own(own: Floats, fitted: Floats, state: str, turns: bool, reference: str) -> bool:

@@ -9,6 +9,7 @@ import pytest
 
 from core.effects import make_effect
 from core.errors import ObservationError, OptionError
+from core.identify import IdentifyOptions, identify
 from core.model import RobotModel
 from core.observations import Observations
 from tests.core.effects.by_hand import effect_on, inserted, one_joint, robot_of, tool_with
@@ -69,7 +70,7 @@ def test_markers_put_on_anew_shift_in_the_tool_frame() -> None:
     p, R = ARM.poses(q)
     shift = np.array([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0], [0.0, 0.0, -2e-3], [0.0, 0.0, 0.0]])
     np.testing.assert_allclose(tool.position, p + np.einsum("nij,nj->ni", R, shift), atol=1e-12)
-    with pytest.raises(OptionError, match="give the session numbers"):
+    with pytest.raises(OptionError, match="session numbers"):
         RobotModel(robot_of(ARM), (make_effect("session_shift"),))
     with pytest.raises(OptionError, match="two or more"):
         make_effect("session_shift", sessions=[3])
@@ -108,3 +109,14 @@ def test_options_that_cannot_be_are_refused_with_a_remedy() -> None:
         make_effect("rust")
     with pytest.raises(ObservationError, match="qd1_deg_s"):
         tool_with(ARM, effect_on(ARM, "tracking_lag"), {}, Observations(np.zeros((1, 4))))
+
+
+def test_an_identification_takes_sessions_and_start_of_drift_from_its_rows() -> None:
+    q = RNG.uniform(-2.0, 2.0, (40, 4))
+    rows = Observations(q, ARM.poses(q)[0], session=np.repeat([4, 6], 20), t=np.arange(40.0) + 1e9)
+    found = identify(robot_of(ARM), rows, options=IdentifyOptions(effects=("session_shift", "drift")))
+    shift, drift = found.calibration.model.effects
+    assert shift.to_document()["sessions"] == [4, 6]
+    assert drift.to_document()["t0_s"] == 1e9
+    with pytest.raises(OptionError, match="upload a session in every row"):
+        identify(robot_of(ARM), Observations(q, rows.position), options=IdentifyOptions(effects=("session_shift",)))

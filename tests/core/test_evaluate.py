@@ -1,0 +1,93 @@
+"""Evaluation on new measurements, with frames fitted anew, and its metrics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from core.errors import OptionError
+from core.evaluate import evaluate
+from core.identify import identify
+from core.metrics import Errors
+from core.model import Calibration
+from core.observations import Observations
+from core.robot import Robot
+from core.robots import robot_from_document
+from tests.core.campaigns import joints, measured
+from tests.core.truth import Arm, some_pose, ur10, with_hidden_errors
+
+NOISE = 2e-5
+MEAN_OF_NOISE_MM = NOISE * 1e3 * np.sqrt(8.0 / np.pi)
+TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.02, 0.10]))
+
+
+@pytest.fixture(scope="module")
+def calibrated() -> tuple[Robot, Arm, Calibration]:
+    rng = np.random.default_rng(0)
+    true = with_hidden_errors(ur10(tool=TOOL, base=some_pose(rng, 3.0)), rng)
+    robot = robot_from_document(ur10().document())
+    return robot, true, identify(robot, measured(true, joints(true, 250, rng), rng, NOISE)).calibration
+
+
+def test_new_poses_in_the_same_place(calibrated: tuple[Robot, Arm, Calibration]) -> None:
+    _, true, calibration = calibrated
+    rng = np.random.default_rng(1)
+    found = evaluate(calibration, measured(true, joints(true, 150, rng), rng, NOISE))
+    assert found["n"] == 150
+    assert found["identified"]["mean_mm"] == pytest.approx(MEAN_OF_NOISE_MM, rel=0.15)
+    assert found["registration_only"]["mean_mm"] > 10 * MEAN_OF_NOISE_MM
+    assert found["nominal"]["mean_mm"] > 100.0
+
+
+def test_a_tracker_set_up_anew_needs_its_base_fitted(calibrated: tuple[Robot, Arm, Calibration]) -> None:
+    _, true, calibration = calibrated
+    rng = np.random.default_rng(2)
+    moved = replace(true, base=some_pose(rng, 3.0))
+    seen = measured(moved, joints(moved, 150, rng), rng, NOISE)
+    assert evaluate(calibration, seen)["identified"]["mean_mm"] > 100.0
+    assert evaluate(calibration, seen, ["base"])["identified"]["mean_mm"] == pytest.approx(MEAN_OF_NOISE_MM, rel=0.15)
+
+
+def test_another_reflector_needs_its_place_fitted_too(calibrated: tuple[Robot, Arm, Calibration]) -> None:
+    _, true, calibration = calibrated
+    rng = np.random.default_rng(3)
+    moved = replace(true, base=some_pose(rng, 3.0), tool=true.tool * pin.SE3(np.eye(3), np.array([0.0, 0.03, 0.01])))
+    seen = measured(moved, joints(moved, 150, rng), rng, NOISE)
+    assert evaluate(calibration, seen, ["base"])["identified"]["mean_mm"] > 20 * MEAN_OF_NOISE_MM
+    found = evaluate(calibration, seen, ["base", "tool"])["identified"]["mean_mm"]
+    assert found == pytest.approx(MEAN_OF_NOISE_MM, rel=0.2)
+
+
+def test_another_refit_is_refused(calibrated: tuple[Robot, Arm, Calibration]) -> None:
+    _, true, calibration = calibrated
+    rng = np.random.default_rng(4)
+    with pytest.raises(OptionError, match="refit"):
+        evaluate(calibration, measured(true, joints(true, 20, rng), rng), ["tool"])
+
+
+def test_a_calibration_survives_its_document(calibrated: tuple[Robot, Arm, Calibration]) -> None:
+    robot, true, calibration = calibrated
+    again = Calibration.from_document(robot, calibration.to_document())
+    q = joints(true, 20, np.random.default_rng(5))
+    before, after = (c.predict(Observations(q)) for c in (calibration, again))
+    np.testing.assert_allclose(after.position, before.position, atol=1e-14)
+    np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-14)
+    with pytest.raises(OptionError, match="bend_9"):
+        Calibration.from_document(robot, {**calibration.to_document(), "values": {"bend_9": 1.0}})
+
+
+def test_metrics_by_hand() -> None:
+    points = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 1.0], [0.0, 2.0, 0.0], [0.0, 0.0, 0.0]]) * 1e-3
+    found = Errors(points, np.radians([1.0, 2.0, 3.0, 6.0])).to_document()
+    assert found["mean_mm"] == pytest.approx(2.0)
+    assert found["rms_mm"] == pytest.approx(np.sqrt(30.0 / 4.0))
+    assert found["max_mm"] == pytest.approx(5.0)
+    assert found["p95_mm"] == pytest.approx(5.0 - 0.15 * 3.0)
+    assert (found["x_mm"], found["y_mm"], found["z_mm"]) == pytest.approx((1.5, np.sqrt(5.0), 0.5))
+    assert found["orientation_deg"] == pytest.approx(3.0)
+    pooled = Errors.concatenate([Errors(points[:1], None), Errors(points[1:], None)])
+    assert pooled.to_document()["mean_mm"] == pytest.approx(2.0)
+    assert pooled.turns is None
