@@ -53,7 +53,8 @@ class SessionShift(Effect):
         """
         if not self.sessions:
             raise OptionError(
-                "session_shift needs sessions: give the session numbers, reference first.", effect=self.id
+                "session_shift needs sessions: upload a session in every row, or give the session numbers.",
+                effect=self.id,
             )
         return tuple(
             Parameter(f"session_{code}_{k}", "m", 0.0, 1e-3, -0.01, 0.01, f"shift of the tool in session {code}, {k}")

@@ -146,9 +146,7 @@ def _wanted_frames(registered: Calibration, options: IdentifyOptions) -> tuple[F
         (robot.T_base, np.asarray(found.T_base), options.base, True),
         (robot.T_tool, np.asarray(found.T_tool), options.tool, registered.marker_points is not None),
     )
-    return tuple(
-        own if _own(own, fitted, state, turns, options.reference) else fitted for own, fitted, state, turns in pairs
-    )  # type: ignore[return-value]
+    return tuple(own if _own(own, fitted, state, turns, options.reference) else fitted for own, fitted, state, turns in pairs)  # type: ignore[return-value]
 
 
 def _own(own: Floats, fitted: Floats, state: str, turns: bool, reference: str) -> bool:
