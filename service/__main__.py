@@ -108,6 +108,9 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command; exits 0 when it is done, 1 when it failed, 2 when it was called wrongly."""
     given = parser().parse_args(arguments)
+    # The fits are small: threads of the linear algebra library only wait for each other there, ten times slower on a
+    # busy machine with two cores (docs/explanation/surprises.md). It is read when numpy is imported, by a command.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # INFO of libraries is theirs; what Kilter logs at INFO is for whoever runs it.
     logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     logging.getLogger("kilter").setLevel(logging.INFO)

@@ -29,7 +29,7 @@ log = logging.getLogger("kilter.serve")
 LOCK_FILE = "serve.lock"
 SUPERVISED = "KILTER_SUPERVISED"
 CHECK_S = 0.1
-READY_S = 120.0  # the first start on a machine compiles the kernels
+READY_S = 300.0  # the first start on a machine compiles the kernels, on a busy one for minutes
 STOP_S = 8.0
 FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S = 0.2, 10.0, 30.0
 
@@ -40,9 +40,7 @@ class Child:
     def __init__(self, name: str, settings: Settings, *arguments: str, keep: tuple[int, ...] = ()) -> None:
         self.name = name
         self._command = [sys.executable, "-m", "service", name, *arguments]
-        # The fits are small: threads of the linear algebra library only wait for each other there, ten times slower on a
-        # busy machine with two cores (docs/explanation/surprises.md). A setting of the operator's stays.
-        self._environment = {"OPENBLAS_NUM_THREADS": "1", **os.environ, **settings.environment(), SUPERVISED: "1"}
+        self._environment = {**os.environ, **settings.environment(), SUPERVISED: "1"}
         self._keep = keep
         self._process: subprocess.Popen[bytes] | None = None
         self._started = 0.0

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ import numpy as np
 import pytest
 import uvicorn
 from fastapi import FastAPI
+from sqlalchemy import create_engine, make_url, text
 
 from service.app import create_app
 from service.auth.token import admin_token
@@ -30,11 +32,31 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 Serve = Callable[[FastAPI], httpx.Client]
 
 
+# The same tests run on PostgreSQL when this names a server on which databases may be created.
+POSTGRESQL = os.environ.get("KILTER_TEST_POSTGRESQL")
+
+
+@contextmanager
+def new_database() -> Iterator[str | None]:
+    """Return the URL of an empty PostgreSQL database, or None where the tests run on SQLite."""
+    if POSTGRESQL is None:
+        yield None
+        return
+    url, name = make_url(POSTGRESQL), f"kilter_{uuid.uuid4().hex[:12]}"
+    engine = create_engine(url.set(drivername="postgresql+psycopg"), isolation_level="AUTOCOMMIT")
+    with engine.connect() as connection:
+        connection.execute(text(f"CREATE DATABASE {name}"))
+        yield url.set(database=name).render_as_string(hide_password=False)
+        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
+    engine.dispose()
+
+
 @pytest.fixture
-def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
+def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Settings]:
     for name in Settings.model_fields:
         monkeypatch.delenv(f"KILTER_{name.upper()}", raising=False)
-    return Settings(data=tmp_path / "data", port=0, zenoh_listen="tcp/127.0.0.1:0")
+    with new_database() as url:
+        yield Settings(data=tmp_path / "data", database_url=url, port=0, zenoh_listen="tcp/127.0.0.1:0")
 
 
 @pytest.fixture(scope="session")
@@ -49,10 +71,20 @@ def migrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def database(settings: Settings, migrated: Path) -> Iterator[Database]:
-    settings.data.mkdir(parents=True)
-    shutil.copy(migrated, settings.data / DATABASE_FILE)
+    ready(settings, migrated)
     database = Database(settings.database)
     yield database
+    database.close()
+
+
+def ready(settings: Settings, migrated: Path) -> None:
+    """Give the settings a migrated database."""
+    settings.data.mkdir(parents=True, exist_ok=True)
+    if settings.database_url is None:
+        shutil.copy(migrated, settings.data / DATABASE_FILE)
+        return
+    database = Database(settings.database)
+    revision.migrate(database)
     database.close()
 
 
@@ -103,11 +135,12 @@ def client(settings: Settings, database: Database, serve: Serve) -> httpx.Client
 @pytest.fixture(scope="module")
 def shared_client(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[httpx.Client]:
     """Serve one application to all tests of a module that do not care what the others left there."""
-    settings = Settings(data=tmp_path_factory.mktemp("shared"), database_url=None, host="127.0.0.1", token=None)
-    shutil.copy(migrated, settings.data / DATABASE_FILE)
-    with served(create_app(settings)) as client:
-        client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
-        yield client
+    with new_database() as url:
+        settings = Settings(data=tmp_path_factory.mktemp("shared"), database_url=url, host="127.0.0.1", token=None)
+        ready(settings, migrated)
+        with served(create_app(settings)) as client:
+            client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
+            yield client
 
 
 class WorkerProcess:
@@ -153,7 +186,7 @@ def worker(settings: Settings, database: Database) -> Iterator[WorkerProcess]:
     worker.kill()
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+def wait_for(condition: Callable[[], bool], seconds: float = 180.0) -> None:
     """Wait until something is so."""
     deadline = time.monotonic() + seconds
     while not condition():
