@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincc
 
 from core.gap.candidates import Candidate
 from core.gap.world import VISIBLE, Gram, World
@@ -65,22 +66,37 @@ class Scorer:
             blocks.append(Block(np.array(place, dtype=np.int64), columns, signed))
         return Scorer(tuple(candidates), tuple(blocks), absolute, freedom)
 
+    @cached_property
+    def empirical(self) -> Bools:
+        """Candidates (K,) of the empirical tier."""
+        return np.array([c.empirical for c in self.candidates], dtype=bool)
+
     def reductions(self, gram: Gram, data: Floats) -> tuple[Floats, Ints]:
         """Chi-square taken (B, K) for data ``c (B, Q)``, and degrees (K,)."""
         S = np.zeros((len(data), len(self.candidates)))
         d = np.zeros(len(self.candidates), dtype=np.int64)
-        for block in self.blocks:
-            A = gram.A[block.columns[:, :, None], block.columns[:, None, :]]
-            w, V = np.linalg.eigh(A)
-            keep = w > VISIBLE
-            half = V * np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)[:, None, :]
+        for block, (half, degrees) in zip(self.blocks, self._halves(gram), strict=True):
             z = np.matmul(data[:, block.columns].transpose(1, 0, 2), half)
             taken = np.sum(z**2, axis=2).T
             if block.one_sided.any():
                 wrong = block.one_sided & (data[:, block.columns[:, 0]] < 0.0)
                 taken = np.where(wrong, 0.0, taken)
-            S[:, block.place], d[block.place] = taken, keep.sum(axis=1)
+            S[:, block.place], d[block.place] = taken, degrees
         return S, d
+
+    def _halves(self, gram: Gram) -> list[tuple[Floats, Ints]]:
+        """Per block, roots (K, d, d) of the inverse of each candidate's own matrix, and its rank (K,)."""
+        key = ("halves", id(self))
+        if key not in gram.cache:
+            made = []
+            for block in self.blocks:
+                w, V = np.linalg.eigh(gram.A[block.columns[:, :, None], block.columns[:, None, :]])
+                keep = w > VISIBLE
+                root = np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)
+                made.append((V * root[:, None, :], keep.sum(axis=1)))
+            gram.cache[key] = made
+        found: list[tuple[Floats, Ints]] = gram.cache[key]
+        return found
 
     def scores(self, gram: Gram) -> Scores:
         """Scores of the data themselves."""
@@ -96,20 +112,22 @@ class Scorer:
 
     def tail(self, T: Floats, d: Ints) -> Floats:
         """Tail probability of chi-square (B, K); half of it where the sign is known; 1 for a candidate with nothing left."""
-        p = chi2.sf(T, np.maximum(d, 1))
-        p = np.where(self._one_sided(), 0.5 * p, p)
+        p = gammaincc(np.maximum(d, 1) / 2.0, T / 2.0)
+        p = np.where(self.one_sided, 0.5 * p, p)
         return np.asarray(np.where((d > 0) & (T > 0.0), p, 1.0))
 
     def best_tail(self, T: Floats, d: Ints) -> Floats:
         """Smallest tail probability (B,): the largest T of each kind decides, so few tails are computed."""
-        one = self._one_sided()
+        one = self.one_sided
         best = np.ones(len(T))
         for kind in {(int(k), bool(o)) for k, o in zip(d, one, strict=True) if k > 0}:
             own = (d == kind[0]) & (one == kind[1])
-            best = np.minimum(best, chi2.sf(T[:, own].max(axis=1), kind[0]) * (0.5 if kind[1] else 1.0))
+            best = np.minimum(best, gammaincc(kind[0] / 2.0, T[:, own].max(axis=1) / 2.0) * (0.5 if kind[1] else 1.0))
         return best
 
-    def _one_sided(self) -> Bools:
+    @cached_property
+    def one_sided(self) -> Bools:
+        """Candidates (K,) of one parameter with a known sign."""
         return np.array([c.positive and len(c.columns) == 1 for c in self.candidates])
 
 

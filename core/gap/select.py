@@ -47,13 +47,12 @@ class Selector:
     def criterion(self, gram: Gram, chosen: Sequence[int], variance: float) -> float:
         """Chi-square taken over the noise variance, less the price."""
         columns = self.columns(chosen)
-        degrees = gram.nu - gram.given(columns).nu
-        return gram.reduction(columns) / variance - self.price(chosen, [int(degrees)])
+        return gram.reduction(columns) / variance - self.price(chosen, [gram.rank(columns)])
 
     def variance(self, gram: Gram, chosen: Sequence[int]) -> float:
         """Noise variance for comparisons at a set: 1 for repeats, more when structure is left."""
-        left = gram.given(self.columns(chosen))
-        ratio = left.yy / max(left.nu, 1.0)
+        columns = self.columns(chosen)
+        ratio = (gram.yy - gram.reduction(columns)) / max(gram.nu - gram.rank(columns), 1.0)
         return max(1.0, ratio) if self.scorer.absolute else max(ratio, 1e-12)
 
     def entry(self, gram: Gram, chosen: Sequence[int], critical: float) -> tuple[int | None, Scores]:
@@ -74,8 +73,7 @@ class Selector:
         left = (given.yy - scores.S) / np.maximum(given.nu - scores.d, 1.0)
         best = float(np.min(left))
         variance = max(1.0, best) if self.scorer.absolute else max(best, 1e-12)
-        empirical = np.array([c.empirical for c in self.scorer.candidates])
-        return np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * empirical, 1)
+        return np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical, 1)
 
     def plausible(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
         """Whether no parameter of known sign comes out clearly negative."""
@@ -84,8 +82,7 @@ class Selector:
             return True
         columns = self.columns(chosen)
         index = [columns.index(k) for k in candidate.columns]
-        A = gram.A[np.ix_(columns, columns)]
-        sigma = np.sqrt(np.diag(np.linalg.pinv(A, rcond=1e-7, hermitian=True)))[index]
+        sigma = np.sqrt(np.diag(gram.inverse(columns)[0]))[index]
         return bool(np.all(gram.solve(columns)[index] > -CLEARLY_WRONG * sigma))
 
     def improved(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
@@ -161,8 +158,7 @@ class Selector:
         columns = self.columns(rest)
         given = gram.given(columns)
         scores = self.scorer.scores(given)
-        empirical = np.array([c.empirical for c in self.scorer.candidates])
-        value = scores.S / variance - scores.d * np.log(self.rows) - MARGIN * empirical
+        value = scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical
         able = (scores.p < critical) & (scores.d > 0)
         able[list(taken)] = False
         base = self.criterion(gram, rest, variance)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -75,7 +77,7 @@ class World:
         """Raw whitened norm (Q,) of one unit of each parameter, the inverse of ``scale``."""
         return np.where(self.scale > 0.0, 1.0 / np.where(self.scale > 0.0, self.scale, 1.0), 0.0)
 
-    @property
+    @cached_property
     def gram(self) -> Gram:
         """Everything selection needs."""
         return Gram(self.A, self.c, float(self.y @ self.y), self.nu)
@@ -100,33 +102,52 @@ class World:
 
 @dataclass(frozen=True)
 class Gram:
-    """Inner products: ``A (Q, Q)``, ``c (Q,)``, chi-square ``yy`` and freedom ``nu`` before any candidate enters."""
+    """Inner products: ``A (Q, Q)``, ``c (Q,)``, chi-square ``yy`` and freedom ``nu`` before any candidate enters.
+
+    What depends on A alone is kept in ``cache``, shared by all data on the same candidates: resamples cost little.
+    """
 
     A: Floats
     c: Floats
     yy: float
     nu: float
+    cache: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def inverse(self, columns: Sequence[int]) -> tuple[Floats, int]:
+        """Pseudo-inverse (d, d) of the columns' own block, and its rank."""
+        key = tuple(columns)
+        if key not in self.cache:
+            index = list(columns)
+            w, V = np.linalg.eigh(self.A[np.ix_(index, index)])
+            keep = w > VISIBLE
+            self.cache[key] = ((V[:, keep] / w[keep]) @ V[:, keep].T, int(keep.sum()))
+        found: tuple[Floats, int] = self.cache[key]
+        return found
 
     def solve(self, columns: Sequence[int]) -> Floats:
         """Least-squares coefficients of unit columns."""
-        index = list(columns)
-        return _pinv(self.A[np.ix_(index, index)]) @ self.c[index]
+        return np.asarray(self.inverse(columns)[0] @ self.c[list(columns)])
 
     def reduction(self, columns: Sequence[int]) -> float:
         """How much chi-square the columns take together."""
-        index = list(columns)
-        return float(self.c[index] @ self.solve(index)) if index else 0.0
+        return float(self.c[list(columns)] @ self.solve(columns)) if len(columns) else 0.0
+
+    def rank(self, columns: Sequence[int]) -> int:
+        """How many independent directions the columns have."""
+        return self.inverse(columns)[1] if len(columns) else 0
 
     def given(self, columns: Sequence[int]) -> Gram:
         """Conditioned on a set of columns: their space projected off everything."""
-        index = list(columns)
-        if not index:
+        if not len(columns):
             return self
-        inverse = _pinv(self.A[np.ix_(index, index)])
-        K = self.A[:, index] @ inverse
-        rank = np.linalg.matrix_rank(self.A[np.ix_(index, index)], tol=VISIBLE, hermitian=True)
-        A = self.A - K @ self.A[index]
-        return Gram(0.5 * (A + A.T), self.c - K @ self.c[index], self.yy - self.reduction(index), self.nu - float(rank))
+        key = ("given", *columns)
+        index = list(columns)
+        if key not in self.cache:
+            K = self.A[:, index] @ self.inverse(columns)[0]
+            A = self.A - K @ self.A[index]
+            self.cache[key] = (K, 0.5 * (A + A.T), {})
+        K, A, cache = self.cache[key]
+        return Gram(A, self.c - K @ self.c[index], self.yy - self.reduction(index), self.nu - self.rank(index), cache)
 
     def with_data(self, c: Floats, yy: float) -> Gram:
         """The same candidates with other data."""
