@@ -44,8 +44,8 @@ class UnknownJointCurve(Effect):
         """Act on revolute joints, the partner aside."""
         if self.partner is None:
             return self.revolute(robot)
-        replace(self, joints=(self.partner,), partner=None, orders=(1,)).revolute(robot)  # it must exist, and turn
-        chosen = self.revolute(robot).acting(robot.n_joints)
+        UnknownJointCurve(joints=(self.partner,)).revolute(robot)  # the partner must exist, and turn
+        chosen = UnknownJointCurve(joints=self.joints).revolute(robot).acting(robot.n_joints)
         return replace(self, joints=tuple(j for j in chosen if j != self.partner))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:

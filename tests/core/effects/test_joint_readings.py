@@ -142,6 +142,7 @@ def test_the_unknown_curve_of_two_joints() -> None:
     q = np.array([[math.pi / 2, math.pi / 2, 0.3], [math.pi / 2, -math.pi / 6, 0.1], [0.0, 1.0, 0.0]])
     np.testing.assert_allclose(added(arm, effect, [1e-3], Observations(q))[:, 0], [1e-3, -5e-4, 0.0], atol=1e-15)
     assert effect_on(arm, "unknown_joint_curve").joints == (0, 1)
+    assert effect_on(arm, "unknown_joint_curve", orders=(), partner=1).joints == (0,)
     for wrong in ({"joints": [0], "partner": 2}, {"joints": [2]}, {"joints": [0], "partner": 0}, {"orders": ()}):
         with pytest.raises(OptionError):
             effect_on(arm, "unknown_joint_curve", **wrong)
