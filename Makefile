@@ -8,10 +8,10 @@ IMAGE ?= kilter
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check bench image fmt clean
+.PHONY: help setup demo serve test check bench bench-stream image fmt clean
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
 
 setup: $(READY) $(KERNELS) ## build .venv with pinned dependencies (done once, again when a dependency list changes)
 
@@ -41,6 +41,9 @@ check: $(KERNELS) ## style, types, import rules
 
 bench: $(KERNELS) ## measure speed against other tools and print the ratios
 	$(BIN)/python -m pytest -m bench -s tests/bench
+
+bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run
+	$(BIN)/python benchmarks/stream.py
 
 image: ## build the container image (needs a container engine)
 	docker build --tag $(IMAGE) .

@@ -66,18 +66,24 @@ def with_identifiers(source: str, printed: list[str]) -> str:
 
 
 def run(example: Example, folder: Path, server: LocalServer, printed: list[str]) -> None:
-    command = ["bash", "-euo", "pipefail", "-c"] if example.language == "sh" else [sys.executable, "-c"]
-    done = subprocess.run(
-        [*command, with_identifiers(example.source, printed)],
-        cwd=folder,
-        env=server.environment(),
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_S,
-        check=False,
-    )
-    assert done.returncode == 0, f"{example.source}\n{done.stdout}\n{done.stderr}"
-    printed += IDENTIFIER.findall(done.stdout + done.stderr)
+    """Run a block; a shell block line by line, since a line may need the id that the line before has printed."""
+    shell = ["bash", "-euo", "pipefail", "-c"]
+    if example.language == "sh":
+        steps = [[*shell, line] for line in example.source.splitlines() if line.strip()]
+    else:
+        steps = [[sys.executable, "-c", example.source]]
+    for *command, source in steps:
+        done = subprocess.run(
+            [*command, with_identifiers(source, printed)],
+            cwd=folder,
+            env=server.environment(),
+            capture_output=True,
+            text=True,
+            timeout=DEADLINE_S,
+            check=False,
+        )
+        assert done.returncode == 0, f"{source}\n{done.stdout}\n{done.stderr}"
+        printed += IDENTIFIER.findall(done.stdout + done.stderr)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))

@@ -21,7 +21,9 @@ KERNELS = REPOSITORY / "core" / "kernels"
 CORE_MAY_IMPORT = {"core", "numpy", "scipy", "numba"}
 FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "misc", "common"}
 MODULE_CAP, FUNCTION_CAP = 400, 60
-KERNEL_CAP = 120  # a compiled loop over poses keeps its scratch arrays in one function
+KERNEL_MODULE_CAP = 1000  # a kernel file calls only its own functions, so it cannot be split
+# A kernel file calls only its own functions, and a compiled loop over poses keeps its scratch arrays in one of them.
+KERNEL_MODULE_CAP, KERNEL_FUNCTION_CAP = 1200, 140
 
 
 def modules(*folders: str) -> Iterator[Path]:
@@ -68,8 +70,9 @@ def test_modules_are_short_and_say_what_they_are_for() -> None:
         text = path.read_text()
         tree = ast.parse(text)
         name = path.relative_to(REPOSITORY)
-        if text.count("\n") > MODULE_CAP:
-            wrong.append(f"{name} has more than {MODULE_CAP} lines")
+        cap = KERNEL_MODULE_CAP if path.parent == KERNELS else MODULE_CAP
+        if text.count("\n") > cap:
+            wrong.append(f"{name} has more than {cap} lines")
         if path.stem in FORBIDDEN_NAMES:
             wrong.append(f"{name}: name it after what it does")
         if tree.body and not ast.get_docstring(tree):
@@ -82,7 +85,7 @@ def test_modules_are_short_and_say_what_they_are_for() -> None:
 def test_functions_are_short() -> None:
     wrong = []
     for path in modules("core", "service", "clients/python/src", "tools"):
-        cap = KERNEL_CAP if path.parent == KERNELS else FUNCTION_CAP
+        cap = KERNEL_FUNCTION_CAP if path.parent == KERNELS else FUNCTION_CAP
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.end_lineno is not None:
                 length = node.end_lineno - node.lineno + 1
@@ -200,5 +203,5 @@ def test_image_copies_only_what_the_build_context_holds() -> None:
 def test_every_make_target_is_listed_by_help() -> None:
     text = (REPOSITORY / "Makefile").read_text()
     declared = set(re.search(r"^\.PHONY: (.+)$", text, re.MULTILINE).group(1).split())  # type: ignore[union-attr]
-    assert declared == set(re.findall(r"^([a-z]+):.*## ", text, re.MULTILINE))
+    assert declared == set(re.findall(r"^([a-z-]+):.*## ", text, re.MULTILINE))
     assert {"setup", "demo", "serve", "test", "check", "bench", "image", "fmt", "clean", "help"} <= declared
