@@ -691,9 +691,11 @@ def _solve(P, W, state, info, n, m, dynamic, dt):
             info[4], info[5], info[6] = d[0], d[1], d[2]
         else:
             _multipliers(W, og, rows, damped)
+        before = largest
         largest = _command(W, n, oj, og, rows)
         info[7] = it + 1.0
-        if largest < P[S, STEP]:
+        # Steps shrink by a constant factor: the next one would be largest * largest / before.
+        if largest < P[S, STEP] or (it > 0 and largest < before and largest * largest < 0.1 * P[S, STEP] * before):
             break
     _report(W, info, og, rows, d)
     if not info[3] <= P[S, REACHED]:

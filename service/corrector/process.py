@@ -33,7 +33,7 @@ log = logging.getLogger("kilter.corrector")
 
 CORRECTOR_FILE = "corrector.json"
 POLL_S = 0.25
-START_S = 60.0  # the first start on a machine compiles the kernel
+START_S = 300.0  # the first start on a machine compiles the kernel, on a busy one for minutes
 STOP_S = 5.0
 
 

@@ -1,0 +1,277 @@
+"""What the correction costs: corrected round trip against a bare zenoh echo, interleaved in one run.
+
+    python benchmarks/stream.py [--samples 20000] [--rate 1000]
+
+Echo and corrector have the same session settings, ring, thread and priority, and take turns in blocks of a quarter of a
+second, so that whatever else the machine does meets both. The last line is ``ratio p50=... p99=... lost=...``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import math
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Hashable, Mapping
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zenoh
+
+from core.correction import CorrectionOptions, CorrectionProgram, Track, compile_program
+from core.effects import make_effect
+from core.model import Calibration, RobotModel
+from core.robots import robot_from_document
+from service.corrector import frames
+from service.corrector.active import Active, version_number
+from service.corrector.frames import Flag
+from service.corrector.loop import ask_for_real_time
+from service.corrector.process import Corrector
+from service.corrector.session import config, open_listening
+from service.settings import Settings
+
+ROBOT, SITE = "ur10", "bench"
+ROOT = f"kilter/@v1/{SITE}/{ROBOT}/stream"
+BLOCK_S = 0.25
+POSTURE = np.array([0.3, -1.2, 1.4, -0.5, 0.9, 0.2])
+REAL_TIME: dict[str, Any] = {
+    "priority": zenoh.Priority.REAL_TIME,
+    "congestion_control": zenoh.CongestionControl.DROP,
+    "express": False,
+}
+
+
+def calibration() -> Calibration:
+    """A UR10 with errors in every parameter and all four effects of the thesis."""
+    robot = robot_from_document({"convention": "preset", "preset": ROBOT, "name": ROBOT})
+    effects = tuple(make_effect(e) for e in ("clearance_tilt", "backlash_load", "backlash", "axial_compliance"))
+    model = RobotModel(robot, effects)
+    values = model.values0()
+    rng = np.random.default_rng(0)
+    sizes = {"clearance": math.radians(0.02), "backlash": math.radians(0.03), "compliance": 2e-5}
+    for k, name in enumerate(model.names):
+        stem = name.partition("_")[0]
+        if stem in sizes:
+            values[k] = sizes[stem]
+        elif stem not in ("base", "tool"):
+            values[k] += rng.normal() * (1e-4 if model.parameter(name).unit == "m" else math.radians(0.01))
+    return Calibration(model, values)
+
+
+class Fixed:
+    """A source of one version."""
+
+    def __init__(self, active: Active) -> None:
+        self._active = active
+
+    def stamp(self) -> Hashable:
+        """Never changes."""
+        return 0
+
+    def load(self) -> Mapping[str, Active]:
+        """The version."""
+        return {self._active.robot: self._active}
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def echo_main(pipe: Connection) -> None:
+    """A process that sends back what it gets, built like the stream process without the correction."""
+    sys.setswitchinterval(0.0005)
+    ask_for_real_time()
+    session, endpoint = open_listening("tcp/127.0.0.1:0", None)
+    with session:
+        subscriber = session.declare_subscriber(f"{ROOT}/echo/in", zenoh.handlers.RingChannel(256))
+        publisher = session.declare_publisher(f"{ROOT}/echo/out", **REAL_TIME)
+        pipe.send(endpoint)
+        gc.freeze()
+        gc.disable()
+        ring = subscriber.handler
+        while not pipe.poll():
+            sample = ring.try_recv() or ring.recv()
+            publisher.put(sample.payload.to_bytes())
+
+
+class Line:
+    """One direction there and back, with the round trips of its frames."""
+
+    def __init__(self, session: zenoh.Session, name: str) -> None:
+        self.arrived: list[tuple[int, bytes]] = []
+        self.sent: dict[int, int] = {}
+        self.seq = 0
+        self._publisher = session.declare_publisher(f"{ROOT}/{name}/in", **REAL_TIME)
+        session.declare_subscriber(f"{ROOT}/{name}/out", zenoh.handlers.Callback(self._take, indirect=False))
+        end = time.monotonic() + 20
+        while not self._publisher.matching_status.matching:
+            if time.monotonic() > end:
+                raise SystemExit(f"nobody listens to {name}")
+            time.sleep(0.01)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        self.arrived.append((time.perf_counter_ns(), sample.payload.to_bytes()))
+
+    def send(self, values: np.ndarray, step_ns: int | None = None) -> None:
+        """Send a point, or a chunk when ``step_ns`` is given."""
+        self.seq += 1
+        flags = Flag.RESET | Flag.SETTLED if self.seq == 1 else 0
+        data = frames.encode_setpoints(
+            values, joints=6, seq=self.seq, t_send_ns=time.monotonic_ns(), t_apply_ns=0, flags=flags, step_ns=step_ns
+        )
+        self.sent[self.seq] = time.perf_counter_ns()
+        self._publisher.put(data)
+
+    def wait(self, seconds: float = 3.0) -> None:
+        """Wait for the answers that are under way."""
+        end = time.monotonic() + seconds
+        while len(self.arrived) < self.seq and time.monotonic() < end:
+            time.sleep(0.001)
+
+    def round_trips_us(self) -> np.ndarray:
+        """Round trips of the frames that came back, µs."""
+        trips = [at - self.sent[frames.decode_header(data).seq] for at, data in self.arrived]
+        return np.array(trips[100:]) / 1000.0  # the first ones meet cold caches
+
+
+def path(k: int) -> np.ndarray:
+    """Setpoint k of a slow motion of all joints."""
+    return (POSTURE + 0.2 * math.sin(k * 0.0005))[None]
+
+
+def take_turns(lines: list[Line], samples: int, rate: float) -> None:
+    """Send ``samples`` to every line in turn, in blocks, at ``rate`` per second."""
+    period = 1.0 / rate
+    block = max(1, int(BLOCK_S * rate))
+    for start in range(0, samples, block):
+        for line in lines:
+            due = time.perf_counter()
+            for k in range(start, min(start + block, samples)):
+                due += period
+                time.sleep(max(0.0, due - time.perf_counter()))
+                line.send(path(k))
+            line.wait(0.2)
+
+
+def throughput(line: Line, points: int = 200, window: int = 8, seconds: float = 3.0) -> float:
+    """Setpoints per second in chunks, ``window`` of them under way."""
+    chunks = [np.vstack([path(points * c + k) for k in range(points)]) for c in range(64)]
+    chunks += chunks[::-1]  # there and back, without a leap
+    begin, first = time.perf_counter(), line.seq
+    while time.perf_counter() - begin < seconds:
+        if line.seq - len(line.arrived) < window:
+            line.send(chunks[line.seq % len(chunks)], 1_000_000)
+        else:
+            time.sleep(0.0001)
+    line.wait()
+    good = sum(frames.decode_answer(data).status == 0 for _, data in line.arrived[first:])
+    return points * good / (time.perf_counter() - begin)
+
+
+def each_us(call: Callable[[], object], repeat: int = 7, number: int = 3000) -> float:
+    """Time of one call, µs: the best of several runs, as timeit advises."""
+    best = math.inf
+    for _ in range(repeat):
+        begin = time.perf_counter()
+        for _ in range(number):
+            call()
+        best = min(best, time.perf_counter() - begin)
+    return best / number * 1e6
+
+
+def kernel_times(program: CorrectionProgram) -> None:
+    """Print the correction's own time beside Pinocchio's inverse dynamics."""
+    track = Track(program, settled=True)
+    still, moving = path(0)[0], np.concatenate([path(0)[0], np.full(6, 0.1), np.full(6, 0.1)])
+    many = np.vstack([path(k) for k in range(2000)])
+    wide = np.hstack([many, np.full((2000, 12), 0.1)])
+    steps = np.full(2000, 0.001)
+    print(f"single call, static  {each_us(lambda: track.step(still, 1, 0.001)):6.2f} µs")
+    single = each_us(lambda: track.step(moving, 3, 0.001))
+    print(f"single call, dynamic {single:6.2f} µs")
+
+    def follow(points: np.ndarray, width: int) -> None:
+        track.restart(settled=True)
+        assert track.follow(points, width, steps)[0] == len(points)
+
+    print(f"batch, static        {each_us(lambda: follow(many, 1), 9, 3) / 2000:6.2f} µs per setpoint")
+    print(f"batch, dynamic       {each_us(lambda: follow(wide, 3), 9, 3) / 2000:6.2f} µs per setpoint")
+    try:
+        import pinocchio as pin
+    except ImportError:
+        print("pinocchio is not installed: no comparison")
+        return
+    model = pin.Model()
+    joint = 0
+    for j in range(6):
+        joint = model.addJoint(joint, pin.JointModelRZ(), pin.SE3.Random(), f"j{j}")
+        model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+    data, q, v = model.createData(), path(0)[0].copy(), np.full(6, 0.1)
+    rnea = each_us(lambda: pin.rnea(model, data, q, v, v))
+    print(f"pinocchio rnea       {rnea:6.2f} µs, single dynamic call / rnea = {single / rnea:.2f}")
+
+
+def report(name: str, trips: np.ndarray, sent: int) -> tuple[float, float]:
+    """Print the quantiles of a line; returns p50 and p99."""
+    p50, p95, p99, p999 = np.percentile(trips, [50, 95, 99, 99.9])
+    print(
+        f"{name:10s} n={sent} p50={p50:7.1f} p95={p95:7.1f} p99={p99:7.1f} p99.9={p999:8.1f} max={trips.max():8.1f} µs"
+    )
+    return float(p50), float(p99)
+
+
+def main() -> None:
+    """Run everything once."""
+    parser = argparse.ArgumentParser(description="Corrected round trip against a bare zenoh echo.")
+    parser.add_argument("--samples", type=int, default=20_000, help="setpoints per line")
+    parser.add_argument("--rate", type=float, default=1000.0, help="setpoints per second")
+    arguments = parser.parse_args()
+    program = compile_program(calibration(), CorrectionOptions())
+    kernel_times(program)
+    active = Active(ROBOT, "ver_bench", version_number(program.digest), 1, program)
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    echo = context.Process(target=echo_main, args=(theirs,))
+    echo.start()
+    echo_endpoint = ours.recv()
+    with tempfile.TemporaryDirectory() as folder:
+        settings = Settings(data=Path(folder), zenoh_listen="tcp/127.0.0.1:0", site=SITE)
+        corrector = Corrector(settings, Fixed(active))
+        corrector.start()
+        try:
+            with zenoh.open(config("tcp/127.0.0.1:0", (echo_endpoint, corrector.endpoints["stream"]))) as session:
+                time.sleep(0.5)
+                gc.freeze()
+                gc.disable()
+                lines = [Line(session, "echo"), Line(session, "corrected")]
+                take_turns(lines, arguments.samples, arguments.rate)
+                for line in lines:
+                    line.wait()
+                lost = [line.seq - len(line.arrived) for line in lines]
+                verdicts = Counter(frames.decode_answer(data).status.name for _, data in lines[1].arrived)
+                inside = np.array([frames.decode_answer(data).processing_ns for _, data in lines[1].arrived]) / 1000.0
+                echo_p50, echo_p99 = report("echo", lines[0].round_trips_us(), lines[0].seq)
+                our_p50, our_p99 = report("corrected", lines[1].round_trips_us(), lines[1].seq)
+                quantiles = np.percentile(inside, [50, 99])
+                print(f"inside the corrector p50={quantiles[0]:.1f} p99={quantiles[1]:.1f} µs; {dict(verdicts)}")
+                rate = throughput(Line(session, "chunks"))
+                print(f"throughput in chunks of 200: {rate:,.0f} setpoints/s")
+                ours.send("stop")
+                session.put(f"{ROOT}/echo/in", b"")  # wakes the echo, which then sees that it is told to stop
+                echo.join(5)
+        finally:
+            corrector.stop()
+            if echo.is_alive():
+                echo.kill()
+    print(f"cores {os.cpu_count()}, load {os.getloadavg()[0]:.1f}")
+    print(f"ratio p50={our_p50 / echo_p50:.3f} p99={our_p99 / echo_p99:.3f} lost={lost[1]}")
+
+
+if __name__ == "__main__":
+    main()

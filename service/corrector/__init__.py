@@ -1,0 +1,1 @@
+"""Corrected setpoints over zenoh: the stream, its process, the queries."""
