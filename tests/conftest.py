@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-# Set before numpy is imported: threads of the linear algebra library make small fits ten times slower on two busy cores.
+# Set before numpy is imported: its threads make small fits ten times slower on two busy cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
