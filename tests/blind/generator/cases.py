@@ -54,8 +54,8 @@ LOCAL = (
 FAMILIES = tuple(PER_JOINT)
 
 
-def cases(seed: int, n: int) -> Iterator[Case]:
-    """Yield ``n`` cases; case k is the same for every ``n``."""
+def cases(seed: int, n: int, poses: tuple[int, ...] = (30, 60, 118)) -> Iterator[Case]:
+    """Yield ``n`` cases; case k is the same for every ``n``. ``poses`` are the counts to choose from."""
     for k in range(n):
         rng = np.random.default_rng([seed, k])
         kind = PATTERN[k % len(PATTERN)]

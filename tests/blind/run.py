@@ -1,0 +1,91 @@
+"""Run the blind benchmark: ``python -m tests.blind.run --n 1000``. Stops and goes on where it was; two processes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from core.errors import CoreError
+from core.gap import GapOptions, find_gap
+from tests.blind.generator import Case, cases, generate
+from tests.blind.page import PAGE, write_page
+from tests.blind.score import figures
+from tests.blind.to_core import observations_of, robot_of
+
+KEPT = ("verdict", "sentence", "effects", "gap", "not_testable", "adequacy", "noise")
+PROCESSES = 2
+RECORDS = Path(__file__).resolve().parents[2] / "build"
+QUIET = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+def run_case(case: Case) -> dict[str, Any]:
+    """Generate a case, let the finder at it, and keep what both say."""
+    campaign = generate(case)
+    record = {
+        "name": case.name, "case": asdict(case), "truth": campaign.truth.to_document(), "report": None, "error": None,
+    }  # fmt: skip
+    began = time.perf_counter()
+    try:
+        report = find_gap(robot_of(campaign), observations_of(campaign.columns), GapOptions(next_poses=1))
+    except CoreError as error:
+        return {**record, "error": f"{error.code}: {error.message}", "seconds": time.perf_counter() - began}
+    document = {key: value for key, value in report.to_document().items() if key in KEPT}
+    seconds = time.perf_counter() - began
+    # Through JSON, so that a run just made and one read back from the file look alike.
+    return dict(json.loads(json.dumps({**record, "report": document, "seconds": seconds}, default=float)))
+
+
+def run(wanted: Sequence[Case], path: Path, processes: int = PROCESSES) -> list[dict[str, Any]]:
+    """Run the cases that ``path`` does not hold yet, appending each record to it, and return those of all."""
+    done = {record["name"]: record for record in _read(path)}
+    left = [case for case in wanted if case.name not in done]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    os.environ.update(QUIET)
+    began = time.monotonic()
+    with path.open("a") as file, multiprocessing.get_context("spawn").Pool(processes) as pool:
+        for k, record in enumerate(pool.imap_unordered(run_case, left), 1):
+            file.write(json.dumps(record) + "\n")
+            file.flush()
+            done[record["name"]] = record
+            _tell(k, len(left), time.monotonic() - began, record)
+    return [done[case.name] for case in wanted]
+
+
+def _read(path: Path) -> Iterator[dict[str, Any]]:
+    if path.exists():
+        for line in path.read_text().splitlines():
+            yield json.loads(line)
+
+
+def _tell(k: int, n: int, elapsed: float, record: dict[str, Any]) -> None:
+    verdict = "failed" if record["report"] is None else record["report"]["verdict"]
+    minutes = elapsed / k * (n - k) / 60.0
+    line = f"{k}/{n}  {minutes:.0f} min left  {record['name']}: {verdict} in {record['seconds']:.1f} s"
+    print(line, file=sys.stderr, flush=True)
+
+
+def main() -> None:
+    """Run, print the figures, write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--n", type=int, default=1000, help="number of cases")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--records", type=Path, default=None, help="file of records; a run goes on from what it holds")
+    parser.add_argument("--page", type=Path, default=PAGE)
+    arguments = parser.parse_args()
+    path = arguments.records or RECORDS / f"blind-{arguments.seed}.jsonl"
+    records = run(list(cases(arguments.seed, arguments.n)), path)
+    write_page(records, arguments.seed, arguments.page)
+    for figure in figures(records):
+        print(figure.row())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""A fixed sample of the blind benchmark: what may never happen, and what must mostly work."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+pytest.importorskip("core.gap")
+
+from tests.blind.generator import cases
+from tests.blind.run import run
+from tests.blind.score import STRONG, Figure, figures, right, sure
+
+RUNS = 30
+SEED = 20240229
+pytestmark = pytest.mark.timeout(1200)  # the sample takes two minutes on a quiet machine
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    return run(list(cases(SEED, RUNS, poses=(30, 60))), tmp_path_factory.mktemp("blind") / "records.jsonl")
+
+
+@pytest.fixture(scope="module")
+def by_title(records: list[dict[str, Any]]) -> dict[str, Figure]:
+    return {figure.title: figure for figure in figures(records)}
+
+
+def test_every_run_ends(records: list[dict[str, Any]]) -> None:
+    assert not [(r["name"], r["error"]) for r in records if r["report"] is None]
+
+
+def test_nothing_is_confirmed_when_nothing_is_hidden(by_title: dict[str, Figure]) -> None:
+    assert by_title["confirmed when nothing is hidden"].k == 0
+    assert by_title["confirmed when nothing is hidden"].n >= 10
+    assert by_title["any name when nothing is hidden"].k <= 1
+
+
+def test_no_confirmed_name_is_wrong(records: list[dict[str, Any]]) -> None:
+    wrong = [
+        (r["name"], e["id"], e["joints"])
+        for r in records
+        if r["truth"]["expectation"] == "named"
+        for e in sure(r["report"]["effects"])
+        if not right(e, r["truth"]["effects"])
+    ]
+    assert not wrong
+
+
+def test_what_the_library_does_not_hold_is_not_confirmed(by_title: dict[str, Figure]) -> None:
+    assert by_title["effect outside the library confirmed"].k == 0
+    assert by_title["effect outside the library confirmed"].n >= 2
+
+
+def test_strong_effects_are_seen_and_named(by_title: dict[str, Figure]) -> None:
+    assert by_title[f"power: a gap is named at λ ≥ {STRONG:.0f}"].share >= 0.8
+    assert by_title["exact name when λ(1−ρ) ≥ 11"].share >= 0.75
+    assert by_title["truth in the alias set, λ ≥ 30"].share >= 0.8
+
+
+def test_what_cannot_be_told_is_not_told(by_title: dict[str, Figure]) -> None:
+    figure = by_title["undecidable said undecidable"]
+    assert figure.n >= 2
+    assert figure.share >= 0.5

@@ -1,0 +1,119 @@
+"""The scoring: bounds, and who is right."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from tests.blind.score import Figure, clopper_pearson, closure, figures, names, right, said_undecidable
+
+
+def hidden(effect: str, joints: list[int], **joint_lam: float) -> dict[str, Any]:
+    return {
+        "id": effect,
+        "joints": joints,
+        "joint_lam": {k[1:]: v for k, v in joint_lam.items()},
+        "lam": 100.0,
+        "lam_partial": 100.0,
+        "rivals": [{"id": "encoder_scale", "joints": [2], "rho": 0.5, "freedom": 1}],
+        "parameters": {f"b_{j}": 1.0e-4 for j in joints},
+    }
+
+
+def said(
+    effect: str, joints: list[int] | None, verdict: str = "confirmed", *aliases: tuple[str, list[int]]
+) -> dict[str, Any]:
+    rows = [{"id": i, "joints": j} for i, j in aliases]
+    return {"id": effect, "joints": joints, "verdict": verdict, "alias_set": rows, "parameters": []}
+
+
+def record(effects: list[dict[str, Any]], truth: list[dict[str, Any]], expectation: str) -> dict[str, Any]:
+    gap = {"validation_before_mm": 0.05, "validation_after_mm": 0.03, "noise_mm": 0.03}
+    report = {"verdict": "closed", "effects": effects, "gap": gap, "not_testable": []}
+    kept = {"effects": truth, "expectation": expectation, "undecidable": [], "wrong_masses": False}
+    return {"name": "x", "truth": kept, "report": report, "error": None, "seconds": 1.0}
+
+
+def test_bounds_are_the_exact_ones() -> None:
+    assert clopper_pearson(0, 400) == pytest.approx((0.0, 0.00918), abs=1e-5)
+    assert clopper_pearson(5, 10) == pytest.approx((0.18709, 0.81291), abs=1e-5)
+    assert clopper_pearson(10, 10)[1] == 1.0
+    assert clopper_pearson(0, 0) == (0.0, 1.0)
+
+
+def test_a_name_is_id_and_joints() -> None:
+    one = hidden("backlash", [3])
+    assert names(said("backlash", [3]), one)
+    assert not names(said("backlash", [2]), one)
+    assert not names(said("backlash", [1, 2, 3]), one)
+    assert not names(said("eccentricity", [3]), one)
+    family = hidden("backlash", [1, 2, 3], j1=2.0, j2=40.0, j3=50.0)
+    assert names(said("backlash", [2, 3, 4]), family)
+    assert not names(said("backlash", [1, 3]), family)
+    assert names(said("drift", None), hidden("drift", []))
+
+
+def test_a_confirmed_name_must_be_hidden_and_a_class_must_hold_it() -> None:
+    truth = [hidden("friction_windup", [2])]
+    assert right(said("friction_windup", [2]), truth)
+    assert right(said("backlash", [2], "class_confirmed", ("friction_windup", [2])), truth)
+    assert not right(said("backlash", [2]), truth)
+    assert not right(said("eccentricity", [2], "class_confirmed", ("encoder_scale", [2])), truth)
+    other = [hidden("eccentricity", [2])]
+    assert right(said("encoder_scale", [2], "class_confirmed", ("eccentricity", [2])), other)
+    assert not right(said("encoder_scale", [2], "confirmed", ("eccentricity", [2])), other)
+    family = [hidden("backlash", [1, 2, 3], j1=2.0, j2=40.0, j3=50.0)]
+    assert right(said("backlash", [2]), family)
+
+
+def test_undecidable_must_be_said() -> None:
+    pair = [("axial_compliance", [2]), ("link_bending", [1])]
+
+    def report(verdict: str, *effects: dict[str, Any]) -> dict[str, Any]:
+        return {"verdict": verdict, "effects": list(effects), "not_testable": []}
+
+    assert not said_undecidable(report("closed", said("axial_compliance", [2])), pair)
+    held = said("link_bending", [1], "class_confirmed", ("axial_compliance", [2]))
+    assert said_undecidable(report("closed", held), pair)
+    other = said("drift", None, "class_confirmed", ("session_shift", []))
+    assert not said_undecidable(report("closed", other), pair)
+    assert said_undecidable(report("unexplained", said("unknown_field", None, "provisional")), pair)
+    assert not said_undecidable(report("no_gap"), pair)
+    one = [("backlash", [2])]
+    listed = {**report("no_gap"), "not_testable": [{"id": "backlash", "joints": None}]}
+    assert not said_undecidable(report("no_gap"), one)
+    assert said_undecidable(listed, one)
+    assert not said_undecidable({**listed, "effects": [said("backlash", [2], "provisional")]}, one)
+
+
+def test_figures_count_what_they_say() -> None:
+    effect = said("backlash", [3])
+    effect["parameters"] = [{"name": "backlash_3", "unit": "deg", "interval_low": 0.005, "interval_high": 0.006}]
+    records = [
+        record([], [], "no_gap"),
+        record([said("drift", None, "provisional")], [], "no_gap"),
+        record([effect], [hidden("backlash", [3])], "named"),
+        record([said("eccentricity", [1])], [hidden("backlash", [3])], "named"),
+        record([said("unknown_joint_curve", [2], "provisional")], [hidden("third_harmonic", [2])], "outside"),
+        {**record([], [], "no_gap"), "report": None, "error": "not_converged: no"},
+    ]
+    found = {f.title: f for f in figures(records)}
+    count = {title: (f.k, f.n) for title, f in found.items()}
+    assert count["any name when nothing is hidden"] == (1, 2)
+    assert count["confirmed when nothing is hidden"] == (0, 2)
+    assert count["confirmed but wrong, of confirmed names"] == (1, 2)
+    assert count["power: a gap is named at λ ≥ 30"] == (2, 2)
+    assert count["exact name when λ(1−ρ) ≥ 11"] == (1, 2)
+    assert count["effect outside the library confirmed"] == (0, 1)
+    assert count["95 % intervals that hold the truth, masses known"] == (1, 1)
+    assert count["exact hidden set, 1 hidden"] == (1, 2)
+    assert count["runs that failed"] == (1, 6)
+    assert closure(records[:1]) == pytest.approx(1.0)
+
+
+def test_rows_of_the_table_say_when_there_is_nothing_to_say() -> None:
+    assert Figure("a", "b").row() == "| a | b | – | 0 | |"
+    assert "–" in Figure("a", "b", value=math.nan).row()
+    assert Figure("a", "≤ 1 %", 1, 100).row() == "| a | ≤ 1 % | 1.0% (1) | 100 | 0.0% – 5.4% |"
