@@ -8,7 +8,7 @@ IMAGE ?= kilter
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check bench bench-stream image fmt clean
+.PHONY: help setup demo serve test check bench bench-stream blind image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -44,6 +44,9 @@ bench: $(KERNELS) ## measure speed against other tools and print the ratios
 
 bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run
 	$(BIN)/python benchmarks/stream.py
+
+blind: $(READY) ## find hidden physics in N simulated campaigns and write docs/reference/gap-finder-benchmark.md (N=1000)
+	$(BIN)/python -m tests.blind.run --n $(or $(N),1000)
 
 image: ## build the container image (needs a container engine)
 	docker build --tag $(IMAGE) .

@@ -155,7 +155,7 @@ def said_undecidable(report: Mapping[str, Any], undecidable: Sequence[tuple[str,
         return _listed(report["not_testable"], pair[0]) and not any(named(e, pair[0]) for e in effects)
     physical = [e for e in effects if e["id"] not in EMPIRICAL]
     if not physical:
-        return report["verdict"] != "no_gap"
+        return bool(report["verdict"] != "no_gap")
     return all(e["alias_set"] for e in physical) and any(covers(e, pair[0]) for e in physical)
 
 
