@@ -113,6 +113,7 @@ class Corrector:
         self._rules = rules or Rules()
         self._stamp: Hashable = object()
         self._active: dict[str, Active] = {}
+        self._reading = True
         self.instance = f"{os.getpid()}-{secrets.token_hex(4)}"
         self.endpoints: dict[str, str] = {}
         self._children: dict[str, Child] = {}
@@ -169,8 +170,11 @@ class Corrector:
             if stamp != self._stamp:
                 self._take_over(self._source.load())
                 self._stamp = stamp
+            self._reading = True
         except Exception:  # whatever the database says, the stream goes on with what it has
-            log.exception("the active versions could not be read; the versions in use stay")
+            if self._reading:  # said once, not four times a second
+                log.exception("the active versions cannot be read; the versions in use stay")
+            self._reading = False
 
     def _take_over(self, versions: Mapping[str, Active]) -> None:
         for robot in [robot for robot in self._active if robot not in versions]:
