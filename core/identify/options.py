@@ -114,8 +114,9 @@ FRAME_NAMES = ("x", "y", "z", "rx", "ry", "rz")
 
 def _matching(names: Sequence[str], patterns: Sequence[str]) -> list[str]:
     out: list[str] = []
+    known = set(names)
     for pattern in patterns:
-        found = [name for name in names if fnmatchcase(name, pattern)]
+        found = [pattern] if pattern in known else [name for name in names if fnmatchcase(name, pattern)]
         if not found:
             raise OptionError(
                 f"No parameter is named {pattern!r}. There are: {', '.join(names)}.", option="free/fix", pattern=pattern

@@ -18,57 +18,56 @@ import numpy as np
 from numba import njit
 
 
+@njit(cache=True, inline="always")
+def _move(axis, c, s, R, p):
+    """Right-multiply the frame (R, p) by a shift c or by a turn of cosine c and sine s, in place."""
+    # One branch per axis, for constant columns compile to much less than computed ones.
+    for i in range(3):
+        x = R[i, 0]
+        y = R[i, 1]
+        z = R[i, 2]
+        if axis == 0:
+            p[i] += x * c
+        elif axis == 1:
+            p[i] += y * c
+        elif axis == 2:
+            p[i] += z * c
+        elif axis == 3:
+            R[i, 1] = c * y + s * z
+            R[i, 2] = c * z - s * y
+        elif axis == 4:
+            R[i, 2] = c * z + s * x
+            R[i, 0] = c * x - s * z
+        else:
+            R[i, 0] = c * x + s * y
+            R[i, 1] = c * y - s * x
+
+
 @njit(cache=True)
-def _constants(axis, joint, value):
-    """Shifts, or cosines and sines, (E, 2) of the elements that no joint moves: the same for every row."""
-    out = np.zeros((axis.shape[0], 2))
+def _constants(axis, value, move):
+    """Write shifts, or cosines and sines, of the elements at their constants: those no joint moves keep them."""
     for e in range(axis.shape[0]):
         if axis[e] < 3:
-            out[e, 0] = value[e]
-        elif joint[e] < 0:
-            out[e, 0] = math.cos(value[e])
-            out[e, 1] = math.sin(value[e])
-    return out
+            move[e, 0] = value[e]
+        else:
+            move[e, 0] = math.cos(value[e])
+            move[e, 1] = math.sin(value[e])
 
 
-@njit(cache=True, inline="always")
-def _shift(axis, amount, R, p):
-    """Right-multiply the frame (R, p) by a translation, in place."""
-    for i in range(3):
-        p[i] += R[i, axis] * amount
+@njit(cache=True)
+def _at_joints(axis, joint, ratio, value, q, dq, move):
+    """Write shifts, or cosines and sines, of the elements that joints move, at ``q, dq (n,)``."""
+    for e in range(axis.shape[0]):
+        if joint[e] >= 0:
+            amount = value[e] + ratio[e] * (q[joint[e]] + dq[joint[e]])
+            if axis[e] < 3:
+                move[e, 0] = amount
+            else:
+                move[e, 0] = math.cos(amount)
+                move[e, 1] = math.sin(amount)
 
 
-@njit(cache=True, inline="always")
-def _turn(k, c, s, R):
-    """Right-multiply R by a rotation about axis k with cosine c and sine s, in place."""
-    a = k + 1 if k < 2 else 0
-    b = k - 1 if k > 0 else 2
-    for i in range(3):
-        u = R[i, a]
-        v = R[i, b]
-        R[i, a] = c * u + s * v
-        R[i, b] = c * v - s * u
-
-
-@njit(cache=True, inline="always")
-def _step(e, axis, joint, ratio, value, constant, q, dq, row, R, p):
-    """Right-multiply the frame (R, p) by element e at a row's joints, in place."""
-    j = joint[e]
-    if j < 0:
-        if axis[e] < 3:
-            if constant[e, 0] != 0.0:
-                _shift(axis[e], constant[e, 0], R, p)
-        elif constant[e, 1] != 0.0 or constant[e, 0] != 1.0:
-            _turn(axis[e] - 3, constant[e, 0], constant[e, 1], R)
-        return
-    amount = value[e] + ratio[e] * (q[row, j] + dq[row, j])
-    if axis[e] < 3:
-        _shift(axis[e], amount, R, p)
-    else:
-        _turn(axis[e] - 3, math.cos(amount), math.sin(amount), R)
-
-
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _set_frame(T, R, p):
     """Copy the pose T (4, 4) into the frame (R, p)."""
     for i in range(3):
@@ -168,16 +167,18 @@ def poses(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, posit
     tool_R = np.empty((3, 3))
     tool_p = np.empty(3)
     J3 = np.empty((3, 3))
-    constant = _constants(axis, joint, value)
+    move = np.zeros((elements, 2))
+    _constants(axis, value, move)
     _set_frame(tool, tool_R, tool_p)
     for row in range(q.shape[0]):
         _set_frame(base, R, p)
+        _at_joints(axis, joint, ratio, value, q[row], dq[row], move)
         for e in range(elements + 1):
             if e == tool_at:
                 _right_multiply(R, p, tool_R, tool_p)
             if e == elements:
                 break
-            _step(e, axis, joint, ratio, value, constant, q, dq, row, R, p)
+            _move(axis[e], move[e, 0], move[e, 1], R, p)
             s = slot[e]
             if s >= 0 and xi.shape[0] > 0:
                 _exponential(xi[row, s], R2, p2, J3)
@@ -209,10 +210,12 @@ def screws(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, colu
     lines = np.empty((elements, 6))
     twist_R = np.empty((slots, 3, 3))
     twist_p = np.empty((slots, 3))
-    constant = _constants(axis, joint, value)
+    move = np.zeros((elements, 2))
+    _constants(axis, value, move)
     _set_frame(tool, tool_R, tool_p)
     for row in range(q.shape[0]):
         _set_frame(base, R, p)
+        _at_joints(axis, joint, ratio, value, q[row], dq[row], move)
         for e in range(elements + 1):
             if e == tool_at:
                 _right_multiply(R, p, tool_R, tool_p)
@@ -222,7 +225,7 @@ def screws(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, colu
             for i in range(3):
                 lines[e, i] = R[i, k]
                 lines[e, 3 + i] = p[i]
-            _step(e, axis, joint, ratio, value, constant, q, dq, row, R, p)
+            _move(axis[e], move[e, 0], move[e, 1], R, p)
             s = slot[e]
             if s >= 0:
                 twist_R[s] = R
