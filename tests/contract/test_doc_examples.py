@@ -69,7 +69,7 @@ def run(example: Example, folder: Path, server: LocalServer, printed: list[str])
     """Run a block; a shell block line by line, since a line may need the id that the line before has printed."""
     shell = ["bash", "-euo", "pipefail", "-c"]
     if example.language == "sh":
-        steps = [[*shell, line] for line in example.source.splitlines() if line.strip()]
+        steps = [[*shell, line.partition("  #")[0]] for line in example.source.splitlines() if line.strip()]
     else:
         steps = [[sys.executable, "-c", example.source]]
     for *command, source in steps:
