@@ -62,9 +62,7 @@ def left_out_errors(world: World, chosen: Sequence[int]) -> Floats:
     r = residual_given(world, chosen).reshape(-1, size)
     blocks = basis.reshape(-1, size, basis.shape[1])
     out = np.zeros_like(r)
-    order = np.argsort(world.setting.group, kind="stable")
-    starts = np.flatnonzero(np.diff(world.setting.group[order], prepend=-1))
-    for index in np.split(order, starts[1:]):
+    for index in _poses(world):
         B = blocks[index].reshape(-1, basis.shape[1])
         w, V = np.linalg.eigh(B @ B.T)
         shrink = 1.0 / (1.0 - np.minimum(w, CLOSED_LEVERAGE))
@@ -72,11 +70,31 @@ def left_out_errors(world: World, chosen: Sequence[int]) -> Floats:
     return out
 
 
+def left_out_floor(world: World, chosen: Sequence[int]) -> float:
+    """Variance of those errors, in units of noise, when the model is perfect: what its estimation costs."""
+    basis = world.basis(chosen)
+    size = world.setting.whitener.shape[-1]
+    blocks = basis.reshape(-1, size, basis.shape[1])
+    total: float = 0.0
+    for index in _poses(world):
+        B = blocks[index].reshape(-1, basis.shape[1])
+        total += float(np.sum(1.0 / (1.0 - np.minimum(np.linalg.eigvalsh(B @ B.T), CLOSED_LEVERAGE))))
+    unused = size * float(np.sum(~world.setting.used))
+    return float((total - unused) / max(blocks.shape[0] * size - unused, 1.0))
+
+
 def gain(before: Floats, after: Floats, group: Ints) -> tuple[float, float]:
     """Mean drop of the squared error per pose and its standard error, from errors (V, m) before and after."""
     drop = np.bincount(group, np.sum(before**2, axis=1) - np.sum(after**2, axis=1))
     drop = drop[np.bincount(group) > 0]
     return float(np.mean(drop)), float(np.std(drop, ddof=1) / np.sqrt(len(drop))) if len(drop) > 1 else np.inf
+
+
+def _poses(world: World) -> list[Ints]:
+    """Visits of each pose."""
+    order = np.argsort(world.setting.group, kind="stable")
+    starts = np.flatnonzero(np.diff(world.setting.group[order], prepend=-1))
+    return list(np.split(order, starts[1:]))
 
 
 def _pure_error(world: World, condition: Ints, chosen: Sequence[int]) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Who else could it be (E6): every candidate that does as well in the place of a chosen one, and how sure the choice is."""
+"""Who else could it be (E6): every candidate that does as well in the place of a chosen one, and how sure that is."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SAME = 0.9999  # canonical correlation beyond which two signatures are one
 
 @dataclass(frozen=True)
 class Alias:
-    """A rival: criterion points behind the chosen, canonical correlation given geometry and the rest, P(chosen wrong)."""
+    """A rival: points behind the chosen, canonical correlation given geometry and the rest, P(the chosen is wrong)."""
 
     place: int
     candidate: Candidate

@@ -1,4 +1,4 @@
-"""The library as candidates: each effect at one joint, at all joints together, or as a whole; and what cannot be asked."""
+"""The library as candidates: an effect at one joint, at all joints together, or as a whole; what cannot be asked."""
 
 from __future__ import annotations
 
@@ -70,9 +70,7 @@ class Library:
     refused: tuple[Untestable, ...]
 
 
-def library_of(
-    robot: Robot, rows: Observations, started: Sequence[str] = (), only: Sequence[str] = ()
-) -> Library:
+def library_of(robot: Robot, rows: Observations, started: Sequence[str] = (), only: Sequence[str] = ()) -> Library:
     """Every effect that the rows have columns for and the robot can show.
 
     ``started`` are parameters that the starting model already has; ``only`` restricts the library to some ids.
@@ -166,7 +164,7 @@ class _Shelf:
 
 
 def _variants(kind: type[Effect], robot: Robot) -> list[dict[str, Any]]:
-    """Configurations to try: the default, the drivers two joints before, the unknown curve order by order and in pairs."""
+    """Configurations: the default, drivers two joints before, the unknown curve order by order and in pairs."""
     if kind is UnknownJointCurve:
         alone = [{"orders": (m,)} for m in UnknownJointCurve().orders]
         return alone + [{"orders": (), "partner": p} for p in range(robot.n_joints)]
@@ -184,7 +182,9 @@ def with_testable(library: Library, testable: NDArray[np.bool_]) -> tuple[Candid
             if columns and (c.level == WHOLE or len(columns) == len(c.columns)):
                 out.append(replace(c, columns=columns))
             continue
-        singles = [m for m in library.candidates if m.id == c.id and m.level == JOINT and set(m.columns) <= set(c.columns)]
+        singles = [
+            m for m in library.candidates if m.id == c.id and m.level == JOINT and set(m.columns) <= set(c.columns)
+        ]
         kept = [m for m in singles if all(testable[k] for k in m.columns)]
         if len(kept) > 1:
             joints = tuple(j for m in kept for j in m.joints or ())

@@ -1,4 +1,4 @@
-"""Numbers behind the explaining pictures: residual against joint angle, direction and load, contributions, the gap bar."""
+"""Numbers behind the pictures: residual against joint angle, direction and load, contributions, the gap bar."""
 
 from __future__ import annotations
 
@@ -38,8 +38,10 @@ def contributions(hunt: Hunt) -> list[dict[str, Any]]:
         candidate = hunt.selector.scorer.candidates[place]
         moved = _moved(hunt.world, hunt.columns, candidate.columns)[hunt.world.setting.used]
         size = np.linalg.norm(moved[:, :3], axis=1) * _unit(hunt)
-        out.append({"label": candidate.label, **candidate.named(), "rms": rms(moved, np.eye(moved.shape[1])) * _unit(hunt),
-                    "largest": float(size.max(initial=0.0))})  # fmt: skip
+        out.append({
+            "label": candidate.label, **candidate.named(),
+            "rms": rms(moved, np.eye(moved.shape[1])) * _unit(hunt), "largest": float(size.max(initial=0.0)),
+        })  # fmt: skip
     return out
 
 
@@ -81,7 +83,8 @@ def _by_angle(hunt: Hunt, rows: Observations, j: int) -> dict[str, Any]:
     rest = [k for k in hunt.columns if k not in own]
     return {
         "joint": j + 1, "q_deg": [round(float(v), 4) for v in np.degrees(rows.q[order, j])],
-        "before": drawn(_residuals(world, rest)), "after": drawn(_residuals(world, hunt.columns)), "curve": drawn(curve),
+        "before": drawn(_residuals(world, rest)),
+        "after": drawn(_residuals(world, hunt.columns)), "curve": drawn(curve),
     }  # fmt: skip
 
 
@@ -116,7 +119,10 @@ def _by_label(hunt: Hunt, rows: Observations, name: str) -> list[dict[str, Any]]
             own = (values == v) & used
             if not own.any():
                 continue
-            pair = [np.sum(r * along, axis=1)[own] if along is not None else np.linalg.norm(r[own, :3], axis=1) for r in (before, after)]
+            pair = [
+                np.sum(r * along, axis=1)[own] if along is not None else np.linalg.norm(r[own, :3], axis=1)
+                for r in (before, after)
+            ]
             out.append({
                 "joint": None if j is None else j + 1, "value": float(v), "n": int(own.sum()),
                 "before_mean": float(pair[0].mean()) * _unit(hunt), "before_sd": float(pair[0].std()) * _unit(hunt),
@@ -131,7 +137,12 @@ def _gap_bar(hunt: Hunt, gap: dict[str, Any]) -> list[dict[str, Any]]:
     for n in range(1, len(hunt.chosen)):
         columns = hunt.selector.columns(hunt.chosen[:n])
         r = _residuals(hunt.world, columns)[hunt.world.setting.used]
-        bars.append({"label": "+ " + hunt.selector.scorer.candidates[hunt.chosen[n - 1]].label, "value": rms(r, np.eye(r.shape[1])) * _unit(hunt)})
+        bars.append(
+            {
+                "label": "+ " + hunt.selector.scorer.candidates[hunt.chosen[n - 1]].label,
+                "value": rms(r, np.eye(r.shape[1])) * _unit(hunt),
+            }
+        )
     if hunt.chosen:
         label = "+ " + hunt.selector.scorer.candidates[hunt.chosen[-1]].label
         bars.append({"label": label, "value": gap[f"after_{unit}"]})

@@ -1,4 +1,4 @@
-"""Errors before and after in mm, on what was fitted and on what was not: a validation set, or one pose left out at a time."""
+"""Errors before and after in mm, on what was fitted and what was not: validation rows, or poses left out in turn."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.gap.adequacy import gain, left_out_errors
+from core.gap.adequacy import gain, left_out_errors, left_out_floor
 from core.gap.hunt import Hunt
 from core.gap.prepare import Prepared
 from core.gap.scan import residual_given
@@ -26,12 +26,16 @@ SPIKE = 8.0  # noise standard deviations, under the model before and after, at w
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Whitened errors (V, m) by the fits before and after, the groups that belong together, and how they came about."""
+    """Whitened errors (V, m) by the fits before and after, and how they came about.
+
+    ``lower (m, m)`` turns them back into m or rad; ``floor`` is the variance a perfect model's would have, in units of
+    noise: a little above 1, since the model was estimated.
+    """
 
     before: Floats
     after: Floats
-    group: NDArray[np.int64]
-    lower: Floats  # (m, m), turns whitened errors back into m or rad
+    lower: Floats
+    floor: float
     how: str
 
 
@@ -50,24 +54,30 @@ class Bench:
         world = refit(self.hunt.world.setting, self._near(columns), columns)
         source = on_rows(world.setting.source, self.rows, self.hunt, world)
         r = np.nan_to_num(source[0].residual(source[1]))
-        return np.asarray(r @ np.linalg.inv(np.linalg.cholesky(self.hunt.world.setting.noise.row + 1e-20 * np.eye(r.shape[1]))).T)
+        return np.asarray(r @ np.linalg.inv(_root(world.setting.noise.row)).T)
 
     def report(self) -> HeldOut:
         """Geometry only, and everything named."""
         before, after = self.errors([]), self.errors(self.hunt.columns)
+        world, columns = self.hunt.world, self.hunt.columns
+        noise, used = world.setting.noise, world.setting.used
         if self.rows is None:
-            used = self.hunt.world.setting.used
-            lower = np.linalg.cholesky(np.mean(self.hunt.world.setting.noise.visit[used], axis=0) + 1e-20 * np.eye(before.shape[1]))
-            return HeldOut(before, after, self.hunt.world.setting.group[used], lower, "leave one pose out")
+            lower = _root(np.mean(noise.visit[used], axis=0) * world.setting.inflation)
+            floor = left_out_floor(world, columns)
+            return HeldOut(before, after, lower, floor, "leave one pose out")
         spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
-        lower = np.linalg.cholesky(self.hunt.world.setting.noise.row + 1e-20 * np.eye(before.shape[1]))
-        return HeldOut(before[~spike], after[~spike], self.rows.pose_groups()[~spike], lower, "validation observations")
+        floor = 1.0 + (world.U.shape[1] + len(columns)) / max(world.rows, 1)
+        return HeldOut(before[~spike], after[~spike], _root(noise.row), floor, "validation observations")
 
     def gain_of(self, place: int) -> tuple[float, float]:
         """Gain by one chosen candidate beyond the others, and its standard error."""
         rest = self.hunt.selector.columns([k for k in self.hunt.chosen if k != place])
         without, with_ = self.errors(rest), self.errors(self.hunt.columns)
-        group = self.hunt.world.setting.group[self.hunt.world.setting.used] if self.rows is None else self.rows.pose_groups()
+        group = (
+            self.hunt.world.setting.group[self.hunt.world.setting.used]
+            if self.rows is None
+            else self.rows.pose_groups()
+        )
         return gain(without, with_, group)
 
     def _near(self, columns: Sequence[int]) -> Floats:
@@ -79,13 +89,15 @@ def on_rows(source: Source, rows: Observations, hunt: Hunt, world: World) -> tup
     effects = tuple(e for k in hunt.chosen for e in hunt.selector.scorer.candidates[k].effects)
     if isinstance(source, ToolSource):
         started = len(source.model.effects) - _library_effects(source)
-        model = RobotModel(source.model.robot, (*source.model.effects[:started], *effects), source.model.T_base, source.model.T_tool)
+        model = RobotModel(
+            source.model.robot, (*source.model.effects[:started], *effects), source.model.T_base, source.model.T_tool
+        )
         known = dict(zip(source.model.names, world.values, strict=True))
         values = np.array([known[p.name] for p in model.parameters])
         measurement = Measurement.of(rows, source.measurement.marker_points)
         return ToolSource.of(model, measurement, source.free, 0), values
     assert isinstance(source, LinkSource)
-    return LinkSource.of(source.model, rows, source.n_library), world.values
+    return source.on(rows), world.values
 
 
 def _library_effects(source: ToolSource) -> int:
@@ -117,9 +129,9 @@ def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any
     """The gap before and after in mm (rms of the 3-D error), on training and held-out poses, beside the noise."""
     world = hunt.world
     size = world.setting.whitener.shape[-1]
-    noise = rms(np.linalg.cholesky(np.mean(world.setting.noise.visit, axis=0) + 1e-20 * np.eye(size)).T * np.sqrt(size), np.eye(size))
+    noise = rms(_root(np.mean(world.setting.noise.visit, axis=0)).T * np.sqrt(size), np.eye(size))
     r0, r1 = rms(held.before, held.lower), rms(held.after, held.lower)
-    sigma = rms(np.eye(size) * np.sqrt(size), held.lower)
+    sigma = rms(np.eye(size) * np.sqrt(size * held.floor), held.lower)
     closure = None if r0**2 <= sigma**2 or not hunt.chosen else (r0**2 - r1**2) / (r0**2 - sigma**2)
     numbers = {
         "before": train_rms(world, []), "after": train_rms(world, hunt.columns), "noise": noise,
@@ -132,6 +144,10 @@ def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any
         out |= {f"{k}_mm": None for k in ("before", "after", "noise", "validation_before", "validation_after")}
     steps = [{"names": list(s.names), "chi2_per_freedom": s.chi2_per_freedom} for s in hunt.steps]
     return out | {"closure": closure, "held_out": held.how, "steps": steps}
+
+
+def _root(covariance: Floats) -> Floats:
+    return np.asarray(np.linalg.cholesky(covariance + 1e-20 * np.eye(len(covariance))), dtype=np.float64)
 
 
 def _scale(errors: Floats) -> float:

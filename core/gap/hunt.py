@@ -1,4 +1,4 @@
-"""The hunt itself: enter the best, re-fit everything, swap and drop, until what is left is no better than noise (E5)."""
+"""The hunt: enter the best, re-fit everything, swap and drop, until what is left is no better than noise (E5)."""
 
 from __future__ import annotations
 
@@ -42,9 +42,12 @@ class Hunt:
         return self.selector.columns(self.chosen)
 
 
-def hunt(setting: Setting, world: World, scorer: Scorer, options: GapOptions, tell: Tell) -> Hunt:
-    """Run from the geometry-only ``world``; every change of the set is followed by a nonlinear re-fit of everything."""
-    selector = Selector(scorer, world.rows)
+def hunt(setting: Setting, world: World, scorer: Scorer, limits: Floats, options: GapOptions, tell: Tell) -> Hunt:
+    """Run from the geometry-only ``world``; every change of the set is followed by a nonlinear re-fit of everything.
+
+    ``limits (Q,)`` are the largest plausible amplitudes of the library's parameters, SI.
+    """
+    selector = Selector(scorer, world.rows, limits * world.size)
     chosen: tuple[int, ...] = ()
     first: Null | None = None
     steps = [_step(world, selector, chosen)]

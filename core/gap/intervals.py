@@ -1,4 +1,4 @@
-"""How large (E9): profile likelihood of each amplitude, geometry and other effects re-optimised at every trial value."""
+"""How large (E9): profile likelihood of each amplitude, geometry and other effects re-optimised at every value."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def amplitudes(hunt: Hunt, tell: Callable[[float], None]) -> dict[int, Amplitude
 
 
 def _end(hunt: Hunt, k: int, best: float, end: float, least: float, target: float) -> float:
-    """End of the profile interval: where chi-square has risen by ``target``², by one secant step from the linear end."""
+    """End of the profile interval: where chi-square has risen by ``target``², one secant step from the linear end."""
     others = [c for c in hunt.columns if c != k]
     world = refit(hunt.world.setting, hunt.world.values, others, (k, end))
     rise = left_over(world, others, (k, end)) - least

@@ -63,17 +63,17 @@ def separate(
 
 def rows_of(proposals: Sequence[Proposal], names: tuple[str, str]) -> list[dict[str, Any]]:
     """Proposals as documents: joint angles in degrees, load, directions, and how much more they would tell."""
-    out = []
-    for p in proposals:
-        before = max(p.before, 1e-12)
-        for k in range(len(p.rows)):
-            out.append({
-                "kind": p.kind, "change": p.change or None, "q_deg": [round(float(v), 3) for v in np.degrees(p.rows.q[k])],
-                "payload_kg": None if p.rows.payload_kg is None else float(p.rows.payload_kg[k]),
-                "direction": None if p.rows.direction is None else [int(s) for s in p.rows.direction[k]],
-                "separates": list(names), "information_factor": round(p.after[k] / before, 3),
-            })  # fmt: skip
-    return out
+    return [_row(p, k, names) for p in proposals for k in range(len(p.rows))]
+
+
+def _row(p: Proposal, k: int, names: tuple[str, str]) -> dict[str, Any]:
+    return {
+        "kind": p.kind, "change": p.change or None,
+        "q_deg": [round(float(v), 3) for v in np.degrees(p.rows.q[k])],
+        "payload_kg": None if p.rows.payload_kg is None else float(p.rows.payload_kg[k]),
+        "direction": None if p.rows.direction is None else [int(s) for s in p.rows.direction[k]],
+        "separates": list(names), "information_factor": round(float(p.after[k] / max(p.before, 1e-12)), 3),
+    }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -163,9 +163,7 @@ def _ranges(rows: Observations, source: ToolSource) -> tuple[Floats, Floats]:
     return low + margin, high - margin
 
 
-def _changes(
-    rows: Observations, source: ToolSource, rng: np.random.Generator
-) -> list[tuple[str, Observations]]:
+def _changes(rows: Observations, source: ToolSource, rng: np.random.Generator) -> list[tuple[str, Observations]]:
     """Old poses under another load, and from the other side."""
     first = np.unique(rows.pose_groups(), return_index=True)[1]
     index = np.sort(rng.permutation(first)[:POOL])
@@ -184,16 +182,16 @@ def _changes(
 
 def _other_load(load: Floats, source: ToolSource) -> Floats:
     used = np.unique(load)
-    if len(used) > 1:
-        return np.where(load == used[0], used[-1], used[0])
-    if used[0] > 0.0:
-        return np.zeros(len(load))
     mass = sum(link.mass for link in source.model.robot.links)
-    return np.full(len(load), round(SPARE_LOAD * mass, 1) or 1.0)
+    spare = max(float(np.round(SPARE_LOAD * mass, 1)), 0.1)
+    if len(used) > 1:
+        return np.asarray(np.where(load == used[0], used[-1], used[0]))
+    return np.full(len(load), 0.0 if used[0] > 0.0 else spare)
 
 
 def _conditions(rows: Observations, q: Floats, load: Floats) -> Observations:
     """Rows at ``q`` with the load, at rest, and everything else at its mean."""
+
     def mean(values: Floats | None) -> Floats | None:
         return None if values is None else np.full((len(q), *values.shape[1:]), values.mean(axis=0))
 

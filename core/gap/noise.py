@@ -27,7 +27,7 @@ class Noise:
     """Covariance (V, m, m) of each visit's mean, and of a single row on average, ``row (m, m)``.
 
     ``freedom`` is the number of independent scalars behind it; ``absolute`` says it does not come from the fit.
-    ``within`` and ``between`` are the standard deviations of a coordinate (m, or rad for joint data), None when unknown.
+    ``within`` and ``between`` are standard deviations of a coordinate (m, or rad for joint data), None when unknown.
     """
 
     visit: Floats
@@ -62,9 +62,9 @@ def spikes(residual: Floats, visits: Visits) -> Bools:
 def repeat_noise(residual: Floats, visit_residual: Floats, visits: Visits, points: Floats | None) -> Noise | None:
     """Noise from repeats, None when there are too few.
 
-    ``residual (N, m)`` of the rows and ``visit_residual (V, m)`` of the visit means at a fit: between repeats only their
-    differences count, so the model cancels. ``points (V, 3)`` are the measured positions, from which a tracker's line
-    of sight is tried against one covariance for the whole room.
+    ``residual (N, m)`` of the rows and ``visit_residual (V, m)`` of the visit means at a fit: between repeats only
+    their differences count, so the model cancels. ``points (V, 3)`` are the measured positions, from which a
+    tracker's line of sight is tried against one covariance for the whole room.
     """
     if np.isnan(residual).any():
         residual, visit_residual = np.nan_to_num(residual), np.nan_to_num(visit_residual)
@@ -88,7 +88,7 @@ def repeat_noise(residual: Floats, visit_residual: Floats, visits: Visits, point
 
 
 def stated_noise(sigma: Floats | float, visits: Visits, size: int) -> Noise:
-    """Noise as the user or the columns ``sx_mm ...`` state it: ``sigma`` m, one number or (V, 3) for the visit means."""
+    """Noise as the user or the columns ``sx_mm ...`` state it: ``sigma`` m, one number or (V, 3) for visit means."""
     if isinstance(sigma, float):
         each = sigma**2 / visits.count[:, None, None] * np.eye(size)
         return Noise(each, sigma**2 * np.eye(size), np.inf, True, "stated", sigma)
@@ -99,7 +99,7 @@ def stated_noise(sigma: Floats | float, visits: Visits, size: int) -> Noise:
 
 
 def fit_noise(visit_residual: Floats, visits: Visits, used: Bools, lost: float) -> Noise:
-    """Scatter of the fit itself: no repeats, so the scale is relative. ``lost`` is the share of freedom the fit took."""
+    """Scatter of the fit itself: no repeats, so the scale is relative. ``lost`` is the share of freedom it took."""
     kept = np.nan_to_num(visit_residual[used])
     size = np.abs(kept - np.median(kept, axis=0))
     robust = np.median(size, axis=0) / 0.6745 + SMALLEST
@@ -110,7 +110,11 @@ def fit_noise(visit_residual: Floats, visits: Visits, used: Bools, lost: float) 
 
 def _noise(visit: Floats, row: Floats, vectors: float, within: Floats | None, between: Floats | None) -> Noise:
     def size(cov: Floats | None) -> float | None:
-        return None if cov is None else float(np.sqrt(np.trace(cov.mean(axis=0) if cov.ndim == 3 else cov) / cov.shape[-1]))
+        return (
+            None
+            if cov is None
+            else float(np.sqrt(np.trace(cov.mean(axis=0) if cov.ndim == 3 else cov) / cov.shape[-1]))
+        )
 
     return Noise(visit, row, vectors * visit.shape[-1], True, "repeats", size(within), size(between))
 
@@ -125,7 +129,10 @@ def _pooled(values: Floats, group: Ints) -> tuple[tuple[Floats, Ints], int]:
     deviation = np.zeros_like(values)
     for _ in range(3):
         count = np.bincount(group[kept], minlength=len(count))
-        mean = np.stack([np.bincount(group[kept], c[kept], len(count)) for c in values.T], axis=1) / np.maximum(count, 1)[:, None]
+        mean = (
+            np.stack([np.bincount(group[kept], c[kept], len(count)) for c in values.T], axis=1)
+            / np.maximum(count, 1)[:, None]
+        )
         free = np.sqrt(np.maximum(count, 2) / np.maximum(count - 1, 1))[group]
         deviation = (values - mean[group]) * free[:, None]
         scale = np.median(np.abs(deviation[kept]), axis=0) / 0.6745 + SMALLEST
@@ -139,7 +146,7 @@ def _pooled(values: Floats, group: Ints) -> tuple[tuple[Floats, Ints], int]:
 
 
 def _spread(pooled: tuple[Floats, Ints], vectors: int, rows_at: Floats | None, visits_at: Floats | None) -> Floats:
-    """Covariance at each visit (V, m, m): one for the room, or along and across the line of sight when that fits better."""
+    """Covariance at each visit (V, m, m): one for the room, or by the line of sight when that fits better."""
     deviation, index = pooled
     room = _shrunk(_second(deviation), vectors) if vectors else np.eye(deviation.shape[1])
     if visits_at is None or rows_at is None:
@@ -149,7 +156,10 @@ def _spread(pooled: tuple[Floats, Ints], vectors: int, rows_at: Floats | None, v
         return flat
     sight = _Sight.of(deviation, rows_at[index])
     share = vectors / len(deviation)
-    gain = share * (_likelihood(deviation, sight.at(rows_at[index])) - _likelihood(deviation, np.broadcast_to(room, (len(index), 3, 3))))
+    gain = share * (
+        _likelihood(deviation, sight.at(rows_at[index]))
+        - _likelihood(deviation, np.broadcast_to(room, (len(index), 3, 3)))
+    )
     return sight.at(visits_at) if gain > -1.5 * np.log(vectors) else flat  # three numbers against six
 
 
@@ -181,12 +191,14 @@ class _Sight:
         u = points / np.sqrt(d2)[:, None]
         along = u[:, :, None] * u[:, None, :]
         across = self.across + self.angle * d2
-        return self.along * along + across[:, None, None] * (np.eye(3) - along)
+        return np.asarray(self.along * along + across[:, None, None] * (np.eye(3) - along))
 
 
 def _likelihood(deviation: Floats, cov: Floats) -> float:
     safe = cov + SMALLEST**2 * np.eye(3)
-    return float(-0.5 * np.sum(np.linalg.slogdet(safe)[1] + np.einsum("ni,nij,nj->n", deviation, np.linalg.inv(safe), deviation)))
+    return float(
+        -0.5 * np.sum(np.linalg.slogdet(safe)[1] + np.einsum("ni,nij,nj->n", deviation, np.linalg.inv(safe), deviation))
+    )
 
 
 def _second(deviation: Floats) -> Floats:

@@ -53,5 +53,8 @@ class GapOptions:
         known = {f.name for f in fields(GapOptions)}
         unknown = sorted(set(document) - known)
         if unknown:
-            raise OptionError(f"gap has no option {unknown[0]!r}. It has: {', '.join(sorted(known))}.", option=unknown[0])
-        return GapOptions(**{k: tuple(v) if isinstance(v, list) else v for k, v in document.items()})
+            raise OptionError(
+                f"gap has no option {unknown[0]!r}. It has: {', '.join(sorted(known))}.", option=unknown[0]
+            )
+        made: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in document.items()}
+        return GapOptions(**made)

@@ -19,10 +19,11 @@ Bools = NDArray[np.bool_]
 CHANCE = 0.001  # of setting any good visit aside
 MOST = 0.06  # share of visits above which it is structure, not outliers
 PASSES = 3
+UNSEEN = 1e-6
 
 
 def outliers(world: World) -> Bools:
-    """Visits (V,) to set aside. Leave-one-out residual against geometry and whole library, studentised, robust scale."""
+    """Visits (V,) to set aside. Leave-one-out residual against geometry and library, studentised, robust scale."""
     setting = world.setting
     used = setting.used.copy()
     size = setting.whitener.shape[-1]
@@ -51,6 +52,7 @@ def _left_out(X: Floats, y: Floats, kept: Bools, size: int) -> Floats:
     hat = np.matmul(blocks, blocks.transpose(0, 2, 1))
     inside = kept.reshape(-1, size)[:, 0]
     spread = np.where(inside[:, None, None], np.eye(size) - hat, np.eye(size) + hat)
-    spread += 1e-9 * np.eye(size)
-    r = e.reshape(-1, size)
-    return np.asarray(np.einsum("vi,vi->v", r, np.linalg.solve(spread, r[..., None])[..., 0]))
+    # A visit that nothing else can predict has no residual of its own: its directions count as nothing.
+    w, V = np.linalg.eigh(spread)
+    z = np.einsum("vij,vi->vj", V, e.reshape(-1, size))
+    return np.asarray(np.sum(np.where(w > UNSEEN, z**2 / np.maximum(w, UNSEEN), 0.0), axis=1))

@@ -101,7 +101,9 @@ class Workshop:
         kept[first] = True
         if len(first) < len(o):
             count = len(o) - len(first)
-            self._warn("copied_rows", f"{count} rows are exact copies of others and were left out: a copy is no repeat.")
+            self._warn(
+                "copied_rows", f"{count} rows are exact copies of others and were left out: a copy is no repeat."
+            )
         return kept
 
     def _source(self, visits: Visits) -> tuple[Source, Floats, Library]:
@@ -109,7 +111,9 @@ class Workshop:
         if rows.link_q is not None and rows.position is None and rows.markers is None:
             return self._link_source(rows)
         options = self.options
-        identify = IdentifyOptions(loss="huber", free=options.free, fix=options.fix, base=options.base, tool=options.tool)
+        identify = IdentifyOptions(
+            loss="huber", free=options.free, fix=options.fix, base=options.base, tool=options.tool
+        )
         measurement = Measurement.of(rows, self.start.marker_points)
         fit = estimate(self.start, measurement, identify)
         model = fit.problem.model
@@ -121,7 +125,9 @@ class Workshop:
     def _link_source(self, rows: Observations) -> tuple[Source, Floats, Library]:
         model = self.start.model
         library = library_of(self.start.robot, rows, model.names, self.options.effects)
-        source = LinkSource.of(RobotModel(model.robot, (*model.effects, *library.effects)), rows, len(library.parameters))
+        source = LinkSource.of(
+            RobotModel(model.robot, (*model.effects, *library.effects)), rows, len(library.parameters)
+        )
         if not source.live.any():
             raise ObservationError("Every link-side encoder is constant: the channels are dead, upload others.")
         dead = [j + 1 for j in np.flatnonzero(~source.live)]
@@ -133,7 +139,8 @@ class Workshop:
 
     def _windowed(self, rows: Observations, source: Source, values: Floats) -> Observations:
         self.tell(0.15, f"averaging {len(rows)} samples of a motion")
-        return averaged(rows, _row_residual(source, values, rows), windows_of(rows))
+        live = source.live if isinstance(source, LinkSource) else np.ones(rows.q.shape[1], dtype=bool)
+        return averaged(rows, _row_residual(source, values, rows), windows_of(rows), live)
 
     def _noise(self, source: Source, values: Floats, rows: Observations, visits: Visits) -> Noise:
         visit_residual = source.residual(values)
@@ -151,8 +158,8 @@ class Workshop:
             return stated_noise(visits.observations.sigma, visits, size)
         self._warn(
             "no_repeats",
-            "No pose was repeated often enough, so the noise is that of the fit itself: every verdict is relative to it, "
-            "and none can be more than provisional. Repeat ten poses three times, leaving them in between.",
+            "No pose was repeated often enough, so the noise is that of the fit itself: every verdict is relative to "
+            "it, and none can be more than provisional. Repeat ten poses three times, leaving them in between.",
         )
         lost = min(0.9, len(source.prior_mean) / max(visit_residual.size, 1))
         return fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost)
@@ -173,7 +180,7 @@ class Workshop:
             return world
         self._warn(
             "outliers",
-            f"{int(far.sum())} of {len(far)} visits could be explained by nothing in the whole library and were set aside.",
+            f"{int(far.sum())} of {len(far)} visits could be explained by nothing in the library and were set aside.",
         )
         setting = replace(world.setting, used=~far)
         if not setting.noise.absolute:
@@ -205,11 +212,13 @@ def _on(source: Source, rows: Observations) -> Source:
     if isinstance(source, ToolSource):
         return source.on(Measurement.of(rows, source.measurement.marker_points))
     assert isinstance(source, LinkSource)
-    return LinkSource.of(source.model, rows, source.n_library)
+    return source.on(rows)
 
 
 def _row_residual(source: Source, values: Floats, rows: Observations) -> Floats:
     """Residuals (N, m) of single rows, in chunks."""
+    if isinstance(source, LinkSource):
+        return source.on(rows).residual(values)
     parts = [_on(source, rows.select(slice(k, k + CHUNK))).residual(values) for k in range(0, len(rows), CHUNK)]
     return np.concatenate(parts)
 

@@ -100,14 +100,16 @@ def amplitude_row(
 def place_row(place: Place) -> dict[str, Any]:
     """A level of a factor."""
     return {
-        "factor": place.factor, "level": place.level, "excess": place.excess, "p_value": place.p_value, "visits": place.visits,
+        "factor": place.factor, "level": place.level, "excess": place.excess, "p_value": place.p_value,
+        "visits": place.visits,
     }  # fmt: skip
 
 
 def untestable_row(u: Untestable) -> dict[str, Any]:
     """What cannot be tested, and how to test it."""
     return {
-        "id": u.id, "joints": None if u.joints is None else [j + 1 for j in u.joints], "reason": u.reason, "remedy": u.remedy,
+        "id": u.id, "joints": None if u.joints is None else [j + 1 for j in u.joints], "reason": u.reason,
+        "remedy": u.remedy,
     }  # fmt: skip
 
 

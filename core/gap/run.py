@@ -94,7 +94,8 @@ class _Run:
         trusted = world.setting.trusted
         freedom = world.setting.noise.freedom if world.setting.noise.absolute else np.inf
         scorer = Scorer.of(candidates, trusted, freedom)
-        found = hunt(world.setting, world, scorer, self.options, _part(self.tell, 0.2, 0.5))
+        limits = np.array([max(abs(p.lower), abs(p.upper)) for p in prepared.library.parameters])
+        found = hunt(world.setting, world, scorer, limits, self.options, _part(self.tell, 0.2, 0.5))
         fit = adequacy(found.world, prepared.visits.condition, found.columns)
         effects, control, held = self._judged(found, fit)
         verdict = "unexplained" if strange else run_verdict(effects, fit)
@@ -103,8 +104,8 @@ class _Run:
         gap = gap_document(prepared, found, held.report())
         self.tell(0.95, "next poses and pictures")
         return GapReport(
-            calibration=self._calibration(found), verdict=verdict, sentence=said, effects=effects, where=places, gap=gap,
-            adequacy=fit, not_testable=untestable(prepared.library, judged, world, rows),
+            calibration=self._calibration(found), verdict=verdict, sentence=said, effects=effects, where=places,
+            gap=gap,            adequacy=fit, not_testable=untestable(prepared.library, judged, world, rows),
             smallest_detectable=smallest_rows(prepared.library, judged),
             next_poses=self._next_poses(found, effects), negative_control=control,
             alias_matrix=alias_matrix(world, candidates, found.chosen), noise=self._noise(found),
@@ -171,18 +172,23 @@ class _Run:
             strange, words = np.degrees(size) > STRANGE_DEG, f"{np.degrees(size):.2f} deg"
         else:
             spread = self._spread(position)
-            strange, words = size > STRANGE_SHARE * spread, f"{size * 1e3:.1f} mm over a workspace of {spread * 1e3:.0f} mm"
+            strange, words = (
+                size > STRANGE_SHARE * spread,
+                f"{size * 1e3:.1f} mm over a workspace of {spread * 1e3:.0f} mm",
+            )
         if not strange:
             return ""
         return (
-            f"After fitting the geometry {words} are left. This is not a missing effect: the observations belong to another "
-            "robot, tool, joint order or unit, or the tool was changed during the campaign. Check these first."
+            f"After fitting the geometry {words} are left. This is not a missing effect: the observations belong to "
+            "another robot, tool, joint order or unit, or the tool was changed during the campaign. Check these first."
         )
 
     def _spread(self, position: Floats | None) -> float:
         source = self.prepared.world.setting.source
         assert isinstance(source, ToolSource)
-        points = source.model.predict(source.batch, self.prepared.world.values).position if position is None else position
+        points = (
+            source.model.predict(source.batch, self.prepared.world.values).position if position is None else position
+        )
         return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
 
     def _calibration(self, found: Hunt) -> Calibration:

@@ -1,4 +1,4 @@
-"""The scan (E5): how much each candidate would take off chi-square, and how much pure noise would let the best one take.
+"""The scan (E5): what each candidate takes off chi-square, and what pure noise would let the best one take.
 
 BIC is not error control: with nothing hidden "BIC improves" fires 36-61 % of the time. A name therefore needs the best
 of all candidates to beat the best of all candidates on noise (max-statistic): by a parametric bootstrap that also draws
@@ -111,7 +111,7 @@ class Scorer:
         return np.asarray(S / np.maximum(left, floor))
 
     def tail(self, T: Floats, d: Ints) -> Floats:
-        """Tail probability of chi-square (B, K); half of it where the sign is known; 1 for a candidate with nothing left."""
+        """Tail probability of chi-square (B, K), half of it where the sign is known, 1 where nothing is left."""
         p = gammaincc(np.maximum(d, 1) / 2.0, T / 2.0)
         p = np.where(self.one_sided, 0.5 * p, p)
         return np.asarray(np.where((d > 0) & (T > 0.0), p, 1.0))
@@ -147,6 +147,7 @@ class Null:
 
     def family_wise(self, p: float, tests: int) -> float:
         """Family-wise p-value: counted on the bootstrap, or beyond its reach by Bonferroni."""
+
         def counted(sample: Floats) -> float:
             return (1.0 + float(np.sum(sample <= p))) / (len(sample) + 1.0)
 
@@ -154,9 +155,7 @@ class Null:
         return worst if p * tests > 1.0 / (len(self.bootstrap) + 1.0) else min(worst, max(p * tests, 1e-300))
 
 
-def null_of(
-    world: World, scorer: Scorer, chosen: Sequence[int], full: Sequence[int], draws: int, seed: int
-) -> Null:
+def null_of(world: World, scorer: Scorer, chosen: Sequence[int], full: Sequence[int], draws: int, seed: int) -> Null:
     """Null distribution of the best candidate, given the chosen columns.
 
     The signs flipped are those of the residual under the columns ``full`` that the data seem to want (ter Braak 1992):
@@ -168,6 +167,7 @@ def null_of(
 
 
 def bootstrap(gram: Gram, scorer: Scorer, draws: int, rng: np.random.Generator) -> Floats:
+    """Smallest tail probability (draws,) on Gaussian noise whose own variance is estimated anew each time."""
     w, V = np.linalg.eigh(gram.A)
     keep = w > VISIBLE
     z = rng.standard_normal((draws, int(keep.sum())))

@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 
 MARGIN = 6.0  # criterion points (2 log of a Bayes factor of 20) within which two explanations count as equal
 FAMILY_MARGIN = 3.0
+SMALLEST_GAIN = 0.2  # criterion points: below this two explanations are one, and the library's order decides
 CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
 TIME_FIRST = ("time_offset", "tracking_lag")
 
@@ -29,11 +30,13 @@ TIME_FIRST = ("time_offset", "tracking_lag")
 class Selector:
     """A search over sets of candidates; a set is a tuple of places in ``scorer.candidates``.
 
-    ``rows`` is the number of measured scalars N in the price d ln N of d parameters.
+    ``rows`` is the number of measured scalars N in the price d ln N of d parameters; ``limits (Q,)`` the largest
+    plausible amplitude of each library column, in units of unit columns.
     """
 
     scorer: Scorer
     rows: int
+    limits: Floats
 
     def columns(self, chosen: Sequence[int]) -> list[int]:
         """Library columns of a set, each once."""
@@ -73,17 +76,20 @@ class Selector:
         left = (given.yy - scores.S) / np.maximum(given.nu - scores.d, 1.0)
         best = float(np.min(left))
         variance = max(1.0, best) if self.scorer.absolute else max(best, 1e-12)
-        return np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical, 1)
+        return np.asarray(
+            np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical, 1)
+        )
 
     def plausible(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
-        """Whether no parameter of known sign comes out clearly negative."""
+        """Whether no parameter comes out clearly negative against its known sign, or beyond what is plausible."""
         candidate = self.scorer.candidates[place]
-        if not candidate.positive:
-            return True
         columns = self.columns(chosen)
         index = [columns.index(k) for k in candidate.columns]
         sigma = np.sqrt(np.diag(gram.inverse(columns)[0]))[index]
-        return bool(np.all(gram.solve(columns)[index] > -CLEARLY_WRONG * sigma))
+        amount = gram.solve(columns)[index]
+        if np.any(np.abs(amount) > self.limits[list(candidate.columns)] + CLEARLY_WRONG * sigma):
+            return False
+        return not candidate.positive or bool(np.all(amount > -CLEARLY_WRONG * sigma))
 
     def improved(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Swap, merge and drop until nothing improves."""
@@ -99,7 +105,7 @@ class Selector:
         """Replace one or two members by one outside as long as the criterion grows."""
         for _ in range(3 * len(chosen)):
             variance = self.variance(gram, chosen)
-            best, gain = chosen, 1e-3
+            best, gain = chosen, SMALLEST_GAIN
             now = self.criterion(gram, chosen, variance)
             for out in [(m,) for m in chosen] + list(itertools.combinations(chosen, 2)):
                 rest = tuple(m for m in chosen if m not in out)
@@ -158,7 +164,7 @@ class Selector:
         columns = self.columns(rest)
         given = gram.given(columns)
         scores = self.scorer.scores(given)
-        value = scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical
+        value = np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical, 1)
         able = (scores.p < critical) & (scores.d > 0)
         able[list(taken)] = False
         base = self.criterion(gram, rest, variance)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.effects import Batch
+from core.gap.trajectory import segments
 from core.measurement import Measurement, Residual
 from core.model import Calibration, RobotModel
 from core.observations import Observations
@@ -19,7 +20,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Linear:
-    """Residuals ``r (V, m)`` and derivatives of the prediction by geometry ``G (V, m, P)`` and library ``W (V, m, Q)``."""
+    """Residuals ``r (V, m)``; derivatives of the prediction by geometry ``G (V, m, P)`` and library ``W (V, m, Q)``."""
 
     r: Floats
     G: Floats
@@ -127,13 +128,15 @@ class ToolSource:
 class LinkSource:
     """Link-side encoders: measured minus read joint angle, with a constant offset per joint as the only geometry.
 
-    Values are the offsets (n,) and then the starting effects' and the library's parameters. ``live (n,)`` marks joints
+    Values are the offsets (n,) of each motion in turn, then the starting effects' and the library's parameters.
+    ``segment (V,)`` numbers the motions, since encoders are referenced anew between them. ``live (n,)`` marks joints
     whose encoder moves; a measured torque, where there is one, replaces the computed load about the axis.
     """
 
     model: RobotModel
     observations: Observations
     live: NDArray[np.bool_]
+    segment: Ints
     n_library: int
     batch: Batch
     prior_mean: Floats
@@ -146,29 +149,43 @@ class LinkSource:
         assert observations.link_q is not None
         started = model.parameters[model.n_geometric : len(model.names) - n_library]
         library = model.parameters[len(model.names) - n_library :]
-        n = model.robot.n_joints
+        segment = segments(observations)
+        n = model.robot.n_joints * (int(segment.max()) + 1)
         return LinkSource(
-            model, observations, np.ptp(np.nan_to_num(observations.link_q), axis=0) > 0.0, n_library,
+            model, observations, np.ptp(np.nan_to_num(observations.link_q), axis=0) > 0.0, segment, n_library,
             with_torque(model.batch(observations), observations),
             np.concatenate([np.zeros(n), [p.value for p in started]]),
             np.concatenate([np.full(n, 0.1), [p.prior_sigma for p in started]]),
             np.array([p.prior_sigma for p in library]),
         )  # fmt: skip
 
+    def on(self, observations: Observations) -> LinkSource:
+        """The same model and joints on other rows."""
+        batch = with_torque(self.model.batch(observations), observations)
+        segment = np.minimum(segments(observations), self.segment.max())
+        return replace(self, observations=observations, batch=batch, segment=segment)
+
+    @property
+    def n_offsets(self) -> int:
+        """Number of offsets: joints times motions."""
+        return self.model.robot.n_joints * (int(self.segment.max()) + 1)
+
     def residual(self, values: Floats) -> Floats:
         """Residuals (V, live joints)."""
         assert self.observations.link_q is not None
-        n = self.model.robot.n_joints
-        effects = np.concatenate([np.zeros(self.model.n_geometric), values[n:]])
-        r = self.observations.link_q - self.model.link_angles(self.batch, effects) - values[:n]
+        started = len(values) - len(self.model.names) + self.model.n_geometric
+        effects = np.concatenate([np.zeros(self.model.n_geometric), values[started:]])
+        offsets = values[:started].reshape(-1, self.model.robot.n_joints)[self.segment]
+        r = self.observations.link_q - self.model.link_angles(self.batch, effects) - offsets
         return r[:, self.live]
 
     def linear(self, values: Floats, batch: Batch | None = None) -> Linear:
         """Residuals and derivatives."""
         n = self.model.robot.n_joints
-        rows, start = len(self.observations), n
+        rows, start = len(self.observations), len(values) - len(self.model.names) + self.model.n_geometric
         D = np.zeros((rows, n, len(values)))
-        D[:, range(n), range(n)] = 1.0
+        for j in range(n):
+            D[np.arange(rows), j, n * self.segment + j] = 1.0
         for effect in self.model.effects:
             count = len(effect.parameters(self.model.robot))
             for d in effect.local(batch or self.batch, values[start : start + count]).derivatives:
@@ -209,14 +226,14 @@ def calibrated(source: Source, values: Floats, model: RobotModel, shape: Floats 
     if isinstance(source, ToolSource):
         known = dict(zip(source.model.names, values, strict=True))
     else:
-        n = source.model.robot.n_joints  # type: ignore[attr-defined]
-        named = source.model.names[source.model.n_geometric :]  # type: ignore[attr-defined]
-        known = dict(zip(named, values[n:], strict=True))
+        assert isinstance(source, LinkSource)
+        offsets = values[: source.n_offsets].reshape(-1, source.model.robot.n_joints).mean(axis=0)
+        known = dict(zip(source.model.names[source.model.n_geometric :], values[source.n_offsets :], strict=True))
         chain = model.robot.chain
         for j, k in enumerate(chain.primary):
             element = chain.elements[k]
             if element.name is not None:
-                known[element.name] = element.value + element.ratio * float(values[j])
+                known[element.name] = element.value + element.ratio * float(offsets[j])
     made = np.array([known.get(p.name, p.value) for p in model.parameters])
     return Calibration(*model.folded(made), shape)
 

@@ -27,7 +27,7 @@ SHOWN = 24
 
 @dataclass(frozen=True)
 class Testability:
-    """Per library column (Q,): ``visible`` share, ``smallest`` detectable amplitude (SI), and whether it is ``able``."""
+    """Per library column (Q,): ``visible`` share, ``smallest`` detectable amplitude (SI), whether it is ``able``."""
 
     visible: Floats
     smallest: Floats
@@ -44,9 +44,7 @@ def testability(world: World, library: Library) -> Testability:
     return Testability(visible, smallest, seen & (smallest <= limit))
 
 
-def untestable(
-    library: Library, judged: Testability, world: World, rows: Observations
-) -> tuple[Untestable, ...]:
+def untestable(library: Library, judged: Testability, world: World, rows: Observations) -> tuple[Untestable, ...]:
     """Candidates that cannot be tested, one entry per effect and reason, with the remedy."""
     grouped: dict[tuple[str, str, str], list[int]] = {}
     whole: dict[tuple[str, str, str], None] = {}
@@ -86,13 +84,18 @@ def alias_matrix(world: World, candidates: Sequence[Candidate], first: Sequence[
     """Correlations after geometry: a matrix over the chosen and their nearest, and every close pair of the library."""
     tested = [c for c in candidates if c.level != FAMILY]
     single = [c for c in tested if not c.empirical]
-    C = np.array([[correlation(world.A, a.columns, b.columns) if i < j else 0.0 for j, b in enumerate(single)] for i, a in enumerate(single)])
+    C = np.array(
+        [
+            [correlation(world.A, a.columns, b.columns) if i < j else 0.0 for j, b in enumerate(single)]
+            for i, a in enumerate(single)
+        ]
+    )
     C = C + C.T + np.eye(len(single)) if len(single) else np.zeros((0, 0))
     pairs = [
         {"first": single[i].named(), "second": single[j].named(), "correlation": round(float(C[i, j]), 4)}
         for i, j in zip(*np.where(np.triu(C, 1) > ALIASED), strict=True)
     ]
-    pairs.sort(key=lambda p: -float(p["correlation"]))  # type: ignore[arg-type]
+    pairs.sort(key=lambda p: -float(p["correlation"]))
     shown = _shown(single, C, [candidates[k] for k in first])
     return {
         "labels": [single[i].label for i in shown],

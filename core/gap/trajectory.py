@@ -50,10 +50,11 @@ def windows_of(rows: Observations) -> Windows:
     return Windows(((starts + ends - 1) // 2).astype(np.int64), window.astype(np.int64))
 
 
-def averaged(rows: Observations, residual: Floats, windows: Windows) -> Observations:
+def averaged(rows: Observations, residual: Floats, windows: Windows, live: NDArray[np.bool_]) -> Observations:
     """Middle rows whose position is moved by the mean of their window's residual (N, m) less their own.
 
-    Averaging positions would cut the corners of a curve; averaging residuals does not.
+    ``live`` are the joints that residuals of link-side encoders belong to. Averaging positions would cut the corners
+    of a curve; averaging residuals does not.
     """
     out = rows.select(windows.middle)
     count = np.bincount(windows.window)
@@ -61,14 +62,14 @@ def averaged(rows: Observations, residual: Floats, windows: Windows) -> Observat
     shift = mean - np.nan_to_num(residual[windows.middle])
     if rows.link_q is not None and rows.position is None:
         assert out.link_q is not None
-        return replace(out, link_q=out.link_q + shift)
-    if out.position is None:
-        return out
-    return replace(out, position=out.position + shift[:, :3])
+        moved = out.link_q.copy()
+        moved[:, live] += shift
+        return replace(out, link_q=moved)
+    return out if out.position is None else replace(out, position=out.position + shift[:, :3])
 
 
 def correlation_length(residual: Floats) -> float:
-    """Integrated autocorrelation (rows) of residuals (V, m) in order: 1 when independent (Geyer's initial positive sum)."""
+    """Integrated autocorrelation (rows) of residuals (V, m) in order, 1 when independent (Geyer's positive sums)."""
     r = residual - residual.mean(axis=0)
     size = 1 << (2 * len(r) - 1).bit_length()
     power = np.abs(np.fft.rfft(r, size, axis=0)) ** 2
@@ -79,6 +80,16 @@ def correlation_length(residual: Floats) -> float:
     pairs = rho[: 2 * (len(rho) // 2)].reshape(-1, 2).sum(axis=1)
     stop = int(np.argmax(pairs <= 0.0)) if np.any(pairs <= 0.0) else len(pairs)
     return float(max(1.0, 2.0 * np.sum(pairs[:stop]) - 1.0))
+
+
+def segments(rows: Observations) -> Ints:
+    """Number the motions (V,): a new one wherever the session changes or time starts again."""
+    new = np.zeros(len(rows), dtype=bool)
+    if rows.session is not None:
+        new[1:] |= rows.session[1:] != rows.session[:-1]
+    if rows.t is not None:
+        new[1:] |= rows.t[1:] < rows.t[:-1]
+    return np.asarray(np.cumsum(new), dtype=np.int64)
 
 
 def blocks(rows: int, length: float) -> Ints:

@@ -75,7 +75,9 @@ def run_verdict(judged: tuple[Judged, ...], adequacy: Adequacy) -> str:
 def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy) -> str:
     """Say the verdict in words."""
     names = ", ".join(j.evidence.candidate.label for j in judged)
-    relative = "" if adequacy.adequate is not None else " The noise is that of the fit itself, so this is relative to it."
+    relative = (
+        "" if adequacy.adequate is not None else " The noise is that of the fit itself, so this is relative to it."
+    )
     said = {
         "no_gap": "Nothing in the library stands out of the noise.",
         "closed": f"{names}: with this the model agrees with the measurements within their noise.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,9 @@ def _conditions(rows: Observations, pose: Ints) -> Ints:
 def _averaged(rows: Observations, visit: Ints, first: Ints, count: Ints) -> Observations:
     out = rows.select(first)
     plain = ("q", "position", "markers", "link_q", "qd", "qdd", "tau", "t", "temperature_c")
-    made = {name: _mean(value, visit, count) for name in plain if (value := getattr(rows, name)) is not None}
+    made: dict[str, Any] = {
+        name: _mean(value, visit, count) for name in plain if (value := getattr(rows, name)) is not None
+    }
     if rows.rotation is not None:
         mean = _mean(rows.rotation, visit, count)
         made["rotation"] = np.stack([nearest_rotation(R) if k > 1 else R for R, k in zip(mean, count, strict=True)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -99,7 +100,9 @@ def _bins(world: World, rows: Observations, r: Floats, scale: float, seed: int) 
     z = []
     excess = []
     for _, _, mask, part in bins:
-        sums = np.stack([np.bincount(group[mask], c[mask], poses) for c in part.T], axis=1) / np.sqrt(mask.sum() * scale)
+        sums = np.stack([np.bincount(group[mask], c[mask], poses) for c in part.T], axis=1) / np.sqrt(
+            mask.sum() * scale
+        )
         T = np.sum((flips @ sums) ** 2, axis=1)
         excess.append(float(T[0]) / part.shape[1] - 1.0)
         z.append(-chi2.logsf(T, part.shape[1]))
@@ -166,6 +169,6 @@ def _ranges(values: Floats, unit: str) -> Iterator[tuple[str, Bools]]:
             yield f"{v:.4g}{unit}", values == v
         return
     edges = np.quantile(values, np.linspace(0, 1, BINS + 1))
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         last = high == edges[-1]
         yield f"{low:.4g} to {high:.4g}{unit}", (values >= low) & ((values <= high) if last else (values < high))

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from core.effects import Batch
@@ -171,9 +170,7 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None) -> Wo
     return World(setting, values, yp, Wp, U, np.where(norm > 0.0, 1.0 / unit, 0.0), nu, Wp.T @ Wp, Wp.T @ yp, r, G, W)
 
 
-def refit(
-    setting: Setting, values: Floats, columns: Sequence[int], held: tuple[int, float] | None = None
-) -> World:
+def refit(setting: Setting, values: Floats, columns: Sequence[int], held: tuple[int, float] | None = None) -> World:
     """Nonlinear re-fit of geometry (with its priors) and the library ``columns`` (free), from ``values``.
 
     ``held`` keeps one more library parameter at a value, as a profile does.
@@ -217,9 +214,9 @@ def _step(world: World, index: list[int], held: tuple[int, float] | None) -> tup
     left = world.raw - moved
     pull = (source.prior_mean - source.geometry(world.values)) / source.prior_sigma
     scaled = world.G * source.prior_sigma
-    H = scaled.T @ scaled
-    H[np.diag_indices_from(H)] += 1.0
-    step = scipy.linalg.solve(H, scaled.T @ left + pull, assume_a="pos") if len(H) else np.zeros(0)
+    # Priors as extra rows: the normal equations would square a condition number of 1e9.
+    with_prior = np.vstack([scaled, np.eye(scaled.shape[1])])
+    step = np.linalg.lstsq(with_prior, np.concatenate([left, pull]), rcond=None)[0]
     change = float(np.linalg.norm(moved + scaled @ step))
     return source.moved(world.values, step * source.prior_sigma, beta), change
 
