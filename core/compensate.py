@@ -88,11 +88,9 @@ def correct(
     model, values = _on_the_arm(calibration)
     ideal = calibration.wanted()
     ideal = replace(ideal, model=replace(ideal.model, T_base=np.eye(4)))
-    finite = np.isfinite(q).all(axis=1)
+    finite = np.asarray(np.isfinite(q).all(axis=1))
     safe = np.where(finite[:, None], q, 0.0)
-    conditions = Observations(
-        safe, qd=qd, qdd=qdd, direction=direction, payload_kg=payload_kg, payload_com=payload_com
-    )
+    conditions = Observations(safe, qd=qd, qdd=qdd, direction=direction, payload_kg=payload_kg, payload_com=payload_com)
     wanted = ideal.predict(Observations(safe))
     before = model.predict(conditions, values)
     weight = np.array([1.0] * 3 + [options.orientation_weight_m] * 3) if task == "pose" else np.ones(3)
@@ -122,7 +120,7 @@ def _on_the_arm(calibration: Calibration) -> tuple[RobotModel, Floats]:
     arm = tuple(e for e in calibration.model.effects if e.stage != "measurement")
     kept = calibration.with_effects(arm)
     model, values = kept.model.folded(kept.values)
-    seen_from = inverse(np.asarray(calibration.wanted().model.T_base))
+    seen_from = inverse(calibration.wanted().model.T_base)
     return replace(model, T_base=seen_from @ model.T_base), values
 
 
@@ -141,7 +139,12 @@ def _damped_step(J: Floats, error: Floats, floor: float = 1e-3) -> Floats:
 
 
 def _status(
-    calibration: Calibration, finite: NDArray[np.bool_], out: Floats, q: Floats, removed: Floats, options: CorrectOptions
+    calibration: Calibration,
+    finite: NDArray[np.bool_],
+    out: Floats,
+    q: Floats,
+    removed: Floats,
+    options: CorrectOptions,
 ) -> NDArray[np.uint16]:
     robot = calibration.robot
     largest = np.array([options.max_joint_rad if j.kind == "revolute" else options.max_shift_m for j in robot.joints])

@@ -52,9 +52,9 @@ def null_directions(J: Floats, names: Sequence[str], prior_sigma: Floats) -> tup
     s = np.concatenate([s, np.zeros(len(names) - len(s))])
     structural = s <= STRUCTURAL * max(float(s[0]), 1.0)
     out = [_direction(v, names, size, 0.0, True) for v in _own_members(Vt[structural]) * prior_sigma]
-    for k in np.flatnonzero(~structural & (s**2 / (1.0 + s**2) < WEAK))[::-1]:
-        out.append(_direction(Vt[k] * prior_sigma, names, size, float(s[k] ** 2 / (1.0 + s[k] ** 2)), False))
-    return tuple(out)
+    learned = s**2 / (1.0 + s**2)
+    weak = np.flatnonzero(~structural & (learned < WEAK))[::-1]
+    return (*out, *(_direction(Vt[k] * prior_sigma, names, size, float(learned[k]), False) for k in weak))
 
 
 def identifiable(posterior_sigma: Floats, prior_sigma: Floats) -> NDArray[np.bool_]:

@@ -14,8 +14,9 @@ Floats = NDArray[np.float64]
 def marker_shape(markers: Floats) -> Floats:
     """Common shape (m, 3) m of rigid marker sets (N, m, 3), in its own frame.
 
-    Origin at the mean marker, z normal to the first three, x along the line from their middle to marker 1. The shape is the mean of all complete
-    rows after a rigid alignment to each other (generalised Procrustes), so its noise is that of one row over sqrt(N).
+    Origin at the mean marker, z normal to the first three, x along the line from their middle to marker 1. The shape is
+    the mean of all complete rows after a rigid alignment to each other (generalised Procrustes), so its noise is that of
+    one row over sqrt(N).
 
     Raises:
         ObservationError: no row shows every marker, fewer than three markers, or markers in one line.
@@ -41,7 +42,7 @@ def fit_poses(shape: Floats, markers: Floats) -> tuple[Floats, Floats, NDArray[n
     """
     rows = len(markers)
     position, rotation = np.full((rows, 3), np.nan), np.tile(np.eye(3), (rows, 1, 1))
-    seen = ~np.isnan(markers).any(axis=2)
+    seen = np.asarray(~np.isnan(markers).any(axis=2))
     usable = seen.sum(axis=1) >= 3
     for k in np.flatnonzero(usable):
         body, world = shape[seen[k]], markers[k, seen[k]]

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.chain import Axis, Element
+from core.chain import Element
 from core.effects import BASE, TOOL, Batch, Effect, Local, effect_from_document
 from core.errors import ObservationError
+from core.frames import FRAME_AXES, frame_parameters, increment
 from core.kernels import kinematics
 from core.moments import Loads, axial_loads, joint_loads, payload_sensitivity
 from core.observations import Observations
@@ -22,10 +23,7 @@ from core.robot import Robot
 
 Floats = NDArray[np.float64]
 
-FRAME_AXES = ((Axis.TX, "x"), (Axis.TY, "y"), (Axis.TZ, "z"), (Axis.RX, "rx"), (Axis.RY, "ry"), (Axis.RZ, "rz"))
-# Base and tool frames are found from scratch by the registration; these widths only keep a blind direction finite.
-FRAME_LENGTH_PRIOR_M = 0.1
-FRAME_ANGLE_PRIOR_RAD = 0.3
+THE_ROBOTS_OWN = np.empty((0, 0))
 
 
 @dataclass(frozen=True)
@@ -59,14 +57,13 @@ class RobotModel:
 
     robot: Robot
     effects: tuple[Effect, ...] = ()
-    T_base: Floats | None = None
-    T_tool: Floats | None = None
+    T_base: Floats = field(default_factory=lambda: THE_ROBOTS_OWN)
+    T_tool: Floats = field(default_factory=lambda: THE_ROBOTS_OWN)
 
     def __post_init__(self) -> None:
-        if self.T_base is None:
-            object.__setattr__(self, "T_base", self.robot.T_base)
-        if self.T_tool is None:
-            object.__setattr__(self, "T_tool", self.robot.T_tool)
+        for name in ("T_base", "T_tool"):
+            if getattr(self, name) is THE_ROBOTS_OWN:
+                object.__setattr__(self, name, getattr(self.robot, name))
         object.__setattr__(self, "effects", tuple(effect.on(self.robot) for effect in self.effects))
         refuse_collisions([p.name for p in self.parameters])
 
@@ -74,8 +71,8 @@ class RobotModel:
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, in order."""
         chain = self.robot.chain
-        made = _frame_parameters("base") + [chain.elements[k].parameter() for k in chain.named]
-        made += _frame_parameters("tool")
+        made = frame_parameters("base") + [chain.elements[k].parameter() for k in chain.named]
+        made += frame_parameters("tool")
         for effect in self.effects:
             made += effect.parameters(self.robot)
         return tuple(made)
@@ -216,8 +213,8 @@ class RobotModel:
     def folded(self, values: Floats) -> tuple[RobotModel, Floats]:
         """Move the base and tool increments of ``values`` into the frames: an equal model with increments zero."""
         n = self.n_geometric
-        T_base = self.T_base @ _increment(values[:6])
-        T_tool = self.T_tool @ _increment(values[n - 6 : n])
+        T_base = self.T_base @ increment(values[:6])
+        T_tool = self.T_tool @ increment(values[n - 6 : n])
         flat = values.copy()
         flat[:6] = 0.0
         flat[n - 6 : n] = 0.0
@@ -321,35 +318,6 @@ class _Total:
     parts: tuple[tuple[int, Local], ...]
 
 
-def _frame_parameters(which: str) -> list[Parameter]:
-    return [
-        Parameter(
-            f"{which}_{name}",
-            "rad" if axis.rotates else "m",
-            0.0,
-            FRAME_ANGLE_PRIOR_RAD if axis.rotates else FRAME_LENGTH_PRIOR_M,
-            description=f"increment of the {which} frame in its own axes",
-        )
-        for axis, name in FRAME_AXES
-    ]
-
-
-def _increment(six: Floats) -> Floats:
-    """Tx Ty Tz Rx Ry Rz of six increments as a pose (4, 4)."""
-    T = np.eye(4)
-    for (axis, _), amount in zip(FRAME_AXES, six, strict=True):
-        step = np.eye(4)
-        k = axis % 3
-        if axis.rotates:
-            a, b = (k + 1) % 3, (k + 2) % 3
-            c, s = np.cos(amount), np.sin(amount)
-            step[a, a], step[a, b], step[b, a], step[b, b] = c, -s, s, c
-        else:
-            step[k, 3] = amount
-        T = T @ step
-    return T
-
-
 @dataclass(frozen=True)
 class Calibration:
     """A model with values: what a parameter version holds. ``marker_points (m, 3)`` m are in the tool frame.
@@ -402,7 +370,6 @@ class Calibration:
     def to_document(self) -> dict[str, Any]:
         """JSON-able state, SI: frames, effects, and every parameter's value by name."""
         model, values = self.model.folded(self.values)
-        assert model.T_base is not None and model.T_tool is not None  # set by RobotModel itself
         return {
             "T_base": model.T_base.tolist(),
             "T_tool": model.T_tool.tolist(),

@@ -25,7 +25,7 @@ def register(
     mean of (R F)' R_measured. Frames that are not free (``base``, ``tool``) are kept as the model has them.
     """
     position, rotation, use = _measured(measurement)
-    T_base, T_tool = np.array(model.T_base), np.array(model.T_tool)
+    T_base, T_tool = model.T_base.copy(), model.T_tool.copy()
     flange = _flange(model, values, measurement)
     f, F, p = flange[use, :3, 3], flange[use, :3, :3], position[use]
     if base and tool and len(p) >= LINEAR_POSES:
@@ -77,6 +77,8 @@ def _linear(f: Floats, F: Floats, p: Floats, guess: Floats) -> tuple[Floats, Flo
     # A ridge towards the nominal tool point: poses that share an orientation cannot tell the tool from the base.
     ridge = 1e-4 * np.sqrt(rows) * np.hstack([np.zeros((3, 12)), np.eye(3)])
     solution = np.linalg.lstsq(
-        np.vstack([A.reshape(-1, 15), ridge]), np.concatenate([f.reshape(-1), -0.0 + 1e-4 * np.sqrt(rows) * guess]), rcond=None
+        np.vstack([A.reshape(-1, 15), ridge]),
+        np.concatenate([f.reshape(-1), -0.0 + 1e-4 * np.sqrt(rows) * guess]),
+        rcond=None,
     )[0]
     return _rigid(f + F @ solution[12:], p), solution[12:]

@@ -60,7 +60,11 @@ class Twin:
         position = self.truth.predict(rows).position
         noise = np.random.default_rng(seed).normal(0.0, noise_m, position.shape) if noise_m > 0 else 0.0
         return Observations(
-            q=rows.q, position=position + noise, direction=rows.direction, payload_kg=rows.payload_kg, pose_id=rows.pose_id
+            q=rows.q,
+            position=position + noise,
+            direction=rows.direction,
+            payload_kg=rows.payload_kg,
+            pose_id=rows.pose_id,
         )
 
 

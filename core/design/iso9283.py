@@ -73,9 +73,11 @@ def largest_cube(points: Floats) -> Cube:
     low, high = np.percentile(points, [2, 98], axis=0)
     spacing = float(np.min(high - low)) / 25.0
     offsets = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3), axis=-1).reshape(-1, 3)
-    centres = np.stack(np.meshgrid(*[np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]), -1).reshape(-1, 3)
+    centres = np.stack(np.meshgrid(*[np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]), -1).reshape(
+        -1, 3
+    )
     for side in np.linspace(0.6, 0.05, 23) * float(np.max(high - low)):
-        gaps = tree.query(centres[:, None, :] + side * offsets)[0].max(axis=1)
+        gaps = np.asarray(tree.query(centres[:, None, :] + side * offsets)[0]).max(axis=1)
         best = int(np.argmin(gaps))
         if gaps[best] < spacing:
             return Cube(centres[best], float(side))

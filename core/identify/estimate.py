@@ -28,7 +28,9 @@ UNSEEN = 0.05
 
 def registration_only(start: Calibration, measurement: Measurement, loss: str = "linear") -> Calibration:
     """Fit only base and tool to the measurement, the chain and the effects held: what frame fitting alone can do."""
-    options = IdentifyOptions(loss=loss, fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :])
+    options = IdentifyOptions(
+        loss=loss, fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :]
+    )
     fit = estimate(start, measurement, options)
     return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
 
@@ -49,7 +51,11 @@ def estimate(
     free = options.free_parameters(model, sees_orientation=measurement.sees_orientation)
     refuse_too_few(model, measurement, free)
     T_base, T_tool = register(
-        model, values, measurement, base=options.base == "free" and _any(model, free, "base_"), tool=_any(model, free, "tool_")
+        model,
+        values,
+        measurement,
+        base=options.base == "free" and _any(model, free, "base_"),
+        tool=_any(model, free, "tool_"),
     )
     model = model.in_frames(T_base, T_tool)
     stated = None if options.noise_mm is None else options.noise_mm * 1e-3
@@ -62,7 +68,9 @@ def estimate(
         fit = solve(problem, values, _iterations(progress, step))
         points, turns = _scatter(fit)
         blind = _blind(fit)
-        settled = _near(points, point_sigma) and _near(turns, turn_sigma) and len(blind) == (0 if held is None else len(held))
+        settled = (
+            _near(points, point_sigma) and _near(turns, turn_sigma) and len(blind) == (0 if held is None else len(held))
+        )
         point_sigma, turn_sigma = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
         if settled:
             break
@@ -125,11 +133,9 @@ def _scatter(fit: Fit) -> tuple[float, float]:
     count = problem.measurement.scalars()
     freedom = max(count - fit.effective, 1.0) / count
     points = residual.points[~np.isnan(residual.points)]
-    if problem.loss == "huber":
-        # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
-        size = float(np.median(np.abs(points))) / 0.6745
-    else:
-        size = float(np.sqrt(np.mean(points**2)))
+    # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
+    robust, plain = np.median(np.abs(points)) / 0.6745, np.sqrt(np.mean(points**2))
+    size = float(robust if problem.loss == "huber" else plain)
     turns = 0.0 if residual.turns is None else float(np.sqrt(np.mean(residual.turns**2)))
     return size / math.sqrt(freedom), turns / math.sqrt(freedom)
 

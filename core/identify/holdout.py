@@ -34,7 +34,9 @@ def split(observations: Observations, fraction: float, seed: int) -> tuple[Ints,
     shuffled = np.random.default_rng(seed).permutation(groups.max() + 1)
     held = round(fraction * len(shuffled))
     if held == 0 or held == len(shuffled):
-        raise TooFewPosesError(f"{len(shuffled)} poses cannot be split {1 - fraction:.0%} to {fraction:.0%}: measure more.")
+        raise TooFewPosesError(
+            f"{len(shuffled)} poses cannot be split {1 - fraction:.0%} to {fraction:.0%}: measure more."
+        )
     inside = np.isin(groups, shuffled[:held])
     return np.flatnonzero(~inside), np.flatnonzero(inside)
 

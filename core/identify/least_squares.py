@@ -90,7 +90,9 @@ class Problem:
         if residual.d_turns is not None:
             stacked.append(_times(root_turns, residual.d_turns / self.weights.turns, 1).reshape(-1, columns))
         weighted = self._stacked(points, turns, root_points, root_turns)
-        exact = weighted if root_points is None else self._stacked(points, turns, *self._roots(points, turns, _loss_root))
+        exact = (
+            weighted if root_points is None else self._stacked(points, turns, *self._roots(points, turns, _loss_root))
+        )
         whole = stacked[0] if len(stacked) == 1 else np.concatenate(stacked)
         return Linearised(weighted, whole, self.loss_at(values, exact), residual)
 
@@ -123,7 +125,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Linearised:
-    """A problem near some values: ``r (R,)``, ``J (R, F)`` with Jᵀr the downhill slope of the ``loss``; the raw residual."""
+    """A problem near some values: ``r (R,)`` and ``J (R, F)``, Jᵀr the downhill slope of the ``loss``; the raw residual."""
 
     r: Floats
     J: Floats

@@ -22,6 +22,8 @@ def repeat_sigma(observations: Observations) -> float | None:
     counts = np.bincount(groups)
     if not np.any(counts > 1):
         return None
-    means = np.stack([np.bincount(groups, weights=column) for column in flat.T], axis=1) / np.maximum(counts, 1)[:, None]
+    means = (
+        np.stack([np.bincount(groups, weights=column) for column in flat.T], axis=1) / np.maximum(counts, 1)[:, None]
+    )
     freedom = int(np.sum(counts[counts > 1] - 1)) * flat.shape[1]
     return float(np.sqrt(np.sum((flat - means[groups]) ** 2) / freedom))

@@ -70,8 +70,11 @@ class IdentifyOptions:
         known = {f.name for f in fields(IdentifyOptions)}
         unknown = sorted(set(document) - known)
         if unknown:
-            raise OptionError(f"identify has no option {unknown[0]!r}. It has: {', '.join(sorted(known))}.", option=unknown[0])
-        return IdentifyOptions(**{k: tuple(v) if isinstance(v, list) else v for k, v in document.items()})
+            raise OptionError(
+                f"identify has no option {unknown[0]!r}. It has: {', '.join(sorted(known))}.", option=unknown[0]
+            )
+        given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in document.items()}
+        return IdentifyOptions(**given)
 
     def make_effects(self) -> tuple[Effect, ...]:
         """Effects of the model: those asked for, or full tilting at level 3."""

@@ -92,7 +92,7 @@ def _blind_names(fit: Fit) -> Iterator[str]:
 def _absolute(calibration: Calibration) -> dict[str, float]:
     model = calibration.model
     values = dict(zip(calibration.names, (float(v) for v in calibration.values), strict=True))
-    return values | _frame("base", np.asarray(model.T_base)) | _frame("tool", np.asarray(model.T_tool))
+    return values | _frame("base", model.T_base) | _frame("tool", model.T_tool)
 
 
 def _nominal(calibration: Calibration) -> dict[str, float]:

@@ -100,21 +100,22 @@ def identify(
     options = options or IdentifyOptions()
     tell = progress or (lambda fraction, stage: None)
     begin = _begin(robot, train, options, start)
+    nominal = Calibration.nominal(robot)
     _refuse_missing_columns(begin, train)
     tell(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
     if isinstance(validation, Folds):
-        held = _cross_validated(begin, train, validation, options, tell)
+        held = _cross_validated(nominal, begin, train, validation, options, tell)
     elif isinstance(validation, float):
         inside, outside = split(train, validation, options.seed)
         train, validation = train.select(inside), train.select(outside)
     measurement = Measurement.of(train, begin.marker_points)
-    registered = registration_only(begin, measurement, options.loss)
+    registered = registration_only(nominal, measurement, options.loss)
     fit = estimate(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s))
     calibration = Calibration(
         *fit.problem.model.folded(fit.values), measurement.marker_points, *_wanted_frames(registered, options)
     )
-    stages = {"nominal": begin, "registration_only": registered, "identified": calibration}
+    stages = {"nominal": nominal, "registration_only": registered, "identified": calibration}
     if isinstance(validation, Observations):
         other = Measurement.of(validation, measurement.marker_points)
         held = {name: Errors.of(stage, other) for name, stage in stages.items()}
@@ -142,11 +143,10 @@ def _begin(robot: Robot, train: Observations, options: IdentifyOptions, start: C
 def _wanted_frames(registered: Calibration, options: IdentifyOptions) -> tuple[Floats, Floats]:
     """Base and tool frames (4, 4) a correction should work in, as ``reference`` asks."""
     robot, found = registered.robot, registered.model
-    pairs = (
-        (robot.T_base, np.asarray(found.T_base), options.base, True),
-        (robot.T_tool, np.asarray(found.T_tool), options.tool, registered.marker_points is not None),
-    )
-    return tuple(own if _own(own, fitted, state, turns, options.reference) else fitted for own, fitted, state, turns in pairs)  # type: ignore[return-value]
+    turns = registered.marker_points is not None
+    base_is_own = _own(robot.T_base, found.T_base, options.base, True, options.reference)
+    tool_is_own = _own(robot.T_tool, found.T_tool, options.tool, turns, options.reference)
+    return robot.T_base if base_is_own else found.T_base, robot.T_tool if tool_is_own else found.T_tool
 
 
 def _own(own: Floats, fitted: Floats, state: str, turns: bool, reference: str) -> bool:
@@ -171,19 +171,30 @@ def _refuse_missing_columns(begin: Calibration, train: Observations) -> None:
 
 
 def _cross_validated(
-    begin: Calibration, train: Observations, folds: Folds, options: IdentifyOptions, tell: Progress
+    nominal: Calibration,
+    begin: Calibration,
+    train: Observations,
+    folds: Folds,
+    options: IdentifyOptions,
+    tell: Progress,
 ) -> dict[str, Errors]:
     """Errors on held-out poses, pooled over the folds."""
     shape = Measurement.of(train, begin.marker_points).marker_points
     parts: dict[str, list[Errors]] = {"nominal": [], "registration_only": [], "identified": []}
     for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
         tell(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
+        report = _within(tell, k, folds.folds)
         seen, unseen = Measurement.of(train.select(inside), shape), Measurement.of(train.select(outside), shape)
-        fit = estimate(begin, seen, options)
-        parts["nominal"].append(Errors.of(begin, unseen))
-        parts["registration_only"].append(Errors.of(registration_only(begin, seen, options.loss), unseen))
+        fit = estimate(begin, seen, options, report)
+        parts["nominal"].append(Errors.of(nominal, unseen))
+        parts["registration_only"].append(Errors.of(registration_only(nominal, seen, options.loss), unseen))
         parts["identified"].append(Errors.of(Calibration(fit.problem.model, fit.values, shape), unseen))
     return {name: Errors.concatenate(errors) for name, errors in parts.items()}
+
+
+def _within(tell: Progress, fold: int, folds: int) -> Progress:
+    """Progress of one fold as part of the whole."""
+    return lambda fraction, stage: tell(0.05 + 0.45 * (fold + fraction) / folds, f"fold {fold + 1} of {folds}, {stage}")
 
 
 def _metrics(train: dict[str, Errors], held: dict[str, Errors]) -> dict[str, Any]:

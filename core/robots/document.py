@@ -21,7 +21,9 @@ Document = Mapping[str, Any]
 
 
 def robot_from_document(document: Document) -> Robot:
-    """Build a robot from a document of convention ``chain``, ``dh``, ``mdh`` or ``preset`` (URDF is turned into ``chain`` before).
+    """Build a robot from a document of convention ``chain``, ``dh``, ``mdh`` or ``preset``.
+
+    URDF is turned into ``chain`` before.
 
     Fields of a ``preset`` document other than its name, base, tool and gravity come from the preset.
 
@@ -32,7 +34,9 @@ def robot_from_document(document: Document) -> Robot:
     convention = document.get("convention")
     if convention == "preset":
         base = preset_document(str(document.get("preset")))
-        return robot_from_document({**base, **{k: v for k, v in document.items() if v is not None and k in _OVERRIDABLE}})
+        return robot_from_document(
+            {**base, **{k: v for k, v in document.items() if v is not None and k in _OVERRIDABLE}}
+        )
     if convention == "chain":
         joints, chain, frames = _from_elements(document)
     elif convention in ("dh", "mdh"):
@@ -106,7 +110,9 @@ def _row(row: Document) -> Row:
 def _from_elements(document: Document) -> tuple[tuple[Joint, ...], Chain, tuple[int, ...]]:
     described: Sequence[Document] = document.get("joints") or ()
     elements: Sequence[Document] = document.get("elements") or ()
-    order = [str(j["name"]) for j in described] or list(dict.fromkeys(str(e["joint"]) for e in elements if e.get("joint")))
+    order = [str(j["name"]) for j in described] or list(
+        dict.fromkeys(str(e["joint"]) for e in elements if e.get("joint"))
+    )
     if not order:
         raise RobotError("A robot of convention chain needs elements, at least one with a joint.", field="elements")
     seen: set[str] = set()
@@ -126,7 +132,8 @@ def _element(k: int, element: Document, order: Sequence[str], seen: set[str]) ->
         axis = Axis[str(element["axis"]).upper()]
     except KeyError:
         raise RobotError(
-            f"elements[{k}] has axis {element.get('axis')!r}: give Rx, Ry, Rz, Tx, Ty or Tz.", field=f"elements[{k}].axis"
+            f"elements[{k}] has axis {element.get('axis')!r}: give Rx, Ry, Rz, Tx, Ty or Tz.",
+            field=f"elements[{k}].axis",
         ) from None
     value = float(element.get("value") or 0.0)
     joint = element.get("joint")
@@ -154,7 +161,7 @@ def _default_name(k: int, axis: Axis, joint: str | None, order: Sequence[str], s
 def _links(links: Sequence[Document], frames: tuple[int, ...]) -> tuple[Link, ...]:
     if links and len(links) != len(frames):
         raise RobotError(
-            f"There are {len(links)} links for {len(frames)} joints: give one link per joint, with mass_kg 0 where it has none.",
+            f"There are {len(links)} links for {len(frames)} joints: give each joint one, with mass_kg 0 where it has none.",
             field="links",
         )
     return tuple(_link(i, link, frame) for i, (link, frame) in enumerate(zip(links, frames, strict=False)))

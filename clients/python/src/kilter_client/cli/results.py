@@ -86,7 +86,7 @@ def _parameters(parameters: list[Mapping[str, Any]]) -> None:
             number(p["value"], 7),
             number(p.get("sigma"), 2),
             str(p.get("unit", "")),
-            "" if p.get("identifiable", True) else "not identifiable: left where it was",
+            "" if p.get("identifiable", True) else "not identifiable: these poses do not tell it apart",
         )
         for p in parameters
     ]
