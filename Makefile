@@ -8,7 +8,7 @@ IMAGE ?= kilter
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check bench bench-stream blind image fmt clean
+.PHONY: help setup demo serve test check bench bench-peers bench-stream blind image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -40,7 +40,16 @@ check: $(KERNELS) ## style, types, import rules
 	$(BIN)/python -m pytest -q tests/contract/test_layout.py tests/contract/test_docs.py tests/contract/test_openapi.py
 
 bench: $(KERNELS) ## measure speed against other tools and print the ratios
-	$(BIN)/python -m pytest -m bench -s tests/bench
+	$(BIN)/python -m benchmarks.core
+
+bench-peers: .venv-peers/.ready ## install the tools that make bench compares with, in an environment of their own
+
+# pybotics states numpy below 2 and FIGAROH needs 2; pybotics runs with either, so it is installed without its list.
+.venv-peers/.ready: benchmarks/peers-constraints.txt
+	[ -x .venv-peers/bin/python ] || "$(PYTHON)" -m venv .venv-peers
+	.venv-peers/bin/pip install --disable-pip-version-check -q --constraint benchmarks/peers-constraints.txt figaroh attrs scipy
+	.venv-peers/bin/pip install --disable-pip-version-check -q --constraint benchmarks/peers-constraints.txt --no-deps pybotics
+	touch $@
 
 bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run
 	$(BIN)/python benchmarks/stream.py

@@ -121,9 +121,9 @@ def _exponential(xi, R, p, J):
 
 @njit(cache=True)
 def _left_jacobian(xi, J3, J6):
-    """Left Jacobian of SE(3) at xi, 6x6; the coupling block by its series, which 13 terms carry to 1e-16 below 1 rad.
+    """Left Jacobian of SE(3) at xi, 6x6; the coupling block by its series, 13 terms, 1e-16 below 1 rad.
 
-    The series of powers of the twist's bracket is taken row by row: a row times a cross-product matrix is a cross product.
+    The powers of the twist's bracket are taken row by row: a row times a cross-product matrix is a cross product.
     """
     for i in range(3):
         for j in range(3):
@@ -194,7 +194,7 @@ def screws(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, colu
     """As :func:`poses`, with the screw columns.
 
     ``column (E,)`` places element e in ``JE (N, 6, C)`` or leaves it out (-1); ``JQ (N, 6, n)`` is the derivative for
-    the joints, ``JX (N, 6, 6 S)`` for the twists (left out when it is empty). Rows 0-2 move the tool point, 3-5 turn it.
+    the joints, ``JX (N, 6, 6 S)`` for the twists (left out when empty). Rows 0-2 move the tool point, 3-5 turn it.
     """
     elements = axis.shape[0]
     slots = xi.shape[1]

@@ -17,7 +17,11 @@ KINDS = {
     "coupled": {"coupled": True},
     "both": {"prismatic": True, "coupled": True},
 }
-ARMS = [pytest.param(kind, n, seed, id=f"{kind}-{n}-{seed}") for kind in KINDS for n, seed in ((2, 0), (5, 1), (6, 2), (7, 3))]
+ARMS = [
+    pytest.param(kind, n, seed, id=f"{kind}-{n}-{seed}")
+    for kind in KINDS
+    for n, seed in ((2, 0), (5, 1), (6, 2), (7, 3))
+]
 
 
 def arm_and_rows(kind: str, n: int, seed: int) -> tuple[Arm, np.ndarray]:

@@ -104,7 +104,9 @@ def test_wanted_frames_are_those_of_the_measurements_when_the_robot_s_own_are_un
     errors = table_errors(nominal, rng)
     base, off = some_pose(rng, 3.0), small_pose(rng, 5e-4, 5e-4)
     calibration = knowing(nominal, errors)
-    seen = replace(calibration, model=replace(calibration.model, T_base=(base * off).homogeneous), wanted_base=base.homogeneous)
+    seen = replace(
+        calibration, model=replace(calibration.model, T_base=(base * off).homogeneous), wanted_base=base.homogeneous
+    )
     q = reachable(nominal, rng, 6, 30)
     result = correct(seen, q, options=FREE)
     true = replace(nominal.moved(errors), base=base * off)

@@ -87,7 +87,9 @@ def test_mdh_is_rx_tx_rz_tz_and_hayati_puts_ry_after_rx() -> None:
             theta = math.radians(row["theta_offset_deg"]) + (0.0 if slides else q)
             d = row["d_mm"] * 1e-3 + (q if slides else 0.0)
             tilt = ry(math.radians(row.get("beta_deg", 0.0)))
-            T = T @ product(rx(math.radians(row["alpha_deg"])), tilt, shift(x=row["a_mm"] * 1e-3), rz(theta), shift(z=d))
+            T = T @ product(
+                rx(math.radians(row["alpha_deg"])), tilt, shift(x=row["a_mm"] * 1e-3), rz(theta), shift(z=d)
+            )
         return T
 
     assert_same(robot_from_document({"convention": "mdh", "rows": rows}), by_hand)

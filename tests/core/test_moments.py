@@ -14,7 +14,7 @@ from core.moments import axial_loads, joint_loads, payload_sensitivity
 from core.observations import Observations
 from core.robot import Robot
 from core.robots import preset_document, robot_from_document
-from tests.core.truth import Arm, Body, Step, some_arm, ur10, with_bodies
+from tests.core.truth import UR10_ROWS, Arm, Body, Step, some_arm, ur10, with_bodies
 
 KINDS = {"revolute": {}, "prismatic": {"prismatic": True}, "coupled": {"coupled": True}}
 CASES = [pytest.param(kind, n, seed, id=f"{kind}-{n}-{seed}") for kind in KINDS for n, seed in ((3, 1), (6, 2), (7, 3))]
@@ -93,8 +93,8 @@ def test_links_of_a_table_of_rows_stand_in_their_row_s_frame() -> None:
     bodies = []
     for j, link in enumerate(document["links"]):
         # The row's frame follows Tx(a) Rx(alpha) after the joint; carry the centre of mass back to the joint.
-        _, a, alpha = ((0.1273, 0.0, 90.0), (0.0, -0.612, 0.0), (0.0, -0.5723, 0.0), (0.163941, 0.0, 90.0), (0.1157, 0.0, -90.0), (0.0922, 0.0, 0.0))[j]  # fmt: skip
-        back = pin.SE3(pin.exp3(np.array([np.radians(alpha), 0.0, 0.0])), np.array([a, 0.0, 0.0]))
+        _, a, alpha = UR10_ROWS[j]
+        back = pin.SE3(pin.exp3(np.array([alpha, 0.0, 0.0])), np.array([a, 0.0, 0.0]))
         bodies.append(Body(j, link["mass_kg"], back.act(np.array(link["com_mm"]) * 1e-3)))
     arm, robot = ur10(bodies=tuple(bodies)), robot_from_document(document)
     q = np.random.default_rng(6).uniform(-3.0, 3.0, (ROWS, 6))
@@ -138,7 +138,7 @@ def test_a_katana_stretched_out_droops_at_every_bending_joint() -> None:
     robot = robot_from_document(preset_document("katana450-chapter5"))
     q = np.zeros((1, 5))
     loads = axial_loads(robot, joint_loads(robot, q))[0]
-    # By hand: mass times horizontal distance of each centre of mass, tables 4.1 and 4.2; links 4 and 5 stand at the wrist.
+    # By hand: mass times horizontal distance of each centre, tables 4.1 and 4.2; links 4 and 5 stand at the wrist.
     links = ((1.03, 0.100), (0.9, 0.190 + 0.104), (1.0, 0.329), (0.8, 0.329))
     for joint, x, carried in ((1, 0.0, links), (2, 0.190, links[1:])):
         assert loads[joint] == pytest.approx(-9.80665 * sum(m * (at - x) for m, at in carried), abs=1e-12)

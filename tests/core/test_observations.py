@@ -15,12 +15,13 @@ def rows(count: int = 6, **columns: np.ndarray) -> Observations:
 
 
 def test_selecting_takes_every_column() -> None:
-    o = rows(sigma=np.arange(18.0).reshape(6, 3))
+    sigma = np.arange(18.0).reshape(6, 3)
+    o = rows(sigma=sigma)
     for index in (np.array([4, 1]), np.array([False, True, False, False, True, False]), slice(1, 5, 3)):
         part = o.select(index)
         assert len(part) == 2
         np.testing.assert_array_equal(part.q, o.q[index])
-        np.testing.assert_array_equal(part.sigma, o.sigma[index])
+        np.testing.assert_array_equal(part.sigma, sigma[index])
         assert part.rotation is None
 
 
@@ -34,6 +35,8 @@ def test_campaigns_stack_in_order() -> None:
     a, b = rows(4), rows(3)
     both = Observations.concatenate([a, b])
     np.testing.assert_array_equal(both.q, np.vstack([a.q, b.q]))
+    assert a.position is not None
+    assert b.position is not None
     np.testing.assert_array_equal(both.position, np.vstack([a.position, b.position]))
 
 

@@ -23,7 +23,9 @@ def drawn(arm: Arm) -> RobotModel:
     return RobotModel(robot_from_document(nowhere.document()))
 
 
-def registered(arm: Arm, see: str, noise_m: float = 0.0, count: int = 20, **options: Any) -> tuple[np.ndarray, np.ndarray]:
+def registered(
+    arm: Arm, see: str, noise_m: float = 0.0, count: int = 20, **options: Any
+) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(5)
     model = drawn(arm)
     measurement = Measurement.of(measured(arm, joints(arm, count, rng), rng, noise_m, see))

@@ -182,12 +182,14 @@ class Arm:
     def document(self) -> dict[str, Any]:
         """The arm as a robot document of convention ``chain`` (mm, degrees)."""
         kinds = ["deg" if self.moving[self.first_of(j)].axis[0] == "r" else "mm" for j in range(self.n)]
-        joints = [{"name": f"j{j + 1}", f"limits_{kind}": [self.wire(kind, b) for b in self.limits]} for j, kind in enumerate(kinds)]
+        joints = [
+            {"name": f"j{j + 1}", f"limits_{kind}": [self.wire(kind, b) for b in self.limits]}
+            for j, kind in enumerate(kinds)
+        ]
         links = []
         for j in range(self.n if self.bodies else 0):
             body = next((b for b in self.bodies if b.joint == j), Body(j, 0.0, np.zeros(3)))
-            I = body.inertia
-            inertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
+            inertia = [body.inertia[i, k] for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
             links.append({"mass_kg": body.mass, "com_mm": list(1e3 * body.com), "inertia_kg_m2": inertia})
         return {
             "name": "arm", "convention": "chain", "joints": joints, "links": links,
@@ -232,7 +234,7 @@ def _unit(rng: np.random.Generator) -> Floats:
 
 
 def some_arm(rng: np.random.Generator, n: int, *, prismatic: bool = False, coupled: bool = False) -> Arm:
-    """A random arm: any axes, either sense of turning, and where asked sliding joints and joints that drive two steps."""
+    """A random arm: any axes, either sense of turning; where asked, sliding joints and joints that drive two steps."""
     steps: list[Step] = []
 
     def fixed(count: int) -> None:
@@ -246,7 +248,9 @@ def some_arm(rng: np.random.Generator, n: int, *, prismatic: bool = False, coupl
         ratio = float(rng.choice([-1.0, 1.0]))
         steps.append(Step(kind + rng.choice(list("xyz")), rng.uniform(-0.2, 0.2), j, ratio, f"p{len(steps)}"))
         if coupled and j > 0:
-            steps.append(Step("r" + rng.choice(list("xyz")), 0.1, j - 1, -0.3 if kind == "r" else 0.7, f"p{len(steps)}"))
+            steps.append(
+                Step("r" + rng.choice(list("xyz")), 0.1, j - 1, -0.3 if kind == "r" else 0.7, f"p{len(steps)}")
+            )
     fixed(3)
     return Arm(tuple(steps), n, some_pose(rng, 3.0), some_pose(rng, 0.3))
 
@@ -289,5 +293,7 @@ def with_hidden_errors(arm: Arm, rng: np.random.Generator, metres: float = 5e-4,
         steps.append(step)
         if step.joint is not None:
             for axis in ("tx", "ty", "tz", "rx", "ry", "rz"):
-                steps.append(Step(axis, rng.normal(0.0, metres if axis[0] == "t" else radians), name=f"hidden{len(steps)}"))
+                steps.append(
+                    Step(axis, rng.normal(0.0, metres if axis[0] == "t" else radians), name=f"hidden{len(steps)}")
+                )
     return replace(arm, steps=tuple(steps))

@@ -24,14 +24,16 @@ TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.02, 0.10]))
 
 
 def rms_per_axis(metrics: dict[str, Any], side: str = "validation", stage: str = "identified") -> float:
-    return float(metrics[side][stage]["rms_mm"]) * 1e-3 / np.sqrt(3.0)
+    return float(metrics[side][stage]["rms_mm"] * 1e-3 / np.sqrt(3.0))
 
 
 def somewhere(seed: int, **options: Any) -> tuple[Robot, Arm, np.random.Generator]:
     """A UR10 with 36 hidden errors that stands and holds its tool somewhere unknown, and its drawing."""
     rng = np.random.default_rng(seed)
     nominal = ur10()
-    true = replace(with_hidden_errors(nominal, rng, **options), base=some_pose(rng, 4.0), tool=TOOL * small_pose(rng, 0.02, 0.2))
+    true = replace(
+        with_hidden_errors(nominal, rng, **options), base=some_pose(rng, 4.0), tool=TOOL * small_pose(rng, 0.02, 0.2)
+    )
     return robot_from_document(nominal.document()), true, rng
 
 
@@ -83,7 +85,9 @@ def scores(seed: int, see: str = "position") -> NDArray[np.float64]:
     robot, true, errors, rng = fixed_frames(seed)
     result = identify(robot, measured(true, joints(true, 60, rng), rng, NOISE, see), None, FIXED)
     model = result.calibration.model
-    wrong = np.array([result.calibration.values[model.names.index(n)] - model.parameter(n).value - errors[n] for n in errors])
+    wrong = np.array(
+        [result.calibration.values[model.names.index(n)] - model.parameter(n).value - errors[n] for n in errors]
+    )
     assert tuple(errors) == result.free_names
     prior = result.fit.problem.prior_sigma
     variance, directions = np.linalg.eigh(result.covariance / np.outer(prior, prior))
@@ -185,7 +189,7 @@ def test_a_fraction_or_folds_hold_out_the_same_truth(validation: float | Folds) 
 def test_too_few_poses_are_refused_with_the_number_needed() -> None:
     robot, true, _, rng = fixed_frames(18)
     q = np.repeat(joints(true, 8, rng), 10, axis=0)  # ten repeats do not make a pose ten poses
-    with pytest.raises(TooFewPosesError, match="8 distinct poses.*at least 9 poses") as refused:
+    with pytest.raises(TooFewPosesError, match=r"8 distinct poses.*at least 9 poses") as refused:
         identify(robot, measured(true, q, rng, NOISE), None, FIXED)
     assert refused.value.context == {"poses": 8, "needed": 9, "free": 26}
 
@@ -225,9 +229,16 @@ def test_a_tool_point_on_the_last_axis_leaves_orientation_alone() -> None:
         mount = np.mean(predicted.transpose(0, 2, 1) @ rotation, axis=0)
         U, _, Vt = np.linalg.svd(mount)
         best = predicted @ (U @ Vt)
-        return float(np.degrees(np.mean([np.linalg.norm(pin.log3(a @ b.T)) for a, b in zip(best, rotation, strict=True)])))
+        return float(
+            np.degrees(np.mean([np.linalg.norm(pin.log3(a @ b.T)) for a, b in zip(best, rotation, strict=True)]))
+        )
 
-    registered = identify(robot_from_document(nominal.document()), Observations(q, position=position), None, IdentifyOptions(free=("theta_offset_1",)))
+    registered = identify(
+        robot_from_document(nominal.document()),
+        Observations(q, position=position),
+        None,
+        IdentifyOptions(free=("theta_offset_1",)),
+    )
     before = turned(registered.calibration.predict(Observations(q)).rotation)
     after = turned(result.calibration.predict(Observations(q)).rotation)
     assert after < before + 0.02
@@ -254,7 +265,8 @@ def test_sigma_columns_weigh_the_rows() -> None:
     position = true.poses(q)[0] + rng.normal(size=(120, 3)) * sigma
     clean = Observations(held, position=true.poses(held)[0])
     told, untold = (
-        rms_per_axis(identify(robot, Observations(q, position=position, sigma=s), clean, FIXED).metrics) for s in (sigma, None)
+        rms_per_axis(identify(robot, Observations(q, position=position, sigma=s), clean, FIXED).metrics)
+        for s in (sigma, None)
     )
     assert told < untold / 4.0
     assert told < 2e-5

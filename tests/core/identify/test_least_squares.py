@@ -36,7 +36,9 @@ def problem(see: str, loss: str = "linear", seed: int = 0) -> tuple[Problem, Flo
     return Problem(model, measurement, free, Weights(NOISE, NOISE), loss), model.values0(), nominal
 
 
-@pytest.mark.parametrize(("see", "loss"), [("position", "linear"), ("pose", "linear"), ("markers", "linear"), ("position", "huber")])
+@pytest.mark.parametrize(
+    ("see", "loss"), [("position", "linear"), ("pose", "linear"), ("markers", "linear"), ("position", "huber")]
+)
 def test_the_minimum_is_scipy_s(see: str, loss: str) -> None:
     task, start, _ = problem(see, loss)
     fit = solve(task, start)
@@ -46,7 +48,9 @@ def test_the_minimum_is_scipy_s(see: str, loss: str) -> None:
         values[task.free] = task.prior_mean + x * task.prior_sigma
         return np.concatenate([task.whitened(values), x])
 
-    theirs = scipy.optimize.least_squares(residuals, np.zeros(len(task.free)), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    theirs = scipy.optimize.least_squares(
+        residuals, np.zeros(len(task.free)), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15
+    )
     assert fit.cost == pytest.approx(theirs.cost, rel=1e-8)
     assert fit.cost <= theirs.cost * (1.0 + 1e-10)
     apart = (fit.values[task.free] - task.prior_mean - theirs.x * task.prior_sigma) / fit.sigma
@@ -56,12 +60,12 @@ def test_the_minimum_is_scipy_s(see: str, loss: str) -> None:
 def test_the_minimum_is_scipy_s_with_residuals_of_pinocchio() -> None:
     task, start, nominal = problem("position")
     fit = solve(task, start)
-    o = task.measurement.observations
-    assert o.position is not None
+    q, position = task.measurement.observations.q, task.measurement.observations.position
+    assert position is not None
 
     def residuals(x: Floats) -> Floats:
         arm = nominal.moved(dict(zip(fit.names, x * task.prior_sigma, strict=True)))
-        return np.concatenate([((o.position - arm.poses(o.q)[0]) / NOISE).reshape(-1), x])
+        return np.concatenate([((position - arm.poses(q)[0]) / NOISE).reshape(-1), x])
 
     theirs = scipy.optimize.least_squares(residuals, np.zeros(len(fit.names)), xtol=1e-13, ftol=1e-13)
     assert fit.cost == pytest.approx(theirs.cost, rel=1e-8)
@@ -97,7 +101,9 @@ def test_the_covariance_is_the_inverse_of_the_normal_matrix_with_the_priors() ->
     task, start, _ = problem("pose")
     fit = solve(task, start)
     expected = np.linalg.inv(fit.J.T @ fit.J + np.diag(1.0 / task.prior_sigma**2))
-    np.testing.assert_allclose(fit.covariance / np.outer(fit.sigma, fit.sigma), expected / np.outer(fit.sigma, fit.sigma), atol=1e-6)
+    np.testing.assert_allclose(
+        fit.covariance / np.outer(fit.sigma, fit.sigma), expected / np.outer(fit.sigma, fit.sigma), atol=1e-6
+    )
     assert fit.effective == pytest.approx(np.trace(fit.J @ fit.covariance @ fit.J.T), rel=1e-9)
 
 

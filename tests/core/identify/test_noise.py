@@ -13,14 +13,20 @@ def test_repeats_give_the_noise_whatever_the_model() -> None:
     rng = np.random.default_rng(0)
     ids = np.repeat(np.arange(400), rng.integers(1, 5, 400))
     places = rng.uniform(-1.0, 1.0, (400, 3))
-    o = Observations(ids[:, None] * 0.01, position=places[ids] + rng.normal(0.0, 3e-5, (len(ids), 3)), pose_id=ids)
+    o = Observations(
+        np.asarray(ids[:, None] * 0.01, dtype=np.float64),
+        position=places[ids] + rng.normal(0.0, 3e-5, (len(ids), 3)),
+        pose_id=ids,
+    )
     assert repeat_sigma(o) == pytest.approx(3e-5, rel=0.05)
 
 
 def test_the_estimate_is_unbiased_with_two_repeats_each() -> None:
     rng = np.random.default_rng(1)
     ids = np.repeat(np.arange(2000), 2)
-    o = Observations(ids[:, None] * 0.01, position=rng.normal(0.0, 1.0, (4000, 3)), pose_id=ids)
+    o = Observations(
+        np.asarray(ids[:, None] * 0.01, dtype=np.float64), position=rng.normal(0.0, 1.0, (4000, 3)), pose_id=ids
+    )
     assert repeat_sigma(o) == pytest.approx(1.0, rel=0.03)
 
 

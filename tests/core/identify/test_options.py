@@ -47,7 +47,7 @@ def test_base_and_tool_come_as_the_measurement_sees_them() -> None:
 
 
 def test_patterns_free_and_fix() -> None:
-    held = {"base": "fixed", "tool": "fixed"}
+    held: dict[str, Any] = {"base": "fixed", "tool": "fixed"}
     assert freed(free=("theta_offset_[23]", "a_2"), **held) == {"theta_offset_2", "theta_offset_3", "a_2"}
     assert not any(name.startswith("alpha") for name in freed(fix=("alpha_*",), **held))
     assert freed(free=("d_*",), fix=("d_1",), **held) == {f"d_{j}" for j in range(2, 7)}

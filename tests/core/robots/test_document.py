@@ -13,7 +13,11 @@ from core.robots import preset_document, robot_from_document
 
 CHAIN: dict[str, Any] = {
     "convention": "chain",
-    "elements": [{"axis": "Rz", "joint": "a"}, {"axis": "Tx", "value": 100, "name": "reach"}, {"axis": "Tz", "joint": "b"}],
+    "elements": [
+        {"axis": "Rz", "joint": "a"},
+        {"axis": "Tx", "value": 100, "name": "reach"},
+        {"axis": "Tz", "joint": "b"},
+    ],
 }
 
 

@@ -1,0 +1,88 @@
+"""Identify 24 geometric parameters from 118 positions: Kilter beside pybotics and FIGAROH on the same data.
+
+The peers run in an environment of their own, .venv-peers, made by ``make bench-peers``; without it they are left out.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.campaign import TOOL_MM, UR10, Campaign, campaign
+from benchmarks.table import Line, best_of
+from core.identify import IdentifyOptions, identify
+from core.observations import Observations
+from core.robot import Robot
+from core.robots import robot_from_document
+
+HERE = Path(__file__).resolve().parent
+PEERS = {"pybotics": 1000, "figaroh": 200}  # times faster than each that Kilter should be
+ROUNDS = 20
+
+
+def robot() -> Robot:
+    """The nominal arm; the rotations that Kilter adds for parallel axes are held, so that it fits the same 24."""
+    rows = [
+        {"alpha_deg": np.degrees(alpha), "a_mm": a, "theta_offset_deg": np.degrees(theta), "d_mm": d}
+        for alpha, a, theta, d in UR10
+    ]
+    x, y, z = TOOL_MM
+    return robot_from_document({"convention": "mdh", "rows": rows, "tool": {"x_mm": x, "y_mm": y, "z_mm": z}})
+
+
+def of_kilter(data: Campaign) -> dict[str, Any]:
+    """Seconds of a whole identification (registration, fit, metrics, null directions) and its held-out error."""
+    arm, options = robot(), IdentifyOptions(base="fixed", tool="fixed", fix=("beta_*",))
+    train = Observations(data.q, position=data.position * 1e-3)
+    held = Observations(data.q_held, position=data.position_held * 1e-3)
+    result = identify(arm, train, held, options)
+    return {
+        "seconds": best_of(lambda: identify(arm, train, None, options), ROUNDS),
+        "parameters": len(result.free_names),
+        "held_out_mm": result.metrics["validation"]["identified"]["mean_mm"],
+    }
+
+
+def of_peer(name: str, data: Campaign) -> dict[str, Any] | None:
+    """What a peer's own script prints; None without the peers' environment."""
+    python = HERE.parent / ".venv-peers" / "bin" / "python"
+    if not python.exists():
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "campaign.npz"
+        data.save(path)
+        run = subprocess.run(
+            [python, "-W", "ignore", HERE / "peers" / f"{name}_identify.py", path],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    found: dict[str, Any] = json.loads(run.stdout.splitlines()[-1])
+    return found
+
+
+def lines() -> list[Line]:
+    """Kilter's time and error, and each peer's with the ratio."""
+    data = campaign()
+    mine = of_kilter(data)
+    out = [Line("identify, 118 positions: kilter", _text(mine))]
+    for name, target in PEERS.items():
+        theirs = of_peer(name, data)
+        if theirs is None:
+            out.append(Line(f"identify, 118 positions: {name}", "not installed: make bench-peers"))
+            continue
+        ratio = theirs["seconds"] / mine["seconds"]
+        out.append(Line(f"identify, 118 positions: {name}", _text(theirs)))
+        out.append(Line(f"  kilter is faster than {name} by", f"{ratio:.0f} x", f">= {target} x", ratio >= target))
+        better = theirs["held_out_mm"] / mine["held_out_mm"]
+        out.append(Line(f"  held-out error of {name} over kilter's", f"{better:.2f}", ">= 1", better >= 1.0))
+    return out
+
+
+def _text(found: dict[str, Any]) -> str:
+    return f"{found['seconds'] * 1e3:.1f} ms, {found['parameters']} parameters, held-out {found['held_out_mm']:.4f} mm"
