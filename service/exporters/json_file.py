@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-from typing import Any
 
-from service.versions.schemas import Version
+from service.exporters.exportable import Exportable, Written
 
 
-def json_file(robot: dict[str, Any], version: Version, calibration: dict[str, Any]) -> str:
+def json_file(version: Exportable) -> Written:
     """Write the document; floating-point numbers keep all their digits."""
     document = {
         "format": "kilter-version/1",
-        "robot": robot,
-        "version": version.model_dump(mode="json"),
-        "calibration_si": calibration,
+        "robot": version.robot,
+        "version": version.version.model_dump(mode="json"),
+        "calibration_si": version.document,
     }
-    return json.dumps(document, indent=1)
+    return Written(json.dumps(document, indent=1))

@@ -2,33 +2,48 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from importlib import import_module
+from typing import NamedTuple
 
 from service.errors import ServiceError
-from service.exporters.json_file import json_file
-from service.versions.schemas import Version
-
-Exporter = Callable[[dict[str, Any], Version, dict[str, Any]], str]
+from service.exporters.exportable import Exportable, Written
 
 
 class Exported(NamedTuple):
-    """A file: its text, media type and name."""
+    """A file: its text, media type and name, and what it leaves out."""
 
     text: str
     media_type: str
     name: str
+    notes: tuple[str, ...]
 
 
-# format -> exporter, media type, file suffix
-FORMATS: Mapping[str, tuple[Exporter, str, str]] = {"json": (json_file, "application/json", "json")}
+class Format(NamedTuple):
+    """Where the exporter is (its module imports numpy and scipy: not at the start of the API process), and its files."""
+
+    exporter: str
+    media_type: str
+    suffix: str
 
 
-def export(name: str, robot: dict[str, Any], version: Version, calibration: dict[str, Any]) -> Exported:
+FORMATS: Mapping[str, Format] = {
+    "json": Format("json_file.json_file", "application/json", "json"),
+    "urdf": Format("urdf_file.urdf_file", "application/xml", "urdf"),
+    "dh-csv": Format("table_csv.dh_csv", "text/csv", "dh.csv"),
+    "mdh-csv": Format("table_csv.mdh_csv", "text/csv", "mdh.csv"),
+    "ur-yaml": Format("ur_yaml.ur_yaml", "application/yaml", "yaml"),
+    "matlab": Format("matlab.matlab", "text/plain", "m"),
+}
+
+
+def export(name: str, version: Exportable) -> Exported:
     """Export a version.
 
     Raises:
         ServiceError: there is no such format.
+        RobotError: the format cannot say what the robot is.
 
     """
     if name not in FORMATS:
@@ -37,5 +52,19 @@ def export(name: str, robot: dict[str, Any], version: Version, calibration: dict
             code="export_unavailable",
             formats=list(FORMATS),
         )
-    exporter, media_type, suffix = FORMATS[name]
-    return Exported(exporter(robot, version, calibration), media_type, f"{version.robot}-{version.id}.{suffix}")
+    form = FORMATS[name]
+    module, _, function = form.exporter.partition(".")
+    exporter: Callable[[Exportable], Written] = getattr(import_module(f"service.exporters.{module}"), function)
+    written = exporter(version)
+    return Exported(written.text, form.media_type, _file_name(version, form.suffix), written.notes)
+
+
+def _file_name(version: Exportable, suffix: str) -> str:
+    plain = f"{version.version.robot}-{version.version.id}"
+    return f"{program_name(plain)}.m" if suffix == "m" else f"{plain}.{suffix}"
+
+
+def program_name(text: str) -> str:
+    """Return a name that MATLAB takes for a function."""
+    name = re.sub(r"\W", "_", text, flags=re.ASCII)
+    return name if name[0].isalpha() else f"robot_{name}"

@@ -27,9 +27,11 @@ class UrdfImport:
 
     ``held_joints`` move links outside the chain: they are held at zero, their links' masses are part of the arm.
     ``ignored_masses`` are links behind a mimic joint, which has no link of its own in a robot document.
+    ``joint_ends`` has, for every joint of the path in order, how many elements lead to its child link.
     """
 
     document: Item
+    joint_ends: tuple[tuple[str, int], ...] = ()
     held_joints: tuple[str, ...] = ()
     ignored_masses: tuple[str, ...] = ()
 
@@ -57,9 +59,10 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
     """
     tree = parse(text)
     path = tree.path(base_link, tip_link)
-    chain = _Chain()
+    chain, ends = _Chain(), []
     for joint in path:
         _append(chain, joint)
+        ends.append((joint.name, len(chain.elements)))
     drivers = list(dict.fromkeys(joint.mimic.joint if joint.mimic else joint.name for joint in path if joint.moves))
     if not drivers:
         raise RobotError(f"No joint moves between {base_link!r} and {tip_link!r}.", field="tip_link")
@@ -74,6 +77,7 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
             "elements": chain.elements,
             "links": [_link(bodies[place][0]) for place in primary],
         },
+        joint_ends=tuple(ends),
         held_joints=_held(tree, path, base_link),
         ignored_masses=tuple(link for body, link in behind if body.mass > 0),
     )

@@ -50,7 +50,9 @@ def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
 
 @router.get("/versions/{version}/export", response_class=Response)
 def export(version: str, database: DatabaseOfApp, format: str = "json") -> Response:  # noqa: A002 (the contract's name)
-    """Download a version in the format of another tool."""
+    """Download a version in the format of another tool; the header Kilter-Notes says what the file leaves out."""
     file = service.exported(database, version, format)
     headers = {"Content-Disposition": f'attachment; filename="{file.name}"'}
+    if file.notes:
+        headers["Kilter-Notes"] = " | ".join(file.notes)
     return Response(file.text, media_type=file.media_type, headers=headers)

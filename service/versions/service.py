@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from service.db import Database, Session
 from service.errors import ServiceError
+from service.exporters.exportable import Exportable
 from service.exporters.registry import Exported, export
 from service.robots import store as robots
 from service.versions import store
@@ -127,4 +128,5 @@ def exported(database: Database, version_id: str, format_name: str) -> Exported:
     with database.transaction() as session:
         version = store.get(session, version_id)
         robot = robots.get(session, version.robot)
-        return export(format_name, robot.document, version, store.row_of(session, version_id).calibration)
+        document = store.row_of(session, version_id).calibration
+    return export(format_name, Exportable(robot.document, version, document))

@@ -1,0 +1,22 @@
+"""One arm in other words: joint axes (product of exponentials), DH and MDH tables, joint frames; the poses stay the same."""
+
+from core.conversions.frames import JointFrames, joint_frames, xyz_rpy
+from core.conversions.geometry import FlangeFrames, arm_screws, flange_frames, flange_screws, wanted_tool
+from core.conversions.screws import Screws, chain_frames, screws_of_chain
+from core.conversions.tables import Table, link_table
+
+__all__ = [
+    "FlangeFrames",
+    "JointFrames",
+    "Screws",
+    "Table",
+    "arm_screws",
+    "chain_frames",
+    "flange_frames",
+    "flange_screws",
+    "joint_frames",
+    "link_table",
+    "screws_of_chain",
+    "wanted_tool",
+    "xyz_rpy",
+]
