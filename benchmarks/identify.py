@@ -16,6 +16,9 @@ import numpy as np
 from benchmarks.campaign import TOOL_MM, UR10, Campaign, campaign
 from benchmarks.table import Line, best_of
 from core.identify import IdentifyOptions, identify
+from core.identify.estimate import estimate
+from core.measurement import Measurement
+from core.model import Calibration
 from core.observations import Observations
 from core.robot import Robot
 from core.robots import robot_from_document
@@ -36,13 +39,17 @@ def robot() -> Robot:
 
 
 def of_kilter(data: Campaign) -> dict[str, Any]:
-    """Seconds of a whole identification (registration, fit, metrics, null directions) and its held-out error."""
+    """Seconds of the fit alone, which is what the peers' times hold, and of all that `identify` does; held-out error.
+
+    The whole adds the fit of base and tool alone to compare with, metrics, null directions and noise.
+    """
     arm, options = robot(), IdentifyOptions(base="fixed", tool="fixed", fix=("beta_*",))
     train = Observations(data.q, position=data.position * 1e-3)
     held = Observations(data.q_held, position=data.position_held * 1e-3)
     result = identify(arm, train, held, options)
     return {
-        "seconds": best_of(lambda: identify(arm, train, None, options), ROUNDS),
+        "seconds": best_of(lambda: estimate(Calibration.nominal(arm), Measurement.of(train), options), ROUNDS),
+        "whole_seconds": best_of(lambda: identify(arm, train, None, options), ROUNDS),
         "parameters": len(result.free_names),
         "held_out_mm": result.metrics["validation"]["identified"]["mean_mm"],
     }
@@ -70,15 +77,25 @@ def lines() -> list[Line]:
     """Kilter's time and error, and each peer's with the ratio."""
     data = campaign()
     mine = of_kilter(data)
-    out = [Line("identify, 118 positions: kilter", _text(mine))]
+    out = [
+        Line("identify, 118 positions: kilter, the fit", _text(mine)),
+        Line("identify, 118 positions: kilter, with its report", f"{mine['whole_seconds'] * 1e3:.1f} ms"),
+    ]
     for name, target in PEERS.items():
         theirs = of_peer(name, data)
         if theirs is None:
             out.append(Line(f"identify, 118 positions: {name}", "not installed: make bench-peers"))
             continue
-        ratio = theirs["seconds"] / mine["seconds"]
+        ratio, whole = theirs["seconds"] / mine["seconds"], theirs["seconds"] / mine["whole_seconds"]
         out.append(Line(f"identify, 118 positions: {name}", _text(theirs)))
-        out.append(Line(f"  kilter is faster than {name} by", f"{ratio:.0f} x", f">= {target} x", ratio >= target))
+        out.append(
+            Line(
+                f"  kilter is faster than {name} by",
+                f"{ratio:.0f} x ({whole:.0f} x with its report)",
+                f">= {target} x",
+                ratio >= target,
+            )
+        )
         better = theirs["held_out_mm"] / mine["held_out_mm"]
         out.append(Line(f"  held-out error of {name} over kilter's", f"{better:.2f}", ">= 1", better >= 1.0))
     return out

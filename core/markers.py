@@ -14,9 +14,9 @@ Floats = NDArray[np.float64]
 def marker_shape(markers: Floats) -> Floats:
     """Common shape (m, 3) m of rigid marker sets (N, m, 3), in its own frame.
 
-    Origin at the mean marker, z normal to the first three, x along the line from their middle to marker 1. The shape is
-    the mean of all complete rows after a rigid alignment to each other (generalised Procrustes), so its noise is that of
-    one row over sqrt(N).
+    Origin at the mean marker, z normal to the first three, x along the line from their middle to marker 1. The shape
+    is the mean of all complete rows after a rigid alignment to each other (generalised Procrustes), so its noise is
+    that of one row over sqrt(N).
 
     Raises:
         ObservationError: no row shows every marker, fewer than three markers, or markers in one line.

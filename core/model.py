@@ -86,7 +86,7 @@ class RobotModel:
         """Look a parameter up by name; unknown names raise :class:`~core.errors.OptionError`."""
         return self.parameters[int(indices(self.names, [name])[0])]
 
-    @property
+    @cached_property
     def n_geometric(self) -> int:
         """Number of geometric parameters: base, chain and tool."""
         return len(self.robot.chain.named) + 12
@@ -97,6 +97,10 @@ class RobotModel:
 
     def effect_slices(self) -> dict[str, slice]:
         """Where the parameters of each effect stand, keyed by ``id`` or ``id#k`` for the k-th of a kind."""
+        return dict(self._slices)
+
+    @cached_property
+    def _slices(self) -> dict[str, slice]:
         out: dict[str, slice] = {}
         start = self.n_geometric
         for effect in self.effects:
@@ -241,7 +245,7 @@ class RobotModel:
         dq, stretch = np.zeros((rows, n)), None
         xi = np.zeros((0, n + 2, 6))
         parts = []
-        for effect, where in zip(self.effects, self.effect_slices().values(), strict=True):
+        for effect, where in zip(self.effects, self._slices.values(), strict=True):
             local = effect.local(batch, values[where])
             parts.append((where.start, local))
             dq = dq if local.dq is None else dq + local.dq
@@ -303,9 +307,9 @@ class RobotModel:
     def _twist_column(self, joint: int, xi: Floats, JX: Floats) -> Floats:
         n = self.robot.n_joints
         slot = {BASE: n, TOOL: n + 1}.get(joint, joint)
-        frame = self.robot.chain.program.joint_frame[slot] if slot < n else np.eye(3)
-        turned = (xi.reshape(-1, 2, 3) @ frame.T).reshape(-1, 6)
-        return np.asarray(np.matmul(JX[:, :, 6 * slot : 6 * slot + 6], turned[:, :, None])[:, :, 0])
+        if slot < n:
+            xi = (xi.reshape(-1, 2, 3) @ self.robot.chain.program.joint_frame[slot].T).reshape(-1, 6)
+        return np.asarray(np.einsum("nij,nj->ni", JX[:, :, 6 * slot : 6 * slot + 6], xi))
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,10 @@ class Observations:
 
     def pose_groups(self) -> Ints:
         """Number the poses, shape (N,): rows of one ``pose_id``, else rows with the same joint readings, share one."""
+        return self._groups
+
+    @cached_property
+    def _groups(self) -> Ints:
         if self.pose_id is not None:
             return np.unique(self.pose_id, return_inverse=True)[1].astype(np.int64)
         rounded = np.round(self.q / SAME_POSE_RAD).astype(np.int64)

@@ -24,6 +24,8 @@ def register(
     tool point t: M p + c - F t = f. M is then made a rotation. Orientation, when measured, gives the tool's turn as the
     mean of (R F)' R_measured. Frames that are not free (``base``, ``tool``) are kept as the model has them.
     """
+    if not (base or tool):
+        return model.T_base, model.T_tool
     position, rotation, use = _measured(measurement)
     T_base, T_tool = model.T_base.copy(), model.T_tool.copy()
     flange = _flange(model, values, measurement)

@@ -195,7 +195,7 @@ def _damped_step(
     for _ in range(25):
         damped = H.copy()
         damped.flat[:: len(H) + 1] += damping * diagonal
-        step = np.linalg.solve(damped, g)
+        step = np.asarray(np.linalg.solve(damped, g), dtype=np.float64)
         promised = float(step @ g)
         if promised < ROUNDING * (1.0 + loss):
             return None
