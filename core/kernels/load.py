@@ -98,10 +98,32 @@ def _in_frame(frame, origin, force, moment, out, t):
 
 
 @njit(cache=True)
+def _at_rest(R, p, w, dw, acc):
+    """Set a frame to the base frame at rest."""
+    for i in range(3):
+        p[i] = 0.0
+        w[i] = 0.0
+        dw[i] = 0.0
+        acc[i] = 0.0
+        for k in range(3):
+            R[i, k] = 1.0 if i == k else 0.0
+
+
+@njit(cache=True)
+def _next_joint(primary, i):
+    """Joint whose element follows that of joint i, -1 for the last; mimic elements can make it another than i + 1."""
+    found = -1
+    for k in range(primary.shape[0]):
+        if primary[k] > primary[i] and (found < 0 or primary[k] < primary[found]):
+            found = k
+    return found
+
+
+@njit(cache=True)
 def load_wrenches(
     axis, joint, ratio, value, primary, joint_frame, link_element, mass, com, inertia, gravity, tool,
     payload, payload_com, external, q, qd, qdd, out, end, base, point,
-):
+):  # fmt: skip
     """Load wrench (force N, moment N·m about the joint) on each joint in its joint frame.
 
     ``primary (n,)`` is the element of each joint, ``joint_frame (n, 3, 3)`` turns the frame after it so that z is the
@@ -136,13 +158,7 @@ def load_wrenches(
     for row in range(q.shape[0]):
         forces[:] = 0.0
         moments[:] = 0.0
-        w[:] = 0.0
-        dw[:] = 0.0
-        acc[:] = 0.0
-        p[:] = 0.0
-        for i in range(3):
-            for k in range(3):
-                R[i, k] = 1.0 if i == k else 0.0
+        _at_rest(R, p, w, dw, acc)
         for e in range(elements):
             j = joint[e]
             k = axis[e] % 3
@@ -186,9 +202,7 @@ def load_wrenches(
                 if link_element[b] == e:
                     _add_body(mass[b], com[b], R, p, w, dw, acc, gravity, forces[e], moments[e], r, f, t)
                     if moving:
-                        _add_inertia(
-                            inertia[b], R, w, dw, moments[e], scratch[0], scratch[1], scratch[2], scratch[3]
-                        )
+                        _add_inertia(inertia[b], R, w, dw, moments[e], scratch[0], scratch[1], scratch[2], scratch[3])
         _turn(R, tool_p, r)
         for i in range(3):
             flange[i] = p[i]
@@ -223,13 +237,6 @@ def load_wrenches(
             base[row, 3 + i] = moments[0, i]
         for i in range(n):
             _in_frame(frames[i], origins[i], forces[primary[i]], moments[primary[i]], out[row, i], t)
-            # The next joint along the chain, which mimic elements can put elsewhere than at i + 1.
-            following = elements
-            for k in range(n):
-                if primary[i] < primary[k] < following:
-                    following = primary[k]
-            where = flange
-            for k in range(n):
-                if primary[k] == following:
-                    where = feet[k]
+            k = _next_joint(primary, i)
+            where, following = (flange, elements) if k < 0 else (feet[k], primary[k])
             _in_frame(frames[i], where, forces[following], moments[following], end[row, i], t)
