@@ -6,7 +6,7 @@ guessed: without repeats the hunt goes on with the scatter of the fit itself, an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ Bools = NDArray[np.bool_]
 
 FEWEST = 3  # independent deviations below which repeats say too little
 SPIKE = 6.0  # robust standard deviations from its own repeats at which a row is a spike
+SPIKE_PASSES = 4
+FIT = "residuals of the fit"
 SMALLEST = 1e-9  # m or rad: keeps noise-free simulations solvable
 
 
@@ -46,17 +48,31 @@ class Noise:
 
 
 def spikes(residual: Floats, visits: Visits) -> Bools:
-    """Rows (N,) that stand far from the other rows of their own visit: three or more rows needed to tell which."""
-    middle = np.zeros_like(residual)
-    for v in np.flatnonzero(visits.count >= 3):
-        own = visits.visit == v
-        middle[own] = np.nanmedian(residual[own], axis=0)
-    told = (visits.count >= 3)[visits.visit]
-    if not told.any():
-        return told
-    size = np.abs(residual - middle)
-    scale = np.nanmedian(size[told], axis=0) / 0.6745 + SMALLEST
-    return np.asarray(told & (np.nan_to_num(size / scale).max(axis=1) > SPIKE))
+    """Rows (N,) that stand far from the mean of the other rows of their visit: three or more rows tell which.
+
+    The worst row of a visit only, then again without it: a spike pulls the mean that its neighbours are held against.
+    """
+    out = np.zeros(len(residual), dtype=bool)
+    r = np.nan_to_num(residual)
+    for _ in range(SPIKE_PASSES):
+        kept = ~out
+        count = np.bincount(visits.visit[kept], minlength=len(visits))
+        told = kept & (count[visits.visit] >= 3)
+        if not told.any():
+            break
+        sums = np.stack([np.bincount(visits.visit[kept], c[kept], len(visits)) for c in r.T], axis=1)
+        n = count[visits.visit][:, None].astype(np.float64)
+        others = (sums[visits.visit] - r) / np.maximum(n - 1.0, 1.0)
+        apart = (r - others) * np.sqrt(np.maximum(n - 1.0, 1.0) / n)
+        scale = np.median(np.abs(apart[told]), axis=0) / 0.6745 + SMALLEST
+        size = np.where(told, np.abs(apart / scale).max(axis=1), 0.0)
+        worst = np.full(len(visits), 0.0)
+        np.maximum.at(worst, visits.visit, size)
+        found = told & (size > SPIKE) & (size >= worst[visits.visit])
+        if not found.any():
+            break
+        out |= found
+    return out
 
 
 def repeat_noise(residual: Floats, visit_residual: Floats, visits: Visits, points: Floats | None) -> Noise | None:
@@ -76,15 +92,16 @@ def repeat_noise(residual: Floats, visit_residual: Floats, visits: Visits, point
     at = None if points is None else points
     rows_cov = _spread(within, k_within, None if at is None else at[visits.visit], at)
     if k_between < FEWEST:
-        return _noise(rows_cov * share[:, None, None], rows_cov.mean(axis=0), k_within, rows_cov, None)
+        # Rows of one visit say nothing of the next approach: their shape is used, their scale cannot be relied on.
+        made = _noise(rows_cov * share[:, None, None], rows_cov.mean(axis=0), k_within, rows_cov, None)
+        return replace(made, absolute=False, source="repeats within visits")
     if k_within < FEWEST:
         total = _spread(between, k_between, at, at)
         return _noise(total, total.mean(axis=0), k_between, None, total)
     extra = _positive(_shrunk(_second(between[0]), k_between) - np.mean(rows_cov * share[:, None, None], axis=0))
     visit = extra + rows_cov * share[:, None, None]
-    weight = np.trace(extra) / max(np.trace(visit.mean(axis=0)), 1e-300)
-    freedom = 1.0 / (weight**2 / k_between + (1.0 - weight) ** 2 / k_within)
-    return _noise(visit, extra + rows_cov.mean(axis=0), freedom, rows_cov, extra)
+    # The scale of the sum is that of the repeated approaches, however well the rows within a visit are known.
+    return _noise(visit, extra + rows_cov.mean(axis=0), k_between, rows_cov, extra)
 
 
 def stated_noise(sigma: Floats | float, visits: Visits, size: int) -> Noise:
@@ -105,7 +122,7 @@ def fit_noise(visit_residual: Floats, visits: Visits, used: Bools, lost: float) 
     robust = np.median(size, axis=0) / 0.6745 + SMALLEST
     inside = kept[(size / robust).max(axis=1) < SPIKE]
     cov = _shrunk(inside.T @ inside / max(len(inside) * (1.0 - lost), 1.0), len(inside))
-    return Noise(np.broadcast_to(cov, (len(visits), *cov.shape)).copy(), cov, 0.0, False, "residuals of the fit")
+    return Noise(np.broadcast_to(cov, (len(visits), *cov.shape)).copy(), cov, 0.0, False, FIT)
 
 
 def _noise(visit: Floats, row: Floats, vectors: float, within: Floats | None, between: Floats | None) -> Noise:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from core.errors import ObservationError, TooFewPosesError
 from core.gap.candidates import Library, library_of
-from core.gap.noise import Noise, fit_noise, repeat_noise, spikes, stated_noise
+from core.gap.noise import FIT, Noise, fit_noise, repeat_noise, spikes, stated_noise
 from core.gap.options import GapOptions
 from core.gap.outliers import outliers
 from core.gap.source import LinkSource, Source, ToolSource
@@ -153,6 +153,12 @@ class Workshop:
         if len(rows) > len(np.unique(visits.condition)):
             found = repeat_noise(_row_residual(source, values, rows), visit_residual, visits, points)
         if found is not None:
+            if not found.absolute:
+                self._warn(
+                    "no_re_approach",
+                    "Repeats were taken without leaving the pose, so how well the arm comes back is not known: every "
+                    "verdict is relative to the scatter of the fit. Approach ten poses anew three times each.",
+                )
             return found
         if visits.observations.sigma is not None and not linear:
             return stated_noise(visits.observations.sigma, visits, size)
@@ -183,7 +189,7 @@ class Workshop:
             f"{int(far.sum())} of {len(far)} visits could be explained by nothing in the library and were set aside.",
         )
         setting = replace(world.setting, used=~far)
-        if not setting.noise.absolute:
+        if setting.noise.source == FIT:
             lost = len(setting.source.prior_mean) / max(world.nu, 1.0)
             noise = fit_noise(setting.source.residual(world.values), visits, ~far, min(0.9, lost))
             setting = replace(setting, noise=noise)

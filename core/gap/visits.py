@@ -14,6 +14,8 @@ from core.transforms import nearest_rotation
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+PAUSE = 0.5  # of the usual time between poses, above which a repeat was approached anew
+
 
 @dataclass(frozen=True)
 class Visits:
@@ -36,12 +38,23 @@ def visits_of(rows: Observations) -> Visits:
     pose = rows.pose_groups()
     condition = _conditions(rows, pose)
     new = np.ones(len(rows), dtype=bool)
-    new[1:] = condition[1:] != condition[:-1]
+    new[1:] = (condition[1:] != condition[:-1]) | _left(rows, condition)
     visit = np.cumsum(new).astype(np.int64) - 1
     first = np.flatnonzero(new)
     count = np.bincount(visit)
     averaged = rows.select(first) if count.max() == 1 else _averaged(rows, visit, first, count)
     return Visits(averaged, visit, count, pose[first], condition[first])
+
+
+def _left(rows: Observations, condition: Ints) -> NDArray[np.bool_]:
+    """Where (N - 1,) the arm left the pose and came back although nothing else changed: the clock shows a long pause."""
+    if rows.t is None:
+        return np.zeros(max(len(rows) - 1, 0), dtype=bool)
+    pause = np.abs(np.diff(rows.t))
+    changed = condition[1:] != condition[:-1]
+    if not changed.any() or changed.all():
+        return np.zeros(len(pause), dtype=bool)
+    return np.asarray(pause > PAUSE * np.median(pause[changed]))
 
 
 def _conditions(rows: Observations, pose: Ints) -> Ints:
