@@ -24,7 +24,9 @@ from core.robot import Robot
 from core.robots import robot_from_document
 
 HERE = Path(__file__).resolve().parent
-PEERS = {"pybotics": 1000, "figaroh": 200}  # times faster than each that Kilter should be
+# Times faster than each that Kilter should be, and which of Kilter's times holds the like work: pybotics' time is its
+# optimiser alone; FIGAROH's also reads the rows, selects parameters and evaluates, so it meets the whole of `identify`.
+PEERS = {"pybotics": (1000, "seconds"), "figaroh": (200, "whole_seconds")}
 ROUNDS = 20
 
 
@@ -39,7 +41,7 @@ def robot() -> Robot:
 
 
 def of_kilter(data: Campaign) -> dict[str, Any]:
-    """Seconds of the fit alone, which is what the peers' times hold, and of all that `identify` does; held-out error.
+    """Seconds of the fit alone and of all that `identify` does; held-out error.
 
     The whole adds the fit of base and tool alone to compare with, metrics, null directions and noise.
     """
@@ -81,17 +83,17 @@ def lines() -> list[Line]:
         Line("identify, 118 positions: kilter, the fit", _text(mine)),
         Line("identify, 118 positions: kilter, with its report", f"{mine['whole_seconds'] * 1e3:.1f} ms"),
     ]
-    for name, target in PEERS.items():
+    for name, (target, like) in PEERS.items():
         theirs = of_peer(name, data)
         if theirs is None:
             out.append(Line(f"identify, 118 positions: {name}", "not installed: make bench-peers"))
             continue
-        ratio, whole = theirs["seconds"] / mine["seconds"], theirs["seconds"] / mine["whole_seconds"]
+        ratio = theirs["seconds"] / mine[like]
         out.append(Line(f"identify, 118 positions: {name}", _text(theirs)))
         out.append(
             Line(
                 f"  kilter is faster than {name} by",
-                f"{ratio:.0f} x ({whole:.0f} x with its report)",
+                f"{ratio:.0f} x",
                 f">= {target} x",
                 ratio >= target,
             )
