@@ -55,10 +55,13 @@ class JobKind:
 
     ``check`` refuses options at once, before the job is queued; it raises a CoreError. ``run`` computes: it gets
     ``progress(fraction, stage)``, which raises ``CancelledError`` when the job was cancelled, and must call it at
-    least once a second. Both import core inside, for the API process lists the kinds without it.
+    least once a second. Both import core inside, for the API process lists the kinds without it. ``version_option``
+    names the option that holds a version; ``needs_campaigns`` and ``takes_folds`` say what a request must and may have.
     """
 
     name: str
     check: Callable[[dict[str, Any]], None]
     run: Callable[[JobInput, Progress], JobOutput]
     version_option: str | None = None
+    needs_campaigns: bool = True
+    takes_folds: bool = True

@@ -8,9 +8,11 @@ from types import MappingProxyType
 from service.errors import ServiceError
 from service.jobs.kind import JobKind
 from service.jobs.kinds.evaluate import EVALUATE
+from service.jobs.kinds.gap import GAP
 from service.jobs.kinds.identify import IDENTIFY
+from service.jobs.kinds.plan import PLAN
 
-KINDS: Mapping[str, JobKind] = MappingProxyType({kind.name: kind for kind in (IDENTIFY, EVALUATE)})
+KINDS: Mapping[str, JobKind] = MappingProxyType({kind.name: kind for kind in (IDENTIFY, GAP, EVALUATE, PLAN)})
 
 
 def kind_of(name: str) -> JobKind:

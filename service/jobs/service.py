@@ -8,9 +8,10 @@ from service.campaigns import store as campaigns
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.jobs import store
+from service.jobs.kind import JobKind
 from service.jobs.queue import JobQueue
 from service.jobs.registry import kind_of
-from service.jobs.schemas import FINAL, Job, JobList, NewJob
+from service.jobs.schemas import FINAL, Folds, Job, JobList, NewJob
 from service.robots import store as robots
 from service.versions import store as versions
 
@@ -28,7 +29,7 @@ def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
     kind = kind_of(job.kind)
     with database.transaction() as session:
         robot_id = robots.get(session, job.robot).id
-        _check_campaigns(session, robot_id, job)
+        _check_campaigns(session, robot_id, job, kind)
         version = job.options.get(kind.version_option) if kind.version_option else None
         if version is not None:
             _check_version(session, robot_id, str(version))
@@ -42,7 +43,7 @@ def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
     return get(database, job_id)
 
 
-def _check_campaigns(session: Session, robot_id: int, job: NewJob) -> None:
+def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind) -> None:
     held = job.validation if isinstance(job.validation, list) else []
     for campaign in [*job.campaigns, *held]:
         if campaigns.row_of(session, campaign).robot_id != robot_id:
@@ -51,8 +52,15 @@ def _check_campaigns(session: Session, robot_id: int, job: NewJob) -> None:
                 code="campaigns_invalid",
                 campaign=campaign,
             )
-    if not job.campaigns:
+    if not job.campaigns and kind.needs_campaigns:
         raise ServiceError("The job names no campaign: give at least one in `campaigns`.", code="campaigns_invalid")
+    if isinstance(job.validation, Folds) and not kind.takes_folds:
+        raise ServiceError(
+            f"A {kind.name} job takes no folds: name campaigns in `validation`, give a fraction of the poses, or "
+            "nothing, and one pose after the other is held out.",
+            code="option_invalid",
+            option="validation",
+        )
     known = _hashes(session, job.campaigns)
     shared = sorted(set(known) & set(_hashes(session, held)))
     if shared:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
-
 from core.errors import OptionError
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
-from service.versions.schemas import CorrectionLimits
+from service.jobs.wire import version_limits
 
 if TYPE_CHECKING:
     from core.identify import IdentifyOptions
@@ -24,7 +22,7 @@ def check(options: dict[str, Any]) -> None:
 
     """
     _options(options).make_effects()
-    _limits(options)
+    version_limits(options.get(LIMITS))
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
@@ -44,7 +42,9 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     found = identify(job.robot, train, validation, _options(job.options), job.calibration, progress)
     report = found.to_document()
     covariance = {"names": list(found.free_names), "matrix": found.covariance.tolist(), "units": "SI"}
-    content = VersionContent(found.calibration.to_document(), report, covariance, _limits(job.options))
+    content = VersionContent(
+        found.calibration.to_document(), report, covariance, version_limits(job.options.get(LIMITS))
+    )
     return JobOutput(report, content)
 
 
@@ -56,15 +56,6 @@ def _options(options: dict[str, Any]) -> IdentifyOptions:
         return IdentifyOptions.from_document(own)
     except TypeError as error:
         raise OptionError(f"The options cannot be read: {error}.") from error
-
-
-def _limits(options: dict[str, Any]) -> CorrectionLimits:
-    try:
-        return CorrectionLimits.model_validate(options.get(LIMITS) or {})
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise OptionError(f"options.limits.{place}: {first['msg']}.", option=LIMITS) from error
 
 
 IDENTIFY = JobKind("identify", check, run, version_option=START)

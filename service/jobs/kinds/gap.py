@@ -1,0 +1,142 @@
+"""Job kind ``gap``: where the model is wrong, what is missing, and how sure that is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from core.errors import NotConvergedError, OptionError
+from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from service.jobs.pictures import pictures
+from service.jobs.wire import plain, version_limits
+
+if TYPE_CHECKING:
+    from core.gap import GapOptions, GapReport
+    from core.observations import Observations
+
+START, LIMITS = "start", "limits"
+STRANGE = "not_a_missing_effect"
+FOREIGN = (
+    "Where not even the geometry can be fitted this is not a missing effect: check that robot, tool, joint order, signs "
+    "and units are those of the campaign."
+)
+
+
+def check(options: dict[str, Any]) -> None:
+    """Refuse options that gap does not have.
+
+    Raises:
+        OptionError: one that does not exist or cannot be.
+
+    """
+    from core.effects import EFFECTS
+    from core.identify import IdentifyOptions
+
+    chosen = _options(options)
+    IdentifyOptions(free=chosen.free, fix=chosen.fix, base=chosen.base, tool=chosen.tool)
+    unknown = [effect for effect in chosen.effects if effect not in EFFECTS]
+    if unknown:
+        raise OptionError(f"There is no effect {unknown[0]!r}. There are: {', '.join(EFFECTS)}.", option="effects")
+    version_limits(options.get(LIMITS))
+
+
+def run(job: JobInput, progress: Progress) -> JobOutput:
+    """Hunt through all campaigns together; the version made holds the named effects and the geometry fitted with them."""
+    from core.gap import find_gap  # compiled kernels: only the worker needs them
+
+    options = _options(job.options)
+    train, held = _rows(job, options.seed)
+    progress(0.0, "fitting the geometry")
+    try:
+        report = find_gap(job.robot, train, options, job.calibration, held, progress)
+    except NotConvergedError as error:
+        raise NotConvergedError(f"{error.message} {FOREIGN}") from error
+    found = report.to_document()
+    result = plain({**found, "figures": pictures(found), "start": job.version_id, "version_id": None})
+    if any(warning["code"] == STRANGE for warning in report.warnings):
+        return JobOutput(result)
+    progress(0.98, "errors of the new version")
+    return JobOutput(result, _version(job, report, train, held))
+
+
+def _rows(job: JobInput, seed: int) -> tuple[Observations, Observations | None]:
+    from core.identify.holdout import split
+    from core.observations import Observations
+    from service.campaigns.store import numbered
+
+    if isinstance(job.validation, dict):
+        parts = numbered([*job.campaigns.values(), *job.validation.values()])
+        count = len(job.campaigns)
+        return Observations.concatenate(parts[:count]), Observations.concatenate(parts[count:])
+    rows = Observations.concatenate(numbered(job.campaigns.values()))
+    if not isinstance(job.validation, float):
+        return rows, None
+    inside, outside = split(rows, job.validation, seed)
+    return rows.select(inside), rows.select(outside)
+
+
+def _version(job: JobInput, report: GapReport, train: Observations, held: Observations | None) -> VersionContent:
+    covariance = _covariance(report)
+    document = {
+        "metrics": _metrics(report, train, held),
+        "parameters": _parameters(report, covariance),
+        "null_directions": [],
+        "noise_mm": report.gap.get("noise_mm"),
+        "warnings": list(report.warnings),
+    }
+    content = report.calibration.to_document()
+    return VersionContent(content, plain(document), covariance, version_limits(job.options.get(LIMITS)))
+
+
+def _metrics(report: GapReport, train: Observations, held: Observations | None) -> dict[str, Any]:
+    """Metrics block of identify; joint encoders have none, for the tool was not measured."""
+    from core.evaluate import evaluate
+
+    blocks = {"train": train} | ({} if held is None else {"validation": held})
+    seen = {name: rows for name, rows in blocks.items() if rows.position is not None or rows.markers is not None}
+    return {name: evaluate(report.calibration, rows) for name, rows in seen.items()}
+
+
+def _covariance(report: GapReport) -> dict[str, Any]:
+    """Variances of the named effects' parameters; the geometry's are those of an identification."""
+    amounts = [a for judged in report.effects for a in judged.evidence.amplitudes]
+    names = [report.library.parameters[a.column].name for a in amounts]
+    return {"names": names, "matrix": np.diag([a.sigma**2 for a in amounts]).tolist(), "units": "SI"}
+
+
+def _parameters(report: GapReport, covariance: dict[str, Any]) -> list[dict[str, Any]]:
+    from core.identify.report import WIRE
+
+    calibration = report.calibration
+    sigma = {name: float(np.sqrt(row[k])) for k, (name, row) in enumerate(_rows_of(covariance))}
+    out = []
+    for parameter, value in zip(calibration.model.parameters, calibration.values, strict=True):
+        unit, scale = WIRE.get(parameter.unit, (parameter.unit, 1.0))
+        spread = sigma.get(parameter.name)
+        out.append({
+            "name": parameter.name, "value": float(value) * scale, "unit": unit,
+            "sigma": None if spread is None else spread * scale, "identifiable": True,
+        })  # fmt: skip
+    return out
+
+
+def _rows_of(covariance: dict[str, Any]) -> list[tuple[str, list[float]]]:
+    return list(zip(covariance["names"], covariance["matrix"], strict=True))
+
+
+def _options(options: dict[str, Any]) -> GapOptions:
+    from core.gap import GapOptions
+
+    own = {key: value for key, value in options.items() if key not in (START, LIMITS)}
+    for name in ("effects", "free", "fix"):
+        names = own.get(name, [])
+        if not isinstance(names, list) or not all(isinstance(one, str) for one in names):
+            raise OptionError(f'{name} is {names!r}: give a list of names, as ["backlash"].', option=name)
+    try:
+        return GapOptions.from_document(own)
+    except TypeError as error:
+        raise OptionError(f"The options cannot be read: {error}.") from error
+
+
+GAP = JobKind("gap", check, run, version_option=START, takes_folds=False)

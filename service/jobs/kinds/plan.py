@@ -1,0 +1,144 @@
+"""Job kind ``plan``: poses to measure, for ISO 9283, to identify well, or to tell two effects apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from core.errors import OptionError
+from service.jobs.kind import JobInput, JobKind, JobOutput, Progress
+from service.jobs.poses import Pose, document_of
+from service.jobs.wire import plain
+
+if TYPE_CHECKING:
+    from core.effects import Effect
+
+PURPOSES = ("iso9283", "identify", "separate")
+METHODS = ("d_optimal", "iso9283")
+COUNTS = {"iso9283": 118, "identify": 60, "separate": 12}
+MOST_POSES = 2000
+OPTIONS = {"purpose", "method", "count", "effects", "seed", "noise_mm", "version"}
+NOISE_MM = 0.05  # of a coordinate, where neither repeats nor the request say it
+
+
+def check(options: dict[str, Any]) -> None:
+    """Refuse options that plan does not have.
+
+    Raises:
+        OptionError: one that does not exist or cannot be.
+
+    """
+    unknown = sorted(set(options) - OPTIONS)
+    if unknown:
+        raise OptionError(
+            f"plan has no option {unknown[0]!r}. It has: {', '.join(sorted(OPTIONS))}.", option=unknown[0]
+        )
+    _one_of("purpose", options.get("purpose"), PURPOSES)
+    _one_of("method", options.get("method", METHODS[0]), METHODS)
+    _whole("count", options.get("count", 1), 1, MOST_POSES)
+    _whole("seed", options.get("seed", 0), 0, 2**31)
+    noise = options.get("noise_mm", NOISE_MM)
+    if not isinstance(noise, int | float) or not noise > 0:
+        raise OptionError("noise_mm must be above 0: it is a standard deviation.", option="noise_mm")
+    wanted = named_effects(options)
+    if options["purpose"] == "separate" and len(wanted) != 2:
+        raise OptionError(
+            'separate needs two effects to tell apart, as ["axial_compliance", "link_bending"].', option="effects"
+        )
+
+
+def run(job: JobInput, progress: Progress) -> JobOutput:
+    """Plan with the version named, else the robot as drawn."""
+    progress(0.0, "choosing poses")
+    plans: dict[str, Callable[[JobInput, Progress], dict[str, Any]]]
+    plans = {"iso9283": _iso, "identify": _identify, "separate": _separate}
+    purpose = job.options["purpose"]
+    return JobOutput(plain({"purpose": purpose, "start": job.version_id, **plans[purpose](job, progress)}))
+
+
+def named_effects(options: dict[str, Any]) -> list[tuple[str, tuple[int, ...] | None]]:
+    """Ids and joints (from 0) of the option ``effects``: ids, or objects {"id", "joints"} with joints from 1.
+
+    Raises:
+        OptionError: no such effect, or another form.
+
+    """
+    from core.effects import EFFECTS
+
+    out = []
+    given = options.get("effects", [])
+    for one in given if isinstance(given, list) else [given]:
+        named = {"id": one} if isinstance(one, str) else one
+        if not isinstance(named, dict) or set(named) - {"id", "joints"} or not isinstance(named.get("id"), str):
+            raise OptionError(f'effects holds {one!r}: give ids, or {{"id": ..., "joints": [2]}}.', option="effects")
+        if named["id"] not in EFFECTS:
+            raise OptionError(f"There is no effect {named['id']!r}. There are: {', '.join(EFFECTS)}.", option="effects")
+        out.append((named["id"], _joints(named.get("joints"))))
+    return out
+
+
+def _joints(joints: Any) -> tuple[int, ...] | None:
+    if joints is None:
+        return None
+    if not isinstance(joints, list) or not all(type(j) is int and j >= 1 for j in joints):
+        raise OptionError(f"joints is {joints!r}: give joint numbers from 1, as [2].", option="effects")
+    return tuple(j - 1 for j in joints)
+
+
+def _iso(job: JobInput, progress: Progress) -> dict[str, Any]:
+    from core.design.iso9283 import iso_poses
+
+    q = iso_poses(job.robot, _count(job), int(job.options.get("seed", 0)))
+    return document_of(job.robot, [Pose(row) for row in q])
+
+
+def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
+    if job.options.get("method") == "iso9283":
+        return _iso(job, progress)
+    from core.design.d_optimal import d_optimal_poses
+    from core.model import Calibration
+
+    q = d_optimal_poses(
+        job.calibration or Calibration.nominal(job.robot),
+        _count(job),
+        _made(job),
+        float(job.options.get("noise_mm", NOISE_MM)) * 1e-3,
+        int(job.options.get("seed", 0)),
+        lambda fraction: progress(fraction, "choosing poses"),
+    )
+    return document_of(job.robot, [Pose(row) for row in q])
+
+
+def _made(job: JobInput) -> list[Effect]:
+    from core.effects import make_effect
+
+    return [make_effect(i, joints).on(job.robot) for i, joints in named_effects(job.options)]
+
+
+def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
+    from service.jobs.separating import Separation
+
+    first, second = named_effects(job.options)
+    separation = Separation(
+        job.robot, job.calibration, list(job.campaigns.values()), job.options.get("noise_mm"),
+        _count(job), int(job.options.get("seed", 0)), lambda fraction: progress(fraction, "what was measured"),
+    )  # fmt: skip
+    poses, about = separation.poses(first, second)
+    return {**document_of(job.robot, poses), **about}
+
+
+def _count(job: JobInput) -> int:
+    return int(job.options.get("count", COUNTS[job.options["purpose"]]))
+
+
+def _one_of(name: str, value: Any, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise OptionError(f"{name} is {value!r}: give one of {', '.join(allowed)}.", option=name)
+
+
+def _whole(name: str, value: Any, low: int, high: int) -> None:
+    if type(value) is not int or not low <= value <= high:
+        raise OptionError(f"{name} is {value!r}: give a whole number from {low} to {high}.", option=name)
+
+
+PLAN = JobKind("plan", check, run, version_option="version", needs_campaigns=False)

@@ -1,0 +1,91 @@
+"""Poses planned through a real server: within the limits, as a file, and telling what they are for."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+Until = Callable[..., None]
+FINAL = ("succeeded", "failed", "cancelled")
+
+
+def planned(client: httpx.Client, until: Until, campaigns: list[str], **options: Any) -> dict[str, Any]:
+    """Run a plan; its file's joints must be within the limits of the robot."""
+    body = {"kind": "plan", "robot": "katana", "campaigns": campaigns, "options": options}
+    address = client.post("/v1/jobs", json=body).raise_for_status().headers["location"]
+    until(lambda: client.get(address).json()["state"] in FINAL)
+    done = client.get(address).json()
+    assert done["state"] == "succeeded", done["error"]
+    result: dict[str, Any] = done["result"]
+    rows = list(csv.DictReader(io.StringIO(result["csv"])))
+    assert len(rows) == result["count"] == len(result["poses"])
+    joints = client.get("/v1/robots/katana").json()["joints"]
+    for j, joint in enumerate(joints, 1):
+        low, high = joint["limits_deg"]
+        assert all(low <= float(row[f"q{j}_deg"]) <= high for row in rows)
+    return result
+
+
+def test_poses_for_every_purpose(client: httpx.Client, katana: Any, worker: Any, until: Until) -> None:
+    campaign = katana.campaign(client, 60)
+    worker.start()
+    assert planned(client, until, [], purpose="iso9283", count=20)["count"] == 20
+    best = planned(client, until, [], purpose="identify", count=15, effects=["eccentricity"])
+    assert best == planned(client, until, [], purpose="identify", count=15, effects=["eccentricity"])
+    assert _determines(best) > _determines(planned(client, until, [], purpose="identify", count=15, method="iso9283"))
+
+    pair = [{"id": "axial_compliance", "joints": [3]}, {"id": "link_bending", "joints": [2]}]
+    for campaigns in ([], [campaign]):
+        found = planned(client, until, campaigns, purpose="separate", effects=pair, count=6, noise_mm=0.02)
+        assert found["separates"] == ["axial_compliance j3", "link_bending j2"]
+        assert {"repeat", "new"} == {p["kind"] for p in found["proposals"]}
+        first = found["proposals"][0]
+        assert first["information_factor"] > 1
+        assert found["poses"][0]["kind"] == first["kind"]
+        assert "payload_kg" in found["csv"].splitlines()[0]
+
+
+def _determines(plan: dict[str, Any]) -> float:
+    """Log determinant of the information in the poses about the geometry and eccentricities."""
+    from core.effects import make_effect
+    from core.identify import IdentifyOptions
+    from core.model import RobotModel
+    from core.observations import Observations
+    from core.robots import preset_document, robot_from_document
+
+    robot = robot_from_document(preset_document("katana450-chapter5"))
+    model = RobotModel(robot, (make_effect("eccentricity").on(robot),))
+    q = np.radians([[pose[f"q{j}_deg"] for j in range(1, 6)] for pose in plan["poses"]])
+    free = IdentifyOptions().free_parameters(model, sees_orientation=False)
+    J = model.jacobian(Observations(q), model.values0(), free)[1][:, :3].reshape(-1, len(free))
+    X = J * [model.parameters[k].prior_sigma for k in free] / 5e-5
+    return float(np.linalg.slogdet(np.eye(len(free)) + X.T @ X)[1])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"purpose": "paint"},
+        {"purpose": "iso9283", "speed": 1},
+        {"purpose": "iso9283", "count": 0},
+        {"purpose": "identify", "method": "best"},
+        {"purpose": "identify", "effects": ["ghost"]},
+        {"purpose": "identify", "noise_mm": 0},
+        {"purpose": "separate"},
+        {"purpose": "separate", "effects": ["backlash"]},
+        {"purpose": "separate", "effects": ["backlash", {"id": "eccentricity", "joints": [0]}]},
+    ],
+)
+def test_what_cannot_be_planned_is_refused_at_once(
+    shared_client: httpx.Client, katana: Any, options: dict[str, Any]
+) -> None:
+    shared_client.post("/v1/robots", json=katana.document)
+    answer = shared_client.post("/v1/jobs", json={"kind": "plan", "robot": "katana", "options": options})
+    assert (answer.status_code, answer.json()["code"]) == (400, "option_invalid"), answer.text
