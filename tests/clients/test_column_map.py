@@ -260,3 +260,19 @@ def test_the_full_example_does_what_it_says(tmp_path: Path) -> None:
     assert (row["t_s"], row["payload_kg"], row["pose_id"], row["y_mm"]) == (0.5, 2.5, 1, 2000)
     assert row["temperature_c"] == pytest.approx(20)
     assert prepared.lines == (5,)
+
+
+def test_a_direction_is_the_sign_of_a_speed_and_kept_at_rest(tmp_path: Path) -> None:
+    data = "q,link a,link b,v\n1,1,0,0\n2,2,0,0.5\n3,3,0,0.01\n4,4,0,-2\n5,5,0,0\n"
+    mapped = """
+[columns]
+q1_deg = { from = "q", unit = "deg" }
+link1_deg = { from = "link a", unit = "deg" }
+link2_deg = { from = "link b", unit = "deg" }
+dir1 = { from = "v", still_below = 0.1 }
+"""
+    prepared = convert(tmp_path, mapped, data)
+    assert [row["dir1"] for row in rows(prepared)] == [0, 1, 1, -1, -1]
+    assert any("link2_deg is the same in every row: a dead channel" in text for text in prepared.warnings)
+    with pytest.raises(FileError, match="still_below"):
+        convert(tmp_path, mapped.replace('unit = "deg" }', 'unit = "deg", still_below = 1 }', 1), data)

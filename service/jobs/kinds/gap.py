@@ -9,6 +9,7 @@ import numpy as np
 from core.errors import NotConvergedError, OptionError
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from service.jobs.pictures import pictures
+from service.jobs.poses import Pose, document_of
 from service.jobs.wire import plain, version_limits
 
 if TYPE_CHECKING:
@@ -53,11 +54,32 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     except NotConvergedError as error:
         raise NotConvergedError(f"{error.message} {FOREIGN}") from error
     found = report.to_document()
-    result = plain({**found, "figures": pictures(found), "start": job.version_id, "version_id": None})
+    result = plain(
+        {
+            **found,
+            "figures": pictures(found),
+            "next_poses_csv": _file(job, found["next_poses"]),
+            "start": job.version_id,
+            "version_id": None,
+        }
+    )
     if any(warning["code"] == STRANGE for warning in report.warnings):
         return JobOutput(result)
     progress(0.98, "errors of the new version")
     return JobOutput(result, _version(job, report, train, held))
+
+
+def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
+    """The poses to measure next as a file, None without any."""
+    made = [
+        Pose(
+            q=np.radians(row["q_deg"]),
+            payload_kg=row["payload_kg"],
+            direction=None if row["direction"] is None else tuple(row["direction"]),
+        )
+        for row in poses
+    ]
+    return str(document_of(job.robot, made)["csv"]) if made else None
 
 
 def _rows(job: JobInput, seed: int) -> tuple[Observations, Observations | None]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
@@ -12,7 +14,9 @@ from kilter_client.cli.arguments import CampaignIds, Json, MoreOptions, NoWait, 
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.results import show_job
+from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
+from kilter_client.plots import can_draw, save_figures
 
 Frame = Literal["free", "fixed"]
 
@@ -20,9 +24,13 @@ Frame = Literal["free", "fixed"]
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.command(epilog="Example: kilter identify ur10 --campaign cmp_1f --validation 0.3 --level 2")(identify)
-    app.command(epilog="Example: kilter gap ur10 --campaign cmp_1f --validation cmp_2a --alpha 0.01")(gap)
+    app.command(epilog="Example: kilter gap ur10 --campaign cmp_1f --validation 0.25 --figures gap --poses next.csv")(
+        gap
+    )
     app.command(epilog="Example: kilter evaluate ur10 --campaign cmp_2a --version ver_7c --refit base,tool")(evaluate)
-    app.command(epilog="Example: kilter plan ur10 --purpose iso9283 --count 118")(plan)
+    app.command(
+        epilog="Example: kilter plan ur10 --purpose separate --effects backlash,eccentricity --count 12 -o poses.csv"
+    )(plan)
 
 
 def identify(
@@ -74,13 +82,52 @@ def gap(
     campaign: CampaignIds = None,
     validation: ValidationText = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to start from.")] = None,
-    alpha: Annotated[float | None, typer.Option(help="Rate of false alarms.")] = None,
+    alpha: Annotated[float | None, typer.Option(help="Chance of any false name; the server's default is 0.01.")] = None,
+    effects: Annotated[
+        list[str] | None,
+        typer.Option("--effects", "--effect", metavar="A,B", help="Only these effects; default is the whole library."),
+    ] = None,
+    noise_mm: Annotated[
+        float | None, typer.Option(help="Noise of a coordinate, where no pose was measured twice.")
+    ] = None,
+    free: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these geometric parameters.")] = None,
+    fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Hold these parameters.")] = None,
+    base: Annotated[Frame | None, typer.Option(help="Frame of the measuring device.")] = None,
+    tool: Annotated[Frame | None, typer.Option(help="Tool point.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the split and of every resample.")] = None,
+    figures: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the figures there: Plotly JSON, PNG and SVG.")
+    ] = None,
+    poses: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the poses to measure next as CSV.", dir_okay=False)
+    ] = None,
     option: MoreOptions = None,
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
-    """Find and name what the model is missing."""
-    _run("gap", robot, campaign, validation, arguments.options(option, start=start, alpha=alpha), no_wait, as_json)
+    """Find where the model is wrong, name what is missing, and show how the gap shrinks on rows never used."""
+    _needs_result(no_wait, figures=figures, poses=poses)
+    chosen = arguments.options(
+        option,
+        start=start,
+        alpha=alpha,
+        effects=arguments.split_names(effects),
+        noise_mm=noise_mm,
+        free=arguments.split_names(free),
+        fix=arguments.split_names(fix),
+        base=base,
+        tool=tool,
+        seed=seed,
+    )
+
+    def files(job: dict[str, Any]) -> None:
+        result = job.get("result") or {}
+        if poses is not None:
+            _write_poses(poses, result.get("next_poses_csv"), as_json)
+        if figures is not None:
+            _write_figures(figures, result.get("figures") or {}, as_json)
+
+    _run("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files)
 
 
 def evaluate(
@@ -108,13 +155,54 @@ def plan(
         list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help="Effects to see, or to separate.")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the choice.")] = None,
+    start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to plan with.")] = None,
+    noise_mm: Annotated[float | None, typer.Option(help="Noise of a coordinate.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the poses as CSV.", dir_okay=False)
+    ] = None,
     option: MoreOptions = None,
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
-    """Plan poses to measure."""
-    chosen = arguments.options(option, purpose=purpose, count=count, effects=arguments.effects(effects), seed=seed)
-    _run("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False)
+    """Plan poses to measure: for ISO 9283, to identify well, or to tell two effects apart."""
+    _needs_result(no_wait, output=output)
+    chosen = arguments.options(
+        option,
+        purpose=purpose,
+        count=count,
+        effects=arguments.effects(effects),
+        seed=seed,
+        version=start,
+        noise_mm=noise_mm,
+    )
+
+    def files(job: dict[str, Any]) -> None:
+        if output is not None:
+            _write_poses(output, (job.get("result") or {}).get("csv"), as_json)
+
+    _run("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files)
+
+
+def _needs_result(no_wait: bool, **files: Path | None) -> None:
+    for name, file in files.items():
+        if no_wait and file is not None:
+            raise UsageError(f"--{name} needs the result: leave out --no-wait.")
+
+
+def _write_poses(file: Path, text: str | None, as_json: bool) -> None:
+    if not text:
+        note(f"{file}: not written, no pose would tell more.", as_json)
+        return
+    write(file, text.encode())
+    note(f"{file}: {text.count(chr(10)) - 1} poses", as_json)
+
+
+def _write_figures(folder: Path, drawn: dict[str, Any], as_json: bool) -> None:
+    formats = ("png", "svg") if can_draw() else ()
+    if not formats:
+        note("Without matplotlib the figures are Plotly JSON only: pip install 'kilter-client[plots]'.", as_json)
+    written = save_figures(drawn, folder, formats)
+    note(f"{folder}: {len(written)} files", as_json)
 
 
 def _run(
@@ -126,6 +214,7 @@ def _run(
     no_wait: bool,
     as_json: bool,
     needs_campaign: bool = True,
+    files: Callable[[dict[str, Any]], None] | None = None,
 ) -> None:
     ids = arguments.split_names(campaign)
     if needs_campaign and not ids:
@@ -137,4 +226,6 @@ def _run(
             note(f"job {job['id']}", as_json)
             with job_bar(kind, as_json) as progress:
                 job = kilter.jobs.wait(job["id"], progress)
+    if files is not None and not no_wait:
+        files(job)
     emit(job, as_json, show_job)

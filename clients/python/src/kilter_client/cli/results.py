@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from kilter_client.cli.gap_report import show_gap
 from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
 
@@ -25,10 +26,25 @@ def show_job(job: dict[str, Any]) -> None:
     if error:
         say(f"  {error.get('code')}: {error.get('message')}")
     result = job.get("result") or {}
-    show_result(result)
+    if job["kind"] == "gap" and result:
+        show_gap(result)
+    elif job["kind"] == "plan" and result:
+        show_plan(result)
+    else:
+        show_result(result)
     version = result.get("version_id")
     if version and job["kind"] != "evaluate":
         say(f"version {version}; make it the one that corrects with: kilter activate {version}")
+
+
+def show_plan(result: Mapping[str, Any]) -> None:
+    """Print how many poses were planned and what they are worth."""
+    say(f"{result['count']} poses for {result['purpose']}")
+    if result.get("separates"):
+        say(f"{' and '.join(result['separates'])} are alike by {number(result['correlation'], 3)} in what there is")
+    for proposal in result.get("proposals") or ():
+        worth = number(proposal["information_factor"], 3)
+        say(f"  {proposal['change'] or 'new poses'}: {proposal['poses']}, information times {worth}")
 
 
 def show_version(version: dict[str, Any]) -> None:
@@ -42,10 +58,7 @@ def show_version(version: dict[str, Any]) -> None:
 
 def show_result(result: Mapping[str, Any]) -> None:
     """Print the parts of a result that are tables or sentences for people; the rest is in the JSON."""
-    if result.get("verdict"):
-        say(f"verdict: {result['verdict']}")
     _metrics(result.get("metrics") or {})
-    _effects(result.get("effects") or [])
     _parameters(result.get("parameters") or [])
     _null_directions(result.get("null_directions") or [])
     for warning in result.get("warnings") or ():
@@ -91,24 +104,6 @@ def _parameters(parameters: list[Mapping[str, Any]]) -> None:
         for p in parameters
     ]
     show_rows(("parameter", "value", "sigma", "unit", ""), rows)
-
-
-def _effects(effects: list[Any]) -> None:
-    found = [effect for effect in effects if isinstance(effect, Mapping) and effect.get("verdict")]
-    if not found:
-        return
-    rows = [
-        (
-            str(effect["id"]),
-            ", ".join(str(joint) for joint in effect.get("joints") or ()),
-            str(effect["verdict"]),
-            number(effect.get("gain_mm")),
-            number(effect.get("p_value"), 2),
-            ", ".join(str(alias) for alias in effect.get("alias_set") or ()),
-        )
-        for effect in found
-    ]
-    show_rows(("effect", "joints", "verdict", "gain mm", "p", "or one of"), rows)
 
 
 def _null_directions(directions: list[Any]) -> None:

@@ -21,7 +21,10 @@ QUATERNIONS = ("wxyz", "xyzw")
 
 @dataclass(frozen=True)
 class Column:
-    """One contract column: ``scale * number + offset`` in the source's unit, then converted; or a constant."""
+    """One contract column: ``scale * number + offset`` in the source's unit, then converted; or a constant.
+
+    ``still_below`` makes a speed a direction: its sign, and the one before where the speed is not above it.
+    """
 
     target: str
     source: str | int | None
@@ -29,6 +32,7 @@ class Column:
     scale: float = 1.0
     offset: float = 0.0
     value: float | None = None
+    still_below: float | None = None
 
 
 @dataclass(frozen=True)
@@ -128,7 +132,7 @@ def _column(columns: Section, target: str) -> Column:
     assert section is not None
     source, value = section.column("from"), section.number("value")
     unit, scale, offset = section.text("unit"), section.number("scale"), section.number("offset")
-    sign = section.number("sign")
+    sign, still = section.number("sign"), section.number("still_below")
     section.finish()
     if (source is None) == (value is None):
         raise section.error("needs either 'from' (a column of the file) or 'value' (a constant)")
@@ -136,8 +140,12 @@ def _column(columns: Section, target: str) -> Column:
         raise section.error(f"a constant is already in the target's unit: give 'value' alone, in {wanted or '1'}")
     if sign not in (None, 1.0, -1.0) or scale == 0:
         raise section.error("'sign' is 1 or -1, 'scale' is not 0")
+    if still is not None and (not target.startswith("dir") or source is None or still < 0):
+        raise section.error(
+            "'still_below' makes a direction of a speed: for dir1 with 'from', 0 or more", "still_below"
+        )
     _check_unit(section, target, wanted, unit, value)
-    return Column(target, source, unit or wanted, (scale or 1.0) * (sign or 1.0), offset or 0.0, value)
+    return Column(target, source, unit or wanted, (scale or 1.0) * (sign or 1.0), offset or 0.0, value, still)
 
 
 def _check_unit(section: Section, target: str, wanted: str, unit: str | None, value: float | None) -> None:

@@ -16,6 +16,7 @@ from kilter_client.files.units import converter, unit_of
 
 JOINT = re.compile(r"q\d+_(deg|rad|mm|m)")
 MARKER = re.compile(r"m\d+[xyz]_(mm|m)")
+LINK = re.compile(r"link\d+_(deg|rad|mm|m)")
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
@@ -37,6 +38,7 @@ def read_mapped(path: Path, column_map: ColumnMap) -> Table:
             table.columns[column.target] = [column.value] * len(table)
     _filter(source, table, column_map.keep)
     _missing(path, table, column_map.drop_missing)
+    _dead(table)
     if column_map.repeats_deg is not None:
         _number_poses(table, column_map.repeats_deg)
     return table
@@ -46,7 +48,18 @@ def _convert(column: Column, source: Source) -> list[float]:
     assert column.source is not None
     convert = converter(column.unit, unit_of(column.target) or "")
     assert convert is not None  # the map was checked when it was read
-    return [convert(column.scale * value + column.offset) for value in source.numbers(column.source)]
+    values = [convert(column.scale * value + column.offset) for value in source.numbers(column.source)]
+    return values if column.still_below is None else _directions(values, column.still_below)
+
+
+def _directions(speeds: list[float], still_below: float) -> list[float]:
+    """Signs of speeds; a joint that stands keeps the direction it came from, 0 before it first moved."""
+    out, last = [], 0.0
+    for speed in speeds:
+        if abs(speed) > still_below:
+            last = math.copysign(1.0, speed)
+        out.append(math.nan if math.isnan(speed) else last)
+    return out
 
 
 def _understood(column: Column) -> str:
@@ -118,6 +131,17 @@ def _missing(path: Path, table: Table, drop: bool) -> None:
         table.keep([i for i in range(len(table)) if i not in empty])
     if not len(table):
         raise FileError(f"{path}: no row is left. Loosen the conditions under [rows].", file=str(path))
+
+
+def _dead(table: Table) -> None:
+    """Say which link-side encoders never change though others do: they are not connected."""
+    still = {name: len(set(values)) == 1 for name, values in table.columns.items() if LINK.fullmatch(name)}
+    dead = [name for name, is_still in still.items() if is_still]
+    if dead and len(dead) < len(still):
+        one = len(dead) == 1
+        table.warnings.append(
+            f"{', '.join(dead)} {'is' if one else 'are'} the same in every row: {'a dead channel' if one else 'dead channels'}"
+        )
 
 
 def _number_poses(table: Table, tolerance_deg: float) -> None:

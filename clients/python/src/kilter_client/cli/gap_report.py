@@ -1,0 +1,128 @@
+"""The report of a gap hunt for people: where, what, how much it closes, what could not be tested, what to measure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from kilter_client.cli.output import say
+from kilter_client.cli.tables import number, show_rows
+
+MOST_PLACES = 12
+BAR = 40  # characters of the longest bar
+GAP_ROWS = (
+    ("before", "train", "before"),
+    ("after", "train", "after"),
+    ("noise", "train", "noise floor"),
+    ("validation_before", "held out", "before"),
+    ("validation_after", "held out", "after"),
+    ("validation_noise", "held out", "noise floor"),
+)
+
+
+def show_gap(result: Mapping[str, Any]) -> None:
+    """Print a gap report."""
+    say(f"verdict: {result['verdict']}. {result.get('sentence') or ''}".rstrip())
+    unit = "deg" if "before_deg" in result["gap"] else "mm"
+    _where(result.get("where") or [])
+    _effects(result.get("effects") or [], unit)
+    _gap(result, unit)
+    _control(result)
+    _not_testable(result.get("not_testable") or [])
+    _next_poses(result.get("next_poses") or [])
+    for warning in result.get("warnings") or ():
+        say(f"warning: {warning['message']}")
+
+
+def _where(places: Sequence[Mapping[str, Any]]) -> None:
+    if not places:
+        return
+    rows = [
+        (str(p["factor"]), str(p["level"]), number(p["excess"], 3), number(p["p_value"], 2))
+        for p in places[:MOST_PLACES]
+    ]
+    show_rows(("where", "level", "excess chi2", "p"), rows, title="Where the model is wrong")
+    if len(places) > MOST_PLACES:
+        say(f"  and {len(places) - MOST_PLACES} more: see --json")
+
+
+def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
+    if not effects:
+        say("Nothing is missing that the library could name.")
+        return
+    rows = []
+    for effect in effects:
+        aliases = ", ".join(_name(alias) for alias in effect.get("alias_set") or ())
+        amounts = [_amount(p) for p in effect.get("parameters") or ()] or [("", "", "")]
+        head = (
+            str(effect["id"]), _joints(effect), str(effect["verdict"]), number(effect.get("gain_mm"), 3),
+            number(effect.get("p_value"), 2), aliases,
+        )  # fmt: skip
+        rows += [(*(head if k == 0 else ("",) * len(head)), *amount) for k, amount in enumerate(amounts)]
+    head_row = ("effect", "joints", "verdict", f"gain {unit}", "p", "or one of", "parameter", "amplitude", "interval")
+    show_rows(head_row, rows, title="What is missing")
+    for effect in effects:
+        failed = [name for name, passed in (effect.get("gates") or {}).items() if not passed]
+        if failed:
+            say(f"  {_name(effect)} is not more than {effect['verdict']}: not passed {', '.join(failed)}")
+
+
+def _amount(p: Mapping[str, Any]) -> tuple[str, str, str]:
+    interval = f"{number(p.get('interval_low'), 3)} to {number(p.get('interval_high'), 3)}"
+    return str(p["name"]), f"{number(p['value'], 4)} {p['unit']}", interval
+
+
+def _gap(result: Mapping[str, Any], unit: str) -> None:
+    gap = result["gap"]
+    rows = [(rows, name, number(gap.get(f"{key}_{unit}"), 4)) for key, rows, name in GAP_ROWS]
+    show_rows(("rows", "", f"rms {unit}"), rows, title="The gap", numbers=False)
+    bars = (result.get("figures") or {}).get("gap_bar", {}).get("data") or []
+    if bars:
+        _bar(bars[0]["x"], bars[0]["y"])
+    closure = gap.get("closure")
+    how = gap.get("held_out")
+    if closure is not None:
+        say(f"closed on held-out rows ({how}): {100 * closure:.1f} % of what is above the noise")
+
+
+def _bar(names: Sequence[str], values: Sequence[float]) -> None:
+    longest = max(values, default=0.0) or 1.0
+    width = max(len(name) for name in names)
+    for name, value in zip(names, values, strict=True):
+        say(f"  {name:<{width}} {'#' * max(1, round(BAR * value / longest))} {number(value, 3)}")
+
+
+def _control(result: Mapping[str, Any]) -> None:
+    control = result.get("negative_control") or {}
+    rows = control.get("effects") or []
+    if rows:
+        tried = "; ".join(f"{_name(r)}: {r['survived']} of {r['shuffles']} with {r['shuffled']} shuffled" for r in rows)
+        say(f"negative control {'passed' if control.get('passed') else 'NOT passed'} (names that survived: {tried})")
+
+
+def _not_testable(rows: Sequence[Mapping[str, Any]]) -> None:
+    if not rows:
+        return
+    show_rows(
+        ("effect", "joints", "why", "how to test it"),
+        [(str(r["id"]), _joints(r), str(r["reason"]), str(r["remedy"])) for r in rows],
+        title="What these data cannot test",
+    )
+
+
+def _next_poses(poses: Sequence[Mapping[str, Any]]) -> None:
+    if not poses:
+        return
+    say(f"Measure next, to tell {' from '.join(poses[0].get('separates') or ['?'])} ({len(poses)} poses):")
+    for kind, change in dict.fromkeys((p.get("kind"), p.get("change")) for p in poses):
+        own = [p for p in poses if (p.get("kind"), p.get("change")) == (kind, change)]
+        say(f"  {change or 'new poses'}: {len(own)}, information times {number(own[-1].get('information_factor'), 3)}")
+
+
+def _name(effect: Mapping[str, Any]) -> str:
+    joints = _joints(effect)
+    return f"{effect['id']} j{joints}" if joints else str(effect["id"])
+
+
+def _joints(effect: Mapping[str, Any]) -> str:
+    return ",".join(str(joint) for joint in effect.get("joints") or ())

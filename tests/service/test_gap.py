@@ -1,0 +1,174 @@
+"""Gap hunts through a real server, on arms that were simulated without any code of Kilter's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from tests.blind.generator import Case, Hidden, Options, generate
+
+Until = Callable[..., None]
+Columns = dict[str, list[float]]
+FINAL = ("succeeded", "failed", "cancelled")
+# A part of the library and few resamples: what the service does with a report does not depend on them.
+QUICK = {
+    "effects": ["eccentricity", "backlash", "encoder_scale", "axial_compliance", "thermal_growth"],
+    "bootstraps": 499, "resamples": 20, "permutations": 20,
+}  # fmt: skip
+HIDDEN = Hidden("backlash", (0,))
+
+
+class Arm:
+    """A simulated Katana 450 in a server."""
+
+    def __init__(self, client: httpx.Client, hidden: tuple[Hidden, ...] = (HIDDEN,), poses: int = 45) -> None:
+        case = Case("service", "katana", hidden, tuple(900.0 for _ in hidden), poses, Options(), "named", 5)
+        made = generate(case)
+        self.client, self.document = client, made.document
+        self.columns: Columns = {name: np.asarray(values).tolist() for name, values in made.columns.items()}
+        client.post("/v1/robots", json=self.document).raise_for_status()
+        self.name = str(self.document["name"])
+
+    def upload(self, columns: Columns | None = None) -> str:
+        """Store observations as a campaign of their own."""
+        campaign = self.client.post(f"/v1/robots/{self.name}/campaigns", json={"name": "rows"}).raise_for_status()
+        address = f"/v1/campaigns/{campaign.json()['id']}/observations"
+        self.client.post(address, json=columns or self.columns).raise_for_status()
+        return str(campaign.json()["id"])
+
+    def ask(self, campaign: str, **job: Any) -> httpx.Response:
+        options = {**QUICK, **job.pop("options", {})}
+        body = {"kind": "gap", "robot": self.name, "campaigns": [campaign], "options": options, **job}
+        return self.client.post("/v1/jobs", json=body)
+
+    def hunt(self, until: Until, campaign: str, **job: Any) -> dict[str, Any]:
+        """Run a hunt to its end; returns its result."""
+        address = self.ask(campaign, **job).raise_for_status().headers["location"]
+        until(lambda: self.client.get(address).json()["state"] in FINAL)
+        done = self.client.get(address).json()
+        assert done["state"] == "succeeded", done["error"]
+        return dict(done["result"])
+
+
+def without(columns: Columns, *stems: str) -> Columns:
+    return {name: values for name, values in columns.items() if not name.startswith(stems)}
+
+
+def test_a_hidden_effect_is_named_stored_and_gone_afterwards(client: httpx.Client, worker: Any, until: Until) -> None:
+    arm = Arm(client)
+    campaign = arm.upload()
+    worker.start()
+    found = arm.hunt(until, campaign, validation=0.25)
+    assert [(e["id"], e["joints"]) for e in found["effects"]] == [("backlash", [1])]
+    assert found["effects"][0]["verdict"] in ("confirmed", "class_confirmed")
+    assert found["verdict"] == "closed"
+    gap = found["gap"]
+    assert gap["validation_after_mm"] < 0.7 * gap["validation_before_mm"]
+    assert {p["factor"] for p in found["where"]}
+    figures = found["figures"]
+    assert {"gap_bar", "residual_joint_1", "contribution", "alias_matrix"} <= set(figures)
+    assert all(set(figure) == {"data", "layout"} for figure in figures.values())
+
+    version = client.get(f"/v1/versions/{found['version_id']}").json()
+    assert (version["parent_id"], version["effects"], version["active"]) == (None, ["backlash"], False)
+    metrics = version["metrics"]
+    assert metrics["validation"]["identified"]["rms_mm"] < metrics["validation"]["registration_only"]["rms_mm"]
+    amount = next(p for p in version["parameters"] if p["name"] in version["covariance"]["names"])
+    assert amount["sigma"] > 0
+    reported = found["effects"][0]["parameters"][0]
+    assert reported["interval_low"] < amount["value"] < reported["interval_high"]
+
+    again = arm.hunt(until, campaign, options={"start": version["id"]})
+    assert (again["verdict"], again["effects"]) == ("no_gap", [])
+    assert again["smallest_detectable"]
+    child = client.get(f"/v1/versions/{again['version_id']}").json()
+    assert (child["parent_id"], child["effects"]) == (version["id"], ["backlash"])
+
+
+def test_what_the_data_lack_is_said(client: httpx.Client, worker: Any, until: Until) -> None:
+    arm = Arm(client)
+    whole = arm.columns
+    first = np.unique(whole["pose_id"], return_index=True)[1]
+    once = {name: [values[k] for k in first] for name, values in whole.items()}
+    campaigns = [arm.upload(without(whole, "dir")), arm.upload(once)]
+    worker.start()
+    blind, relative = (arm.hunt(until, campaign) for campaign in campaigns)
+    backlash = next(row for row in blind["not_testable"] if row["id"] == "backlash")
+    assert "direction" in backlash["reason"]
+    assert backlash["remedy"]
+    assert "backlash" not in {e["id"] for e in blind["effects"]}
+    # One row per pose: nothing tells the noise, so no verdict can be more than provisional.
+    assert "no_repeats" in {w["code"] for w in relative["warnings"]}
+    assert "relative" in relative["sentence"]
+    assert {e["verdict"] for e in relative["effects"]} <= {"provisional"}
+
+
+@pytest.mark.parametrize("mistake", ["signs", "tool changed"])
+def test_another_robots_campaign_is_no_missing_effect(
+    client: httpx.Client, worker: Any, until: Until, mistake: str
+) -> None:
+    arm = Arm(client, ())
+    wrong = dict(arm.columns)
+    if mistake == "signs":
+        wrong["q1_deg"] = [-v for v in wrong["q1_deg"]]
+    else:  # half of the campaign with a tool 100 mm longer
+        half = len(wrong["x_mm"]) // 2
+        wrong["x_mm"] = [v + (100 if k > half else 0) for k, v in enumerate(wrong["x_mm"])]
+    address = arm.ask(arm.upload(wrong)).raise_for_status().headers["location"]
+    worker.start()
+    until(lambda: client.get(address).json()["state"] in FINAL)
+    done = client.get(address).json()
+    said = done["result"]["sentence"] if done["result"] else done["error"]["message"]
+    assert "not a missing effect" in said
+    if done["result"]:
+        found = done["result"]
+        assert (found["verdict"], found["effects"], found["version_id"]) == ("unexplained", [], None)
+    assert client.get(f"/v1/robots/{arm.name}/versions").json()["versions"] == []
+
+
+def test_too_few_poses_are_an_error_that_says_how_many(client: httpx.Client, worker: Any, until: Until) -> None:
+    arm = Arm(client, (), 8)
+    address = arm.ask(arm.upload()).raise_for_status().headers["location"]
+    worker.start()
+    until(lambda: client.get(address).json()["state"] in FINAL)
+    assert client.get(address).json()["error"]["code"] == "too_few_poses"
+
+
+def test_a_hunt_is_cancelled(client: httpx.Client, worker: Any, until: Until) -> None:
+    arm = Arm(client)
+    campaign = arm.upload()
+    worker.start()
+    options = {"effects": [], "resamples": 5000, "permutations": 2000}
+    address = arm.ask(campaign, options=options).raise_for_status().headers["location"]
+    until(lambda: client.get(address).json()["progress"]["fraction"] > 0.2)
+    client.post(f"{address}/cancel").raise_for_status()
+    until(lambda: client.get(address).json()["state"] == "cancelled", seconds=10)
+    assert client.get(f"/v1/robots/{arm.name}/versions").json()["versions"] == []
+
+
+@pytest.mark.parametrize(
+    ("change", "status", "code"),
+    [
+        ({"options": {"start": "ver_none"}}, 404, "version_not_found"),
+        ({"options": {"speed": 1}}, 400, "option_invalid"),
+        ({"options": {"alpha": 0.9}}, 400, "option_invalid"),
+        ({"options": {"alpha": "small"}}, 400, "option_invalid"),
+        ({"options": {"effects": ["ghost"]}}, 400, "option_invalid"),
+        ({"options": {"effects": "backlash"}}, 400, "option_invalid"),
+        ({"options": {"base": "loose"}}, 400, "option_invalid"),
+        ({"options": {"limits": {"max_joint_deg": -1}}}, 400, "option_invalid"),
+        ({"validation": {"folds": 5}}, 400, "option_invalid"),
+        ({"campaigns": []}, 400, "campaigns_invalid"),
+    ],
+)
+def test_what_cannot_run_is_refused_at_once(
+    shared_client: httpx.Client, katana: Any, change: dict[str, Any], status: int, code: str
+) -> None:
+    campaign = katana.campaign(shared_client, 30)
+    job = {"kind": "gap", "robot": "katana", "campaigns": [campaign], **change}
+    answer = shared_client.post("/v1/jobs", json=job)
+    assert (answer.status_code, answer.json()["code"]) == (status, code), answer.text
