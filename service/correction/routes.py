@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import Literal
 
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
@@ -16,7 +17,9 @@ from service.state import DatabaseOfApp, SettingsOfApp
 router = APIRouter(prefix="/v1/robots", tags=["correction"])
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
+YAML = "application/yaml"
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array"}}}
+ANSWER = "The trajectory corrected, with dx_mm, dy_mm, dz_mm, status"
 CONTENT = {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS}
 
 
@@ -24,15 +27,23 @@ CONTENT = {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS}
     "/{robot}/correct",
     response_class=Response,
     openapi_extra={"requestBody": {"required": True, "content": CONTENT}},
-    responses={200: {"content": CONTENT, "description": "The trajectory corrected, with dx_mm, dy_mm, dz_mm, status"}},
+    responses={200: {"content": CONTENT | {YAML: FILE}, "description": ANSWER}},
 )
 async def correct(
-    robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, version: str | None = None
+    robot: str,
+    request: Request,
+    database: DatabaseOfApp,
+    settings: SettingsOfApp,
+    version: str | None = None,
+    format: Literal["ros2-yaml"] | None = None,  # noqa: A002 (the name of the export's parameter)
 ) -> Response:
-    """Correct a trajectory (CSV, Parquet or JSON columns) with the active version, or with the one named."""
+    """Correct a trajectory (CSV, Parquet or JSON columns) with the active version, or with the one named.
+
+    The answer has the format that was sent; ``format=ros2-yaml`` asks for a ROS 2 JointTrajectory instead.
+    """
     media = reading.media_type(request.headers.get("content-type"))
     with tempfile.TemporaryDirectory(prefix="kilter-correct-") as folder:
         path = Path(folder) / "body"
         await receive(request, path, settings.max_upload_mb)
-        corrected = await run_in_threadpool(service.correct, database, robot, version, path, media)
-    return Response(corrected, media_type=media)
+        corrected = await run_in_threadpool(service.correct, database, robot, version, path, media, format)
+    return Response(corrected, media_type=media if format is None else YAML)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from service.campaigns.assemble import observations
 from service.correction.formats import read_trajectory, write_trajectory
+from service.correction.ros2 import joint_trajectory
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.robots import store as robots
@@ -26,12 +27,15 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+ROS2 = "ros2-yaml"
 ROWS_AT_ONCE = 20_000
 STILL = 1e-9  # rad or m: smaller steps are no motion
 
 
-def correct(database: Database, robot: str, version: str | None, path: Path, media: str) -> bytes:
-    """Correct a trajectory with a version, by default the active one.
+def correct(
+    database: Database, robot: str, version: str | None, path: Path, media: str, form: str | None = None
+) -> bytes:
+    """Correct a trajectory with a version, by default the active one; ``form`` "ros2-yaml" asks for another format back.
 
     Raises:
         ObservationError: the file is no trajectory of this robot.
@@ -47,6 +51,8 @@ def correct(database: Database, robot: str, version: str | None, path: Path, med
         _corrected(calibration, rows.select(slice(start, start + ROWS_AT_ONCE)), directions, options)
         for start, directions in _pieces(rows)
     ]
+    if form == ROS2:
+        return joint_trajectory([joint.name for joint in calibration.robot.joints], rows.t, parts)
     joints = sorted((c for c in columns if c.quantity == "q"), key=lambda c: c.number or 0)
     q = np.concatenate([part.q for part in parts])
     for k, column in enumerate(joints):

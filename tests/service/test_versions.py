@@ -11,6 +11,7 @@ import httpx
 import numpy as np
 import pyarrow as pa
 import pytest
+import yaml
 from pyarrow import parquet
 
 from core.compensate import CorrectOptions, correct
@@ -130,6 +131,9 @@ def test_export_json_and_the_list_of_formats(client: httpx.Client, versions: Ver
     document = answer.json()
     assert document["format"] == "kilter-version/1"
     assert document["calibration_si"] == twin.truth.to_document()
+    urdf = client.get(f"/v1/versions/{version}/export", params={"format": "urdf"})
+    assert urdf.headers["content-type"].startswith("application/xml")
+    assert "Left out: clearance_tilt" in urdf.headers["kilter-notes"]
     refused = client.get(f"/v1/versions/{version}/export", params={"format": "stone"})
     assert refused.status_code == 400
     assert refused.json()["context"]["formats"] == ["json", "urdf", "dh-csv", "mdh-csv", "ur-yaml", "matlab"]
@@ -178,6 +182,34 @@ def test_rows_that_cannot_be_corrected_carry_no_numbers(client: httpx.Client, ve
     out = client.post("/v1/robots/katana/correct", params={"version": version}, json=trajectory(3)).json()
     assert out["status"] == ["CORRECTION_TOO_LARGE"] * 3
     assert out["q1_deg"] == [None] * 3
+
+
+def test_a_trajectory_for_ros_2(client: httpx.Client, versions: Versions, twin: Twin) -> None:
+    client.post(f"/v1/versions/{versions.add('a', twin.truth)}/activate")
+    columns = trajectory(20)
+    columns["t_s"] = [5.0 + t for t in columns["t_s"]]
+    expected = client.post("/v1/robots/katana/correct", json=columns).json()
+    answer = client.post("/v1/robots/katana/correct", params={"format": "ros2-yaml"}, json=columns)
+    assert answer.headers["content-type"].startswith("application/yaml")
+    message = yaml.safe_load(answer.text)
+    assert message["joint_names"] == ["j1", "j2", "j3", "j4", "j5"]
+    assert len(message["points"]) == 20
+    for k, point in enumerate(message["points"]):
+        assert np.degrees(point["positions"]) == pytest.approx(
+            [expected[f"q{j + 1}_deg"][k] for j in range(5)], abs=1e-12
+        )
+        time = point["time_from_start"]
+        assert time["sec"] + time["nanosec"] * 1e-9 == pytest.approx(columns["t_s"][k] - 5.0, abs=1e-9)
+
+    def refusal(body: dict[str, list[float]], **parameters: str) -> str:
+        refused = client.post("/v1/robots/katana/correct", params={"format": "ros2-yaml"} | parameters, json=body)
+        assert refused.status_code == 400
+        return str(refused.json()["detail"])
+
+    assert "add the column 't_s'" in refusal({name: v for name, v in columns.items() if name != "t_s"})
+    assert "Row 2, column 't_s': the time must rise" in refusal(columns | {"t_s": [1.0] * 20})
+    small = versions.add("small", twin.truth, max_joint_deg=0.0001)
+    assert "Row 1 is not corrected (CORRECTION_TOO_LARGE), 20 rows" in refusal(columns, version=small)
 
 
 def test_what_is_no_trajectory_is_refused(client: httpx.Client, versions: Versions, twin: Twin) -> None:
