@@ -6,6 +6,7 @@ from fastapi import APIRouter, Response
 
 from service.auth.access import Admin
 from service.robots import service
+from service.robots.check_schemas import RobotCheck
 from service.robots.schemas import RobotDocument, RobotList, RobotReport
 from service.state import DatabaseOfApp
 
@@ -19,6 +20,14 @@ def add(document: RobotDocument, response: Response, database: DatabaseOfApp, _:
     response.status_code = 201 if new else 200
     response.headers["Location"] = f"/v1/robots/{report.name}"
     return report
+
+
+@router.post("/check")
+def check(document: RobotDocument) -> RobotCheck:
+    """Say what a document comes to, without adding it: axes, the arm at zero, reach, and what looks wrong."""
+    from service.robots.check import check as report  # imports numpy and scipy: not at the start of the API process
+
+    return report(document)
 
 
 @router.get("")

@@ -46,7 +46,7 @@ def get(database: Database, name: str) -> RobotReport:
         robot = store.core_robot(session, stored.id)
     return RobotReport(
         **summary.model_dump(),
-        joints=[_joint(joint) for joint in robot.joints],
+        joints=[joint_summary(joint) for joint in robot.joints],
         parameters=[str(robot.chain.elements[k].name) for k in robot.chain.named],
         notes=core_document(stored.document).notes,
         document=DOCUMENT.validate_python(stored.document),
@@ -65,7 +65,8 @@ def remove(database: Database, name: str) -> None:
         store.remove(session, name)
 
 
-def _joint(joint: Joint) -> JointSummary:
+def joint_summary(joint: Joint) -> JointSummary:
+    """Say what a joint is, in mm and degrees."""
     bounds = tuple(bound if math.isfinite(bound) else None for bound in (joint.lower, joint.upper))
     scale = 1e3 if joint.kind == "prismatic" else 180.0 / math.pi
     limits = tuple(None if bound is None else round(bound * scale, 9) for bound in bounds)
