@@ -52,14 +52,19 @@ class Kilter:
         """Return whether the server is ready, and what it looked at."""
         return self._connection.get("/v1/health")
 
-    def correct(self, robot: str, trajectory: Prepared, *, version: str | None = None) -> bytes:
-        """Correct a trajectory with the active version (or ``version``); the answer has the format that was sent."""
+    def correct(
+        self, robot: str, trajectory: Prepared, *, version: str | None = None, form: str | None = None
+    ) -> bytes:
+        """Correct a trajectory with the active version (or ``version``).
+
+        The answer has the format that was sent; ``form`` "ros2-yaml" asks for a ROS 2 JointTrajectory instead.
+        """
         response = self._connection.request(
             "POST",
             address("robots", robot, "correct"),
             content=trajectory.content,
-            headers={"Content-Type": trajectory.content_type, "Accept": trajectory.content_type},
-            params={"version": version} if version else {},
+            headers={"Content-Type": trajectory.content_type, "Accept": "*/*" if form else trajectory.content_type},
+            params={name: value for name, value in (("version", version), ("format", form)) if value},
             timeout=CORRECT_TIMEOUT_S,
         )
         return response.content

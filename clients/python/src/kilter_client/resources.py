@@ -27,6 +27,10 @@ class Robots:
         """Add a robot (the contract's ``robot.json``); the same document twice changes nothing."""
         return self._connection.post("/v1/robots", document)
 
+    def check(self, document: Mapping[str, Any]) -> Document:
+        """Return what a document comes to, without adding it: axes, the arm at zero, reach, what looks wrong."""
+        return self._connection.post("/v1/robots/check", document)
+
     def list(self) -> list[Document]:
         """Return the robots, by name."""
         return list(self._connection.get("/v1/robots")["robots"])

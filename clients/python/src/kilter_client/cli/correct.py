@@ -33,6 +33,9 @@ def correct(
     column_map: Annotated[
         Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
     ] = None,
+    form: Annotated[
+        str | None, typer.Option("--format", help="ros2-yaml: a ROS 2 JointTrajectory instead of the format sent.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Correct a trajectory (t_s, q1_deg, ...) with the active version; the answer has the format that was sent."""
@@ -40,8 +43,8 @@ def correct(
         raise UsageError("--json reports what was written: name the file with -o.")
     trajectory = prepare(file, column_map=column_map)
     with Kilter() as kilter:
-        content = kilter.correct(robot, trajectory)
-    status = verdicts(content, trajectory.content_type)
+        content = kilter.correct(robot, trajectory, form=form)
+    status = {} if form else verdicts(content, trajectory.content_type)
     left = {name: count for name, count in status.items() if name != "OK"}
     if left:
         counts = ", ".join(f"{name} {count}" for name, count in left.items())

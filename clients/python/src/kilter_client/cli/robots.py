@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,9 +9,13 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.arguments import Json, Robot
+from kilter_client.cli.drawing import show_check
 from kilter_client.cli.output import emit, say
+from kilter_client.cli.picture import picture
 from kilter_client.cli.tables import show_rows
-from kilter_client.errors import FileError, UsageError
+from kilter_client.cli.versions import write
+from kilter_client.errors import UsageError
+from kilter_client.robots import Described, read_robot
 
 robot = typer.Typer(help="Describe robots.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -22,21 +25,67 @@ def register(app: typer.Typer) -> None:
     app.add_typer(robot, name="robot")
 
 
+ROBOT_FILE = "robot.json, .urdf, a DH table (.csv, .xlsx), a UR calibration (.yaml), or a KNI .cfg."
+RobotFile = Annotated[Path | None, typer.Argument(help=ROBOT_FILE, exists=True, dir_okay=False, show_default=False)]
+Preset = Annotated[str | None, typer.Option(help="A robot that ships with Kilter, instead of a file.")]
+Name = Annotated[str | None, typer.Option(help="Name to give it; only robot.json has one.")]
+BaseLink = Annotated[str | None, typer.Option(help="URDF: first link of the chain.")]
+TipLink = Annotated[str | None, typer.Option(help="URDF: last link of the chain.")]
+Convention = Annotated[str | None, typer.Option(help="Table: dh or mdh (Craig).", metavar="dh|mdh")]
+Model = Annotated[str | None, typer.Option(help="UR calibration: the model it must be of, for example ur10e.")]
+Turned = Annotated[list[str] | None, typer.Option(help="A joint the controller counts backwards; repeat for more.")]
+Follows = Annotated[
+    list[str] | None,
+    typer.Option(help="A joint read against the horizontal, as FANUC's: j3=j2; repeat for more.", metavar="J3=J2"),
+]
+
+
 @robot.command(epilog="Example: kilter robot add robot.json")
 def add(
-    file: Annotated[
-        Path | None, typer.Argument(help="robot.json, or a .urdf.", exists=True, dir_okay=False, show_default=False)
-    ] = None,
-    preset: Annotated[str | None, typer.Option(help="A robot that ships with Kilter, instead of a file.")] = None,
-    name: Annotated[str | None, typer.Option(help="Name to give it; needed for a URDF.")] = None,
-    base_link: Annotated[str | None, typer.Option(help="URDF: first link of the chain.")] = None,
-    tip_link: Annotated[str | None, typer.Option(help="URDF: last link of the chain.")] = None,
+    file: RobotFile = None,
+    preset: Preset = None,
+    name: Name = None,
+    base_link: BaseLink = None,
+    tip_link: TipLink = None,
+    convention: Convention = None,
+    model: Model = None,
+    turned: Turned = None,
+    follows: Follows = None,
     as_json: Json = False,
 ) -> None:
-    """Add a robot from robot.json, from a URDF, or from a preset."""
-    document = _document(file, preset, name, base_link, tip_link)
+    """Add a robot from robot.json, from a file of another tool, or from a preset."""
+    described = Described(name, base_link, tip_link, convention, model, turned or (), follows or ())
+    document = _document(file, preset, described)
     with Kilter() as kilter:
         emit(kilter.robots.add(document), as_json, _show)
+
+
+@robot.command(epilog="Example: kilter robot check arm.csv --name arm --convention dh --plot arm.png")
+def check(
+    file: RobotFile = None,
+    preset: Preset = None,
+    name: Name = None,
+    base_link: BaseLink = None,
+    tip_link: TipLink = None,
+    convention: Convention = None,
+    model: Model = None,
+    turned: Turned = None,
+    follows: Follows = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the arm into this .png file too.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Draw a robot at zero and list axes, limits, reach and what looks wrong; nothing is added."""
+    described = Described(
+        name or (file.stem if file else None), base_link, tip_link, convention, model, turned or (), follows or ()
+    )
+    if plot is not None and plot.suffix.lower() != ".png":
+        raise UsageError(f"--plot {plot}: give a file that ends in .png.")
+    document = _document(file, preset, described)
+    with Kilter() as kilter:
+        found = kilter.robots.check(document)
+    if plot is not None:
+        write(plot, picture(found))
+    emit(found, as_json, show_check)
 
 
 @robot.command("list", epilog="Example: kilter robot list")
@@ -54,40 +103,12 @@ def show(robot: Robot, as_json: Json = False) -> None:
         emit(kilter.robots.get(robot), as_json, _show)
 
 
-def _document(
-    file: Path | None, preset: str | None, name: str | None, base_link: str | None, tip_link: str | None
-) -> dict[str, Any]:
+def _document(file: Path | None, preset: str | None, described: Described) -> dict[str, Any]:
     if (file is None) == (preset is None):
         raise UsageError("Give either a FILE or --preset.")
-    is_urdf = file is not None and file.suffix.lower() in (".urdf", ".xml")
-    if (base_link or tip_link) and not is_urdf:
-        raise UsageError("--base-link and --tip-link belong to a .urdf file.")
-    if file is None:
-        return {"name": name or preset, "convention": "preset", "preset": preset}
-    if not is_urdf:
-        document = _json(file)
-        return {**document, "name": name} if name else document
-    if not (name and base_link and tip_link):
-        raise UsageError("A URDF needs --name, --base-link and --tip-link: it may hold a bigger tree than the arm.")
-    text = _text(file)
-    return {"name": name, "convention": "urdf", "urdf": text, "base_link": base_link, "tip_link": tip_link}
-
-
-def _json(file: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(_text(file))
-    except ValueError as error:
-        raise FileError(f"{file}: is no JSON ({error}).", file=str(file)) from error
-    if not isinstance(document, dict):
-        raise FileError(f"{file}: is no JSON object. Describe one robot, see the robots reference.", file=str(file))
-    return document
-
-
-def _text(file: Path) -> str:
-    try:
-        return file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(f"{file}: cannot be read as text ({error}).", file=str(file)) from error
+    if file is not None:
+        return read_robot(file, described)
+    return {"name": described.name or preset, "convention": "preset", "preset": preset}
 
 
 def _show(document: dict[str, Any]) -> None:

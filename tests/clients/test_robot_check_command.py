@@ -1,0 +1,60 @@
+"""``kilter robot check``: the drawing, the picture and the list, on real robots and a real server."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import zlib
+from pathlib import Path
+
+import pytest
+from kilter_client import Kilter
+from kilter_client.cli import run
+from kilter_client.cli.drawing import drawing
+
+Capture = pytest.CaptureFixture[str]
+
+TABLE = "theta_offset_deg,d_mm,a_mm,alpha_deg\n0,300,0,90\n0,0,500,0\n0,0,400,0\n"
+
+
+def test_a_table_is_drawn_and_listed(server: Path, tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "arm.csv"
+    path.write_text(TABLE)
+    assert run(["robot", "check", str(path), "--convention", "dh"]) == 0
+    text = capsys.readouterr().out
+    side = text.split("z up\n")[1].split("\n\n")[0].splitlines()
+    # Upright for 300 mm, then level for 900: base below, tool at the far right of the top line.
+    assert side[-1].startswith("o")
+    assert side[0].endswith("T")
+    assert side[0].startswith("2")
+    assert len(side[0]) == 60
+    assert "reach of the tool from the first axis: 9" in text
+    assert "suspicious: No limits for j1, j2, j3" in text
+    assert "90 deg, 0.0 mm" in text
+    with Kilter() as kilter:
+        assert "arm" not in [robot["name"] for robot in kilter.robots.list()]
+
+
+def test_the_picture_is_a_png_with_the_arm_in_it(server: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "arm.png"
+    assert run(["robot", "check", "--preset", "ur10", "--plot", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["reach_mm"] > 1200
+    data = out.read_bytes()
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    width, height = struct.unpack(">II", data[16:24])
+    size = struct.unpack(">I", data[33:37])[0]
+    pixels = zlib.decompress(data[41 : 41 + size])
+    assert len(pixels) == height * (3 * width + 1)
+    colours = {
+        pixels[k + 1 + c : k + 4 + c] for k in range(0, len(pixels), 3 * width + 1) for c in range(0, 3 * width, 3)
+    }
+    assert len(colours) == 4  # paper, links, axes, marks
+    assert run(["robot", "check", "--preset", "ur10", "--plot", "arm.svg"]) == 2
+
+
+def test_drawings_keep_the_proportions() -> None:
+    circle = [(math.cos(t) * 100, math.sin(t) * 100) for t in (k * 0.3 for k in range(22))]
+    rows = drawing(circle).splitlines()
+    assert max(len(row) for row in rows) == pytest.approx(2 * len(rows), abs=2)
+    assert drawing([(0, 0), (0, 0), (0, 0)]) == "o"
