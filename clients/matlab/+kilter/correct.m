@@ -1,0 +1,65 @@
+function [q, info] = correct(robot, q_deg, varargin)
+% CORRECT  Correct a trajectory: rows of joint readings in degrees (prismatic joints: mm).
+%   q = kilter.correct('arm', q_deg)
+%   [q, info] = kilter.correct('arm', q_deg, 't_s', t, 'payload_kg', 2, 'version', 'ver_7c')
+%   Q has NaN where a row could not be corrected; INFO.status says why, INFO.error_mm (N, 3) is the tool error removed.
+[given, ~] = kilter.internal.options(varargin);
+path = ['/v1/robots/' kilter.internal.quote(robot) '/correct'];
+if isfield(given, 'version')
+    path = [path '?version=' kilter.internal.quote(given.version)];
+    given = rmfield(given, 'version');
+end
+described = kilter.robot(robot);
+names = cell(1, size(q_deg, 2));
+parts = {};
+for k = 1:size(q_deg, 2)
+    unit = 'deg';
+    if k <= numel(described.joints) && strcmp(one(described.joints, k).kind, 'prismatic')
+        unit = 'mm';
+    end
+    names{k} = sprintf('q%d_%s', k, unit);
+    parts{end + 1} = column(names{k}, q_deg(:, k)); %#ok<AGROW>
+end
+extra = fieldnames(given);
+for k = 1:numel(extra)
+    values = given.(extra{k});
+    if isscalar(values)
+        values = repmat(values, size(q_deg, 1), 1);
+    end
+    parts{end + 1} = column(extra{k}, values); %#ok<AGROW>
+end
+answer = jsondecode(kilter.internal.request('POST', path, ['{' strjoin(parts, ',') '}']));
+q = nan(size(q_deg));
+for k = 1:numel(names)
+    q(:, k) = numbers(answer.(names{k}));
+end
+info = struct('status', {cellstr(answer.status)}, ...
+    'error_mm', [numbers(answer.dx_mm), numbers(answer.dy_mm), numbers(answer.dz_mm)]);
+end
+
+function item = one(list, k)
+if iscell(list)
+    item = list{k};
+else
+    item = list(k);
+end
+end
+
+function text = column(name, values)
+% Written here, not by jsonencode: one row must stay a list, and every digit counts.
+text = ['"' name '":[' strjoin(arrayfun(@(v) sprintf('%.17g', v), values(:)', 'UniformOutput', false), ',') ']'];
+end
+
+function out = numbers(values)
+% A column with nulls comes as numbers with NaN, or as a cell where all are null.
+if iscell(values)
+    out = nan(numel(values), 1);
+    for k = 1:numel(values)
+        if ~isempty(values{k})
+            out(k) = values{k};
+        end
+    end
+else
+    out = values(:);
+end
+end
