@@ -240,7 +240,7 @@ def test_contract_files_go_as_they_are(tmp_path: Path) -> None:
 
 def test_example_maps_are_readable() -> None:
     folder = Path(__file__).resolve().parents[2] / "clients/python/examples"
-    assert {path.name for path in folder.glob("*.toml")} == {"columns.toml", "fanuc.toml", "talos.toml"}
+    assert {path.name for path in folder.glob("*.toml")} == {"columns.toml", "fanuc.toml", "kr300.toml", "talos.toml"}
     for path in folder.glob("*.toml"):
         read_map(path)
 

@@ -96,7 +96,9 @@ def _control(result: Mapping[str, Any]) -> None:
     control = result.get("negative_control") or {}
     rows = control.get("effects") or []
     if rows:
-        tried = "; ".join(f"{_name(r)}: {r['survived']} of {r['shuffles']} with {r['shuffled']} shuffled" for r in rows)
+        tried = "; ".join(
+            f"{_name(r)}: {100 * r['survived']:.0f} % of {r['shuffles']} shuffles of {r['shuffled']}" for r in rows
+        )
         say(f"negative control {'passed' if control.get('passed') else 'NOT passed'} (names that survived: {tried})")
 
 

@@ -1,0 +1,95 @@
+"""Gap hunts on real measurements with the `kilter` command; the whole library only in the slow ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from kilter_client.cli import run
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "clients/python/examples"
+QUICK = ("--option", "resamples=10", "--option", "permutations=5", "--option", "bootstraps=499")
+SURE = ("confirmed", "class_confirmed")
+
+
+class Session:
+    """A person at the command line, with a robot of this test's own."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str], robot: str) -> None:
+        self._capsys, self.robot = capsys, robot
+
+    def __call__(self, *arguments: object) -> dict[str, Any]:
+        self._capsys.readouterr()
+        code = run([*(str(argument) for argument in arguments), "--json"])
+        printed = self._capsys.readouterr().out
+        assert code == 0, printed
+        found: dict[str, Any] = json.loads(printed)
+        return found
+
+    def upload(self, file: Path, *arguments: object) -> str:
+        return str(self("upload", self.robot, file, *arguments)["campaign_id"])
+
+    def hunt(self, *arguments: object) -> dict[str, Any]:
+        return dict(self("gap", self.robot, *arguments)["result"])
+
+
+@pytest.fixture
+def person(server: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest) -> Session:
+    return Session(capsys, request.node.name.replace("[", ".").replace("]", "")[:60])
+
+
+def named(found: dict[str, Any]) -> dict[str, Any]:
+    return {effect["id"]: effect for effect in found["effects"]}
+
+
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])])
+def test_two_encoders_per_joint(person: Session, shared_data: Path, whole: bool) -> None:
+    person("robot", "add", EXAMPLES / "kr300.json", "--name", person.robot)
+    folder = shared_data / "kuka-kr300-secondary-encoder"
+    ids = [
+        person.upload(folder / f"traj_{k}.mat", "--map", EXAMPLES / "kr300.toml", "--device", "secondary-encoder")
+        for k in "ABC"
+    ]
+    quick = () if whole else ("--effects", "tracking_lag,axial_compliance,backlash", *QUICK)
+    found = person.hunt("-c", ids[0], "-v", ids[1], "-v", ids[2], *quick)
+    effects = named(found)
+    # A delay of 3 ms between the encoders; the load's and the direction's part on every axis that has an encoder.
+    assert effects["tracking_lag"]["joints"] == [1, 2, 3]
+    assert all(0.0025 < p["value"] < 0.0035 for p in effects["tracking_lag"]["parameters"])
+    assert {j for e in found["effects"] if e["id"] == "axial_compliance" for j in e["joints"]} == {1, 2, 3}
+    reversal = {"backlash", "friction_windup"}
+    assert {j for e in found["effects"] if e["id"] in reversal for j in e["joints"]} >= {2, 3}
+    assert found["gap"]["validation_after_deg"] < 0.35 * found["gap"]["validation_before_deg"]
+    # One motion without repeats: relative to the fit's own noise, so nothing may be sure.
+    assert not [e for e in found["effects"] if e["verdict"] in SURE]
+    assert "dead_encoder" in {w["code"] for w in found["warnings"]}
+
+
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_humanoid_arm_confirms_nothing_its_held_out_poses_do_not_show(
+    person: Session, shared_data: Path, whole: bool
+) -> None:
+    folder = shared_data / "talos-arm"
+    urdf = ("--name", person.robot, "--base-link", "base_link", "--tip-link", "arm_left_7_link")
+    person("robot", "add", folder / "talos_full_v2.urdf", *urdf)
+    rows = person.upload(folder / "talos_left_arm_02_10_contact.csv", "--map", EXAMPLES / "talos.toml")
+    quick = () if whole else ("--effects", "axial_compliance,radial_compliance,encoder_scale", *QUICK)
+    found = person.hunt("-c", rows, "-v", "0.25", *quick)
+    for effect in found["effects"]:
+        held = effect["held_out_gain"]
+        assert effect["verdict"] not in SURE or held["gain"] > 2 * held["standard_error"]
+    assert not [e for e in found["effects"] if e["verdict"] in SURE]
+    assert "no_repeats" in {w["code"] for w in found["warnings"]}
+
+
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])])
+def test_ur10_has_no_term_of_the_order_of_poses(person: Session, shared_data: Path, whole: bool) -> None:
+    person("robot", "add", "--preset", "ur10", "--name", person.robot)
+    file = shared_data / "ipa-ur10-lasertracker/Series_B/measurements_joint_configurations.csv"
+    rows = person.upload(file, "--device", "ipa-lasertracker")
+    quick = () if whole else ("--effects", "axial_compliance,backlash,drift", *QUICK)
+    found = person.hunt("-c", rows, "-v", "0.3", *quick)
+    assert not {"backlash", "friction_windup", "drift"} & set(named(found))
+    assert found["gap"]["validation_after_mm"] <= found["gap"]["validation_before_mm"]
