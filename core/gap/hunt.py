@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.gap.options import GapOptions
-from core.gap.scan import Null, Scorer, bootstrap, null_of
+from core.gap.scan import Null, Scorer, null_of
 from core.gap.select import Selector
 from core.gap.world import Setting, World, refit
 
@@ -54,7 +54,7 @@ def hunt(setting: Setting, world: World, scorer: Scorer, limits: Floats, options
     seen = {chosen}
     for round_ in range(2 * options.max_effects):
         tell(min(0.9, round_ / 6.0), f"scan {round_ + 1}: {len(scorer.candidates)} candidates")
-        null = _null(world, selector, chosen, options)
+        null = null_of(world, scorer, selector.columns(chosen), options.bootstraps, options.seed)
         first = first or null
         critical = null.critical(options.alpha)
         k, _ = selector.entry(world.gram, chosen, critical)
@@ -69,21 +69,6 @@ def hunt(setting: Setting, world: World, scorer: Scorer, limits: Floats, options
         steps.append(_step(world, selector, chosen))
     assert first is not None
     return Hunt(world, selector, chosen, first, first.critical(options.alpha), tuple(steps))
-
-
-def _null(world: World, selector: Selector, chosen: tuple[int, ...], options: GapOptions) -> Null:
-    """Null of the next entry. What the data seem to want by the bootstrap alone is kept out of the flipped residual."""
-    gram = world.gram.given(selector.columns(chosen))
-    rng = np.random.default_rng(options.seed)
-    rough = float(np.quantile(bootstrap(gram, selector.scorer, 499, rng), options.alpha))
-    full = tuple(chosen)
-    for _ in range(options.max_effects):
-        k, _ = selector.entry(world.gram, full, rough)
-        if k is None or k in full:
-            break
-        full = (*full, k)
-    columns = selector.columns(chosen)
-    return null_of(world, selector.scorer, columns, selector.columns(full), options.bootstraps, options.seed)
 
 
 def _step(world: World, selector: Selector, chosen: tuple[int, ...]) -> Step:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from core.gap.visits import Visits
 
@@ -20,6 +21,7 @@ Bools = NDArray[np.bool_]
 FEWEST = 3  # independent deviations below which repeats say too little
 SPIKE = 6.0  # robust standard deviations from its own repeats at which a row is a spike
 SPIKE_PASSES = 4
+SPHERICAL = 0.001  # chance of calling equal variances unequal
 FIT = "residuals of the fit"
 SMALLEST = 1e-9  # m or rad: keeps noise-free simulations solvable
 
@@ -98,7 +100,8 @@ def repeat_noise(residual: Floats, visit_residual: Floats, visits: Visits, point
     if k_within < FEWEST:
         total = _spread(between, k_between, at, at)
         return _noise(total, total.mean(axis=0), k_between, None, total)
-    extra = _positive(_shrunk(_second(between[0]), k_between) - np.mean(rows_cov * share[:, None, None], axis=0))
+    known = np.mean(rows_cov * share[:, None, None], axis=0)
+    extra = _positive(_shrunk(_second(between[0]) - known, k_between))
     visit = extra + rows_cov * share[:, None, None]
     # The scale of the sum is that of the repeated approaches, however well the rows within a visit are known.
     return _noise(visit, extra + rows_cov.mean(axis=0), k_between, rows_cov, extra)
@@ -223,12 +226,22 @@ def _second(deviation: Floats) -> Floats:
 
 
 def _shrunk(cov: Floats, vectors: float) -> Floats:
-    """Covariance drawn towards equal variances within each triple, so that few repeats still give a usable one."""
+    """Covariance with equal variances within each triple, unless the repeats clearly say otherwise.
+
+    A free 3x3 covariance from ten repeats has axes wrong by half; whitening with it makes names out of the worst axis.
+    Bartlett's test of sphericity decides, and even then the estimate is drawn towards equal variances.
+    """
     size = len(cov)
     target = np.zeros_like(cov)
     step = 3 if size % 3 == 0 else 1
     for k in range(0, size, step):
         target[range(k, k + step), range(k, k + step)] = np.trace(cov[k : k + step, k : k + step]) / step
+    sign, logdet = np.linalg.slogdet(cov)
+    if sign <= 0 or vectors <= size + 1 or np.any(np.diag(target) <= 0.0):
+        return target
+    apart = (vectors - (2 * size + 1 + 2 / size) / 6) * float(np.sum(np.log(np.diag(target))) - logdet)
+    if chi2.sf(apart, size * (size + 1) / 2 - size / step) > SPHERICAL:
+        return target
     pull = (size + 2.0) / (size + 2.0 + vectors)
     return np.asarray((1.0 - pull) * cov + pull * target)
 

@@ -17,27 +17,46 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 CHANCE = 0.001  # of setting any good visit aside
-MOST = 0.06  # share of visits above which it is structure, not outliers
-PASSES = 3
+MOST = 0.08  # share of visits above which it is structure, not outliers
+PASSES = 12
+WORST = 0.3
 UNSEEN = 1e-6
+SUPPLE = 0.4  # library parameters per measured scalar above which the library can explain anything
+WILD = 2.0  # times the squared limit, when geometry alone predicts
 
 
 def outliers(world: World) -> Bools:
-    """Visits (V,) to set aside. Leave-one-out residual against geometry and library, studentised, robust scale."""
+    """Visits (V,) to set aside. Leave-one-out residual against geometry and library, studentised, robust scale.
+
+    Where the library has more parameters than the data could fix it explains anything, a wild reading too. Then the
+    geometry alone predicts, and a visit must stand so far out of the scatter as no smooth effect ever does.
+    """
     setting = world.setting
-    used = setting.used.copy()
     size = setting.whitener.shape[-1]
-    X = np.hstack([world.G * setting.source.prior_sigma, world.W_raw * (setting.source.library_sigma * world.size)])
+    G = world.G * setting.source.prior_sigma
+    whole = np.hstack([G, world.W_raw * (setting.source.library_sigma * world.size)])
     y = world.raw + world.W_raw @ (setting.source.library(world.values) * world.size)
+    limit = float(chi2.isf(CHANCE / len(setting.used), size))
+    found = _far(whole, y, setting.used, limit)
+    if whole.shape[1] > SUPPLE * setting.used.sum() * size:
+        found |= _far(G, y, setting.used, WILD * limit)
+    return found
+
+
+def _far(X: Floats, y: Floats, used: Bools, limit: float) -> Bools:
+    """Visits beyond the limit, worst first; none when they are too many to be anything but structure."""
+    kept = used.copy()
+    size = len(y) // len(used)
     for _ in range(PASSES):
-        distance = _left_out(X, y, np.repeat(used, size), size)
-        scale = max(1.0, float(np.median(distance[used])) / float(chi2.median(size)))
-        far = used & (distance / scale > chi2.isf(CHANCE / len(used), size))
+        distance = _left_out(X, y, np.repeat(kept, size), size)
+        scale = max(1.0, float(np.median(distance[kept])) / float(chi2.median(size)))
+        far = kept & (distance / scale > limit)
         if not far.any():
             break
-        used &= ~far
-    found = setting.used & ~used
-    return found if found.sum() <= max(1, MOST * setting.used.sum()) else np.zeros_like(found)
+        # One wild visit bends the fit and makes good ones look far.
+        kept &= ~(far & (distance > WORST * distance[kept].max()))
+    found = used & ~kept
+    return found if found.sum() <= max(2, MOST * used.sum()) else np.zeros_like(found)
 
 
 def _left_out(X: Floats, y: Floats, kept: Bools, size: int) -> Floats:

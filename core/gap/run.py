@@ -23,6 +23,7 @@ from core.gap.options import GapOptions
 from core.gap.prepare import Prepared, Workshop
 from core.gap.report import GapReport
 from core.gap.scan import Scorer
+from core.gap.shadow import bumped
 from core.gap.source import LinkSource, ToolSource, calibrated
 from core.gap.stability import inclusion
 from core.gap.testability import Testability, alias_matrix, smallest_rows, testability, untestable
@@ -147,6 +148,7 @@ class _Run:
             tuple(sizes[c] for c in candidate.columns),
             found.null.family_wise(tail, len(selector.scorer.candidates)),
             (train_rms(found.world, rest) - train_rms(found.world, found.columns)) * unit,
+            bumped(found, place, self.prepared.visits.observations.q),
         )  # fmt: skip
 
     def _control_document(self, found: Hunt, shuffled: tuple[Control, ...]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+STRICTER = 1e-3  # the most that sign flips may tighten the limit of the bootstrap
 FEWEST_FLIPS = 12  # poses below which sign flips cannot reach a 1 % level
 ALMOST_ALL = 0.999  # leverage beyond which a residual says nothing
 
@@ -139,11 +140,14 @@ class Null:
     flips: Floats | None
 
     def critical(self, alpha: float) -> float:
-        """Tail probability that the best candidate must go below; the stricter of the two."""
-        limits = [float(np.quantile(self.bootstrap, alpha))]
-        if self.flips is not None:
-            limits.append(float(np.quantile(self.flips, alpha)))
-        return min(limits)
+        """Tail probability that the best candidate must go below; the stricter of the two.
+
+        A strong effect not entered yet makes flipped residuals look wild, so the flips are heeded only so far.
+        """
+        limit = float(np.quantile(self.bootstrap, alpha))
+        if self.flips is None:
+            return limit
+        return min(limit, max(float(np.quantile(self.flips, alpha)), STRICTER * limit))
 
     def family_wise(self, p: float, tests: int) -> float:
         """Family-wise p-value: counted on the bootstrap, or beyond its reach by Bonferroni."""
@@ -155,15 +159,11 @@ class Null:
         return worst if p * tests > 1.0 / (len(self.bootstrap) + 1.0) else min(worst, max(p * tests, 1e-300))
 
 
-def null_of(world: World, scorer: Scorer, chosen: Sequence[int], full: Sequence[int], draws: int, seed: int) -> Null:
-    """Null distribution of the best candidate, given the chosen columns.
-
-    The signs flipped are those of the residual under the columns ``full`` that the data seem to want (ter Braak 1992):
-    an effect still to be entered must not count as noise.
-    """
+def null_of(world: World, scorer: Scorer, chosen: Sequence[int], draws: int, seed: int) -> Null:
+    """Null distribution of the best candidate, given the chosen columns."""
     rng = np.random.default_rng(seed)
     gram = world.gram.given(chosen)
-    return Null(bootstrap(gram, scorer, draws, rng), _flips(world, gram, scorer, (chosen, full), draws // 2, rng))
+    return Null(bootstrap(gram, scorer, draws, rng), _flips(world, gram, scorer, chosen, draws // 2, rng))
 
 
 def bootstrap(gram: Gram, scorer: Scorer, draws: int, rng: np.random.Generator) -> Floats:
@@ -183,7 +183,7 @@ def _flips(
     world: World,
     gram: Gram,
     scorer: Scorer,
-    sets: tuple[Sequence[int], Sequence[int]],
+    chosen: Sequence[int],
     draws: int,
     rng: np.random.Generator,
 ) -> Floats | None:
@@ -191,9 +191,8 @@ def _flips(
     poses = int(group.max()) + 1
     if poses < FEWEST_FLIPS:
         return None
-    basis = world.basis(sets[1])
-    r = residual_given(world, sets[1]) / np.sqrt(1.0 - np.minimum(np.sum(basis**2, axis=1), ALMOST_ALL))
-    basis = world.basis(sets[0])
+    basis = world.basis(chosen)
+    r = residual_given(world, chosen) / np.sqrt(1.0 - np.minimum(np.sum(basis**2, axis=1), ALMOST_ALL))
     flips = rng.choice([-1.0, 1.0], size=(draws, poses))
     W = world.W - basis @ (basis.T @ world.W)
     rows = group[world.row_visit]

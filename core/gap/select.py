@@ -62,6 +62,8 @@ class Selector:
         """Best candidate to add, None when the best is no better than noise."""
         given = gram.given(self.columns(chosen))
         scores = self.scorer.scores(given)
+        if not len(scores.p):
+            return None, scores
         ranked = self.ranked(given, scores)
         able = (scores.p < critical) & (scores.d > 0)
         for k in np.argsort(-np.where(able, ranked, -np.inf), kind="stable"):
@@ -95,7 +97,7 @@ class Selector:
         """Swap, merge and drop until nothing improves."""
         seen = {chosen}
         while True:
-            after = self.dropped(gram, self.merged(gram, self.swapped(gram, chosen, critical)), critical)
+            after = self.dropped(gram, self.merged(gram, self.swapped(gram, chosen, critical), critical), critical)
             if after == chosen or after in seen:
                 return after
             seen.add(after)
@@ -117,8 +119,8 @@ class Selector:
             chosen = best
         return chosen
 
-    def merged(self, gram: Gram, chosen: tuple[int, ...]) -> tuple[int, ...]:
-        """Name an effect of most joints as a family, one of few joints by its joints."""
+    def merged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+        """Name an effect of most joints as a family, one of few joints by its joints, each of which must stand alone."""
         for effect in sorted({self.scorer.candidates[k].id for k in chosen}):
             family = [k for k, c in enumerate(self.scorer.candidates) if c.id == effect and c.level == FAMILY]
             own = [k for k in chosen if self.scorer.candidates[k].id == effect]
@@ -128,7 +130,8 @@ class Selector:
             variance = self.variance(gram, (*rest, family[0]))
             members = self._members(gram, rest, family[0], variance)
             whole = self.criterion(gram, (*rest, family[0]), variance)
-            if self.criterion(gram, (*rest, *members), variance) > whole + FAMILY_MARGIN:
+            better = self.criterion(gram, (*rest, *members), variance) > whole + FAMILY_MARGIN
+            if better and max(self.tails(gram, (*rest, *members))[len(rest) :]) < critical:
                 chosen = (*rest, *members)
             elif self.plausible(gram, (*rest, family[0]), family[0]):
                 chosen = (*rest, family[0])
@@ -137,16 +140,21 @@ class Selector:
     def dropped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Drop members that, given the others, noise could be, or whose sign contradicts physics."""
         while chosen:
-            tails = []
-            for k in chosen:
-                rest = tuple(m for m in chosen if m != k)
-                p = self.scorer.scores(gram.given(self.columns(rest))).p[k]
-                tails.append(p if self.plausible(gram, chosen, k) else 1.0)
+            tails = self.tails(gram, chosen)
             worst = int(np.argmax(tails))
             if tails[worst] <= critical:
                 return chosen
             chosen = tuple(m for m in chosen if m != chosen[worst])
         return chosen
+
+    def tails(self, gram: Gram, chosen: tuple[int, ...]) -> list[float]:
+        """Tail probability of each member given the others; 1 where its amplitude contradicts physics."""
+        out = []
+        for k in chosen:
+            rest = tuple(m for m in chosen if m != k)
+            p = float(self.scorer.scores(gram.given(self.columns(rest))).p[k])
+            out.append(p if self.plausible(gram, chosen, k) else 1.0)
+        return out
 
     def searched(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
         """Whole selection on one linear world, for resamples."""

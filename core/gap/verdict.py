@@ -32,6 +32,7 @@ class Evidence:
     amplitudes: tuple[Amplitude, ...]
     p_value: float
     gain_mm: float
+    bumped: bool = False  # a local bump of its joint does as well
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,9 @@ def judge(hunt: Hunt, evidence: Evidence, adequate: bool | None, library: Librar
         "physical": not evidence.candidate.empirical,
         "adequate": bool(adequate),
         "held_out": evidence.held_out[0] > SURE_GAIN * evidence.held_out[1],
-        "no_empirical_alias": len(rivals) == len(evidence.aliases) and not _shadowed(hunt, evidence),
+        "no_empirical_alias": len(rivals) == len(evidence.aliases)
+        and not evidence.bumped
+        and not _shadowed(hunt, evidence),
         "plausible": _plausible(evidence, library),
         "inclusion": evidence.inclusion[1 if rivals else 0] >= INCLUDED,
         "negative_control": evidence.control is None or evidence.control.passed,

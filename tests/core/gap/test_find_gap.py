@@ -1,0 +1,191 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.errors import CancelledError, OptionError, TooFewPosesError
+from core.gap import GapOptions, find_gap
+from core.gap.options import GapOptions as Options
+from core.model import Calibration
+from core.observations import Observations
+from tests.core.gap.simulated import campaign, katana
+
+QUICK = GapOptions(resamples=20, permutations=10, next_poses=3)
+BACKLASH = ("backlash", (1,), (3e-4,))
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return katana()
+
+
+@pytest.fixture(scope="module")
+def backlash(robot):
+    return find_gap(robot, campaign(robot, [BACKLASH]), QUICK, validation=0.25)
+
+
+def codes(report):
+    return {w["code"] for w in report.warnings}
+
+
+def test_nothing_hidden_nothing_named(robot):
+    report = find_gap(robot, campaign(robot, seed=3), QUICK)
+    assert (report.verdict, report.effects) == ("no_gap", ())
+    assert any(row["id"] == "backlash" and row["smallest_detectable"] > 0 for row in report.smallest_detectable)
+    assert report.calibration.model.effects == ()
+
+
+def test_backlash_is_named_with_its_twin_and_its_size(backlash):
+    (effect,) = backlash.to_document()["effects"]
+    assert (effect["id"], effect["joints"], effect["verdict"]) == ("backlash", [2], "class_confirmed")
+    assert [a["id"] for a in effect["alias_set"]] == ["friction_windup"]
+    (p,) = effect["parameters"]
+    assert p["unit"] == "deg"
+    assert p["interval_low"] < np.degrees(3e-4) < p["interval_high"]
+    assert effect["p_value"] < 1e-6
+    assert backlash.verdict == "closed"
+
+
+def test_the_gap_shrinks_on_held_out_poses(backlash):
+    gap = backlash.gap
+    assert gap["held_out"] == "validation observations"
+    assert gap["validation_after_mm"] < 0.8 * gap["validation_before_mm"]
+    assert gap["closure"] > 0.8
+
+
+def test_the_version_holds_the_named_effect(robot, backlash):
+    again = Calibration.from_document(robot, json.loads(json.dumps(backlash.calibration.to_document())))
+    assert [e.id for e in again.model.effects] == ["backlash"]
+    assert again.model.effects[0].joints == (1,)
+    rows = campaign(robot, [BACKLASH])
+    error = rows.position - again.predict(rows).position
+    assert np.sqrt(np.mean(error**2)) < 3e-5
+
+
+def test_where_names_the_direction_of_the_joint(backlash):
+    assert any("direction of joint 2" in p.factor and p.p_value < 0.01 for p in backlash.where)
+
+
+def test_the_name_vanishes_when_labels_are_shuffled(backlash):
+    control = backlash.negative_control
+    assert control["passed"]
+    assert control["effects"][0]["shuffled"] == "direction"
+
+
+def test_the_document_is_plain_json(backlash):
+    document = json.loads(json.dumps(backlash.to_document(), allow_nan=False))
+    wanted = {
+        "verdict", "effects", "where", "gap", "not_testable", "next_poses", "negative_control", "alias_matrix",
+        "warnings", "figures",
+    }  # fmt: skip
+    assert wanted <= set(document)
+    assert {"before_mm", "after_mm", "noise_mm", "validation_before_mm", "validation_after_mm", "closure"} <= set(
+        document["gap"]
+    )
+
+
+def test_two_effects_of_different_kinds(robot):
+    hidden = [("axial_compliance", (1,), (1.5e-4,)), ("second_harmonic", (4,), (8e-4, 5e-4))]
+    report = find_gap(robot, campaign(robot, hidden, seed=4, poses=118), QUICK)
+    said = {(j.evidence.candidate.id, j.evidence.candidate.joints) for j in report.effects}
+    assert said == {("axial_compliance", (1,)), ("second_harmonic", (4,))}
+
+
+def test_an_unknown_curve_is_never_a_physical_name(robot):
+    report = find_gap(robot, campaign(robot, [("unknown_joint_curve", (1,), (2e-4, 2e-4))], seed=6), QUICK)
+    assert report.verdict == "unexplained"
+    assert all(j.verdict == "provisional" for j in report.effects)
+    assert {j.evidence.candidate.id for j in report.effects} == {"unknown_joint_curve"}
+
+
+def test_one_sided_approach_makes_backlash_untestable(robot):
+    report = find_gap(robot, campaign(robot, [BACKLASH], one_sided=True), QUICK)
+    assert report.effects == ()
+    (why,) = [u for u in report.not_testable if u.id == "backlash"]
+    assert "one side" in why.reason
+    assert why.remedy
+
+
+def test_no_direction_column(robot):
+    report = find_gap(robot, replace(campaign(robot, [BACKLASH]), direction=None), QUICK)
+    (why,) = [u for u in report.not_testable if u.id == "backlash"]
+    assert "direction" in why.reason
+
+
+def test_a_scale_of_the_tracker_is_untestable(robot):
+    report = find_gap(robot, campaign(robot, seed=9), QUICK)
+    assert any(u.id == "measurement_scale" and "absorb" in u.reason for u in report.not_testable)
+
+
+def test_without_repeats_every_verdict_is_relative(robot):
+    report = find_gap(robot, campaign(robot, [BACKLASH], revisits=0, poses=100), QUICK)
+    assert "no_repeats" in codes(report)
+    assert "relative" in report.sentence
+    assert [j.verdict for j in report.effects] == ["provisional"]
+    assert report.effects[0].evidence.candidate.id == "backlash"
+
+
+def test_the_wrong_robot_is_not_a_missing_effect(robot):
+    rows = campaign(robot, seed=1)
+    swapped = replace(rows, q=rows.q[:, [0, 2, 1, 3, 4]])
+    report = find_gap(robot, swapped, QUICK)
+    assert "not_a_missing_effect" in codes(report)
+    assert (report.effects, report.verdict) == ((), "unexplained")
+    assert "not a missing effect" in report.sentence
+
+
+def test_fewer_poses_than_geometry_needs(robot):
+    with pytest.raises(TooFewPosesError, match="poses"):
+        find_gap(robot, campaign(robot, poses=6, revisits=2), QUICK)
+
+
+def test_copied_rows_are_no_repeats(robot):
+    rows = campaign(robot, revisits=0)
+    report = find_gap(robot, Observations.concatenate([rows, rows]), QUICK)
+    assert {"copied_rows", "no_repeats"} <= codes(report)
+    assert report.effects == ()
+
+
+def test_outliers_are_set_aside_and_named(robot):
+    rows = campaign(robot, seed=2)
+    rows.position[[11, 60]] += 2e-3
+    report = find_gap(robot, rows, QUICK)
+    assert "outliers" in codes(report)
+    assert report.verdict == "no_gap"
+
+
+def test_the_hunt_goes_on_from_a_version(robot, backlash):
+    rows = campaign(robot, [BACKLASH, ("eccentricity", (2,), (6e-4, 4e-4))], seed=12)
+    report = find_gap(robot, rows, QUICK, start=backlash.calibration)
+    assert [j.evidence.candidate.id for j in report.effects] == ["eccentricity"]
+    assert {e.id for e in report.calibration.model.effects} == {"backlash", "eccentricity"}
+
+
+def test_progress_rises_and_may_cancel(robot):
+    seen = []
+    find_gap(robot, campaign(robot, poses=40), QUICK, progress=lambda f, s: seen.append(f))
+    assert seen == sorted(seen)
+    assert 0.0 <= seen[0] < 0.1
+    assert seen[-1] > 0.9
+
+    def stop(fraction, stage):
+        raise CancelledError("stopped")
+
+    with pytest.raises(CancelledError):
+        find_gap(robot, campaign(robot, poses=40), QUICK, progress=stop)
+
+
+def test_options_are_checked():
+    with pytest.raises(OptionError, match="alpha"):
+        Options(alpha=2.0)
+    with pytest.raises(OptionError, match="no option 'alhpa'"):
+        Options.from_document({"alhpa": 0.01})
+    assert Options.from_document({"alpha": 0.05, "effects": ["backlash"]}).effects == ("backlash",)
+
+
+def test_an_unknown_effect_is_refused(robot):
+    with pytest.raises(OptionError, match="no effect"):
+        find_gap(robot, campaign(robot, poses=30), GapOptions(effects=("backlsh",)))

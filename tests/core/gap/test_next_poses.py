@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from core.gap.candidates import with_testable
+from core.gap.next_poses import _Question, rows_of, separate
+from core.gap.options import GapOptions
+from core.gap.prepare import Workshop
+from core.gap.testability import testability as judged
+from core.model import Calibration
+from tests.core.gap.simulated import campaign, katana
+
+
+@pytest.fixture(scope="module")
+def asked():
+    robot = katana()
+    rows = campaign(robot, seed=1, poses=40, loads=(2.0,))
+    p = Workshop(Calibration.nominal(robot), rows, GapOptions(), lambda f, s: None).run()
+    candidates = with_testable(p.library, judged(p.world, p.library).able)
+    by = {c.label: c for c in candidates}
+    return p, by["axial_compliance j2"], by["link_bending j2"]
+
+
+def test_chosen_poses_tell_more_than_random_ones(asked):
+    p, target, rival = asked
+    rows = p.visits.observations
+    proposals = separate(p.world, rows, target, [rival], (), np.array([1e-4]), 8, 0)
+    new = next(x for x in proposals if x.kind == "new")
+    question = _Question(p.world, target, rival.columns, (), np.array([1e-4]))
+    X = question.rows(rows.select(slice(0, 8)))
+    H = question.information() + np.einsum("vmi,vmj->ij", X, X)
+    random = 1.0 / np.linalg.inv(H)[0, 0]
+    assert new.after[-1] - new.before > 3.0 * (random - new.before)
+    assert list(new.after) == sorted(new.after)
+
+
+def test_old_poses_under_another_load_are_weighed_against_new_ones(asked):
+    p, target, rival = asked
+    first, second = separate(p.world, p.visits.observations, target, [rival], (), np.array([1e-4]), 6, 0)
+    assert {first.kind, second.kind} == {"new", "repeat"}
+    repeat = first if first.kind == "repeat" else second
+    assert repeat.change.startswith("repeat these poses")
+    assert first.after[-1] > 0.9 * second.after[-1]
+    seen = {tuple(np.round(q, 9)) for q in p.visits.observations.q}
+    assert {tuple(np.round(q, 9)) for q in repeat.rows.q} <= seen
+
+
+def test_proposed_poses_stay_within_the_limits(asked):
+    p, target, rival = asked
+    proposals = separate(p.world, p.visits.observations, target, [rival], (), np.array([1e-4]), 5, 0)
+    limits = np.degrees(katana().limits)
+    for row in rows_of(proposals, ("a", "b")):
+        assert np.all(np.array(row["q_deg"]) >= limits[:, 0])
+        assert np.all(np.array(row["q_deg"]) <= limits[:, 1])
+        assert row["separates"] == ["a", "b"]

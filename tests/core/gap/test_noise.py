@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import numpy as np
+
+from core.gap.noise import repeat_noise, spikes
+from core.gap.visits import visits_of
+from core.observations import Observations
+
+
+def repeated(rng, poses=200, visits=2, repeats=3, within=1e-5, between=2e-5, angle=0.0):
+    q = np.repeat(rng.uniform(-1, 1, (poses, 2)), visits * repeats, axis=0)
+    pose = np.repeat(np.arange(poses), visits * repeats)
+    point = np.repeat(rng.uniform(0.5, 3.0, (poses, 3)), visits * repeats, axis=0)
+    approach = np.repeat(rng.normal(0, between, (poses * visits, 3)), repeats, axis=0)
+    distance = np.linalg.norm(point, axis=1, keepdims=True)
+    u = point / distance
+    e = rng.normal(0, within, (len(q), 3))
+    if angle:
+        side = rng.normal(0, 1, (len(q), 3)) * angle * distance
+        e = u * np.sum(e * u, axis=1, keepdims=True) + side - u * np.sum(side * u, axis=1, keepdims=True)
+    # The second visits of a pose come after all first ones, so that each is a visit of its own.
+    order = np.argsort(np.tile(np.repeat(np.arange(visits), repeats), poses), kind="stable")
+    rows = Observations(q=q[order], position=(point + approach + e)[order], pose_id=pose[order])
+    return rows, (point)[order]
+
+
+def test_visits_average_only_rows_that_follow_each_other():
+    rows = Observations(
+        q=np.array([[0.0], [0.0], [1.0], [0.0]]),
+        position=np.array([[0.0, 0, 0], [2.0, 0, 0], [5.0, 0, 0], [7.0, 0, 0]]),
+        pose_id=np.array([4, 4, 9, 4]),
+    )
+    visits = visits_of(rows)
+    assert visits.count.tolist() == [2, 1, 1]
+    assert visits.pose.tolist() == [0, 1, 0]
+    assert visits.observations.position[:, 0].tolist() == [1.0, 5.0, 7.0]
+
+
+def test_within_visit_and_re_approach_parts_are_told_apart():
+    rows, truth = repeated(np.random.default_rng(1))
+    visits = visits_of(rows)
+    mean = visits.observations.position - truth[np.unique(visits.visit, return_index=True)[1]]
+    noise = repeat_noise(rows.position - truth, mean, visits, visits.observations.position)
+    assert noise is not None
+    assert abs(noise.within / 1e-5 - 1) < 0.1
+    assert abs(noise.between / 2e-5 - 1) < 0.1
+    assert abs(np.sqrt(np.trace(noise.visit.mean(axis=0)) / 3) / np.sqrt(4e-10 + 1e-10 / 3) - 1) < 0.1
+
+
+def test_a_tracker_is_noisier_across_its_line_of_sight():
+    rows, truth = repeated(np.random.default_rng(2), between=0.0, within=5e-6, angle=2e-5)
+    visits = visits_of(rows)
+    points = visits.observations.position
+    mean = points - truth[np.unique(visits.visit, return_index=True)[1]]
+    noise = repeat_noise(rows.position - truth, mean, visits, points)
+    assert noise is not None
+    u = points / np.linalg.norm(points, axis=1, keepdims=True)
+    along = np.einsum("vi,vij,vj->v", u, noise.visit, u)
+    across = (np.trace(noise.visit, axis1=1, axis2=2) - along) / 2
+    assert np.median(across / along) > 5
+    assert np.corrcoef(across, np.linalg.norm(points, axis=1) ** 2)[0, 1] > 0.9
+
+
+def test_one_wrong_row_of_a_visit_is_a_spike_and_does_not_widen_the_noise():
+    rows, truth = repeated(np.random.default_rng(3))
+    rows.position[7] += 1e-3
+    visits = visits_of(rows)
+    assert np.flatnonzero(spikes(rows.position - truth, visits)).tolist() == [7]
+
+
+def test_without_repeats_there_is_no_noise_to_speak_of():
+    rng = np.random.default_rng(0)
+    rows = Observations(q=rng.uniform(size=(30, 2)), position=rng.normal(size=(30, 3)))
+    assert repeat_noise(rows.position, rows.position, visits_of(rows), rows.position) is None
