@@ -36,49 +36,77 @@ def registration_only(start: Calibration, measurement: Measurement, loss: str = 
 
 
 def estimate(
-    start: Calibration, measurement: Measurement, options: IdentifyOptions, progress: Progress | None = None
+    start: Calibration,
+    measurement: Measurement,
+    options: IdentifyOptions,
+    progress: Progress | None = None,
+    anchor: Floats | None = None,
 ) -> Fit:
     """Fit the options' free parameters from ``start``, with base and tool registered first.
 
     The standard deviations of points and turns are re-estimated from the residuals until they settle, unless
-    ``noise_mm`` states the first; stated per-row sigmas are kept and a common variance is added to them.
+    ``noise_mm`` states the first; stated per-row sigmas are kept and a common variance is added to them. Directions the
+    poses do not see stay at ``anchor (P,)``, the start's own values when None.
 
     Raises:
         TooFewPosesError: fewer measured numbers than free parameters; says how many poses are needed.
 
     """
-    model, values = start.model.folded(start.values)
-    free = options.free_parameters(model, sees_orientation=measurement.sees_orientation)
-    refuse_too_few(model, measurement, free)
-    T_base, T_tool = register(
-        model,
-        values,
-        measurement,
-        base=options.base == "free" and _any(model, free, "base_"),
-        tool=_any(model, free, "tool_"),
-    )
-    model = model.in_frames(T_base, T_tool)
+    problem, values = prepared(start, measurement, options, anchor=anchor)
     stated = None if options.noise_mm is None else options.noise_mm * 1e-3
     point_sigma, turn_sigma = stated or START_SIGMA_M, START_SIGMA_RAD
     held: Floats | None = None
-    anchor = values[free]
-    problem = Problem(model, measurement, free, Weights(point_sigma, turn_sigma), options.loss, held, anchor)
+    still = problem.anchor if problem.anchor is not None else values[problem.free]
     for step in range(WEIGHT_PASSES):
         problem = problem.reweighted(Weights(_row_sigmas(measurement, point_sigma), turn_sigma), held)
         fit = solve(problem, values, _iterations(progress, step))
-        points, turns = _scatter(fit)
-        blind = _blind(fit)
+        points, turns = scatter(fit)
+        blind = blind_directions(fit)
         settled = (
-            _near(points, point_sigma) and _near(turns, turn_sigma) and len(blind) == (0 if held is None else len(held))
+            near(points, point_sigma) and near(turns, turn_sigma) and len(blind) == (0 if held is None else len(held))
         )
         point_sigma, turn_sigma = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
         if settled:
             break
-        values, held = _returned(fit, blind, anchor), blind if len(blind) else None
+        values, held = _returned(fit, blind, still), blind if len(blind) else None
     return fit
 
 
-def _blind(fit: Fit) -> Floats:
+def prepared(
+    start: Calibration,
+    measurement: Measurement,
+    options: IdentifyOptions,
+    *,
+    registered: bool = False,
+    anchor: Floats | None = None,
+) -> tuple[Problem, Floats]:
+    """The problem with first weights, base and tool registered (unless they are), and the values (P,) to start from.
+
+    Raises:
+        TooFewPosesError: fewer measured numbers than free parameters.
+
+    """
+    model, values = start.model.folded(start.values)
+    free = options.free_parameters(model, sees_orientation=measurement.sees_orientation)
+    if not registered:
+        refuse_too_few(model, measurement, free)
+        base = options.base == "free" and _any(model, free, "base_")
+        model = model.in_frames(*register(model, values, measurement, base=base, tool=_any(model, free, "tool_")))
+    sigma = START_SIGMA_M if options.noise_mm is None else options.noise_mm * 1e-3
+    weights = Weights(_row_sigmas(measurement, sigma), START_SIGMA_RAD)
+    still = (values if anchor is None else anchor)[free]
+    return Problem(model, measurement, free, weights, options.loss, None, still), values
+
+
+def weights_of(fit: Fit, options: IdentifyOptions) -> Weights:
+    """Weights that the residuals of a fit call for; ``noise_mm`` states that of the points."""
+    points, turns = scatter(fit)
+    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    sigma = stated or max(points, SMALLEST_SIGMA_M)
+    return Weights(_row_sigmas(fit.problem.measurement, sigma), max(turns, SMALLEST_SIGMA_RAD))
+
+
+def blind_directions(fit: Fit) -> Floats:
     """Directions (K, F), in prior sigmas, whose move by one sigma stays below ``UNSEEN`` of the scatter of each residual.
 
     What is left unexplained is structured, so it does not average out over rows: a fit that follows it along such a
@@ -127,7 +155,7 @@ def _row_sigmas(measurement: Measurement, common: float) -> float | Floats:
     return np.asarray(np.sqrt(sigma**2 + extra)[:, None, :])
 
 
-def _scatter(fit: Fit) -> tuple[float, float]:
+def scatter(fit: Fit) -> tuple[float, float]:
     """Standard deviations (m, rad) of points and turns after the fit, corrected for the parameters used."""
     problem, residual = fit.problem, fit.residual
     count = problem.measurement.scalars()
@@ -140,7 +168,8 @@ def _scatter(fit: Fit) -> tuple[float, float]:
     return size / math.sqrt(freedom), turns / math.sqrt(freedom)
 
 
-def _near(new: float, old: float) -> bool:
+def near(new: float, old: float) -> bool:
+    """Whether a standard deviation has settled to 5 %."""
     return new == 0.0 or abs(math.log(new / old)) < 0.05
 
 

@@ -7,8 +7,9 @@ whatever the poses do not see. (Without priors a rank-deficient fit wandered to 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,6 +146,7 @@ class Fit:
     effective: float
     iterations: int
     residual: Residual
+    report: Mapping[str, Any] = field(default_factory=dict)  # what the method tells besides, JSON-able
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -174,10 +176,10 @@ def solve(problem: Problem, start: Floats, progress: Progress | None = None) -> 
         if progress is not None:
             progress(iteration, here.loss)
         if taken is None:
-            return _finish(problem, values, here, iteration)
+            return fit_at(problem, values, here, iteration)
         drop, (step, damping, values, here) = here.loss - taken[3].loss, taken
         if np.max(np.abs(step), initial=0.0) < STEP_TOLERANCE or drop < 1e-12 * (1.0 + here.loss):
-            return _finish(problem, values, here, iteration)
+            return fit_at(problem, values, here, iteration)
     raise NotConvergedError(
         f"No minimum after {MAX_ITERATIONS} iterations: fix some parameters, or start from a better version.",
         iterations=MAX_ITERATIONS,
@@ -249,7 +251,8 @@ def _weight_root(size: Floats) -> Floats:
     return np.asarray(np.sqrt(HUBER_SIGMAS / np.maximum(size, HUBER_SIGMAS)))
 
 
-def _finish(problem: Problem, values: Floats, here: Linearised, iterations: int) -> Fit:
+def fit_at(problem: Problem, values: Floats, here: Linearised, iterations: int) -> Fit:
+    """Fit that ends at ``values (P,)``, with the covariance of the problem linearised there."""
     H, _ = _normal_equations(problem, values, here)
     inverse = np.linalg.inv(H)
     scale = problem.prior_sigma

@@ -15,7 +15,7 @@ from core.errors import OptionError
 from core.model import RobotModel
 
 FULL_TILTING = ("clearance_tilt", "backlash_load", "axial_compliance")
-METHODS = ("least_squares",)
+METHODS = ("least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search")
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,8 @@ class IdentifyOptions:
     ``level`` 1 joint offsets, 2 geometry, 3 geometry and non-geometric effects (3 when ``effects`` are given, else 2).
     ``effects`` ids, or documents with options and joints. ``free`` patterns replace the level's geometric parameters,
     ``fix`` patterns hold parameters (``alpha_*``). ``base`` and ``tool`` are "free" or "fixed". ``tilt_first`` holds the
-    effects of the starting version while the geometry is identified (thesis 4.22, 5.20). ``noise_mm`` is the standard
+    effects while the geometry is identified (thesis 4.22, 5.20): those of the starting version, else those fitted first.
+    ``search_mm`` and ``search_deg`` are half the box of a global search. ``noise_mm`` is the standard
     deviation of a coordinate when it is known; otherwise it is estimated. ``reference`` says in which frames a correction
     should put the tool where the nominal robot would be: "robot" (its own base and tool: the measurements were taken in
     them), "registration" (where the nominal robot fits the measurements best), or "auto": the robot's own for a frame
@@ -44,6 +45,8 @@ class IdentifyOptions:
     noise_mm: float | None = None
     reference: str = "auto"
     seed: int = 0
+    search_mm: float = 25.0
+    search_deg: float = 10.0
 
     def __post_init__(self) -> None:
         self._one_of("level", (None, 1, 2, 3))
@@ -54,6 +57,9 @@ class IdentifyOptions:
         self._one_of("reference", ("auto", "robot", "registration"))
         if self.noise_mm is not None and not self.noise_mm > 0:
             raise OptionError("noise_mm must be above 0: it is a standard deviation.", option="noise_mm")
+        for name in ("search_mm", "search_deg"):
+            if not getattr(self, name) > 0:
+                raise OptionError(f"{name} must be above 0: it is half the width of the search.", option=name)
         if self.level in (1, 2) and self.effects:
             raise OptionError(
                 f"Level {self.level} has no effects: drop them, or ask for level 3.", option="level", level=self.level

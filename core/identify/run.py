@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 
 from core.errors import ObservationError
 from core.identifiability import NullDirection, null_directions
-from core.identify.estimate import estimate, registration_only
+from core.identify.estimate import registration_only
 from core.identify.holdout import Folds, fold_splits, split
+from core.identify.influence import influence_of
+from core.identify.kalman import Prior
 from core.identify.least_squares import Fit
+from core.identify.methods import fit_by_method
 from core.identify.noise import repeat_sigma
 from core.identify.options import IdentifyOptions
 from core.identify.report import parameter_rows, warnings_of
@@ -43,6 +46,8 @@ class Identification:
     noise_source: str
     null_directions: tuple[NullDirection, ...]
     warnings: tuple[dict[str, Any], ...]
+    method: str = "least_squares"
+    influence: list[dict[str, Any]] | None = None
 
     @property
     def covariance(self) -> Floats:
@@ -75,6 +80,8 @@ class Identification:
             "noise_source": self.noise_source,
             "warnings": list(self.warnings),
             "iterations": self.fit.iterations,
+            "method": {"name": self.method, **self.fit.report},
+            "influence": self.influence,
             "reference": {"base": self._reference("base"), "tool": self._reference("tool")},
         }
 
@@ -86,11 +93,13 @@ def identify(
     options: IdentifyOptions | None = None,
     start: Calibration | None = None,
     progress: Progress | None = None,
+    prior: Prior | None = None,
 ) -> Identification:
     """Identify a robot from observations.
 
     ``validation`` is other observations, a fraction of the poses to hold out, folds, or None. With folds every pose is
-    predicted once by a model that never saw it, and the final fit uses all. ``start`` continues from a version.
+    predicted once by a model that never saw it, and the final fit uses all.
+    ``start`` continues from a version; ``prior`` is its covariance, which ``kalman`` continues from.
 
     Raises:
         TooFewPosesError: not enough distinct poses. OptionError: options that do not fit the robot or the data.
@@ -105,13 +114,13 @@ def identify(
     tell(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
     if isinstance(validation, Folds):
-        held = _cross_validated(nominal, begin, train, validation, options, tell)
+        held = _cross_validated(nominal, begin, train, validation, options, tell, prior)
     elif isinstance(validation, float):
         inside, outside = split(train, validation, options.seed)
         train, validation = train.select(inside), train.select(outside)
     measurement = Measurement.of(train, begin.marker_points)
     registered = registration_only(nominal, measurement, options.loss)
-    fit = estimate(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s))
+    fit = fit_by_method(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s), prior)
     calibration = Calibration(
         *fit.problem.model.folded(fit.values), measurement.marker_points, *_wanted_frames(registered, options)
     )
@@ -129,6 +138,8 @@ def identify(
         noise_source="residuals of the fit" if sigma is None else "repeats",
         null_directions=null_directions(fit.J, fit.names, fit.problem.prior_sigma),
         warnings=tuple(warnings_of(fit, train, sigma)),
+        method=options.method,
+        influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
     )
 
 
@@ -177,6 +188,7 @@ def _cross_validated(
     folds: Folds,
     options: IdentifyOptions,
     tell: Progress,
+    prior: Prior | None = None,
 ) -> dict[str, Errors]:
     """Errors on held-out poses, pooled over the folds."""
     shape = Measurement.of(train, begin.marker_points).marker_points
@@ -185,7 +197,7 @@ def _cross_validated(
         tell(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
         report = _within(tell, k, folds.folds)
         seen, unseen = Measurement.of(train.select(inside), shape), Measurement.of(train.select(outside), shape)
-        fit = estimate(begin, seen, options, report)
+        fit = fit_by_method(begin, seen, options, report, prior)
         parts["nominal"].append(Errors.of(nominal, unseen))
         parts["registration_only"].append(Errors.of(registration_only(nominal, seen, options.loss), unseen))
         parts["identified"].append(Errors.of(Calibration(fit.problem.model, fit.values, shape), unseen))

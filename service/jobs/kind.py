@@ -20,7 +20,7 @@ Progress = Callable[[float, str], None]
 class JobInput:
     """All a kind needs, loaded from the database. ``validation`` is what the job names: rows, a fraction, folds.
 
-    ``version_id`` and ``calibration`` are those of the version the options name (``JobKind.version_option``).
+    ``version_id``, ``calibration`` and ``covariance`` are those of the version the options name (``JobKind.version_option``).
     """
 
     robot: Robot
@@ -29,6 +29,7 @@ class JobInput:
     options: dict[str, Any]
     version_id: str | None = None
     calibration: Calibration | None = None
+    covariance: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)

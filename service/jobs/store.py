@@ -139,6 +139,7 @@ def load(session: Session, job_id: str) -> JobInput:
         options=request.options,
         version_id=named,
         calibration=None if named is None else versions.calibration(session, named),
+        covariance=None if named is None else versions.covariance(session, named),
     )
 
 

@@ -122,6 +122,11 @@ def calibration(session: Session, version_id: str) -> Calibration:
     return Calibration.from_document(robots.core_robot(session, row.robot_id), row.calibration)
 
 
+def covariance(session: Session, version_id: str) -> dict[str, Any]:
+    """Return what a version knows about its parameters: {names, matrix, units}, empty when it was not identified."""
+    return dict(row_of(session, version_id).covariance)
+
+
 def active_stamp(session: Session) -> int:
     """Return a number that changes whenever any robot's active version does; cheap enough to poll every 100 ms.
 

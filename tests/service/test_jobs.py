@@ -168,3 +168,20 @@ def test_what_cannot_run_is_refused_at_once(client: httpx.Client, katana: Any) -
     assert client.get("/v1/jobs").json() == {"jobs": []}
     assert client.get("/v1/jobs/job_none").json()["code"] == "job_not_found"
     assert client.get("/v1/jobs/job_none/events").json()["code"] == "job_not_found"
+
+
+def test_kalman_continues_from_a_version_with_two_poses(
+    client: httpx.Client, katana: Any, worker: Any, until: Until
+) -> None:
+    campaign, few, held = (katana.campaign(client, n, seed=s) for s, n in enumerate((60, 2, 40)))
+    worker.start()
+    held_out = {"validation": [held]}
+    first = finished(client, submit(client, campaigns=[campaign], options={"level": 2}, **held_out), until)["result"]
+    more = {"level": 2, "method": "kalman", "start": first["version_id"]}
+    grown = finished(client, submit(client, campaigns=[few], options=more, **held_out), until)
+    assert grown["state"] == "succeeded", grown
+    assert grown["result"]["method"]["continued"]
+    left = [r["metrics"]["validation"]["identified"]["mean_mm"] for r in (first, grown["result"])]
+    assert left[1] < 1.1 * left[0]
+    sigma = [{p["name"]: p["sigma"] for p in r["parameters"]} for r in (first, grown["result"])]
+    assert sigma[1]["theta_offset_2"] <= sigma[0]["theta_offset_2"]

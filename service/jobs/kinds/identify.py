@@ -9,7 +9,7 @@ from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionCon
 from service.jobs.wire import version_limits
 
 if TYPE_CHECKING:
-    from core.identify import IdentifyOptions
+    from core.identify import IdentifyOptions, Prior
 
 START, LIMITS = "start", "limits"
 
@@ -39,13 +39,24 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     else:
         train = Observations.concatenate(numbered(job.campaigns.values()))
         validation = Folds(job.validation) if isinstance(job.validation, int) else job.validation
-    found = identify(job.robot, train, validation, _options(job.options), job.calibration, progress)
+    options = _options(job.options)
+    found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job))
     report = found.to_document()
     covariance = {"names": list(found.free_names), "matrix": found.covariance.tolist(), "units": "SI"}
     content = VersionContent(
         found.calibration.to_document(), report, covariance, version_limits(job.options.get(LIMITS))
     )
     return JobOutput(report, content)
+
+
+def _prior(job: JobInput) -> Prior | None:
+    """What the start knows of its parameters, for the methods that continue from it."""
+    import numpy as np
+
+    from core.identify import Prior
+
+    known = job.covariance or {}
+    return Prior(tuple(known["names"]), np.array(known["matrix"])) if known.get("names") else None
 
 
 def _options(options: dict[str, Any]) -> IdentifyOptions:

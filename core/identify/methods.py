@@ -1,0 +1,68 @@
+"""Every method of identification behind one interface. Adding one is its file and one line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from core.identify.estimate import Progress, estimate
+from core.identify.global_search import global_search
+from core.identify.kalman import Prior, kalman
+from core.identify.least_squares import Fit
+from core.identify.options import IdentifyOptions
+from core.identify.per_pose import influence, pose_pseudo_inverse
+from core.measurement import Measurement
+from core.model import Calibration
+
+Method = Callable[[Calibration, Measurement, IdentifyOptions, Progress | None], Fit]
+
+ESTIMATORS: Mapping[str, Method] = MappingProxyType({
+    "least_squares": estimate,
+    "pose_pseudo_inverse": pose_pseudo_inverse,
+    "influence": influence,
+    "kalman": kalman,
+    "global_search": global_search,
+})  # fmt: skip
+
+
+def fit_by_method(
+    start: Calibration,
+    measurement: Measurement,
+    options: IdentifyOptions,
+    progress: Progress | None = None,
+    prior: Prior | None = None,
+) -> Fit:
+    """Fit by the method the options name. Only ``kalman`` continues from a ``prior``.
+
+    With ``tilt_first`` the effects of the start are held (thesis 4.22, 5.20); a start that has none of their values gets
+    them fitted first, the chain held as drawn.
+    """
+    begin = start
+    if options.tilt_first and _knows_no_effect(start):
+        begin = _tilted(start, measurement, options)
+    if options.method == "kalman":
+        fit = kalman(begin, measurement, options, progress, prior)
+    else:
+        fit = ESTIMATORS[options.method](begin, measurement, options, progress)
+    if not options.tilt_first:
+        return fit
+    return replace(fit, report={**fit.report, "effects": "held" if begin is start else "fitted first"})
+
+
+def _knows_no_effect(start: Calibration) -> bool:
+    effects = slice(start.model.n_geometric, None)
+    some = len(start.names) > start.model.n_geometric
+    return some and np.array_equal(start.values[effects], start.model.values0()[effects])
+
+
+def _tilted(start: Calibration, measurement: Measurement, options: IdentifyOptions) -> Calibration:
+    """The start with its effects fitted beside base and tool, the chain held."""
+    model = start.model
+    chain = model.names[6 : model.n_geometric - 6]
+    fit = estimate(start, measurement, replace(options, tilt_first=False, method="least_squares", free=(), fix=chain))
+    values = start.values.copy()
+    values[model.n_geometric :] = fit.values[model.n_geometric :]
+    return replace(start, values=values)
