@@ -8,25 +8,21 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.chain import Axis, Chain, Element
-from core.effects import Effect
-from core.effects.axial_compliance import AxialCompliance
-from core.effects.backlash import Backlash
-from core.effects.backlash_load import BacklashLoad
-from core.effects.clearance_tilt import ClearanceTilt
 from core.errors import OptionError
-from core.folding import fold, write_bodies, write_moves
+from core.folding import Folded, fold, standing_moment, write_bodies, write_moves
 from core.kernels import correction as kernel
-from core.model import Calibration
+from core.model import Calibration, RobotModel
 from core.robot import Joint, Robot
+from core.runtime_effects import Conditions, Written, write_effect
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -45,7 +41,8 @@ class CorrectionOptions:
     Limits: ``largest_rad`` and ``largest_m`` per joint, ``farthest_m`` at the tool point. ``rate_rad_s`` and
     ``rate_m_s`` bound how fast the effects with a sign (clearance, backlash) may change the correction;
     ``least_softening_nm`` softens their sign where the effect itself does not. ``ramp_s`` is the time of a change of
-    version. ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
+    version. ``temperature_c`` is that of the arm, for thermal growth; without it that effect stays uncorrected.
+    ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
     1 / (pi filter_hz) seconds.
     """
 
@@ -53,6 +50,7 @@ class CorrectionOptions:
     orientation_weight_m: float = 0.2
     payload_kg: float = 0.0
     payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    temperature_c: float | None = None
     largest_rad: float = math.radians(1.0)
     largest_m: float = 0.005
     farthest_m: float = 0.005
@@ -116,9 +114,10 @@ class CorrectionProgram:
         """Rows of the pose that the correction holds, by name."""
         return tuple(ROW_NAMES[r] for r in self.rows)
 
-    def scratch(self) -> Floats:
-        """Fresh scratch for the kernel."""
-        return np.zeros((self.moves + 1 + self.n_joints + 6, kernel.COLUMNS))
+    def memory(self) -> Floats:
+        """Fresh memory for the kernel: the program, scratch, the state of a stream, joints out and info."""
+        scratch = self.moves + 1 + self.n_joints + 6
+        return np.vstack([self.array, np.zeros((scratch + self.n_joints + 3, kernel.COLUMNS))])
 
     def correct_rows(
         self, q: Floats, *, qd: Floats | None = None, qdd: Floats | None = None, direction: Floats | None = None
@@ -137,8 +136,7 @@ class CorrectionProgram:
         out, info = np.empty((rows, n)), np.empty((rows, kernel.INFO))
         status = np.empty(rows, dtype=np.int64)
         signs = np.zeros((rows, n)) if direction is None else np.ascontiguousarray(direction, dtype=np.float64)
-        state = np.zeros((n + 1, kernel.STATE))
-        kernel.correct_rows(self.array, self.scratch(), state, x, width, signs, out, info, status)
+        kernel.correct_rows(self.memory(), len(self.array), n, x, width, signs, out, info, status)
         return CorrectedRows(
             q=out,
             error_removed=-info[:, 4:7],
@@ -156,12 +154,18 @@ class Track:
     """
 
     def __init__(self, program: CorrectionProgram, *, settled: bool = False) -> None:
-        self.program = program
-        self.state = np.zeros((program.n_joints + 1, kernel.STATE))
-        self._work = program.scratch()
-        self.out = np.empty(program.n_joints)
-        self.info = np.empty(kernel.INFO)
+        self._load(program)
         self.restart(settled=settled)
+
+    def _load(self, program: CorrectionProgram) -> None:
+        """Fresh memory for a program, and the rows of it that the outside looks at."""
+        self.program = program
+        n = program.n_joints
+        self._memory = program.memory()
+        self._rows = len(program.array)
+        self.state = self._memory[-(n + 3) : -2]
+        self.out = self._memory[-2, :n]
+        self.info = self._memory[-1, : kernel.INFO]
 
     def restart(self, *, settled: bool = False) -> None:
         """Forget the past."""
@@ -177,8 +181,9 @@ class Track:
         """
         if program.n_joints != self.program.n_joints:
             raise OptionError(f"A version for {program.n_joints} joints cannot follow one for {self.program.n_joints}.")
-        self.program = program
-        self._work = program.scratch()
+        before = self.state
+        self._load(program)
+        self.state[:] = before
         self.state[-1, kernel.REBASE] = 1.0
 
     def step(self, x: Floats, width: int, dt: float) -> int:
@@ -186,7 +191,7 @@ class Track:
 
         ``x (width * n,)`` holds q, then qd and qdd; ``dt`` s since the last answer.
         """
-        return int(kernel.step(self.program.array, self._work, self.state, x, width, dt, self.out, self.info))
+        return int(kernel.step(self._memory, self._rows, self.program.n_joints, x, width, dt))
 
     def follow(self, x: Floats, width: int, dt: Floats, *, atomic: bool = False) -> tuple[int, Floats, Floats, Ints]:
         """Correct points ``x (K, width * n)`` in turn, ``dt (K,)`` s each after the one before.
@@ -198,7 +203,7 @@ class Track:
         out, info = np.empty((len(x), n)), np.empty((len(x), kernel.INFO))
         status = np.empty(len(x), dtype=np.int64)
         before = self.state.copy() if atomic else self.state
-        done = int(kernel.follow(self.program.array, self._work, self.state, x, width, dt, out, info, status))
+        done = int(kernel.follow(self._memory, self._rows, n, x, width, dt, out, info, status))
         if atomic and done < len(x):
             self.state[:] = before
         return done, out, info, status
@@ -247,15 +252,45 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
         robot, [moved[e.name] if e.name else e.value for e in robot.chain.elements], seen, np.asarray(folded.T_tool)
     )
     m = len(nominal.constants) - 1
-    P = np.zeros((m + 1 + n + 1, kernel.COLUMNS))
-    write_moves(P, nominal, actual)
-    write_bodies(P, robot, nominal, options.payload_kg, options.payload_com)
-    _write_joints(P[m + 1 : m + 1 + n], robot, options)
-    _write_scalars(P[-1], robot, options, rows, m)
-    joints = P[m + 1 : m + 1 + n]
-    supported, unsupported = _write_effects(joints, folded.effects, folded.effect_slices(), values, options)
-    P[-1, kernel.LOADED] = float(any("moments" in e.needs for e in folded.effects if e.id in supported))
-    return CorrectionProgram(P, n, m, rows, supported, unsupported)
+    head = np.zeros((m + 1, kernel.COLUMNS))
+    write_moves(head, nominal, actual)
+    write_bodies(head, robot, nominal, options.payload_kg, options.payload_com)
+    written = Written(
+        robot,
+        Conditions(options.least_softening_nm, options.payload_kg, options.temperature_c),
+        np.zeros((n, kernel.COLUMNS)),
+    )
+    _write_joints(written.joints, robot, options)
+    supported, unsupported, loaded = _write_effects(written, folded, values)
+    scalars = _scalars(robot, options, rows, m)
+    scalars[kernel.LOADED] = float(loaded)
+    scalars[kernel.CURVES], scalars[kernel.BEAMS] = len(written.curves), len(written.beams) // 2
+    pedestal = _write_foot(head, scalars, written, seen, nominal)
+    parts = [head, written.joints, *written.curves, *written.beams, *pedestal, scalars]
+    return CorrectionProgram(np.vstack(parts), n, m, rows, supported, unsupported)
+
+
+def _write_foot(head: Floats, scalars: Floats, written: Written, seen: Floats, nominal: Folded) -> list[Floats]:
+    """Let the base frame (4, 4) move: a constant shift at once, a pedestal that gives way as a row of its own."""
+    if written.pedestal is None and not np.any(written.foot):
+        return []
+    first = head[0, kernel.IDENTIFIED : kernel.IDENTIFIED + 12]
+    above = np.linalg.solve(seen, np.vstack([np.column_stack([first[:9].reshape(3, 3), first[9:]]), [0, 0, 0, 1]]))
+    foot = seen.copy()
+    foot[:3, 3] += seen[:3, :3] @ written.foot
+    if written.pedestal is None:
+        first[:] = _flat(foot @ above)
+        return []
+    row = np.zeros(kernel.COLUMNS)
+    row[kernel.FOOT : kernel.FOOT + 12], row[kernel.ABOVE : kernel.ABOVE + 12] = _flat(foot), _flat(above)
+    row[kernel.PEDESTAL_X], row[kernel.PEDESTAL_Y] = written.pedestal
+    row[kernel.STANDING_X], row[kernel.STANDING_Y] = standing_moment(written.robot, nominal)[:2]
+    scalars[kernel.PEDESTAL] = 1.0
+    return [row]
+
+
+def _flat(T: Floats) -> Floats:
+    return np.concatenate([T[:3, :3].ravel(), T[:3, 3]])
 
 
 def _write_joints(rows: Floats, robot: Robot, options: CorrectionOptions) -> None:
@@ -267,10 +302,10 @@ def _write_joints(rows: Floats, robot: Robot, options: CorrectionOptions) -> Non
         row[kernel.SPEED] = options.speed_rad_s if turns else options.speed_m_s
 
 
-def _write_scalars(row: Floats, robot: Robot, options: CorrectionOptions, rows: tuple[int, ...], moves: int) -> None:
+def _scalars(robot: Robot, options: CorrectionOptions, rows: tuple[int, ...], moves: int) -> Floats:
+    row = np.zeros(kernel.COLUMNS)
     row[kernel.GRAVITY : kernel.GRAVITY + 3] = robot.gravity
     row[kernel.ROWS] = len(rows)
-    row[kernel.ROW : kernel.ROW + len(rows)] = rows
     row[kernel.WEIGHT : kernel.WEIGHT + len(rows)] = [1.0 if r < 3 else options.orientation_weight_m for r in rows]
     row[kernel.ITERATIONS] = options.iterations
     row[kernel.STEP] = options.step
@@ -283,54 +318,20 @@ def _write_scalars(row: Floats, robot: Robot, options: CorrectionOptions, rows: 
     row[kernel.REACHED] = options.reached_m
     row[kernel.N] = robot.n_joints
     row[kernel.M] = moves
-
-
-def _tilt(row: Floats, effect: Any, value: float, options: CorrectionOptions) -> None:
-    row[kernel.TILT] = math.tan(value)
-    row[kernel.TILT_SHARE] = 0.0 if effect.share == "thesis" else 1.0
-    row[kernel.TILT_SOFT] = max(effect.softening_nm, options.least_softening_nm)
-
-
-def _play(row: Floats, effect: Any, value: float, options: CorrectionOptions) -> None:
-    row[kernel.PLAY] = value
-    row[kernel.PLAY_SOFT] = max(effect.softening_nm, options.least_softening_nm)
-
-
-def _reversal(row: Floats, effect: Any, value: float, options: CorrectionOptions) -> None:
-    row[kernel.REVERSAL] = value
-
-
-def _compliance(row: Floats, effect: Any, value: float, options: CorrectionOptions) -> None:
-    row[kernel.COMPLIANCE] = value
-
-
-_Writer = Callable[[Floats, Any, float, CorrectionOptions], None]
-_WRITERS: Mapping[str, tuple[int, _Writer]] = {
-    ClearanceTilt.id: (kernel.TILT, _tilt),
-    BacklashLoad.id: (kernel.PLAY, _play),
-    Backlash.id: (kernel.REVERSAL, _reversal),
-    AxialCompliance.id: (kernel.COMPLIANCE, _compliance),
-}
+    return row
 
 
 def _write_effects(
-    rows: Floats,
-    effects: tuple[Effect, ...],
-    slices: Mapping[str, slice],
-    values: Floats,
-    options: CorrectionOptions,
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Write the effects the kernel knows; returns their ids and the names of the others."""
+    written: Written, model: RobotModel, values: Floats
+) -> tuple[tuple[str, ...], tuple[str, ...], bool]:
+    """Write the effects the kernel knows; returns their ids, the names of the others, and whether one needs loads."""
     supported: list[str] = []
     unsupported: list[str] = []
-    for effect, (key, where) in zip(effects, slices.items(), strict=True):
-        entry = _WRITERS.get(effect.id)
-        joints = list(effect.acting(len(rows)))
-        # Two effects of one kind on one joint have no place in the program: the second is named, not dropped silently.
-        if entry is None or np.any(rows[joints, entry[0]] != 0.0):
+    loaded = False
+    for effect, (key, where) in zip(model.effects, model.effect_slices().items(), strict=True):
+        if write_effect(written, effect, values[where]):
+            supported.append(effect.id)
+            loaded |= "moments" in effect.needs
+        else:
             unsupported.append(key)
-            continue
-        for joint, value in zip(joints, values[where], strict=True):
-            entry[1](rows[joint], effect, float(value), options)
-        supported.append(effect.id)
-    return tuple(dict.fromkeys(supported)), tuple(unsupported)
+    return tuple(dict.fromkeys(supported)), tuple(unsupported), loaded

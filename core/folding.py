@@ -99,6 +99,16 @@ def write_bodies(P: Floats, robot: Robot, nominal: Folded, payload_kg: float, pa
     _write_body(P[last], [(payload_kg, com, np.zeros((3, 3)))])
 
 
+def standing_moment(robot: Robot, nominal: Folded) -> Floats:
+    """Moment (3,) N·m about the base origin of the links that no joint moves."""
+    moment = np.zeros(3)
+    for link in robot.links:
+        if nominal.move_of[link.element] < 0:
+            T = nominal.since_move[link.element]
+            moment += np.cross(T[:3, :3] @ link.com + T[:3, 3], link.mass * np.asarray(robot.gravity))
+    return moment
+
+
 def _write_body(row: Floats, parts: list[tuple[float, Floats, Floats]]) -> None:
     """Mass, centre and inertia about it of bodies that move as one (parallel axes)."""
     mass = sum(part[0] for part in parts)

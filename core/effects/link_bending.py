@@ -65,12 +65,12 @@ class LinkBending(Effect):
         centres = self.centres_m or (0.0,) * len(joints)
         derivatives = []
         for k, (j, a) in enumerate(zip(joints, centres, strict=True)):
-            xi = _bent(batch.link_vectors[j], a, batch.wrench[:, j], batch.end_wrench[:, j])
+            xi = bent(batch.link_vectors[j], a, batch.wrench[:, j], batch.end_wrench[:, j])
             derivatives.append(Derivative(k, j, xi=xi))
         return linear(batch, values, derivatives)
 
 
-def _bent(link: Floats, a: float, root: Floats, end: Floats) -> Floats:
+def bent(link: Floats, a: float, root: Floats, end: Floats) -> Floats:
     """Twist (N, 6) at the joint of a link (3,) of EI = 1 under the wrenches (N, 6) on its joint and its end."""
     length = float(np.linalg.norm(link))
     u = link / length

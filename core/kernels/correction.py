@@ -1,14 +1,17 @@
 """The whole correction of a setpoint, compiled, without allocation: one call from wanted joints to corrected joints.
 
-``program`` (M + 1 + n + 1, COLUMNS) is what :func:`core.correction.compile_program` makes of a calibration: one row per
-move (a joint element with the constant transform before it), one for the constant transform up to the tool, one per
-joint, one of scalars. Every move is turned so that it is about or along z; frame k is the joint frame after move k.
-``work`` (M + 1 + n + 6, COLUMNS) is scratch and may be shared; ``state`` (n + 1, STATE) is the memory of one stream.
+``program`` (rows, COLUMNS) is what :func:`core.correction.compile_program` makes of a calibration: one row per move (a
+joint element with the constant transform before it), one for the constant transform up to the tool, one per joint, one
+per curve of a joint, two per bending link, one for a pedestal that gives way, one of scalars. Every move is turned so
+that it is about or along z; frame k is the joint frame after move k. ``memory`` holds the program, scratch
+(M + 1 + n + 6 rows), the memory of one stream (n + 1 rows), and one row each for joints out and info: one array,
+because every array that crosses from Python costs a tenth of a microsecond.
 Angles rad, lengths m, masses kg, times s. Base frame throughout: the pose of the base cancels out of the task.
 
-The inverse (thesis eq. 5.22, iterated): with J the identified Jacobian at the wanted joints, the command is
-q + J' y where (J J' + λ²) y solves the wanted pose; λ is zero away from singularities. So the answer lies in the row
-space of J and does not depend on how many iterations reached it.
+The inverse (thesis eq. 5.22, iterated): with J the identified Jacobian at the first guess of the command, the command
+is q + J' y where (J J' + λ²) y solves the wanted pose; λ is zero away from singularities. With joints to spare J is that
+of the nominal arm at the wanted joints, so that the answer does not depend on how it was reached. Along a stream the
+guess goes on from the last corrections, and one evaluation is mostly enough; else it is the wanted joints.
 """
 
 from __future__ import annotations
@@ -17,31 +20,39 @@ import math
 
 from numba import njit
 
-COLUMNS = 40
-STATE = 10
+COLUMNS = 48
 INFO = 8  # flags, limit mask, residual m, residual of all rows, error removed x y z m, iterations
 
 # move rows
 NOMINAL, IDENTIFIED, KIND, JOINT, RATIO, PRIMARY, MASS, COM, INERTIA = 0, 12, 24, 25, 26, 27, 28, 29, 32
 # joint rows
 LOWER, UPPER, DQ, XI, TILT, TILT_SOFT, TILT_SHARE, PLAY, PLAY_SOFT = 0, 1, 2, 3, 9, 10, 11, 12, 13
-REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, MOVE = 14, 15, 16, 17, 18, 19
+REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, RADIAL, TWISTED = 14, 15, 16, 17, 18, 19, 20
+# curve rows: a shape of the joint ``DRIVER`` added to the joint ``CURVED``
+CURVED, SHAPE, DRIVER, AMPLITUDE_A, AMPLITUDE_B, FACTOR, EXTRA = 0, 1, 2, 3, 4, 5, 6
+WAVE, LINEAR, SPRING, SINES, LAG = 0.0, 1.0, 2.0, 3.0, 4.0
+# beam rows: twist per wrench on the joint (6, 6), then the same per wrench on the end of the link; link vector
+BEAM, BEAM_JOINT, BEAM_LINK = 0, 36, 37
+# pedestal row: constant transform of the base, then the one up to the first move; compliances, constant moment
+FOOT, ABOVE, PEDESTAL_X, PEDESTAL_Y, STANDING_X, STANDING_Y = 0, 12, 24, 25, 26, 27
 # scalars
-GRAVITY, ROWS, ROW, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST = 0, 3, 4, 10, 16, 17, 18, 19
+GRAVITY, ROWS, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST = 0, 3, 10, 16, 17, 18, 19
 RAMP, FILTER, HYSTERESIS, LOADED, REACHED, N, M, WEAK = 20, 21, 22, 23, 24, 25, 26, 27
+CURVES, BEAMS, PEDESTAL = 28, 29, 30
 # scratch of a move: nominal frame, then the identified joint line, the sine and cosine of the
-# wanted joints, then force and moment about the base origin of the body on the move
-LINE, SINE, COSINE, LOAD = 12, 18, 19, 20
+# wanted joints, then force and moment about the base origin of the body on the move (row M: of the payload)
+LINE, SINE, COSINE, LOAD, ON_BASE = 12, 18, 19, 20, 26
 # scratch of a joint
 WANTED, COMMAND, SHIFT, LEAN_A, LEAN_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN, COLUMN = (
     0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 12,
 )  # fmt: skip
-TURN_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW = 18, 19, 20
-# scratch of a task row: factor row, residual, multiplier and its step, then damping, matrix and eigenvector rows
-ERROR, MULTIPLIER, DELTA, DAMPING, MATRIX, VECTOR = 6, 7, 8, 9, 15, 21
+TURN_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW, GUESSED, TWIST, ROOT, END = 18, 19, 20, 21, 22, 28, 34
+# scratch of a task row: factor row, residual, multiplier and its step, then damping, matrix and eigenvector rows,
+# and what the first guess adds to the residual
+ERROR, MULTIPLIER, DELTA, DAMPING, MATRIX, VECTOR, ADDED = 6, 7, 8, 9, 15, 21, 27
 # state of a joint, and of the stream (row n)
 LAST_A, LAST_B, LAST_SIDE, LAST_Q, TURN, HEADING = 0, 1, 2, 3, 4, 5
-OFFSET, LAST_DELTA, SMOOTH, SMOOTH_SPEED = 6, 7, 8, 9
+OFFSET, LAST_DELTA, SMOOTH, SMOOTH_SPEED, GUESS, SLOPE = 6, 7, 8, 9, 10, 11
 STARTED, REBASE, REMAINING, LENGTH = 0, 1, 2, 3
 
 OK, NOT_FINITE, JOINT_LIMIT, TOO_LARGE, RATE_LIMIT = 0, 5, 6, 7, 8
@@ -53,11 +64,20 @@ NO_MOMENT = 1e-9
 SETTLED_RAD = 1e-7
 # A singularity may ask a joint for this part of the largest correction; damping overshoots it by up to 16 %.
 BOUND = 0.85
+# Along a stream the first step may be larger by this: it is the change of the correction against its prediction, and
+# what is left after it is smaller by a factor of a hundred away from sign changes, of two within them.
+GUESS_STEP = 10.0
+# A guess looks ahead no further than this.
+LOOK_AHEAD_S, LOOK_AHEAD_RAD = 0.05, 1e-3
+# Sums may be contracted and rearranged; NaN and infinity keep their meaning, for they are refused.
+FAST = {"contract", "reassoc", "nsz", "arcp"}
+# pi/2 in two parts, the first short enough that small multiples of it are exact.
+HALF_PI_HIGH, HALF_PI_LOW = 1.57079632673412561417e00, 6.07710050650619224932e-11
 # After this many rounds the signs stand still even if they flip back and forth around zero moment.
 SIGN_ROUNDS = 4
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _cross(a0, a1, a2, b0, b1, b2):
     return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
 
@@ -71,7 +91,7 @@ def _constant(P, k, c):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _product(A, B):
     """Product of two frames."""
     return (
@@ -90,7 +110,7 @@ def _product(A, B):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _turned(A, s, c):
     """Frame A turned about its z by the angle of sine s and cosine c."""
     return (
@@ -101,7 +121,7 @@ def _turned(A, s, c):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _moved(A, d):
     """Frame A moved along its z by d."""
     return (
@@ -110,7 +130,37 @@ def _moved(A, d):
     )  # fmt: skip
 
 
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _quarter(x):
+    """Sine and cosine up to pi/4."""
+    z = x * x
+    s = x * (1.0 + z * (-1.6666666666666666e-1 + z * (8.333333333333333e-3 + z * (-1.984126984126984e-4 + z * (
+        2.7557319223985893e-6 + z * (-2.505210838544172e-8 + z * (1.6059043836821613e-10 - z * 7.647163731819816e-13
+    )))))))  # fmt: skip
+    c = 1.0 + z * (-0.5 + z * (4.1666666666666664e-2 + z * (-1.388888888888889e-3 + z * (2.48015873015873e-5 + z * (
+        -2.755731922398589e-7 + z * (2.08767569878681e-9 + z * (-1.1470745597729725e-11 + z * 4.779477332387385e-14
+    )))))))  # fmt: skip
+    return s, c
+
+
 @njit(cache=True, error_model="numpy")
+def _sine_cosine(x):
+    """Sine and cosine of an angle of some turns, to the last digit or two."""
+    k = math.floor(x * (2.0 / math.pi) + 0.5)
+    if abs(k) > 1e5:
+        return math.sin(x), math.cos(x)
+    s, c = _quarter((x - k * HALF_PI_HIGH) - k * HALF_PI_LOW)
+    quadrant = int(k) & 3
+    if quadrant == 0:
+        return s, c
+    if quadrant == 1:
+        return c, -s
+    if quadrant == 2:
+        return -s, -c
+    return -c, s
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _small_turn(s, c, d):
     """Sine and cosine of a + d from those of a: the series is exact to 1e-17 up to 0.03 rad."""
     if abs(d) < 0.03:
@@ -123,19 +173,39 @@ def _small_turn(s, c, d):
     return s * cd + c * sd, c * cd - s * sd
 
 
-@njit(cache=True, error_model="numpy")
-def _exponential(v0, v1, v2, w0, w1, w2):
-    """exp of the twist (v, w) as a frame."""
-    t2 = w0 * w0 + w1 * w1 + w2 * w2
-    if t2 < 1e-6:  # series: the closed forms lose digits to cancellation here
-        a = 1.0 - t2 / 6.0 * (1.0 - t2 / 20.0)
-        b = 0.5 - t2 / 24.0
-        c = 1.0 / 6.0 - t2 / 120.0
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _angle_series(t2):
+    """sin t / t, (1 - cos t) / t² and (t - sin t) / t³ of the square of an angle."""
+    if t2 < 1e-3:  # exact here, and the closed forms would lose digits to cancellation
+        a = 1.0 - t2 * (1.0 / 6.0 - t2 * (1.0 / 120.0 - t2 / 5040.0))
+        b = 0.5 - t2 * (1.0 / 24.0 - t2 * (1.0 / 720.0 - t2 / 40320.0))
+        c = 1.0 / 6.0 - t2 * (1.0 / 120.0 - t2 * (1.0 / 5040.0 - t2 / 362880.0))
     else:
         t = math.sqrt(t2)
         a = math.sin(t) / t
         b = (1.0 - math.cos(t)) / t2
         c = (1.0 - a) / t2
+    return a, b, c
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _leaned(T, x, y):
+    """Frame T turned about its own x and y by the rotation vector (x, y, 0)."""
+    a, b, _ = _angle_series(x * x + y * y)
+    xx, yy, xy, sx, sy = 1.0 - b * y * y, 1.0 - b * x * x, b * x * y, a * x, a * y
+    zz = 1.0 - b * (x * x + y * y)
+    return (
+        T[0] * xx + T[1] * xy - T[2] * sy, T[0] * xy + T[1] * yy + T[2] * sx, T[0] * sy - T[1] * sx + T[2] * zz,
+        T[3] * xx + T[4] * xy - T[5] * sy, T[3] * xy + T[4] * yy + T[5] * sx, T[3] * sy - T[4] * sx + T[5] * zz,
+        T[6] * xx + T[7] * xy - T[8] * sy, T[6] * xy + T[7] * yy + T[8] * sx, T[6] * sy - T[7] * sx + T[8] * zz,
+        T[9], T[10], T[11],
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _exponential(v0, v1, v2, w0, w1, w2):
+    """exp of the twist (v, w) as a frame."""
+    a, b, c = _angle_series(w0 * w0 + w1 * w1 + w2 * w2)
     d = w0 * v0 + w1 * v1 + w2 * v2  # left Jacobian of SO(3) times v
     return (
         1.0 - b * (w1 * w1 + w2 * w2), b * w0 * w1 - a * w2, b * w0 * w2 + a * w1,
@@ -147,7 +217,28 @@ def _exponential(v0, v1, v2, w0, w1, w2):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _wanted_tool(P, W, m, oj, lines):
+    """Tool frame of the nominal chain at the wanted joints; writes nothing but, when told to, the joint lines."""
+    T = _constant(P, 0, NOMINAL)
+    for k in range(m):
+        if k > 0:
+            T = _product(T, _constant(P, k, NOMINAL))
+        if P[k, KIND] == 0.0:
+            T = _turned(T, W[k, SINE], W[k, COSINE])
+        else:
+            T = _moved(T, P[k, RATIO] * W[oj + int(P[k, JOINT]), WANTED])
+        if lines:
+            W[k, LINE] = T[2]
+            W[k, LINE + 1] = T[5]
+            W[k, LINE + 2] = T[8]
+            W[k, LINE + 3] = T[9]
+            W[k, LINE + 4] = T[10]
+            W[k, LINE + 5] = T[11]
+    return _product(T, _constant(P, m, NOMINAL))
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _nominal(P, W, m, oj):
     """Frames of the nominal chain at the command into W; returns the tool frame."""
     T = _constant(P, 0, NOMINAL)
@@ -166,10 +257,21 @@ def _nominal(P, W, m, oj):
     return _product(T, _constant(P, m, NOMINAL))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _foot(P, W, m):
+    """Start of the identified chain: a pedestal that gives way tilts it by the load on the base."""
+    S = P.shape[0] - 1
+    if P[S, PEDESTAL] == 0.0:
+        return _constant(P, 0, IDENTIFIED)
+    x = P[S - 1, PEDESTAL_X] * (W[m, ON_BASE] + P[S - 1, STANDING_X])
+    y = P[S - 1, PEDESTAL_Y] * (W[m, ON_BASE + 1] + P[S - 1, STANDING_Y])
+    return _product(_leaned(_constant(P, S - 1, FOOT), x, y), _constant(P, S - 1, ABOVE))
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _identified(P, W, m, oj):
     """Tool frame of the identified chain at the command, with the local corrections in W; joint lines into W."""
-    T = _constant(P, 0, IDENTIFIED)
+    T = _foot(P, W, m)
     for k in range(m):
         if k > 0:
             T = _product(T, _constant(P, k, IDENTIFIED))
@@ -187,13 +289,18 @@ def _identified(P, W, m, oj):
         W[k, LINE + 4] = T[10]
         W[k, LINE + 5] = T[11]
         if P[k, PRIMARY] >= 0.0:
-            a = P[j, XI + 3] + W[j, LEAN_A]
-            b = P[j, XI + 4] + W[j, LEAN_B]
-            T = _product(T, _exponential(P[j, XI], P[j, XI + 1], P[j, XI + 2], a, b, P[j, XI + 5]))
+            if P[j, TWISTED] != 0.0:
+                t = W[j]
+                T = _product(
+                    T,
+                    _exponential(t[TWIST], t[TWIST + 1], t[TWIST + 2], t[TWIST + 3], t[TWIST + 4], t[TWIST + 5]),
+                )
+            else:
+                T = _leaned(T, W[j, TWIST + 3], W[j, TWIST + 4])
     return _product(T, _constant(P, m, IDENTIFIED))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _static_moments(P, W, S, m, oj):
     """Load moments in the joint frames from gravity alone: mass and first moment, from the tool inwards."""
     g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
@@ -216,7 +323,7 @@ def _static_moments(P, W, S, m, oj):
             _to_joint(P, W, k, oj + int(P[k, JOINT]), t0, t1, t2, mass * g0, mass * g1, mass * g2)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _point(W, k, x, y, z):
     """Base coordinates of a point of frame k."""
     return (
@@ -226,7 +333,7 @@ def _point(W, k, x, y, z):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _to_joint(P, W, k, j, x, y, z, f0, f1, f2):
     """Turn a load in base coordinates into frame k and keep it for joint row j: two moments across, one along the axis.
 
@@ -240,7 +347,7 @@ def _to_joint(P, W, k, j, x, y, z, f0, f1, f2):
         W[j, MOMENT + 2] = W[k, 2] * f0 + W[k, 5] * f1 + W[k, 8] * f2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _swing(w, dw, r0, r1, r2):
     """Acceleration of a point at r on a body that turns with w and dw: dw x r + w x (w x r)."""
     a0, a1, a2 = _cross(dw[0], dw[1], dw[2], r0, r1, r2)
@@ -249,44 +356,63 @@ def _swing(w, dw, r0, r1, r2):
     return a0 + u0, a1 + u1, a2 + u2
 
 
-@njit(cache=True, error_model="numpy")
-def _body_load(P, W, row, k, g, w, dw, acc):
-    """Force and moment about the base origin of the body in row ``row`` that rides on frame k (d'Alembert)."""
-    mass = P[row, MASS]
-    c0, c1, c2 = _point(W, k, P[row, COM], P[row, COM + 1], P[row, COM + 2])
-    s0, s1, s2 = _swing(w, dw, c0 - W[k, 9], c1 - W[k, 10], c2 - W[k, 11])
-    f0 = mass * (g[0] - acc[0] - s0)
-    f1 = mass * (g[1] - acc[1] - s1)
-    f2 = mass * (g[2] - acc[2] - s2)
-    m0, m1, m2 = _cross(c0, c1, c2, f0, f1, f2)
-    h0, h1, h2 = _inertia_times(P, W, row, k, w)
-    i0, i1, i2 = _inertia_times(P, W, row, k, dw)
-    t0, t1, t2 = _cross(w[0], w[1], w[2], h0, h1, h2)
-    return f0, f1, f2, m0 - i0 - t0, m1 - i1 - t1, m2 - i2 - t2
-
-
-@njit(cache=True, error_model="numpy")
-def _inertia_times(P, W, row, k, w):
-    """Inertia of body ``row`` (about its centre of mass, axes of frame k) times a vector in base coordinates."""
-    a = W[k, 0] * w[0] + W[k, 3] * w[1] + W[k, 6] * w[2]
-    b = W[k, 1] * w[0] + W[k, 4] * w[1] + W[k, 7] * w[2]
-    c = W[k, 2] * w[0] + W[k, 5] * w[1] + W[k, 8] * w[2]
-    xx, yy, zz = P[row, INERTIA], P[row, INERTIA + 1], P[row, INERTIA + 2]
-    xy, xz, yz = P[row, INERTIA + 3], P[row, INERTIA + 4], P[row, INERTIA + 5]
-    x = xx * a + xy * b + xz * c
-    y = xy * a + yy * b + yz * c
-    z = xz * a + yz * b + zz * c
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _inward(W, k, x, y, z):
+    """A vector in base coordinates turned into frame k."""
     return (
-        W[k, 0] * x + W[k, 1] * y + W[k, 2] * z,
-        W[k, 3] * x + W[k, 4] * y + W[k, 5] * z,
-        W[k, 6] * x + W[k, 7] * y + W[k, 8] * z,
+        W[k, 0] * x + W[k, 3] * y + W[k, 6] * z,
+        W[k, 1] * x + W[k, 4] * y + W[k, 7] * z,
+        W[k, 2] * x + W[k, 5] * y + W[k, 8] * z,
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _body_load(P, row, w, dw, a):
+    """Force and moment about the origin of its frame of the body in row ``row``, in the axes of that frame (d'Alembert).
+
+    ``w``, ``dw`` and ``a`` (gravity minus acceleration of the origin) are in the same axes.
+    """
+    mass = P[row, MASS]
+    c0, c1, c2 = P[row, COM], P[row, COM + 1], P[row, COM + 2]
+    s0, s1, s2 = _swing(w, dw, c0, c1, c2)
+    f0, f1, f2 = mass * (a[0] - s0), mass * (a[1] - s1), mass * (a[2] - s2)
+    xx, yy, zz = P[row, INERTIA], P[row, INERTIA + 1], P[row, INERTIA + 2]
+    xy, xz, yz = P[row, INERTIA + 3], P[row, INERTIA + 4], P[row, INERTIA + 5]
+    h0, h1, h2 = (
+        xx * w[0] + xy * w[1] + xz * w[2], xy * w[0] + yy * w[1] + yz * w[2], xz * w[0] + yz * w[1] + zz * w[2],
+    )  # fmt: skip
+    t0, t1, t2 = _cross(w[0], w[1], w[2], h0, h1, h2)
+    m0, m1, m2 = _cross(c0, c1, c2, f0, f1, f2)
+    m0 -= t0 + xx * dw[0] + xy * dw[1] + xz * dw[2]
+    m1 -= t1 + xy * dw[0] + yy * dw[1] + yz * dw[2]
+    m2 -= t2 + xz * dw[0] + yz * dw[1] + zz * dw[2]
+    return f0, f1, f2, m0, m1, m2
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _carry_load(P, W, row, k, w, dw, a):
+    """Load of the body in row ``row`` that rides on frame k, about the base origin in base coordinates, into W."""
+    if P[row, MASS] == 0.0:
+        for i in range(6):
+            W[row, LOAD + i] = 0.0
+        return
+    x0, x1, x2, y0, y1, y2 = _body_load(P, row, w, dw, a)
+    f0 = W[k, 0] * x0 + W[k, 1] * x1 + W[k, 2] * x2
+    f1 = W[k, 3] * x0 + W[k, 4] * x1 + W[k, 5] * x2
+    f2 = W[k, 6] * x0 + W[k, 7] * x1 + W[k, 8] * x2
+    t0, t1, t2 = _cross(W[k, 9], W[k, 10], W[k, 11], f0, f1, f2)
+    W[row, LOAD] = f0
+    W[row, LOAD + 1] = f1
+    W[row, LOAD + 2] = f2
+    W[row, LOAD + 3] = t0 + W[k, 0] * y0 + W[k, 1] * y1 + W[k, 2] * y2
+    W[row, LOAD + 4] = t1 + W[k, 3] * y0 + W[k, 4] * y1 + W[k, 5] * y2
+    W[row, LOAD + 5] = t2 + W[k, 6] * y0 + W[k, 7] * y1 + W[k, 8] * y2
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _moving_bodies(P, W, S, m, oj):
     """Outward pass of Newton and Euler in base coordinates: load of every body into W."""
-    g = (P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2])
+    g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
     w = (0.0, 0.0, 0.0)
     dw = (0.0, 0.0, 0.0)
     acc = (0.0, 0.0, 0.0)
@@ -306,41 +432,67 @@ def _moving_bodies(P, W, S, m, oj):
             twice = 2.0 * speed
             acc = (acc[0] + twice * t0 + rate * z0, acc[1] + twice * t1 + rate * z1, acc[2] + twice * t2 + rate * z2)
         p = (W[k, 9], W[k, 10], W[k, 11])
-        load = _body_load(P, W, k, k, g, w, dw, acc)
-        for i in range(6):
-            W[k, LOAD + i] = load[i]
-        if k == m - 1 and P[m, MASS] != 0.0:
-            load = _body_load(P, W, m, k, g, w, dw, acc)
-            for i in range(6):
-                W[k, LOAD + i] += load[i]
+        inside = _inward(W, k, w[0], w[1], w[2])
+        turning = _inward(W, k, dw[0], dw[1], dw[2])
+        falling = _inward(W, k, g0 - acc[0], g1 - acc[1], g2 - acc[2])
+        _carry_load(P, W, k, k, inside, turning, falling)
+        if k == m - 1:
+            _carry_load(P, W, m, k, inside, turning, falling)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _dynamic_moments(P, W, S, m, oj):
     """Load moments in the joint frames from gravity and motion (thesis eq. 5.14, with the sign of the load)."""
     _moving_bodies(P, W, S, m, oj)
-    f0 = f1 = f2 = m0 = m1 = m2 = 0.0
+    beams = P[S, BEAMS] != 0.0
+    f = (W[m, LOAD], W[m, LOAD + 1], W[m, LOAD + 2])
+    t = (W[m, LOAD + 3], W[m, LOAD + 4], W[m, LOAD + 5])
+    beyond, turned = f, t
     for k in range(m - 1, -1, -1):
-        f0 += W[k, LOAD]
-        f1 += W[k, LOAD + 1]
-        f2 += W[k, LOAD + 2]
-        m0 += W[k, LOAD + 3]
-        m1 += W[k, LOAD + 4]
-        m2 += W[k, LOAD + 5]
+        f = (f[0] + W[k, LOAD], f[1] + W[k, LOAD + 1], f[2] + W[k, LOAD + 2])
+        t = (t[0] + W[k, LOAD + 3], t[1] + W[k, LOAD + 4], t[2] + W[k, LOAD + 5])
         if P[k, PRIMARY] >= 0.0:
-            t0, t1, t2 = _cross(W[k, 9], W[k, 10], W[k, 11], f0, f1, f2)
-            _to_joint(P, W, k, oj + int(P[k, JOINT]), m0 - t0, m1 - t1, m2 - t2, f0, f1, f2)
+            j = oj + int(P[k, JOINT])
+            s0, s1, s2 = _cross(W[k, 9], W[k, 10], W[k, 11], f[0], f[1], f[2])
+            _to_joint(P, W, k, j, t[0] - s0, t[1] - s1, t[2] - s2, f[0], f[1], f[2])
+            if beams:
+                _keep_wrench(W, k, j, ROOT, f, t)
+                _keep_wrench(W, k, j, END, beyond, turned)
+                beyond, turned = f, t
+    W[m, ON_BASE] = t[0]
+    W[m, ON_BASE + 1] = t[1]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _keep_wrench(W, k, j, column, f, t):
+    """A wrench about the base origin as one about the origin and in the axes of frame k, for joint row j."""
+    s0, s1, s2 = _cross(W[k, 9], W[k, 10], W[k, 11], f[0], f[1], f[2])
+    a = _inward(W, k, f[0], f[1], f[2])
+    b = _inward(W, k, t[0] - s0, t[1] - s1, t[2] - s2)
+    for i in range(3):
+        W[j, column + i] = a[i]
+        W[j, column + 3 + i] = b[i]
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _soft_sign(x, width):
     """sign(x), or tanh(x / width): beyond 19.1 widths the two are the same number."""
-    if abs(x) >= 19.1 * width:
+    size = abs(x)
+    if size >= 19.1 * width:
         return math.copysign(1.0, x) if x != 0.0 else 0.0
-    return math.tanh(x / width)
+    return math.copysign(1.0 - 2.0 / (math.exp(2.0 * size / width) + 1.0), x)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _bounded(a):
+    """a / sqrt(1 + a²); the series is exact up to a degree."""
+    z = a * a
+    if z < 4e-4:
+        return a * (1.0 - z * (0.5 - z * (0.375 - z * (0.3125 - z * 0.2734375))))
+    return a / math.sqrt(1.0 + z)
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _lean(P, j, x, y):
     """Tilt of a joint in its clearance (thesis eq. 5.16-5.18) towards the transverse load (x, y)."""
     t = P[j, TILT]
@@ -350,16 +502,16 @@ def _lean(P, j, x, y):
     if t == 0.0 or total <= NO_MOMENT:
         return 0.0, 0.0
     if P[j, TILT_SHARE] == 0.0:
-        gamma = ax / total * (0.5 * math.pi)
-        s = math.sin(gamma)
-        c = math.cos(gamma)
+        if ax < ay:
+            s, c = _quarter(ax / total * (0.5 * math.pi))
+        else:
+            c, s = _quarter(ay / total * (0.5 * math.pi))
     else:
-        h = math.sqrt(x * x + y * y)
-        s = ax / h
-        c = ay / h
-    a = t * s * _soft_sign(x, P[j, TILT_SOFT])
-    b = t * c * _soft_sign(y, P[j, TILT_SOFT])
-    return a / math.sqrt(1.0 + a * a), b / math.sqrt(1.0 + b * b)
+        h = 1.0 / math.sqrt(x * x + y * y)
+        s = ax * h
+        c = ay * h
+    soft = P[j, TILT_SOFT]
+    return _bounded(t * s * _soft_sign(x, soft)), _bounded(t * c * _soft_sign(y, soft))
 
 
 @njit(cache=True, error_model="numpy")
@@ -395,43 +547,96 @@ def _signs(P, W, state, n, oj, dt):
     return limited
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _curves(P, W, n, m, oj):
+    """Add what the curves of the joints say at the command."""
+    first = m + 1 + n
+    for row in range(first, first + int(P[P.shape[0] - 1, CURVES])):
+        j = oj + int(P[row, CURVED])
+        shape = P[row, SHAPE]
+        d = oj + int(P[row, DRIVER])
+        q = W[d, COMMAND]
+        if shape == WAVE:
+            s, c = _sine_cosine(P[row, FACTOR] * q)
+            W[j, SHIFT] += P[row, AMPLITUDE_A] * s + P[row, AMPLITUDE_B] * c
+        elif shape == LINEAR:
+            W[j, SHIFT] += P[row, AMPLITUDE_A] * q
+        elif shape == LAG:
+            W[j, SHIFT] -= P[row, AMPLITUDE_A] * W[d, SPEED_NOW]
+        elif shape == SINES:
+            W[j, SHIFT] += P[row, AMPLITUDE_A] * math.sin(q) * math.sin(W[j, COMMAND])
+        else:
+            a, b = P[row, EXTRA], P[row, EXTRA + 1]
+            s, c = _sine_cosine(q + P[row, EXTRA + 2])
+            length = math.sqrt(a * a + b * b - 2.0 * a * b * c)
+            W[j, SHIFT] -= P[row, AMPLITUDE_A] * s * (1.0 - P[row, EXTRA + 3] / length)
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _beams(P, W, n, m, oj):
+    """Add the twist by which every bending link gives way to the loads on its joint and on its end."""
+    S = P.shape[0] - 1
+    first = m + 1 + n + int(P[S, CURVES])
+    for b in range(int(P[S, BEAMS])):
+        row = first + 2 * b
+        j = oj + int(P[row, BEAM_JOINT])
+        l0, l1, l2 = P[row, BEAM_LINK], P[row, BEAM_LINK + 1], P[row, BEAM_LINK + 2]
+        t0, t1, t2 = _cross(l0, l1, l2, W[j, END], W[j, END + 1], W[j, END + 2])
+        W[j, END + 3] -= t0
+        W[j, END + 4] -= t1
+        W[j, END + 5] -= t2
+        for r in range(6):
+            total = 0.0
+            for c in range(6):
+                total += P[row, BEAM + 6 * r + c] * W[j, ROOT + c] + P[row + 1, BEAM + 6 * r + c] * W[j, END + c]
+            W[j, TWIST + r] += total
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _give_way(P, W, n, m, oj):
+    """What every joint adds to its command, and the twist behind it, at the loads and signs now in W."""
+    for i in range(n):
+        j = oj + i
+        W[j, SHIFT] = P[j, DQ] + W[j, SIDE] + P[j, COMPLIANCE] * W[j, MOMENT + 2]
+        for k in range(6):
+            W[j, TWIST + k] = P[j, XI + k]
+        W[j, TWIST + 3] += W[j, LEAN_A] + P[j, RADIAL] * W[j, MOMENT]
+        W[j, TWIST + 4] += W[j, LEAN_B] + P[j, RADIAL] * W[j, MOMENT + 1]
+    S = P.shape[0] - 1
+    if P[S, CURVES] != 0.0:
+        _curves(P, W, n, m, oj)
+    if P[S, BEAMS] != 0.0:
+        _beams(P, W, n, m, oj)
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _jacobian(P, W, S, T, n, m, oj, rows):
     """Weighted task rows of the identified Jacobian by joint, column r of the joint rows (turns in the tool frame)."""
     for i in range(n):
-        for r in range(rows):
+        for r in range(6):
             W[oj + i, COLUMN + r] = 0.0
+    weight = P[S, WEIGHT + 3]
     for k in range(m):
         j = oj + int(P[k, JOINT])
         ratio = P[k, RATIO]
         z0, z1, z2 = W[k, LINE], W[k, LINE + 1], W[k, LINE + 2]
-        turns = P[k, KIND] == 0.0
-        v0, v1, v2 = z0, z1, z2
-        if turns:
+        if P[k, KIND] == 0.0:
             v0, v1, v2 = _cross(z0, z1, z2, T[9] - W[k, LINE + 3], T[10] - W[k, LINE + 4], T[11] - W[k, LINE + 5])
-        for r in range(rows):
-            row = int(P[S, ROW + r])
-            value = 0.0
-            if row < 3:
-                value = v0 if row == 0 else (v1 if row == 1 else v2)
-            elif turns:
-                value = _component(T, row - 3, z0, z1, z2)
-            W[j, COLUMN + r] += ratio * P[S, WEIGHT + r] * value
+            if rows > 3:
+                turn = ratio * weight
+                W[j, COLUMN + 3] += turn * (T[0] * z0 + T[3] * z1 + T[6] * z2)
+                W[j, COLUMN + 4] += turn * (T[1] * z0 + T[4] * z1 + T[7] * z2)
+                W[j, COLUMN + 5] += turn * (T[2] * z0 + T[5] * z1 + T[8] * z2)
+        else:
+            v0, v1, v2 = z0, z1, z2
+        W[j, COLUMN] += ratio * v0
+        W[j, COLUMN + 1] += ratio * v1
+        W[j, COLUMN + 2] += ratio * v2
 
 
-@njit(cache=True, error_model="numpy")
-def _component(T, i, x, y, z):
-    """Component i of a vector in the frame T."""
-    if i == 0:
-        return T[0] * x + T[3] * y + T[6] * z
-    if i == 1:
-        return T[1] * x + T[4] * y + T[7] * z
-    return T[2] * x + T[5] * y + T[8] * z
-
-
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _matrix(W, n, oj, og, rows):
-    """J J' and no damping into the task rows."""
+    """J J' and no damping into the task rows, and what the first guess adds to the residual."""
     for r in range(rows):
         for c in range(r + 1):
             total = 0.0
@@ -441,9 +646,13 @@ def _matrix(W, n, oj, og, rows):
             W[og + c, MATRIX + r] = total
             W[og + r, DAMPING + c] = 0.0
             W[og + c, DAMPING + r] = 0.0
+        total = 0.0
+        for i in range(n):
+            total += W[oj + i, COLUMN + r] * W[oj + i, GUESSED]
+        W[og + r, ADDED] = total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _factor(W, og, rows):
     """LDL' of J J' + damping in the task rows; returns the smallest pivot, 0 when there is none."""
     smallest = math.inf
@@ -459,11 +668,13 @@ def _factor(W, og, rows):
     return smallest
 
 
-@njit(cache=True, error_model="numpy")
-def _multipliers(W, og, rows, damped):
-    """Step of the multipliers: (J J' + damping) step = error - damping * multipliers."""
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _multipliers(W, og, rows, damped, first):
+    """Step of the multipliers: (J J' + damping) step = error - damping * multipliers; the first one starts from zero."""
     for r in range(rows):
         total = W[og + r, ERROR]
+        if first:
+            total += W[og + r, ADDED]
         if damped:
             for k in range(rows):
                 total -= W[og + r, DAMPING + k] * W[og + k, MULTIPLIER]
@@ -538,7 +749,7 @@ def _damp(P, W, n, oj, og, rows):
             continue
         along = 0.0
         for r in range(rows):
-            along += W[og + r, VECTOR + v] * W[og + r, ERROR]
+            along += W[og + r, VECTOR + v] * (W[og + r, ERROR] + W[og + r, ADDED])
         limit = max(along * along / (bound * bound), P[S, SINGULAR])
         if square >= limit:
             continue
@@ -569,7 +780,7 @@ def _linearise(P, W, S, actual, n, m, oj, og, rows):
     _matrix(W, n, oj, og, rows)
     smallest = _factor(W, og, rows)
     if smallest > P[S, SINGULAR]:
-        _multipliers(W, og, rows, False)
+        _multipliers(W, og, rows, False, True)
         bound = math.inf
         for i in range(n):
             bound = min(bound, BOUND * P[oj + i, LARGEST])
@@ -582,11 +793,11 @@ def _linearise(P, W, S, actual, n, m, oj, og, rows):
         for r in range(rows):
             W[og + r, DAMPING + r] += P[S, SINGULAR]
         _factor(W, og, rows)
-    _multipliers(W, og, rows, damped)
+    _multipliers(W, og, rows, damped, True)
     return damped
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _turn_between(A, B):
     """Rotation vector from frame A to frame B, in A."""
     x = 0.5 * (A[2] * B[1] + A[5] * B[4] + A[8] * B[7] - A[1] * B[2] - A[4] * B[5] - A[7] * B[8])
@@ -604,62 +815,64 @@ def _turn_between(A, B):
     return f * x, f * y, f * z
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _residual(P, W, S, og, rows, wanted, actual):
     """Weighted task errors into the task rows; returns the distance of the tool points by axis."""
     d0, d1, d2 = wanted[9] - actual[9], wanted[10] - actual[10], wanted[11] - actual[11]
-    t0 = t1 = t2 = 0.0
-    if P[S, ROW + rows - 1] >= 3.0:
+    W[og, ERROR] = d0
+    W[og + 1, ERROR] = d1
+    W[og + 2, ERROR] = d2
+    if rows > 3:
         t0, t1, t2 = _turn_between(actual, wanted)
-    error = (d0, d1, d2, t0, t1, t2)
-    for r in range(rows):
-        W[og + r, ERROR] = P[S, WEIGHT + r] * error[int(P[S, ROW + r])]
+        W[og + 3, ERROR] = P[S, WEIGHT + 3] * t0
+        W[og + 4, ERROR] = P[S, WEIGHT + 3] * t1
+        if rows > 5:
+            W[og + 5, ERROR] = P[S, WEIGHT + 3] * t2
     return d0, d1, d2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _command(W, n, oj, og, rows):
-    """Commands from the multipliers; returns the largest joint step of the last one."""
+    """Commands from the multipliers; returns the largest change of a joint."""
     largest = 0.0
     for i in range(n):
         j = oj + i
         shift = 0.0
-        step = 0.0
         for r in range(rows):
             shift += W[j, COLUMN + r] * W[og + r, MULTIPLIER]
-            step += W[j, COLUMN + r] * W[og + r, DELTA]
-        W[j, COMMAND] = W[j, WANTED] + shift
-        largest = max(largest, abs(step))
+        new = W[j, WANTED] + shift
+        largest = max(largest, abs(new - W[j, COMMAND]))
+        W[j, COMMAND] = new
     return largest
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _loads(P, W, S, m, oj, dynamic):
-    """Load moments at the frames now in W."""
-    if dynamic:
+    """Load moments at the frames now in W; bending and pedestal need whole wrenches, which the general pass has."""
+    if dynamic or P[S, BEAMS] != 0.0 or P[S, PEDESTAL] != 0.0:
         _dynamic_moments(P, W, S, m, oj)
     else:
         _static_moments(P, W, S, m, oj)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _prepare(P, W, n, m, oj, og, rows):
-    """Start the search at the wanted joints."""
+    """Start the search at the wanted joints plus the guess."""
     for i in range(n):
-        W[oj + i, COMMAND] = W[oj + i, WANTED]
+        W[oj + i, COMMAND] = W[oj + i, WANTED] + W[oj + i, GUESSED]
         for k in range(3):
             W[oj + i, MOMENT + k] = 0.0
     for k in range(m):
         if P[k, KIND] == 0.0:
-            angle = P[k, RATIO] * W[oj + int(P[k, JOINT]), WANTED]
-            W[k, SINE] = math.sin(angle)
-            W[k, COSINE] = math.cos(angle)
+            s, c = _sine_cosine(P[k, RATIO] * W[oj + int(P[k, JOINT]), WANTED])
+            W[k, SINE] = s
+            W[k, COSINE] = c
     for r in range(rows):
         W[og + r, MULTIPLIER] = 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def _solve(P, W, state, info, n, m, dynamic, dt):
+def _solve(P, W, state, info, n, m, dynamic, dt, warm):
     """Find the command whose identified pose is the wanted one; leaves it in W and returns the flags."""
     oj = m + 1
     og = oj + n
@@ -672,6 +885,8 @@ def _solve(P, W, state, info, n, m, dynamic, dt):
     largest = math.inf
     _prepare(P, W, n, m, oj, og, rows)
     wanted = _nominal(P, W, m, oj)
+    if warm:
+        wanted = _wanted_tool(P, W, m, oj, False)
     rounds = int(P[S, ITERATIONS])
     for it in range(rounds):
         if it == 0 or (loaded and largest > SETTLED_RAD):
@@ -681,21 +896,26 @@ def _solve(P, W, state, info, n, m, dynamic, dt):
                 _loads(P, W, S, m, oj, dynamic)
             if it < SIGN_ROUNDS:
                 limited = _signs(P, W, state, n, oj, dt)
-            for i in range(n):
-                j = oj + i
-                W[j, SHIFT] = P[j, DQ] + W[j, SIDE] + P[j, COMPLIANCE] * W[j, MOMENT + 2]
+            _give_way(P, W, n, m, oj)
+        elif P[S, CURVES] != 0.0:
+            _give_way(P, W, n, m, oj)
         actual = _identified(P, W, m, oj)
         d = _residual(P, W, S, og, rows, wanted, actual)
         if it == 0:
-            damped = _linearise(P, W, S, actual, n, m, oj, og, rows)
-            info[4], info[5], info[6] = d[0], d[1], d[2]
+            if rows < n:  # which of many answers must not depend on the guess: nor then may the Jacobian
+                _wanted_tool(P, W, m, oj, True)
+            damped = _linearise(P, W, S, wanted if rows < n else actual, n, m, oj, og, rows)
+            for i in range(3):
+                info[4 + i] = W[og + i, ERROR] + W[og + i, ADDED]
         else:
-            _multipliers(W, og, rows, damped)
+            _multipliers(W, og, rows, damped, False)
         before = largest
         largest = _command(W, n, oj, og, rows)
         info[7] = it + 1.0
         # Steps shrink by a constant factor: the next one would be largest * largest / before.
-        if largest < P[S, STEP] or (it > 0 and largest < before and largest * largest < 0.1 * P[S, STEP] * before):
+        if largest < P[S, STEP] * (GUESS_STEP if warm and it == 0 else 1.0) or (
+            it > 0 and largest < before and largest * largest < 0.1 * P[S, STEP] * before
+        ):
             break
     _report(W, info, og, rows, d)
     if not info[3] <= P[S, REACHED]:
@@ -777,6 +997,9 @@ def _motion(P, W, state, x, n, m, width, dt):
         if width == 3:
             W[j, SPEED_NOW] = x[n + i]
             W[j, ACCEL_NOW] = x[2 * n + i]
+        elif omega <= 0.0:
+            W[j, SPEED_NOW] = 0.0
+            W[j, ACCEL_NOW] = 0.0
     return width == 3 or omega > 0.0
 
 
@@ -825,7 +1048,21 @@ def _verdict(P, W, info, out, remaining, n, m):
 
 
 @njit(cache=True, error_model="numpy")
-def _commit(P, W, state, out, remaining, length, n, m):
+def _look_ahead(W, state, n, m, dt, fresh):
+    """Guess the correction from the last ones; whether there was anything to go by."""
+    if fresh:
+        for i in range(n):
+            W[m + 1 + i, GUESSED] = 0.0
+        return False
+    ahead = dt if dt < LOOK_AHEAD_S else 0.0
+    for i in range(n):
+        step = min(max(state[i, SLOPE] * ahead, -LOOK_AHEAD_RAD), LOOK_AHEAD_RAD)
+        W[m + 1 + i, GUESSED] = state[i, GUESS] + step
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _commit(P, W, state, out, remaining, length, n, m, dt, fresh):
     """Remember what was answered."""
     for i in range(n):
         j = m + 1 + i
@@ -839,6 +1076,9 @@ def _commit(P, W, state, out, remaining, length, n, m):
         state[i, LAST_DELTA] = out[i] - W[j, WANTED]
         state[i, SMOOTH] = W[j, SMOOTH_NEW]
         state[i, SMOOTH_SPEED] = W[j, SMOOTH_SPEED_NEW]
+        delta = W[j, COMMAND] - W[j, WANTED]
+        state[i, SLOPE] = 0.0 if fresh or dt < 1e-6 else (delta - state[i, GUESS]) / dt
+        state[i, GUESS] = delta
     state[n, STARTED] = 1.0
     state[n, REBASE] = 0.0
     state[n, REMAINING] = remaining
@@ -846,68 +1086,86 @@ def _commit(P, W, state, out, remaining, length, n, m):
 
 
 @njit(cache=True, error_model="numpy")
-def step(P, W, state, x, width, dt, out, info):
-    """Correct one setpoint of a stream and return its status; only status 0 leaves numbers and changes ``state``.
-
-    ``x (width * n,)`` holds q, then qd and qdd; ``dt`` is the time since the last answer; writes ``out (n,)`` and
-    ``info (INFO,)``.
-    """
+def _one(P, W, state, x, width, dt, out, info):
+    """Correct one setpoint of a stream and return its status; only status 0 leaves numbers and changes ``state``."""
     S = P.shape[0] - 1
     n = int(P[S, N])
     m = int(P[S, M])
-    info[:] = 0.0
-    out[:] = math.nan
+    for i in range(INFO):
+        info[i] = 0.0
+    for i in range(n):
+        out[i] = math.nan
     status = _refused(P, state, info, x, n, m, width, dt)
     if status != OK:
         return status
     dynamic = _motion(P, W, state, x, n, m, width, dt)
     fresh = state[n, STARTED] == 0.0 or state[n, REBASE] != 0.0
-    flags = _solve(P, W, state, info, n, m, dynamic, math.inf if fresh else dt)
+    warm = _look_ahead(W, state, n, m, dt, fresh)
+    flags = _solve(P, W, state, info, n, m, dynamic, math.inf if fresh else dt, warm)
     remaining, length = _ramp(P, W, state, n, m, dt)
     status = _verdict(P, W, info, out, remaining, n, m)
     info[0] = flags | (RAMPING if remaining > 0.0 else 0)
     if status == OK:
-        _commit(P, W, state, out, remaining, length, n, m)
+        _commit(P, W, state, out, remaining, length, n, m, dt, fresh)
     else:
-        out[:] = math.nan
+        for i in range(n):
+            out[i] = math.nan
     return status
 
 
 @njit(cache=True, error_model="numpy")
-def follow(P, W, state, x, width, dt, out, info, status):
+def step(memory, program_rows, n, x, width, dt):
+    """Correct one setpoint of a stream and return its status; only status 0 leaves numbers and changes the memory.
+
+    ``x (width * n,)`` holds q, then qd and qdd; ``dt`` is the time since the last answer. The joints are left in the
+    last row but one of ``memory``, the info in the last.
+    """
+    rows = memory.shape[0]
+    P = memory[:program_rows]
+    W = memory[program_rows : rows - n - 3]
+    return _one(P, W, memory[rows - n - 3 : rows - 2], x, width, dt, memory[rows - 2], memory[rows - 1])
+
+
+@njit(cache=True, error_model="numpy")
+def follow(memory, program_rows, n, x, width, dt, out, info, status):
     """Correct the points of a chunk or trajectory one after another; returns how many came before the first refusal.
 
     ``x (K, width * n)``, ``dt (K,)``; writes ``out (K, n)``, ``info (K, INFO)`` and ``status (K,)``. After a refusal
     the rest is left out, with status -1.
     """
-    rows = x.shape[0]
-    status[:] = -1
-    for row in range(rows):
-        status[row] = step(P, W, state, x[row], width, dt[row], out[row], info[row])
+    rows = memory.shape[0]
+    P = memory[:program_rows]
+    W = memory[program_rows : rows - n - 3]
+    state = memory[rows - n - 3 : rows - 2]
+    for row in range(x.shape[0]):
+        status[row] = _one(P, W, state, x[row], width, dt[row], out[row], info[row])
         if status[row] != OK:
+            status[row + 1 :] = -1
             return row
-    return rows
+    return x.shape[0]
 
 
 @njit(cache=True, error_model="numpy")
-def correct_rows(P, W, state, x, width, direction, out, info, status):
+def correct_rows(memory, program_rows, n, x, width, direction, out, info, status):
     """Correct N rows that do not follow one another: no ramp, no rate limits; ``direction (N, n)`` as it was measured.
 
     Writes ``out (N, n)``, ``info (N, INFO)`` and ``status (N,)``. A row too large or outside the limits keeps its
     numbers: nothing moves by them.
     """
-    S = P.shape[0] - 1
-    n = int(P[S, N])
-    m = int(P[S, M])
+    rows = memory.shape[0]
+    P = memory[:program_rows]
+    W = memory[program_rows : rows - n - 3]
+    state = memory[rows - n - 3 : rows - 2]
+    m = int(P[program_rows - 1, M])
     for row in range(x.shape[0]):
         info[row, :] = 0.0
         for i in range(n):
             j = m + 1 + i
             W[j, WANTED] = x[row, i]
+            W[j, GUESSED] = 0.0
             W[j, SIGN] = direction[row, i]
-            if width == 3:
-                W[j, SPEED_NOW] = x[row, n + i]
-                W[j, ACCEL_NOW] = x[row, 2 * n + i]
-        flags = _solve(P, W, state, info[row], n, m, width == 3, math.inf)
+            W[j, SPEED_NOW] = x[row, n + i] if width == 3 else 0.0
+            W[j, ACCEL_NOW] = x[row, 2 * n + i] if width == 3 else 0.0
+        flags = _solve(P, W, state, info[row], n, m, width == 3, math.inf, False)
         status[row] = _verdict(P, W, info[row], out[row], 0.0, n, m)
         info[row, 0] = flags

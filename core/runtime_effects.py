@@ -1,0 +1,243 @@
+"""Which effects the correction kernel can make up for, and how each one is written into its program.
+
+An effect that is missing here, or that needs what the stream does not know, is named as unsupported when a version is
+activated: its share of the error stays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.effects import Effect
+from core.effects.axial_compliance import AxialCompliance
+from core.effects.backlash import Backlash
+from core.effects.backlash_load import BacklashLoad
+from core.effects.base_compliance import BaseCompliance
+from core.effects.clearance_tilt import ClearanceTilt
+from core.effects.eccentricity import Eccentricity
+from core.effects.encoder_scale import EncoderScale
+from core.effects.friction_windup import FrictionWindup
+from core.effects.gear_error import GearError
+from core.effects.gravity_spring import GravitySpring
+from core.effects.joint_coupling import JointCoupling
+from core.effects.link_bending import LinkBending, bent
+from core.effects.payload_error import PayloadError
+from core.effects.radial_compliance import RadialCompliance
+from core.effects.second_harmonic import SecondHarmonic
+from core.effects.thermal_growth import ThermalGrowth
+from core.effects.tracking_lag import TrackingLag
+from core.effects.unknown_joint_curve import UnknownJointCurve
+from core.kernels import correction as kernel
+from core.robot import Robot
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What the stream knows besides the joints; ``temperature_c`` None when nobody states it."""
+
+    least_softening_nm: float = 0.0
+    payload_kg: float = 0.0
+    temperature_c: float | None = None
+
+
+@dataclass
+class Written:
+    """Rows of the program that the effects fill: joints (n, COLUMNS) and what is appended after them."""
+
+    robot: Robot
+    conditions: Conditions
+    joints: Floats
+    curves: list[Floats] = field(default_factory=list)
+    beams: list[Floats] = field(default_factory=list)
+    pedestal: tuple[float, float] | None = None
+    foot: Floats = field(default_factory=lambda: np.zeros(3))  # shift of the base frame, m
+
+    def curve(self, joint: int, shape: float, a: float, b: float = 0.0, **columns: float) -> None:
+        """Add a curve of ``joint``; columns by their name in the kernel, the driver being the joint itself."""
+        row = np.zeros(kernel.COLUMNS)
+        row[kernel.CURVED], row[kernel.SHAPE] = joint, shape
+        row[kernel.DRIVER] = columns.get("driver", joint)
+        row[kernel.AMPLITUDE_A], row[kernel.AMPLITUDE_B] = a, b
+        row[kernel.FACTOR] = columns.get("factor", 1.0)
+        if a != 0.0 or b != 0.0:
+            self.curves.append(row)
+
+    def free(self, column: int, joints: tuple[int, ...]) -> bool:
+        """Whether a column that holds one effect only is still empty at these joints."""
+        return not np.any(self.joints[list(joints), column])
+
+
+_Writer = Callable[[Written, Any, Floats], bool]
+
+
+def write_effect(written: Written, effect: Effect, values: Floats) -> bool:
+    """Write an effect with its values; False when the kernel cannot make up for it."""
+    writer = _WRITERS.get(effect.id)
+    return writer is not None and writer(written, effect, values)
+
+
+def _pairs(written: Written, effect: Effect, values: Floats) -> list[tuple[int, float]]:
+    return list(zip(effect.acting(written.robot.n_joints), values.tolist(), strict=True))
+
+
+def _tilt(written: Written, effect: ClearanceTilt, values: Floats) -> bool:
+    if not written.free(kernel.TILT, effect.acting(written.robot.n_joints)):
+        return False
+    for j, value in _pairs(written, effect, values):
+        row = written.joints[j]
+        row[kernel.TILT] = math.tan(value)
+        row[kernel.TILT_SHARE] = 0.0 if effect.share == "thesis" else 1.0
+        row[kernel.TILT_SOFT] = max(effect.softening_nm, written.conditions.least_softening_nm)
+    return True
+
+
+def _play(written: Written, effect: BacklashLoad, values: Floats) -> bool:
+    if not written.free(kernel.PLAY, effect.acting(written.robot.n_joints)):
+        return False
+    for j, value in _pairs(written, effect, values):
+        written.joints[j, kernel.PLAY] = value
+        written.joints[j, kernel.PLAY_SOFT] = max(effect.softening_nm, written.conditions.least_softening_nm)
+    return True
+
+
+def _adds(column: int, factor: float = 1.0) -> _Writer:
+    """Write values that add to a column of their joint."""
+
+    def write(written: Written, effect: Effect, values: Floats) -> bool:
+        for j, value in _pairs(written, effect, values):
+            written.joints[j, column] += factor * value
+        return True
+
+    return write
+
+
+def _waves(written: Written, effect: Effect, values: Floats, factors: Mapping[int, list[float]]) -> None:
+    """Sines then cosines per joint, factor by factor, as :meth:`Effect.joint_angle` orders them."""
+    acting = effect.acting(written.robot.n_joints)
+    count = len(acting)
+    for place, j in enumerate(acting):
+        for order, factor in enumerate(factors[j]):
+            start = 2 * order * count + place
+            written.curve(j, kernel.WAVE, float(values[start]), float(values[start + count]), factor=factor)
+
+
+def _harmonic(factor: float) -> _Writer:
+    def write(written: Written, effect: Effect, values: Floats) -> bool:
+        _waves(written, effect, values, {j: [factor] for j in effect.acting(written.robot.n_joints)})
+        return True
+
+    return write
+
+
+def _gear(written: Written, effect: GearError, values: Floats) -> bool:
+    ratios = zip(effect.acting(written.robot.n_joints), effect.ratios or (), strict=True)
+    _waves(written, effect, values, {j: [order * ratio for order in effect.orders] for j, ratio in ratios})
+    return True
+
+
+def _joint_curve(written: Written, effect: UnknownJointCurve, values: Floats) -> bool:
+    acting = effect.acting(written.robot.n_joints)
+    _waves(written, effect, values, {j: [float(m) for m in effect.orders] for j in acting})
+    if effect.partner is not None:
+        for j, value in zip(acting, values[len(values) - len(acting) :].tolist(), strict=True):
+            written.curve(j, kernel.SINES, value, driver=effect.partner)
+    return True
+
+
+def _spring(written: Written, effect: GravitySpring, values: Floats) -> bool:
+    if effect.arms_m is None:
+        return _harmonic(1.0)(written, effect, values)
+    for j, value in _pairs(written, effect, values):
+        written.curve(j, kernel.SPRING, value)
+        if value != 0.0:
+            extra = (*effect.arms_m, effect.angle_rad, effect.free_length_m)
+            written.curves[-1][kernel.EXTRA : kernel.EXTRA + 4] = extra
+    return True
+
+
+def _scale(written: Written, effect: EncoderScale, values: Floats) -> bool:
+    for j, value in _pairs(written, effect, values):
+        written.curve(j, kernel.LINEAR, value)
+    return True
+
+
+def _coupling(written: Written, effect: JointCoupling, values: Floats) -> bool:
+    for (j, value), driver in zip(_pairs(written, effect, values), effect.drivers or (), strict=True):
+        written.curve(j, kernel.LINEAR, value, driver=driver)
+    return True
+
+
+def _lag(written: Written, effect: TrackingLag, values: Floats) -> bool:
+    for j, value in _pairs(written, effect, values):
+        written.curve(j, kernel.LAG, value)
+    return True
+
+
+def _bending(written: Written, effect: LinkBending, values: Floats) -> bool:
+    """A link's twist is linear in the wrenches on its joint and on its end: two matrices hold all of it."""
+    robot = written.robot
+    if any(e.joint is not None and k not in robot.chain.primary for k, e in enumerate(robot.chain.elements)):
+        return False  # the end of a link is then not at a constant place
+    none, unit = np.zeros((6, 6)), np.eye(6)
+    for (j, value), centre in zip(_pairs(written, effect, values), effect.centres_m or (), strict=True):
+        link = robot.chain.link_vectors[j]
+        rows = np.zeros((2, kernel.COLUMNS))
+        rows[0, :36] = value * bent(link, centre, unit, none).T.ravel()
+        rows[1, :36] = value * bent(link, centre, none, unit).T.ravel()
+        rows[0, kernel.BEAM_JOINT] = j
+        rows[0, kernel.BEAM_LINK : kernel.BEAM_LINK + 3] = link
+        written.beams.extend(rows)
+        written.joints[j, kernel.TWISTED] = 1.0
+    return True
+
+
+def _pedestal(written: Written, effect: BaseCompliance, values: Floats) -> bool:
+    x, y = written.pedestal or (0.0, 0.0)
+    written.pedestal = (x + float(values[0]), y + float(values[1]))
+    return True
+
+
+def _growth(written: Written, effect: ThermalGrowth, values: Floats) -> bool:
+    if written.conditions.temperature_c is None:
+        return False
+    grown = (
+        float(values[0]) * (written.conditions.temperature_c - effect.reference_c) * written.robot.chain.link_vectors
+    )
+    written.joints[:, kernel.XI : kernel.XI + 3] += grown[:-1]
+    written.joints[:, kernel.TWISTED] = 1.0
+    written.foot += grown[-1]
+    return True
+
+
+def _payload(written: Written, effect: PayloadError, values: Floats) -> bool:
+    return written.conditions.payload_kg == 0.0  # it acts in rows that carry a payload; without one there is nothing
+
+
+_WRITERS: Mapping[str, _Writer] = {
+    ClearanceTilt.id: _tilt,
+    BacklashLoad.id: _play,
+    Backlash.id: _adds(kernel.REVERSAL),
+    FrictionWindup.id: _adds(kernel.REVERSAL, 2.0),  # its k is half a backlash
+    AxialCompliance.id: _adds(kernel.COMPLIANCE),
+    RadialCompliance.id: _adds(kernel.RADIAL),
+    Eccentricity.id: _harmonic(1.0),
+    SecondHarmonic.id: _harmonic(2.0),
+    GearError.id: _gear,
+    UnknownJointCurve.id: _joint_curve,
+    GravitySpring.id: _spring,
+    EncoderScale.id: _scale,
+    JointCoupling.id: _coupling,
+    TrackingLag.id: _lag,
+    LinkBending.id: _bending,
+    BaseCompliance.id: _pedestal,
+    ThermalGrowth.id: _growth,
+    PayloadError.id: _payload,
+}

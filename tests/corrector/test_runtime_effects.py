@@ -1,0 +1,122 @@
+"""Every effect of the library: made up for at run time, or named as unsupported."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from core.correction import CorrectionOptions, CorrectionProgram, Track, compile_program
+from core.effects import EFFECTS, make_effect
+from core.model import Calibration, RobotModel
+from core.observations import Observations
+from core.robots import robot_from_document
+
+TEMPERATURE_C = 31.0
+DAMPED, RESIDUAL = 0x0800, 0x1000
+CONFIG: dict[str, dict[str, Any]] = {
+    "gear_error": {"joints": (0, 2), "ratios": (100.0, 121.0)},
+    "gravity_spring": {"arms_m": (0.2, 0.5), "angle_rad": 0.3, "free_length_m": 0.2},
+    "unknown_joint_curve": {"partner": 1},
+    "payload_error": {"compliances": (1e-5,) * 6},
+    "session_shift": {"sessions": (1, 2)},
+    "drift": {"t0_s": 0.0},
+}
+AT_RUN_TIME = (
+    "clearance_tilt", "backlash", "backlash_load", "axial_compliance", "radial_compliance", "eccentricity",
+    "second_harmonic", "gear_error", "encoder_scale", "joint_coupling", "gravity_spring", "link_bending",
+    "base_compliance", "thermal_growth", "friction_windup", "tracking_lag", "unknown_joint_curve",
+)  # fmt: skip
+NAMED = ("drift", "unknown_field")
+OF_THE_INSTRUMENT = ("time_offset", "measurement_scale", "session_shift")
+
+
+def calibration_with(*names: str) -> Calibration:
+    """A UR10 whose effects have values of a third of their prior width."""
+    robot = robot_from_document({"convention": "preset", "preset": "ur10", "name": "ur10"})
+    model = RobotModel(robot, tuple(make_effect(name, **CONFIG.get(name, {})) for name in names))
+    values = model.values0()
+    rng = np.random.default_rng(len(names))
+    for k in range(model.n_geometric, len(values)):
+        p = model.parameters[k]
+        values[k] = np.clip(p.prior_sigma * rng.uniform(0.1, 0.4), p.lower, p.upper)
+        if p.unit == "s":
+            values[k] = 1e-4
+    return Calibration(model, values)
+
+
+def landing(calibration: Calibration, program: CorrectionProgram, dynamic: bool) -> np.ndarray:
+    """Distance (N,) m between the full model at the corrected joints and the wanted points."""
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-1.3, 1.3, (60, 6))
+    qd, qdd = rng.normal(size=q.shape), 3.0 * rng.normal(size=q.shape)
+    direction = np.sign(rng.normal(size=q.shape))
+    motion = {"qd": qd, "qdd": qdd} if dynamic else {}
+    result = program.correct_rows(q, direction=direction, **motion)
+    good = (result.flags & (DAMPED | RESIDUAL)) == 0
+    assert good.mean() > 0.5
+    stated = {
+        "direction": direction,
+        "temperature_c": np.full(60, TEMPERATURE_C),
+        "qd": 0.0 * q,
+        "qdd": 0.0 * q,
+    } | motion
+    wanted = calibration.wanted().predict(Observations(q)).position
+    actual = calibration.predict(Observations(result.q, **stated)).position
+    return np.asarray(np.linalg.norm(actual - wanted, axis=1)[good])
+
+
+def test_every_effect_has_its_place() -> None:
+    assert set(AT_RUN_TIME) | set(NAMED) | set(OF_THE_INSTRUMENT) | {"payload_error"} == set(EFFECTS)
+
+
+@pytest.mark.parametrize("name", AT_RUN_TIME)
+def test_an_effect_is_made_up_for(name: str) -> None:
+    calibration = calibration_with(name)
+    options = CorrectionOptions(least_softening_nm=0.0, temperature_c=TEMPERATURE_C, iterations=20)
+    program = compile_program(calibration, options)
+    assert (program.supported, program.unsupported) == ((name,), ())
+    for dynamic in (False, True):
+        assert landing(calibration, program, dynamic).max() < 1e-6
+
+
+def test_all_of_them_together() -> None:
+    calibration = calibration_with(*AT_RUN_TIME)
+    options = CorrectionOptions(least_softening_nm=0.0, temperature_c=TEMPERATURE_C, iterations=30)
+    program = compile_program(calibration, options)
+    assert set(program.supported) == set(AT_RUN_TIME)
+    assert np.quantile(landing(calibration, program, True), 0.95) < 1e-6
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_what_the_kernel_cannot_do_is_named(name: str) -> None:
+    program = compile_program(calibration_with("encoder_scale", name))
+    assert (program.supported, program.unsupported) == (("encoder_scale",), (name,))
+
+
+@pytest.mark.parametrize("name", OF_THE_INSTRUMENT)
+def test_errors_of_the_instrument_are_none_of_the_arm(name: str) -> None:
+    program = compile_program(calibration_with("encoder_scale", name))
+    assert program.unsupported == ()
+
+
+def test_growth_needs_a_temperature_and_a_payload_error_no_payload() -> None:
+    grown = calibration_with("thermal_growth")
+    assert compile_program(grown).unsupported == ("thermal_growth",)
+    assert compile_program(grown, CorrectionOptions(temperature_c=20.0)).unsupported == ()
+    loaded = calibration_with("payload_error")
+    assert compile_program(loaded).unsupported == ()
+    assert compile_program(loaded, CorrectionOptions(payload_kg=1.0)).unsupported == ("payload_error",)
+
+
+def test_a_guess_that_goes_on_ends_where_one_from_zero_does() -> None:
+    program = compile_program(calibration_with("axial_compliance", "eccentricity"))
+    t = np.arange(1500) * 0.002
+    q = np.array([0.3, -1.2, 1.4, -0.5, 0.9, 0.2]) + 0.3 * np.sin(3.0 * t)[:, None]
+    done, out, info, _ = Track(program, settled=True).follow(q, 1, np.full(len(t), 0.002))
+    assert done == len(q)
+    assert np.abs(out - program.correct_rows(q).q).max() < 1e-8
+    assert info[10:, 7].mean() < 1.5  # evaluations of the arm for each setpoint
+    assert math.isfinite(info[:, 3].max())
