@@ -1,0 +1,179 @@
+"""A recording joined with its joint log: dwells to poses, in order or by time, or every frame by time."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_client.files.clocks import Clocks, match_clocks
+from kilter_client.files.dwells import Dwell, RestOptions, find_dwells, thin
+from kilter_client.files.faults import fault
+from kilter_client.files.joint_log import JointLog
+from kilter_client.files.recording import Floats, Recording
+from kilter_client.files.survey import jumps
+
+SAME_POSE_DEG = 0.01
+MOVED_DEG = 0.05
+
+Columns = dict[str, Floats]
+
+
+@dataclass(frozen=True)
+class Matched:
+    """Contract columns, one row per dwell, and the report of how they were found."""
+
+    columns: Columns
+    report: dict[str, Any]
+
+
+def match_dwells(recording: Recording, log: JointLog, by: str, options: RestOptions | None = None) -> Matched:
+    """Join the dwells of a recording with the poses of a log, ``by`` "order" or "time".
+
+    Raises:
+        FileError: counts that differ, motions that do not fit, markers that change places.
+
+    """
+    refuse_jumps(recording)
+    dwells = find_dwells(recording, options or RestOptions())
+    if not dwells:
+        what = "the markers never rest"
+        raise fault(recording.path, what, "Match every frame by time (--by frames), or raise --rest-speed.")
+    clocks = match_clocks(recording.path, thin(recording), log) if by == "time" else None
+    rows, warnings = (_by_order(recording, dwells, log), []) if clocks is None else _by_time(dwells, log, clocks)
+    kept = [dwell for dwell, row in zip(dwells, rows, strict=True) if row >= 0]
+    index = rows[rows >= 0]
+    columns = {name: log.columns[name][index] for name in log.joints}
+    columns |= {n: v[index] for n, v in log.columns.items() if n not in columns and n not in ("t_s", "pose_id")}
+    columns["pose_id"] = log.columns["pose_id"][index] if "pose_id" in log.columns else pose_numbers(log, index)
+    columns |= _measured(kept)
+    return Matched(columns, _report(recording, kept, columns, clocks, warnings))
+
+
+def refuse_jumps(recording: Recording) -> None:
+    """Refuse a recording in which markers change places, or all columns move over.
+
+    Raises:
+        FileError: the first such row.
+
+    """
+    before = None
+    for block in recording.blocks():
+        points = block.points_mm if before is None else np.concatenate([before.points_mm[-1:], block.points_mm])
+        rows = block.rows if before is None else np.concatenate([before.rows[-1:], block.rows])
+        for row, what in jumps(points, rows, recording.markers):
+            where = {"line" if recording.kind.endswith("csv") else "frame": row}
+            raise fault(recording.path, what, "Label the markers again, or cut the recording there.", **where)
+        before = block
+
+
+def _by_order(recording: Recording, dwells: list[Dwell], log: JointLog) -> NDArray[np.int64]:
+    poses = _settled(log)
+    if len(poses) != len(dwells):
+        short = min(dwells, key=lambda d: d.end_s - d.start_s)
+        remedy = (
+            "Set --shortest, --settle or --rest-speed so that each pose is one dwell, or match by time. The shortest "
+            f"dwell is {short.end_s - short.start_s:.2f} s, at {short.start_s:.2f} s."
+        )
+        raise fault(recording.path, f"{len(dwells)} dwells, but {log.path.name} has {len(poses)} poses", remedy)
+    return poses
+
+
+def _settled(log: JointLog) -> NDArray[np.int64]:
+    """Rows of the log that are poses: all, or without repeated rows where nothing moved since the row before."""
+    q = log.q_even()
+    if log.t_s is None or "pose_id" in log.columns or len(log) < 2:
+        return np.arange(len(log))
+    changed = np.abs(np.diff(q, axis=0)).max(axis=1) > SAME_POSE_DEG
+    return np.arange(len(log)) if changed.all() else _rest_rows(changed)
+
+
+def _rest_rows(changed: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The middle row of every stretch of at least three rows without change."""
+    edges = np.flatnonzero(np.concatenate([[True], changed, [True]]))
+    spans = [(int(a), int(b)) for a, b in itertools.pairwise(edges) if b - a >= 3]
+    return np.array([(a + b) // 2 for a, b in spans], dtype=np.int64)
+
+
+def _by_time(dwells: list[Dwell], log: JointLog, clocks: Clocks) -> tuple[NDArray[np.int64], list[str]]:
+    assert log.t_s is not None
+    q, rows, warnings = log.q_even(), [], []
+    for k, dwell in enumerate(dwells, 1):
+        start, end = clocks.log_time(np.array([dwell.start_s, dwell.end_s]))
+        first, after = np.searchsorted(log.t_s, start), np.searchsorted(log.t_s, end, side="right")
+        moved = float(np.ptp(q[first:after], axis=0).max()) if after > first else np.inf
+        if after <= first or moved > MOVED_DEG:
+            said = "the log has no row then" if after <= first else f"the joints moved {moved:.3g} deg meanwhile"
+            warnings.append(f"dwell {k} at {dwell.start_s:.2f} s left out: {said}")
+        rows.append(int(first + after) // 2 if after > first and moved <= MOVED_DEG else -1)
+    return np.array(rows), warnings
+
+
+def pose_numbers(log: JointLog, index: NDArray[np.int64]) -> Floats:
+    """Number the poses from 1 as they come; equal joints (0.01 deg) share a number."""
+    known: list[Floats] = []
+    out = []
+    for q in log.q_even()[index]:
+        same = next((k for k, other in enumerate(known) if np.abs(q - other).max() <= SAME_POSE_DEG), None)
+        if same is None:
+            known.append(q)
+        out.append(len(known) if same is None else same + 1)
+    return np.array(out, dtype=np.float64)
+
+
+def _measured(dwells: list[Dwell]) -> Columns:
+    mean, sigma = np.stack([d.mean_mm for d in dwells]), np.stack([d.mean_sigma_mm for d in dwells])
+    columns = {"t_s": np.array([(d.start_s + d.end_s) / 2 for d in dwells])}
+    columns |= marker_columns(mean)
+    return columns | {f"s{axis}_mm": np.maximum(sigma[:, i], 1e-6) for i, axis in enumerate("xyz")}
+
+
+def marker_columns(points: Floats) -> Columns:
+    """Return m1x_mm ... of points (n, markers, 3)."""
+    return {f"m{k + 1}{axis}_mm": points[:, k, i] for k in range(points.shape[1]) for i, axis in enumerate("xyz")}
+
+
+def _report(
+    recording: Recording, dwells: list[Dwell], columns: Columns, clocks: Clocks | None, warnings: list[str]
+) -> dict[str, Any]:
+    scatter = np.stack([d.scatter_mm for d in dwells])
+    return {
+        "dwells": len(dwells),
+        "poses": len(np.unique(columns["pose_id"])),
+        "scatter_mm": [round(float(v), 6) for v in np.sqrt(np.nanmean(scatter**2, axis=0))],
+        "mean_sigma_mm": [round(float(np.median(columns[f"s{axis}_mm"])), 6) for axis in "xyz"],
+        "outliers": sum(d.outliers for d in dwells),
+        "clock": None if clocks is None else clock_report(clocks, recording.duration_s),
+        "warnings": [*recording.warnings, *warnings],
+    }
+
+
+def clock_report(clocks: Clocks, duration_s: float) -> dict[str, float]:
+    """Return the clocks as a document: offset at the recording's start, drift, uncertainty."""
+    return {
+        "offset_s": float(clocks.log_time(np.zeros(1))[0]),
+        "offset_sigma_s": max(clocks.sigma_s(0.0), clocks.sigma_s(duration_s)),
+        "drift_ppm": clocks.drift * 1e6,
+        "drift_sigma_ppm": clocks.drift_sigma * 1e6,
+        "correlation": clocks.correlation,
+        "frames": clocks.frames,
+    }
+
+
+def frame_rows(recording: Recording, log: JointLog, clocks: Clocks) -> Iterator[Columns]:
+    """Join every frame with the joints at its time (smooth between rows); frames without a marker are left out."""
+    from scipy.interpolate import CubicSpline
+
+    assert log.t_s is not None
+    joints = CubicSpline(log.t_s, log.q())
+    for block in recording.blocks():
+        t = clocks.log_time(block.t_s)
+        keep = (t >= log.t_s[0]) & (t <= log.t_s[-1]) & ~np.isnan(block.points_mm[..., 0]).all(axis=1)
+        if keep.any():
+            q = joints(t[keep])
+            columns = {"t_s": block.t_s[keep]} | {name: q[:, i] for i, name in enumerate(log.joints)}
+            yield columns | marker_columns(block.points_mm[keep])
