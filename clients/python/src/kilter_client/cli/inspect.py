@@ -1,0 +1,114 @@
+"""``kilter inspect``: what a file is understood to be, before anything is sent."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client.cli.arguments import File, Json
+from kilter_client.cli.output import emit, say
+from kilter_client.cli.tables import show_rows
+from kilter_client.errors import MissingPackageError, UsageError
+
+MARKERS_SHOWN = 12
+
+Rate = Annotated[float | None, typer.Option("--rate", help="Frames per second, where the file does not say.")]
+AllowCut = Annotated[bool, typer.Option("--allow-cut", help="Take the whole frames of a file that is cut off.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.command(epilog="Example: kilter inspect recording.c3d")(inspect)
+
+
+def inspect(
+    file: File,
+    rate: Rate = None,
+    allow_cut: AllowCut = False,
+    preset: Annotated[
+        str, typer.Option(help="Whose text export it is: leica, faro, spatialanalyzer, polyworks, generic.")
+    ] = "generic",
+    euler: Annotated[
+        str | None, typer.Option(help="Order of its angles: XYZ about the moving axes, xyz about the fixed ones.")
+    ] = None,
+    unit: Annotated[str | None, typer.Option(help="Unit of an inclinometer's angles, where it is not stated.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Show what is understood of a file: columns, units, rows, frames, gaps, and what looks wrong. Sends nothing."""
+    check_numpy()
+    from kilter_client.files.inspection import Hints
+    from kilter_client.files.inspection import inspect as look
+    from kilter_client.files.tracker_header import PRESETS
+
+    if preset not in PRESETS:
+        raise UsageError(f"--preset {preset}: is none of {', '.join(PRESETS)}.")
+    if rate is not None and not rate > 0:
+        raise UsageError(f"--rate {rate}: give frames per second, above 0.")
+    document = look(file, Hints(rate, allow_cut, preset, euler, unit))
+    emit(document, as_json, _show)
+    if document["problems"]:
+        raise typer.Exit(1)
+
+
+def check_numpy() -> None:
+    """Refuse to go on without the packages that files of devices need.
+
+    Raises:
+        MissingPackageError: numpy is not installed.
+
+    """
+    try:
+        import numpy  # noqa: F401
+    except ImportError as error:
+        raise MissingPackageError(
+            "Files of devices need numpy. Install it with: pip install 'kilter-client[files]'", package="numpy"
+        ) from error
+
+
+def _show(document: dict[str, Any]) -> None:
+    size = document.get("frames", document.get("rows"))
+    what = "frames" if "frames" in document else "rows"
+    say(f"{document['file']}: {document['kind']}" + (f", {size} {what}" if size is not None else ""))
+    if "rate_hz" in document:
+        say(f"  {document['rate_hz']:g} Hz, {document['duration_s']:.3f} s")
+    for text in document["notes"]:
+        say(f"  {text}")
+    _show_markers(document)
+    _show_columns(document)
+    for text in document["warnings"]:
+        say(f"  Warning: {text}.")
+    for problem in document["problems"]:
+        place = ", ".join(f"{key} {value}" for key, value in problem.items() if key != "what")
+        say(f"  Problem: {place + ': ' if place else ''}{problem['what']}.")
+
+
+def _show_markers(document: dict[str, Any]) -> None:
+    markers = document.get("markers", [])
+    rows = []
+    for marker in markers[:MARKERS_SHOWN]:
+        noise = "" if marker["noise_mm"] is None else f"{marker['noise_mm']:.4f}"
+        span = "" if marker["low_mm"] is None else "  ".join(
+            f"{low:.1f}..{high:.1f}" for low, high in zip(marker["low_mm"], marker["high_mm"], strict=True)
+        )  # fmt: skip
+        rows.append((marker["name"], f"{100 * marker['seen']:.1f} %", str(marker["longest_gap_frames"]), noise, span))
+    if rows:
+        show_rows(("marker", "seen", "longest gap", "noise mm", "x, y, z mm"), rows)
+    if len(markers) > MARKERS_SHOWN:
+        say(f"  and {len(markers) - MARKERS_SHOWN} more markers (--json lists them)")
+
+
+def _show_columns(document: dict[str, Any]) -> None:
+    rows = [
+        (c["name"], c.get("unit") or "", *("" if c.get(k) is None else f"{c[k]:.6g}" for k in ("low", "high", "empty")))
+        for c in document.get("columns", [])
+    ]
+    if rows:
+        show_rows(("column", "unit", "lowest", "highest", "empty"), rows)
+    for channel in document.get("channels", []):
+        rate = "" if channel["rate_hz"] is None else f", {channel['rate_hz']:g} Hz"
+        span = f", {channel['low']:.6g} to {channel['high']:.6g}" if "low" in channel else ""
+        scaled = ", scaled" if channel["scaled"] else ""
+        say(f"  {channel['name']}: {channel['samples']} samples{rate}{span} {channel['unit']}{scaled}".rstrip())
+    for variable in document.get("variables", []):
+        say(f"  {variable['name']}: {' x '.join(map(str, variable['shape']))}")

@@ -1,0 +1,155 @@
+"""``kilter match``: a recording joined with its joint log, shown, written, or sent in parts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli.arguments import Json
+from kilter_client.cli.inspect import AllowCut, Rate, check_numpy
+from kilter_client.cli.output import emit, note, say
+from kilter_client.cli.progress import upload_bar
+from kilter_client.errors import UsageError
+
+if TYPE_CHECKING:
+    from kilter_client.files.joint_log import JointLog
+    from kilter_client.files.recording import Recording
+    from kilter_client.files.table import Table
+
+By = Literal["order", "time", "frames"]
+Role = Literal["train", "validation", "confirmation"]
+Existing = {"exists": True, "dir_okay": False, "show_default": False}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.command(epilog="Example: kilter match optotrak.c3d joints.csv --by time --robot my-arm")(match)
+
+
+def match(
+    recording: Annotated[Path, typer.Argument(help="The recording of markers.", metavar="RECORDING", **Existing)],
+    joints: Annotated[Path, typer.Argument(help="The joint log.", metavar="JOINTS", **Existing)],
+    by: Annotated[
+        By, typer.Option(help="One row per dwell, in order or by time; or a row of every frame, by time.")
+    ] = "order",
+    joints_map: Annotated[Path | None, typer.Option(help="Column map of the joint log.", **Existing)] = None,
+    rate: Rate = None,
+    allow_cut: AllowCut = False,
+    rest_speed: Annotated[float | None, typer.Option(help="Slower than this is rest, mm/s.")] = None,
+    shortest: Annotated[float, typer.Option(help="Shortest dwell, s.")] = 0.3,
+    settle: Annotated[float, typer.Option(help="Left out at the beginning of a dwell, s.")] = 0.1,
+    out: Annotated[Path | None, typer.Option(help="Write the rows to this .csv (--by order, time).")] = None,
+    robot: Annotated[str | None, typer.Option(help="Send the rows to this robot; without it nothing is sent.")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the campaign; default is the recording's.")] = None,
+    device: Annotated[str, typer.Option(help="Measuring device.")] = "optotrak",
+    role: Annotated[Role, typer.Option(help="What the measurements are for.")] = "train",
+    as_json: Json = False,
+) -> None:
+    """Join a recording with a joint log and report how well; with --robot, send it. Sent again, it goes on."""
+    check_numpy()
+    if by == "frames" and out is not None:
+        raise UsageError("--out writes dwells; every frame is sent with --robot, in parts.")
+    from kilter_client.files.dwells import RestOptions
+    from kilter_client.files.joint_log import read_joint_log
+    from kilter_client.files.recordings import open_recording
+
+    found, log = open_recording(recording, rate, allow_cut), read_joint_log(joints, joints_map)
+    wanted = {"name": name or recording.name, "device": device, "role": role}
+    if by == "frames":
+        document = _frames(found, log, robot, wanted, as_json)
+    else:
+        options = RestOptions(rest_speed, shortest, settle)
+        document = _dwells(found, log, by, options, out, robot, wanted, as_json)
+    emit(document, as_json, _show)
+
+
+def _dwells(
+    found: Recording, log: JointLog, by: str, options: Any, out: Path | None, robot: str | None,
+    wanted: dict[str, str], as_json: bool,
+) -> dict[str, Any]:  # fmt: skip
+    from kilter_client.files.matching import match_dwells
+    from kilter_client.files.table import Prepared, Table
+
+    matched = match_dwells(found, log, by, options)
+    _tell(matched.report, as_json)
+    rows = matched.report["dwells"]
+    table: Table = Table({n: v.tolist() for n, v in matched.columns.items()}, list(range(1, rows + 1)))
+    prepared = Prepared.from_table(table)
+    document = dict(matched.report) | {"rows": rows, "columns": list(matched.columns), "sha256": prepared.sha256}
+    if out is not None:
+        out.write_bytes(prepared.content)
+        document["out"] = str(out)
+    return document | (_send([prepared], rows, robot, wanted, as_json) if robot else {})
+
+
+def _frames(
+    found: Recording, log: JointLog, robot: str | None, wanted: dict[str, str], as_json: bool
+) -> dict[str, Any]:
+    from kilter_client.files.clocks import match_clocks
+    from kilter_client.files.dwells import thin
+    from kilter_client.files.matching import clock_report, frame_rows, refuse_jumps
+    from kilter_client.files.parts import parts
+
+    refuse_jumps(found)
+    clocks = match_clocks(found.path, thin(found), log)
+    report = {"clock": clock_report(clocks, found.duration_s), "warnings": list(found.warnings)}
+    _tell(report, as_json)
+    if not robot:
+        return report | {"frames": found.frames}
+    return report | _send(parts(frame_rows(found, log, clocks)), found.frames, robot, wanted, as_json)
+
+
+def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, str], as_json: bool) -> dict[str, Any]:
+    from itertools import chain
+
+    from kilter_client.errors import ObservationError
+    from kilter_client.files.parts import find_campaign, send_parts
+
+    whole = iter(pieces)
+    first = next(whole, None)
+    if first is None:
+        raise ObservationError("No frame lies within the joint log: nothing is sent.", code="observations_invalid")
+    sent = {"rows": 0, "there": 0}
+    with Kilter() as kilter, upload_bar(wanted["name"], as_json) as bar:
+
+        def progress(count: int, there: bool) -> None:
+            sent["rows"] += count
+            sent["there"] += count if there else 0
+            bar(sent["rows"], max(rows, sent["rows"]))
+
+        campaign = find_campaign(kilter, robot, dict(wanted), first)
+        total = send_parts(kilter, campaign, chain([first], whole), progress)
+    return {"campaign_id": campaign, "rows": total, "rows_there_already": sent["there"]}
+
+
+def _tell(report: dict[str, Any], as_json: bool) -> None:
+    clock = report.get("clock")
+    if "dwells" in report:
+        scatter = ", ".join(f"{v:.4f}" for v in report["scatter_mm"])
+        note(
+            f"{report['dwells']} dwells at {report['poses']} poses; scatter of a frame {scatter} mm (x, y, z)", as_json
+        )
+    if clock is not None:
+        note(
+            f"joint log = recording {clock['offset_s']:+.6f} s (± {clock['offset_sigma_s'] * 1e6:.0f} µs), drift "
+            f"{clock['drift_ppm']:+.2f} ppm (± {clock['drift_sigma_ppm']:.2f})",
+            as_json,
+        )
+    for text in report["warnings"]:
+        note(f"  Warning: {text}.", as_json)
+
+
+def _show(document: dict[str, Any]) -> None:
+    if "campaign_id" in document:
+        there = document["rows_there_already"]
+        say(
+            f"campaign {document['campaign_id']}: {document['rows']} rows"
+            + (f", {there} there already" if there else "")
+        )
+    elif "out" in document:
+        say(f"{document['out']}: {document['rows']} rows")
+    else:
+        say("Nothing was sent: name the robot with --robot.")
