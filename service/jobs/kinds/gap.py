@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from core.errors import NotConvergedError, OptionError
+from service.jobs.attended import attended
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from service.jobs.pictures import pictures
 from service.jobs.poses import Pose, document_of
@@ -43,6 +44,11 @@ def check(options: dict[str, Any]) -> None:
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
+    """Hunt through the campaigns; a cancelled hunt is left at once."""
+    return attended(lambda tell: _hunt(job, tell), progress)
+
+
+def _hunt(job: JobInput, progress: Progress) -> JobOutput:
     """Hunt through all campaigns together; the version made holds the named effects and the geometry fitted with them."""
     from core.gap import find_gap  # compiled kernels: only the worker needs them
 
