@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import math
 import sys
 import zipfile
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from kilter_client.errors import FileError, KilterError, MissingPackageError, UsageError
 from kilter_client.robots import Described, read_robot
 from numpy.typing import NDArray
+from openpyxl import Workbook
 
 from core.conversions import screws_of_chain
 from core.robots import preset_document, robot_from_document
@@ -54,16 +60,9 @@ def test_a_table_in_metres_and_radians_with_decimal_commas(tmp_path: Path) -> No
 
 
 def test_a_workbook_is_the_same_table(tmp_path: Path) -> None:
-    from openpyxl import Workbook
-
-    book = Workbook()
-    sheet = book.active
-    assert sheet is not None
     names, *rows = (line.split(";") for line in UR10_CSV.splitlines())
-    sheet.append(names)
-    for row in rows:
-        sheet.append([*row[:2], *(float(cell.replace(",", ".")) for cell in row[2:])])
-    book.save(tmp_path / "ur10.xlsx")
+    cells = [[*row[:2], *(float(cell.replace(",", ".")) for cell in row[2:])] for row in rows]
+    (tmp_path / "ur10.xlsx").write_bytes(workbook([names, *cells]))
     document = read_robot(tmp_path / "ur10.xlsx", Described("mine", convention="dh"))
     assert np.abs(poses(document, joints(6)) - poses(preset_document("ur10"), joints(6))).max() < 1e-12
 
@@ -272,6 +271,38 @@ def test_fanuc_reads_its_third_joint_against_the_horizontal(tmp_path: Path) -> N
         assert T[:3, 3] == pytest.approx([out * math.cos(row[0]), out * math.sin(row[0]), up], abs=1e-12)
     names = [element.get("name") for element in document["elements"]]
     assert "beta_2" in names  # as the server adds for the plain table
+
+
+def workbook(rows: list[list[Any]]) -> bytes:
+    book, out = Workbook(), io.BytesIO()
+    for row in rows:
+        book.worksheets[0].append(row)
+    book.save(out)
+    return out.getvalue()
+
+
+SEEDS = {
+    ".csv": UR10_CSV.encode(),
+    ".cfg": (KNI + '[MOT[0]]\nangleOffset = "1";\nangleRange = "2";\n').encode(),
+    ".yaml": b"kinematics: {shoulder: {x: 0, y: 0, z: 0.1, roll: 0, pitch: 0, yaw: 0}}",
+    ".xlsx": workbook([["theta_offset_deg", "d_mm"], [0, 1]]),
+}
+
+
+@pytest.mark.parametrize("ending", SEEDS)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_files_are_refused_and_nothing_else(tmp_path: Path, ending: str, data: st.DataObject) -> None:
+    content = bytearray(SEEDS[ending])
+    for _ in range(data.draw(st.integers(0, 4))):
+        at = data.draw(st.integers(0, len(content)))
+        content[at : at + data.draw(st.integers(0, 5))] = data.draw(st.binary(max_size=6))
+    path = tmp_path / f"damaged{ending}"
+    path.write_bytes(content)
+    described = Described("arm", convention="dh" if ending in (".csv", ".xlsx") else None)
+    model = replace(described, model="ur10") if ending == ".yaml" else described
+    with suppress(KilterError):
+        assert read_robot(path, model)["name"] == "arm"
 
 
 def test_turned_and_coupled_joints_that_cannot_be(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ if ~isempty(validation)
     end
     body.validation = validation;
 end
-% jsonencode writes an empty struct array as []: options without fields are an object.
 queued = kilter.internal.send('/v1/jobs', body);
 job = kilter.wait(queued.id);
 end

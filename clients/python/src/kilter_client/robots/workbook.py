@@ -22,7 +22,6 @@ def read_workbook(path: Path) -> Sheet:
     """
     try:
         from openpyxl import load_workbook
-        from openpyxl.utils.exceptions import InvalidFileException
     except ImportError as error:
         raise MissingPackageError(
             "XLSX needs openpyxl: pip install 'kilter-client[files]', or save the sheet as CSV.", package="openpyxl"
@@ -33,7 +32,7 @@ def read_workbook(path: Path) -> Sheet:
         sheet = book.worksheets[0]
         found = list(enumerate(sheet.iter_rows(values_only=True, max_row=MAX_ROWS), 1))
         book.close()
-    except (InvalidFileException, KeyError, IndexError, ValueError, SyntaxError) as error:
+    except Exception as error:  # of a damaged workbook openpyxl, zipfile, zlib and the XML parser each raise their own
         raise FileError(f"{path}: is no workbook that can be read ({error}).", file=str(path)) from error
     rows = [(line, [_text(cell) for cell in cells]) for line, cells in found]
     return _sheet(path, [(line, cells) for line, cells in rows if any(cells)])
