@@ -55,12 +55,13 @@ def test_two_encoders_per_joint(person: Session, shared_data: Path, whole: bool)
     quick = () if whole else ("--effects", "tracking_lag,axial_compliance,backlash", *QUICK)
     found = person.hunt("-c", ids[0], "-v", ids[1], "-v", ids[2], *quick)
     effects = named(found)
-    # A delay of 3 ms between the encoders; the load's and the direction's part on every axis that has an encoder.
+    # A delay of 3 ms between the encoders; the load's part on every axis that has an encoder.
     assert effects["tracking_lag"]["joints"] == [1, 2, 3]
     assert all(0.0025 < p["value"] < 0.0035 for p in effects["tracking_lag"]["parameters"])
     assert {j for e in found["effects"] if e["id"] == "axial_compliance" for j in e["joints"]} == {1, 2, 3}
-    reversal = {"backlash", "friction_windup"}
-    assert {j for e in found["effects"] if e["id"] in reversal for j in e["joints"]} >= {2, 3}
+    if whole:  # the direction's part shows only once the curves of the angle, left out of the quick run, are taken out
+        reversal = {"backlash", "friction_windup"}
+        assert {j for e in found["effects"] if e["id"] in reversal for j in e["joints"]} >= {1, 2, 3}
     assert found["gap"]["validation_after_deg"] < 0.35 * found["gap"]["validation_before_deg"]
     # One motion without repeats: relative to the fit's own noise, so nothing may be sure.
     assert not [e for e in found["effects"] if e["verdict"] in SURE]

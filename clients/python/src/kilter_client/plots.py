@@ -16,7 +16,14 @@ from kilter_client.errors import FileError, MissingPackageError
 INCH = (7.0, 4.2)
 DPI = 120
 # The same figure gives the same bytes: no date, no random ids.
-STEADY: Any = {"svg.hashsalt": "kilter", "svg.fonttype": "none", "font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.axisbelow": True}
+STEADY: Any = {
+    "svg.hashsalt": "kilter",
+    "svg.fonttype": "none",
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.axisbelow": True,
+}
 
 
 def can_draw() -> bool:
