@@ -8,7 +8,7 @@ IMAGE ?= kilter
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check bench bench-peers bench-stream blind image fmt clean
+.PHONY: help setup demo serve test check bench bench-peers bench-stream fuzz-stream blind image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -52,7 +52,10 @@ bench-peers: .venv-peers/.ready ## install the tools that make bench compares wi
 	touch $@
 
 bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run
-	$(BIN)/python benchmarks/stream.py
+	$(BIN)/python -m benchmarks.stream
+
+fuzz-stream: $(KERNELS) ## send a million damaged frames through the corrector
+	$(BIN)/python -m pytest -m slow -q tests/corrector/test_stream.py
 
 blind: $(READY) ## find hidden physics in N simulated campaigns and write docs/reference/gap-finder-benchmark.md (N=1000)
 	$(BIN)/python -m tests.blind.run --n $(or $(N),1000)

@@ -36,6 +36,7 @@ class Settings(BaseSettings):
         default="tcp/127.0.0.1:7447", description="endpoint the corrector listens on; port 0: free"
     )
     site: str = Field(default="local", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="site name in zenoh keys")
+    temperature_c: float | None = Field(default=None, description="temperature of the arms, for thermal growth")
     max_upload_mb: Annotated[int, Field(ge=1)] = 1024
     worker_name: str | None = Field(default=None, description="stable name of this worker; default is the host name")
 
@@ -87,6 +88,7 @@ class Settings(BaseSettings):
             "ZENOH_CONFIG": str(self.zenoh_config) if self.zenoh_config else None,
             "ZENOH_LISTEN": self.zenoh_listen,
             "SITE": self.site,
+            "TEMPERATURE_C": None if self.temperature_c is None else str(self.temperature_c),
             "MAX_UPLOAD_MB": str(self.max_upload_mb),
             "WORKER_NAME": self.worker_name,
         }

@@ -18,7 +18,8 @@ log = logging.getLogger("kilter.corrector")
 class DatabaseSource:
     """Reads what is active; a version is compiled once."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, temperature_c: float | None = None) -> None:
+        self._temperature_c = temperature_c
         self._database = Database(url)
         self._compiled: dict[tuple[str, int], Active] = {}
 
@@ -37,7 +38,7 @@ class DatabaseSource:
                 continue
             key = (version.robot, version.epoch)
             try:
-                active = self._compiled.get(key) or _compiled(version)
+                active = self._compiled.get(key) or _compiled(version, self._temperature_c)
             except CoreError:
                 log.exception("version %s of robot %s cannot be streamed", version.id, version.robot)
                 continue
@@ -49,9 +50,12 @@ class DatabaseSource:
         self._database.close()
 
 
-def _compiled(version: store.ActiveVersion) -> Active:
+def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Active:
     options = CorrectionOptions(
-        largest_rad=version.max_joint, largest_m=version.max_position, farthest_m=version.max_position
+        largest_rad=version.max_joint,
+        largest_m=version.max_position,
+        farthest_m=version.max_position,
+        temperature_c=temperature_c,
     )
     return Active(
         robot=version.robot,

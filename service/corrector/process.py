@@ -13,6 +13,7 @@ import os
 import secrets
 import signal
 import threading
+import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from multiprocessing.connection import Connection
@@ -37,6 +38,10 @@ START_S = 300.0  # the first start on a machine compiles the kernel, on a busy o
 STOP_S = 5.0
 
 
+class StoppedError(Exception):
+    """The corrector was told to stop before its processes listened."""
+
+
 class Child:
     """A spawned process at the other end of a pipe. Spawned, not forked: a fork of a zenoh process hangs."""
 
@@ -46,22 +51,36 @@ class Child:
         self._spec = spec
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
+        self._listens = False
 
-    def start(self) -> tuple[str, bool]:
-        """Start the process and wait until it listens; returns its endpoint and whether it runs in real time.
-
-        Raises:
-            RuntimeError: it ended or did not listen in time.
-
-        """
+    def launch(self) -> None:
+        """Start the process; it imports and compiles by itself, so several may do that at once."""
         context = multiprocessing.get_context("spawn")
+        self._listens = False
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=self._entry, args=(self._spec, theirs), name=f"kilter-{self.name}")
         self._process.start()
         theirs.close()
+
+    def listening(self, stopped: Callable[[], bool] = lambda: False) -> tuple[str, bool]:
+        """Wait until the process listens; returns its endpoint and whether it runs in real time.
+
+        Raises:
+            RuntimeError: it ended or did not listen in time.
+            StoppedError: ``stopped`` said so first.
+
+        """
+        assert self._pipe is not None
+        end = time.monotonic() + START_S
         try:
-            if self._pipe.poll(START_S):
+            while not self._pipe.poll(POLL_S):
+                if stopped():
+                    raise StoppedError
+                if time.monotonic() > end:
+                    break
+            else:
                 _, endpoint, real_time = self._pipe.recv()
+                self._listens = True
                 # Started anew it listens where its clients look for it.
                 self._spec = replace(self._spec, listen=endpoint)
                 return str(endpoint), bool(real_time)
@@ -92,10 +111,12 @@ class Child:
         """Ask the process to stop, and end it when it does not."""
         if self._process is None:
             return
-        self.send("stop")
-        self._process.join(STOP_S)
+        if self._listens:  # before that it imports and compiles, and hears nothing
+            self.send("stop")
+            self._process.join(STOP_S)
         if self._process.is_alive():
-            log.warning("the %s process did not stop in %.0f s: it is killed", self.name, STOP_S)
+            if self._listens:
+                log.warning("the %s process did not stop in %.0f s: it is killed", self.name, STOP_S)
             self._process.kill()
             self._process.join()
         self._process = None
@@ -107,8 +128,15 @@ class Child:
 class Corrector:
     """Both processes and the versions they use, from :meth:`start` to :meth:`stop`."""
 
-    def __init__(self, settings: Settings, source: Source, rules: Rules | None = None) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        source: Source,
+        rules: Rules | None = None,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> None:
         self._settings = settings
+        self._stopped = stopped
         self._source = source
         self._rules = rules or Rules()
         self._stamp: Hashable = object()
@@ -133,12 +161,14 @@ class Corrector:
             "stream": Child("stream", stream_main, stream),
             "query": Child("query", query_main, queries),
         }
+        for child in self._children.values():
+            child.launch()
         for name in self._children:
-            self._start_child(name)
+            self._take_child(name)
         self.poll()
 
-    def _start_child(self, name: str) -> None:
-        endpoint, real_time = self._children[name].start()
+    def _take_child(self, name: str) -> None:
+        endpoint, real_time = self._children[name].listening(self._stopped)
         self.endpoints[name] = endpoint
         log.info("%s process listens on %s%s", name, endpoint, ", real-time priority" if real_time else "")
         for active in self._active.values():
@@ -164,7 +194,8 @@ class Corrector:
             if not child.alive:
                 log.error("the %s process ended: it is started anew", name)
                 child.stop()
-                self._start_child(name)
+                child.launch()
+                self._take_child(name)
         try:
             stamp = self._source.stamp()
             if stamp != self._stamp:
@@ -212,10 +243,12 @@ def run(settings: Settings) -> None:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    corrector = Corrector(settings, DatabaseSource(settings.database))
+    corrector = Corrector(settings, DatabaseSource(settings.database, settings.temperature_c), stopped=stopped.is_set)
     try:
         corrector.start()
         while not stopped.wait(POLL_S):
             corrector.poll()
+    except StoppedError:
+        log.info("stopped before the stream was up")
     finally:
         corrector.stop()

@@ -1,0 +1,106 @@
+/* Frames of a Kilter stream for a controller in C99: encode a setpoint, decode its answer. docs/reference/stream.md has
+ * the tables. No allocation, no dependency, any byte order, any alignment. Angles rad, sliding joints m. */
+#ifndef KILTER_FRAMES_H
+#define KILTER_FRAMES_H
+
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#define KILTER_MAX_JOINTS 16
+#define KILTER_HEADER_BYTES 32
+#define KILTER_VERDICT_BYTES 24
+#define KILTER_SETPOINT_BYTES (KILTER_HEADER_BYTES + 8 + 8 * 3 * KILTER_MAX_JOINTS)
+
+enum { KILTER_QD = 0x0001, KILTER_QDD = 0x0002, KILTER_VERSION = 0x0004, KILTER_RESET = 0x0008, KILTER_SETTLED = 0x0010 };
+enum {
+    KILTER_DYNAMIC = 0x0100, KILTER_RAMPING = 0x0200, KILTER_LIMITED = 0x0400, KILTER_DAMPED = 0x0800,
+    KILTER_RESIDUAL = 0x1000
+};
+enum {
+    KILTER_OK, KILTER_STALE, KILTER_SEQ_GAP, KILTER_SEQ_BACK, KILTER_BAD_FRAME, KILTER_NOT_FINITE, KILTER_JOINT_LIMIT,
+    KILTER_CORRECTION_TOO_LARGE, KILTER_RATE_LIMIT, KILTER_NO_VERSION, KILTER_VERSION_MISMATCH, KILTER_OVERLOAD
+};
+
+typedef struct {
+    uint64_t seq, t_send_ns, t_apply_ns, version;
+    uint32_t epoch, processing_ns;
+    uint16_t flags, status, limit_mask;
+    uint8_t joints;              /* 0 unless the status is KILTER_OK */
+    double q[KILTER_MAX_JOINTS]; /* written only when the status is KILTER_OK */
+} kilter_answer;
+
+static inline void kilter_put(uint8_t *at, uint64_t value, int bytes) {
+    for (int i = 0; i < bytes; i++) at[i] = (uint8_t)(value >> (8 * i));
+}
+
+static inline uint64_t kilter_get(const uint8_t *at, int bytes) {
+    uint64_t value = 0;
+    for (int i = 0; i < bytes; i++) value |= (uint64_t)at[i] << (8 * i);
+    return value;
+}
+
+static inline size_t kilter_put_doubles(uint8_t *at, const double *values, int count) {
+    for (int i = 0; i < count; i++) {
+        uint64_t bits;
+        memcpy(&bits, &values[i], 8);
+        kilter_put(at + 8 * i, bits, 8);
+    }
+    return (size_t)(8 * count);
+}
+
+/* Write one setpoint of n joints into out (KILTER_SETPOINT_BYTES are always enough) and return its length, 0 when n is
+ * out of range. qd and qdd may be NULL; version 0 insists on none. flags: KILTER_RESET and KILTER_SETTLED. */
+static inline size_t kilter_encode(uint8_t *out, const double *q, const double *qd, const double *qdd, int n,
+                                   uint16_t flags, uint64_t seq, uint64_t t_send_ns, uint64_t t_apply_ns,
+                                   uint64_t version) {
+    size_t at = KILTER_HEADER_BYTES;
+    if (n < 1 || n > KILTER_MAX_JOINTS || (qdd && !qd)) return 0;
+    flags &= KILTER_RESET | KILTER_SETTLED;
+    if (qd) flags |= KILTER_QD;
+    if (qdd) flags |= KILTER_QDD;
+    if (version) flags |= KILTER_VERSION;
+    memcpy(out, "KLT1", 4);
+    out[4] = 0;
+    out[5] = (uint8_t)n;
+    kilter_put(out + 6, flags, 2);
+    kilter_put(out + 8, seq, 8);
+    kilter_put(out + 16, t_send_ns, 8);
+    kilter_put(out + 24, t_apply_ns, 8);
+    if (version) {
+        kilter_put(out + at, version, 8);
+        at += 8;
+    }
+    at += kilter_put_doubles(out + at, q, n);
+    if (qd) at += kilter_put_doubles(out + at, qd, n);
+    if (qdd) at += kilter_put_doubles(out + at, qdd, n);
+    return at;
+}
+
+/* Read an answer to a single setpoint. Returns 1 when the bytes are one, else 0. Numbers are there only when
+ * answer->status is KILTER_OK; compare answer->seq with what was sent and answer->epoch with what was announced. */
+static inline int kilter_decode(const uint8_t *data, size_t length, kilter_answer *answer) {
+    const size_t head = KILTER_HEADER_BYTES + KILTER_VERDICT_BYTES;
+    int joints;
+    if (length < head || memcmp(data, "KLT1", 4) != 0 || data[4] != 0) return 0;
+    joints = data[5];
+    answer->status = (uint16_t)kilter_get(data + 44, 2);
+    if (joints > KILTER_MAX_JOINTS || answer->status > KILTER_OVERLOAD) return 0;
+    if ((answer->status == KILTER_OK) != (joints > 0) || length != head + 8 * (size_t)joints) return 0;
+    answer->joints = (uint8_t)joints;
+    answer->flags = (uint16_t)kilter_get(data + 6, 2);
+    answer->seq = kilter_get(data + 8, 8);
+    answer->t_send_ns = kilter_get(data + 16, 8);
+    answer->t_apply_ns = kilter_get(data + 24, 8);
+    answer->version = kilter_get(data + 32, 8);
+    answer->epoch = (uint32_t)kilter_get(data + 40, 4);
+    answer->limit_mask = (uint16_t)kilter_get(data + 46, 2);
+    answer->processing_ns = (uint32_t)kilter_get(data + 48, 4);
+    for (int i = 0; i < joints; i++) {
+        uint64_t bits = kilter_get(data + head + 8 * (size_t)i, 8);
+        memcpy(&answer->q[i], &bits, 8);
+    }
+    return 1;
+}
+
+#endif

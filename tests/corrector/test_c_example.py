@@ -1,0 +1,66 @@
+"""The example codec in C, compiled, against golden frames and damaged ones."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.corrector import frames
+from service.corrector.frames import Status
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "c" / "controller.c"
+COMPILER = shutil.which("cc") or shutil.which("gcc")
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")
+
+
+@pytest.fixture(scope="module")
+def controller(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("c") / "controller"
+    warnings = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"]
+    subprocess.run([str(COMPILER), *warnings, "-o", str(made), str(EXAMPLE)], check=True)
+    return made
+
+
+def talk(controller: Path, lines: list[str]) -> list[str]:
+    done = subprocess.run([str(controller)], input="\n".join(lines) + "\n", capture_output=True, text=True, check=True)
+    return done.stdout.splitlines()
+
+
+def test_c_writes_the_bytes_of_a_setpoint(controller: Path) -> None:
+    q = [1.0, -0.5, 0.1, 1e-300]
+    expected = frames.encode_setpoints(np.array([q]), joints=4, seq=7, t_send_ns=100, t_apply_ns=200)
+    assert talk(controller, ["q " + " ".join(map(repr, q))]) == [expected.hex()]
+
+
+def test_c_reads_an_answer_and_a_refusal(controller: Path) -> None:
+    header = frames.Header(0, 2, 0, 9, 100, 200)
+    good = frames.encode_answer(header, np.array([0.1, -2.5]).tobytes(), version=0xABC, epoch=5)
+    bad = frames.encode_refusal(header, Status.JOINT_LIMIT, version=0xABC, epoch=5, limit_mask=3)
+    said = talk(controller, [f"a {good.hex()}", f"a {bad.hex()}"])
+    assert said[0].split()[:10] == ["seq", "9", "status", "0", "epoch", "5", "version", "0000000000000abc", "mask", "0"]
+    assert [float(x) for x in said[0].split()[10:]] == [0.1, -2.5]
+    assert said[1] == "seq 9 status 6 epoch 5 version 0000000000000abc mask 3"
+
+
+def test_c_and_python_refuse_the_same_frames(controller: Path) -> None:
+    rng = random.Random(2)
+    header = frames.Header(0, 3, 0, 9, 100, 200)
+    good = frames.encode_answer(header, np.zeros(3).tobytes(), version=1, epoch=5)
+    lines, expected = [], []
+    for _ in range(2000):
+        data = bytearray(good)
+        data[rng.randrange(60)] = rng.randrange(256)
+        if rng.random() < 0.2:
+            data = data[: rng.randrange(len(data))]
+        try:
+            taken = frames.decode_answer(bytes(data)).header.kind == 0
+        except frames.FrameError:
+            taken = False
+        lines.append(f"a {data.hex()}")
+        expected.append(taken)
+    assert [line != "not an answer" for line in talk(controller, lines)] == expected
