@@ -225,6 +225,18 @@ def test_counters_say_what_happened(active: Active) -> None:
     assert document["last_status"] == "SEQ_GAP"
 
 
+def test_of_two_controllers_on_one_key_one_at_most_gets_numbers(active: Active) -> None:
+    """Their sequences cross: whoever is not the follow-up of the last frame gets a refusal, which carries no numbers."""
+    controller = Controller(active)
+    for seq in range(1, 11):
+        controller.send(seq=seq, flags=RESET if seq == 1 else 0)
+    controller.send(seq=1, flags=RESET)  # the second one starts
+    for k in range(5):
+        statuses = [controller.send(seq=11 + k).status, controller.send(seq=2 + k).status]
+        assert statuses.count(Status.OK) <= 1
+        assert Status.SEQ_BACK in statuses
+
+
 def damage(stream: Stream, active: Active, count: int, seed: int) -> int:
     """Send ``count`` damaged frames: no crash, numbers only where the frame was a good one after all; how many were."""
     rng = random.Random(seed)
