@@ -26,7 +26,8 @@ class IdentifyOptions:
     ``effects`` ids, or documents with options and joints. ``free`` patterns replace the level's geometric parameters,
     ``fix`` patterns hold parameters (``alpha_*``). ``base`` and ``tool`` are "free" or "fixed". ``tilt_first`` holds the
     effects while the geometry is identified (thesis 4.22, 5.20): those of the starting version, else those fitted first.
-    ``search_mm`` and ``search_deg`` are half the box of a global search. ``noise_mm`` is the standard
+    ``search_mm`` and ``search_deg`` are half the box of a global search. ``intervals`` "bootstrap" or "profile" adds 95 %
+    intervals that do not rest on the covariance. ``noise_mm`` is the standard
     deviation of a coordinate when it is known; otherwise it is estimated. ``reference`` says in which frames a correction
     should put the tool where the nominal robot would be: "robot" (its own base and tool: the measurements were taken in
     them), "registration" (where the nominal robot fits the measurements best), or "auto": the robot's own for a frame
@@ -47,6 +48,7 @@ class IdentifyOptions:
     seed: int = 0
     search_mm: float = 25.0
     search_deg: float = 10.0
+    intervals: str | None = None
 
     def __post_init__(self) -> None:
         self._one_of("level", (None, 1, 2, 3))
@@ -54,6 +56,7 @@ class IdentifyOptions:
         self._one_of("base", ("free", "fixed"))
         self._one_of("tool", ("free", "fixed"))
         self._one_of("loss", ("linear", "huber"))
+        self._one_of("intervals", (None, "bootstrap", "profile"))
         self._one_of("reference", ("auto", "robot", "registration"))
         if self.noise_mm is not None and not self.noise_mm > 0:
             raise OptionError("noise_mm must be above 0: it is a standard deviation.", option="noise_mm")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.identifiability import identifiable
+from core.identify.intervals import Intervals
 from core.identify.least_squares import Fit
 from core.model import Calibration
 from core.observations import Observations
@@ -26,16 +27,16 @@ WIRE = {
 STILL_RAD = 1e-6  # a joint whose readings stay within this never moved
 
 
-def parameter_rows(calibration: Calibration, fit: Fit) -> list[dict[str, Any]]:
+def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | None = None) -> list[dict[str, Any]]:
     """Every free parameter as {name, value, nominal, unit, sigma, identifiable, plausible} in mm and degrees.
 
     Base and tool are given as x, y, z and rx, ry, rz of the whole frame (URDF order Rz Ry Rx); their sigmas are those
-    of small increments along the frame's own axes.
+    of small increments along the frame's own axes. ``intervals`` add lower and upper.
     """
     model = calibration.model
     known = identifiable(fit.sigma, fit.problem.prior_sigma) & ~np.isin(fit.names, list(_blind_names(fit)))
     values = _absolute(calibration)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name, sigma, seen in zip(fit.names, fit.sigma, known, strict=True):
         parameter = model.parameter(name)
         unit, scale = WIRE.get(parameter.unit, (parameter.unit, 1.0))
@@ -48,6 +49,10 @@ def parameter_rows(calibration: Calibration, fit: Fit) -> list[dict[str, Any]]:
             "identifiable": bool(seen),
             "plausible": parameter.plausible(values[name]),
         })  # fmt: skip
+    if intervals is not None:
+        for row, below, above in zip(rows, intervals.lower, intervals.upper, strict=True):
+            scale = WIRE.get(model.parameter(row["name"]).unit, ("", 1.0))[1]
+            row["lower"], row["upper"] = row["value"] + float(below) * scale, row["value"] + float(above) * scale
     return rows
 
 

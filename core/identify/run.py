@@ -14,6 +14,7 @@ from core.identifiability import NullDirection, null_directions
 from core.identify.estimate import registration_only
 from core.identify.holdout import Folds, fold_splits, split
 from core.identify.influence import influence_of
+from core.identify.intervals import Intervals, bootstrap, profile
 from core.identify.kalman import Prior
 from core.identify.least_squares import Fit
 from core.identify.methods import fit_by_method
@@ -23,6 +24,7 @@ from core.identify.report import parameter_rows, warnings_of
 from core.measurement import Measurement
 from core.metrics import Errors
 from core.model import Calibration
+from core.observability import correlated_groups, observability
 from core.observations import Observations
 from core.robot import Robot
 from core.transforms import rotation_log
@@ -48,6 +50,7 @@ class Identification:
     warnings: tuple[dict[str, Any], ...]
     method: str = "least_squares"
     influence: list[dict[str, Any]] | None = None
+    intervals: Intervals | None = None
 
     @property
     def covariance(self) -> Floats:
@@ -66,7 +69,7 @@ class Identification:
     def to_document(self) -> dict[str, Any]:
         """The identify result of the contract: mm, degrees, names, units."""
         return {
-            "parameters": parameter_rows(self.calibration, self.fit),
+            "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
             "null_directions": [
                 {
                     "parameters": [{"name": name, "weight": weight} for name, weight in d.weights],
@@ -82,6 +85,8 @@ class Identification:
             "iterations": self.fit.iterations,
             "method": {"name": self.method, **self.fit.report},
             "influence": self.influence,
+            "intervals": None if self.intervals is None else self.intervals.kind,
+            **_together(self.fit),
             "reference": {"base": self._reference("base"), "tool": self._reference("tool")},
         }
 
@@ -119,7 +124,7 @@ def identify(
         inside, outside = split(train, validation, options.seed)
         train, validation = train.select(inside), train.select(outside)
     measurement = Measurement.of(train, begin.marker_points)
-    registered = registration_only(nominal, measurement, options.loss)
+    registered = _registered(begin, measurement, options, prior)
     fit = fit_by_method(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s), prior)
     calibration = Calibration(
         *fit.problem.model.folded(fit.values), measurement.marker_points, *_wanted_frames(registered, options)
@@ -140,7 +145,25 @@ def identify(
         warnings=tuple(warnings_of(fit, train, sigma)),
         method=options.method,
         influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
+        intervals=_intervals(fit, options, lambda f, s: tell(0.95 + 0.04 * f, s)),
     )
+
+
+def _intervals(fit: Fit, options: IdentifyOptions, tell: Progress) -> Intervals | None:
+    if options.intervals is None:
+        return None
+    return profile(fit, tell) if options.intervals == "profile" else bootstrap(fit, options.seed, tell)
+
+
+def _together(fit: Fit) -> dict[str, Any]:
+    """Observability of the poses, per prior sigma and in mm, and the parameters that go together."""
+    millimetre = float(np.mean(fit.problem.weights.points)) * 1e3
+    poses = int(fit.problem.measurement.observations.pose_groups().max()) + 1
+    groups = correlated_groups(fit.covariance, fit.names)
+    return {
+        "observability": observability(fit.J * fit.problem.prior_sigma * millimetre, poses).to_document(),
+        "correlated_groups": [{"parameters": list(g.names), "correlation": g.strongest} for g in groups],
+    }
 
 
 def _begin(robot: Robot, train: Observations, options: IdentifyOptions, start: Calibration | None) -> Calibration:
@@ -149,6 +172,13 @@ def _begin(robot: Robot, train: Observations, options: IdentifyOptions, start: C
     if start is None:
         return Calibration.nominal(robot, effects)
     return start.with_effects(effects or start.model.effects)
+
+
+def _registered(begin: Calibration, seen: Measurement, options: IdentifyOptions, prior: Prior | None) -> Calibration:
+    """The nominal robot in fitted frames; where a filter continues, in those of its start: two poses cannot fit any."""
+    if options.method == "kalman" and prior is not None:
+        return begin.wanted()
+    return registration_only(Calibration.nominal(begin.robot), seen, options.loss)
 
 
 def _wanted_frames(registered: Calibration, options: IdentifyOptions) -> tuple[Floats, Floats]:
@@ -199,7 +229,7 @@ def _cross_validated(
         seen, unseen = Measurement.of(train.select(inside), shape), Measurement.of(train.select(outside), shape)
         fit = fit_by_method(begin, seen, options, report, prior)
         parts["nominal"].append(Errors.of(nominal, unseen))
-        parts["registration_only"].append(Errors.of(registration_only(nominal, seen, options.loss), unseen))
+        parts["registration_only"].append(Errors.of(_registered(begin, seen, options, prior), unseen))
         parts["identified"].append(Errors.of(Calibration(fit.problem.model, fit.values, shape), unseen))
     return {name: Errors.concatenate(errors) for name, errors in parts.items()}
 
