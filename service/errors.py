@@ -13,6 +13,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "option_invalid": (400, "An option does not exist or does not fit"),
     "too_few_poses": (400, "Too few poses"),
     "not_converged": (400, "The estimator found no minimum"),
+    "metric_not_supported": (400, "The data cannot support this criterion"),
     "kind_unavailable": (400, "This kind of job does not exist"),
     "export_unavailable": (400, "This export format does not exist"),
     "campaigns_invalid": (400, "The campaigns do not fit the job"),

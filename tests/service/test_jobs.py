@@ -185,3 +185,15 @@ def test_kalman_continues_from_a_version_with_two_poses(
     assert left[1] < 1.1 * left[0]
     sigma = [{p["name"]: p["sigma"] for p in r["parameters"]} for r in (first, grown["result"])]
     assert sigma[1]["theta_offset_2"] <= sigma[0]["theta_offset_2"]
+
+
+def test_iso_9283_is_reported_or_refused(client: httpx.Client, katana: Any, worker: Any, until: Until) -> None:
+    once = katana.campaign(client, 5)
+    worker.start()
+    options = {"metrics": "iso9283", "criteria": ["AP"]}
+    refused = finished(client, submit(client, kind="evaluate", campaigns=[once], options=options), until)
+    assert (refused["state"], refused["error"]["code"]) == ("failed", "metric_not_supported")
+    wrong = client.post(
+        "/v1/jobs", json={"kind": "evaluate", "robot": "katana", "campaigns": [once], "options": {"criteria": ["AP"]}}
+    )
+    assert (wrong.status_code, wrong.json()["code"]) == (400, "option_invalid")

@@ -59,6 +59,8 @@ def show_version(version: dict[str, Any]) -> None:
 def show_result(result: Mapping[str, Any]) -> None:
     """Print the parts of a result that are tables or sentences for people; the rest is in the JSON."""
     _metrics(result.get("metrics") or {})
+    for campaign, report in (result.get("iso9283") or {}).items():
+        _iso9283(campaign, report)
     _parameters(result.get("parameters") or [])
     _null_directions(result.get("null_directions") or [])
     for warning in result.get("warnings") or ():
@@ -88,6 +90,23 @@ def _metrics(metrics: Mapping[str, Any]) -> None:
         if isinstance(block.get(stage), Mapping)
     ]
     show_rows(("rows", "model", *(label for _, label in measures)), rows, numbers=True)
+
+
+def _iso9283(campaign: str, report: Mapping[str, Any]) -> None:
+    """Criteria of ISO 9283 by symbol, and why the others cannot be given."""
+    rows = [
+        (
+            symbol,
+            number(found["mm"]),
+            str(found.get("n") or min(pose["n"] for pose in found["poses"])),
+            found["demands"],
+        )
+        for symbol, found in report["metrics"].items()
+    ]
+    texts = [(symbol, mm, repeats, str(demands)) for symbol, mm, repeats, demands in rows]
+    show_rows(("ISO 9283", "mm", "repeats", "demanded"), texts, title=f"campaign {campaign}", numbers=True)
+    for refused in report.get("refused") or ():
+        say(f"not given: {refused['message']}")
 
 
 def _parameters(parameters: list[Mapping[str, Any]]) -> None:
