@@ -1,0 +1,102 @@
+"""Joint parameters from inclinometers: readings made here from Pinocchio's moments and the thesis's equations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.design.inclinometer_poses import inclinometer_poses
+from core.errors import ObservationError, RobotError
+from core.inclinometers import Log, as_calibration, joint_parameters
+from core.robots import preset_document, robot_from_document
+from tests.core.truth import Arm, Body, ur10
+
+C, B, K = (
+    math.radians(0.022),
+    math.radians(0.057),
+    75.0 * 9.80665 * 180.0 / math.pi,
+)  # thesis tables 4.3 and 4.4, joint 3
+BODIES = tuple(Body(j, 2.0 - 0.2 * j, np.array([-0.1, 0.02, 0.05])) for j in range(6))
+
+
+def arm() -> Arm:
+    return replace(ur10(), bodies=BODIES)
+
+
+def readings(log: Log, true: Arm) -> np.ndarray:
+    """What an ideal inclinometer shows: eq. 5.16 to 5.19 with the moments of Pinocchio, load sign."""
+    out = np.empty(len(log.joint))
+    for i, (q, j, axis, m) in enumerate(zip(log.q, log.joint, log.axis, log.payload_kg, strict=True)):
+        eta = -true.reactions(q, payload=(float(m), np.zeros(3)))[1][j, 3:]
+        gamma = math.pi / 2 * abs(eta[0]) / (abs(eta[0]) + abs(eta[1]))
+        t = math.tan(C)
+        parts = [np.sign(eta[0]) * t * math.sin(gamma), np.sign(eta[1]) * t * math.cos(gamma)]
+        turns = [math.atan(parts[0]), math.atan(parts[1]), np.sign(eta[2]) * B + eta[2] / K]
+        out[i] = turns[axis]
+    return out + 0.01 * (1 + log.axis)
+
+
+def planned(joint: int, count: int = 12) -> tuple[Arm, Log]:
+    true = arm()
+    poses = inclinometer_poses(robot_from_document(true.document()), joint, count, (0.0, 2.0))
+    log = Log(
+        q=np.array([p.q for p in poses]), joint=np.array([p.joint for p in poses]),
+        axis=np.array([p.axis for p in poses]), reading=np.zeros(count),
+        payload_kg=np.array([p.payload_kg for p in poses]), series=np.zeros(count, dtype=np.int64),
+    )  # fmt: skip
+    return true, replace(log, reading=readings(log, true))
+
+
+def test_the_planned_readings_give_the_three_parameters_within_their_sigmas() -> None:
+    true, log = planned(2)
+    step = log.resolution
+    rounded = replace(log, reading=np.round(log.reading / step) * step)
+    found, warnings = joint_parameters(robot_from_document(true.document()), rounded)
+    assert [p.name for p in found] == ["clearance_3", "backlash_load_3", "compliance_3"]
+    for p, truth in zip(found, (C, B, 1.0 / K), strict=True):
+        assert p.value is not None
+        assert p.sigma is not None
+        assert abs(p.value - truth) < 3.5 * p.sigma
+        assert p.sigma < 0.15 * truth
+    assert not warnings
+    start = as_calibration(robot_from_document(true.document()), found)
+    assert dict(zip(start.names, start.values, strict=True))["backlash_load_3"] == pytest.approx(B, rel=0.1)
+
+
+def test_exact_readings_give_exact_parameters() -> None:
+    true, log = planned(1)
+    found, _ = joint_parameters(robot_from_document(true.document()), log)
+    assert [p.value for p in found] == pytest.approx([C, B, 1.0 / K], rel=1e-5)
+
+
+def test_moments_of_one_sign_and_size_cannot_tell_backlash_from_compliance() -> None:
+    true, log = planned(2)
+    one = replace(log, q=np.repeat(log.q[:1], 12, axis=0), payload_kg=np.zeros(12), axis=np.full(12, 2))
+    found, _ = joint_parameters(robot_from_document(true.document()), replace(one, reading=readings(one, true)))
+    assert all(p.value is None and p.reason for p in found)
+    assert "sign" in str(found[1].reason)
+
+
+def test_an_upright_axis_and_a_joint_without_gravity_are_refused() -> None:
+    true, log = planned(2)
+    robot = robot_from_document(true.document())
+    first = replace(log, joint=np.zeros(12, dtype=np.int64), axis=np.full(12, 2))
+    with pytest.raises(ObservationError, match="upright"):
+        joint_parameters(robot, first)
+    with pytest.raises(RobotError, match="Gravity never turns"):
+        inclinometer_poses(robot, 0)
+
+
+def test_a_wrong_axis_shows_as_scatter() -> None:
+    true, log = planned(2)
+    wrong = replace(log, reading=np.where(np.arange(12) % 3 == 0, -log.reading, log.reading))
+    _, warnings = joint_parameters(robot_from_document(true.document()), wrong)
+    assert [w["code"] for w in warnings] == ["readings_scatter"]
+
+
+def test_the_katana_of_the_thesis_can_be_planned() -> None:
+    robot = robot_from_document(preset_document("katana450-chapter5"))
+    assert len(inclinometer_poses(robot, 2, 6)) == 6
