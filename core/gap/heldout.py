@@ -22,6 +22,7 @@ from core.observations import Observations
 Floats = NDArray[np.float64]
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is no measurement
+SPIKES = 0.02  # share of such rows above which they are no broken beams but what the model cannot predict: all then count
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class HeldOut:
     """Whitened errors (V, m) by the fits before and after, and how they came about.
 
     ``lower (m, m)`` turns them back into m or rad; ``floor`` is the variance a perfect model's would have, in units of
-    noise: a little above 1, since the model was estimated.
+    noise: a little above 1, since the model was estimated. ``set_aside`` rows were left out as spikes.
     """
 
     before: Floats
@@ -37,6 +38,7 @@ class HeldOut:
     lower: Floats
     floor: float
     how: str
+    set_aside: int = 0
 
 
 class Bench:
@@ -67,7 +69,10 @@ class Bench:
             return HeldOut(before, after, lower, floor, "leave one pose out")
         spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
         floor = 1.0 + (world.U.shape[1] + len(columns)) / max(world.rows, 1)
-        return HeldOut(before[~spike], after[~spike], _root(noise.row), floor, "validation observations")
+        if np.mean(spike) > SPIKES:
+            spike[:] = False
+        how, root = "validation observations", _root(noise.row)
+        return HeldOut(before[~spike], after[~spike], root, floor, how, int(np.sum(spike)))
 
     def gain_of(self, place: int) -> tuple[float, float]:
         """Gain by one chosen candidate beyond the others, and its standard error."""
@@ -132,7 +137,9 @@ def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any
     noise = rms(_root(np.mean(world.setting.noise.visit, axis=0)).T * np.sqrt(size), np.eye(size))
     r0, r1 = rms(held.before, held.lower), rms(held.after, held.lower)
     sigma = rms(np.eye(size) * np.sqrt(size * held.floor), held.lower)
-    closure = None if r0**2 <= sigma**2 or not hunt.chosen else (r0**2 - r1**2) / (r0**2 - sigma**2)
+    # Against a noise that was read from the fit itself, a closed gap means nothing.
+    known = world.setting.noise.absolute and r0**2 > sigma**2 and bool(hunt.chosen)
+    closure = (r0**2 - r1**2) / (r0**2 - sigma**2) if known else None
     numbers = {
         "before": train_rms(world, []), "after": train_rms(world, hunt.columns), "noise": noise,
         "validation_before": r0, "validation_after": r1, "validation_noise": sigma,
@@ -143,7 +150,7 @@ def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any
     if joint:
         out |= {f"{k}_mm": None for k in ("before", "after", "noise", "validation_before", "validation_after")}
     steps = [{"names": list(s.names), "chi2_per_freedom": s.chi2_per_freedom} for s in hunt.steps]
-    return out | {"closure": closure, "held_out": held.how, "steps": steps}
+    return out | {"closure": closure, "held_out": held.how, "held_out_set_aside": held.set_aside, "steps": steps}
 
 
 def _root(covariance: Floats) -> Floats:
