@@ -10,9 +10,12 @@ from service.jobs.kind import JobKind
 from service.jobs.kinds.evaluate import EVALUATE
 from service.jobs.kinds.gap import GAP
 from service.jobs.kinds.identify import IDENTIFY
+from service.jobs.kinds.joint_parameters import JOINT_PARAMETERS
 from service.jobs.kinds.plan import PLAN
 
-KINDS: Mapping[str, JobKind] = MappingProxyType({kind.name: kind for kind in (IDENTIFY, GAP, EVALUATE, PLAN)})
+KINDS: Mapping[str, JobKind] = MappingProxyType(
+    {kind.name: kind for kind in (IDENTIFY, GAP, EVALUATE, PLAN, JOINT_PARAMETERS)}
+)
 
 
 def kind_of(name: str) -> JobKind:

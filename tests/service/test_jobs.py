@@ -197,3 +197,24 @@ def test_iso_9283_is_reported_or_refused(client: httpx.Client, katana: Any, work
         "/v1/jobs", json={"kind": "evaluate", "robot": "katana", "campaigns": [once], "options": {"criteria": ["AP"]}}
     )
     assert (wrong.status_code, wrong.json()["code"]) == (400, "option_invalid")
+
+
+def test_joint_parameters_from_planned_readings(client: httpx.Client, katana: Any, worker: Any, until: Until) -> None:
+    katana.campaign(client, 3)
+    worker.start()
+    asked = {"propose": "j3", "count": 10, "payloads_kg": [0.0, 0.5]}
+    plan = finished(client, submit(client, kind="joint_parameters", options=asked), until)
+    assert plan["state"] == "succeeded", plan
+    rows = plan["result"]["configurations"]
+    assert len(rows) == 10
+    readings = [{**row, "reading_deg": 0.01} for row in rows]  # a joint that never gives way, mounted 0.01 degrees off
+    done = finished(client, submit(client, kind="joint_parameters", options={"readings": readings}), until)
+    assert done["state"] == "succeeded", done
+    found = {p["name"]: p for p in done["result"]["parameters"]}
+    assert set(found) == {"clearance_3", "backlash_load_3", "compliance_3"}
+    assert all(abs(p["value"]) <= 3 * p["sigma"] for p in found.values())
+    assert client.get(f"/v1/versions/{done['result']['version_id']}").json()["job_id"] == done["id"]
+    for options, says in (({}, "either"), ({"propose": "j3", "count": 1}, "count")):
+        refused = client.post("/v1/jobs", json={"kind": "joint_parameters", "robot": "katana", "options": options})
+        assert (refused.status_code, refused.json()["code"]) == (400, "option_invalid")
+        assert says in refused.json()["detail"]
