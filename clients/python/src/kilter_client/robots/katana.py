@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_client.errors import FileError
-from kilter_client.robots.read import read_text
+from kilter_client.robots.text import read_text
 
 JOINTS = 5  # the sixth motor is the gripper
 SEGMENTS = 4

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_client.errors import FileError, UsageError
+from kilter_client.robots.text import read_text
 
 URDF = (".urdf", ".xml")
 TABLES = (".csv", ".tsv", ".txt", ".xlsx")
@@ -104,16 +105,3 @@ def _json(path: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise FileError(f"{path}: is no JSON object. Describe one robot, see the robots reference.", file=str(path))
     return document
-
-
-def read_text(path: Path) -> str:
-    """Return a file's text, with or without a byte order mark.
-
-    Raises:
-        FileError: it is no text.
-
-    """
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(f"{path}: cannot be read as text ({error}).", file=str(path)) from error

@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import math
 import re
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from kilter_client.errors import FileError, UsageError
 from kilter_client.files.names import did_you_mean
-from kilter_client.robots.read import read_text
+from kilter_client.robots.sheet import Sheet
+from kilter_client.robots.text import read_text
 
 # quantity -> its spellings in tables
 QUANTITIES = {
@@ -27,17 +27,6 @@ LENGTHS = {"mm": 1.0, "m": 1e3}
 ANGLES = {"deg": 1.0, "rad": 180.0 / math.pi}
 TEXTS = ("joint", "type")
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic", "": "revolute"}
-
-
-@dataclass
-class Sheet:
-    """Cells of a table with the line each row stood on, and its comments."""
-
-    path: Path
-    names: list[str]
-    rows: list[tuple[int, list[str]]]
-    comments: list[str] = field(default_factory=list)
-    decimal: str = "."
 
 
 def read_table(path: Path, convention: str | None, name: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_client.errors import FileError, MissingPackageError, UsageError
-from kilter_client.robots.read import read_text
+from kilter_client.robots.text import read_text
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 KEYS = ("x", "y", "z", "roll", "pitch", "yaw")

@@ -6,7 +6,7 @@ import zipfile
 from pathlib import Path
 
 from kilter_client.errors import FileError, MissingPackageError
-from kilter_client.robots.table import Sheet
+from kilter_client.robots.sheet import Sheet
 
 MAX_BYTES = 20_000_000  # unpacked: a table of a robot is a few kilobytes
 MAX_ROWS = 200
