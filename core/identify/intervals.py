@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from core.errors import NotConvergedError
 from core.identify.least_squares import Fit, solve
 
 Floats = NDArray[np.float64]
@@ -17,17 +18,21 @@ CONFIDENCE = 0.95
 QUANTILE = 1.959963984540054  # of the standard normal at 97.5 %
 RESAMPLES = 1000
 TRIALS = 4  # fits per end of a profile
-PIN = 0.1  # of HOLD's root: the pin is a million times stiffer than the data
+PIN = 0.01  # of HOLD's root: the pin is ten thousand times stiffer than the data
 CLOSE = 0.01  # of the quantile, at which an end counts as found
 
 
 @dataclass(frozen=True)
 class Intervals:
-    """Moves ``lower`` and ``upper (F,)`` SI from the fitted values that bound 95 % of what each parameter may be."""
+    """Moves ``lower`` and ``upper (F,)`` SI from the fitted values that bound 95 % of what each parameter may be.
+
+    ``stands_in (F,)`` marks parameters whose profile has no minimum to follow: 1.96 sigma stand in.
+    """
 
     kind: str
     lower: Floats
     upper: Floats
+    stands_in: NDArray[np.bool_]
 
 
 def bootstrap(fit: Fit, seed: int, tell: Tell, resamples: int = RESAMPLES) -> Intervals:
@@ -49,18 +54,20 @@ def bootstrap(fit: Fit, seed: int, tell: Tell, resamples: int = RESAMPLES) -> In
         if b % 50 == 0:
             tell(b / resamples, f"resample {b} of {resamples}")
     low, high = np.percentile(moves, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)], axis=0)
-    return Intervals("bootstrap", low, high)
+    return Intervals("bootstrap", low, high, np.zeros(len(low), dtype=bool))
 
 
 def profile(fit: Fit, tell: Tell) -> Intervals:
     """Where the loss, minimised over all other parameters, has risen by what 95 % allow (1.92), on either side."""
     ends = np.zeros((2, len(fit.names)))
-    sigma = fit.sigma
+    sigma, stands_in = fit.sigma, np.zeros(len(fit.names), dtype=bool)
     for c in range(len(fit.names)):
         tell(c / len(fit.names), f"profile of {fit.names[c]}")
         for side, sign in enumerate((-1.0, 1.0)):
-            ends[side, c] = _end(fit, c, sign * float(sigma[c]))
-    return Intervals("profile", ends[0], ends[1])
+            end = _end(fit, c, sign * float(sigma[c]))
+            stands_in[c] |= end is None
+            ends[side, c] = sign * QUANTILE * float(sigma[c]) if end is None else end
+    return Intervals("profile", ends[0], ends[1], stands_in)
 
 
 def _by_pose(fit: Fit, groups: NDArray[np.int64]) -> tuple[Floats, Floats]:
@@ -80,13 +87,16 @@ def _by_pose(fit: Fit, groups: NDArray[np.int64]) -> tuple[Floats, Floats]:
     return H, g
 
 
-def _end(fit: Fit, c: int, sigma: float) -> float:
-    """Move of parameter ``c`` at which its signed root of twice the loss reaches the quantile, by secants."""
+def _end(fit: Fit, c: int, sigma: float) -> float | None:
+    """Move of parameter ``c`` at which the root of twice the loss reaches the quantile, by secants; None if it never does."""
     move = QUANTILE * sigma
     for _ in range(TRIALS):
-        root = _root(fit, c, move)
+        try:
+            root = _root(fit, c, move)
+        except NotConvergedError:
+            return None
         if not root > 0.0:
-            return QUANTILE * sigma
+            return None
         if abs(root / QUANTILE - 1.0) < CLOSE:
             break
         move *= min(max(QUANTILE / root, 0.5), 2.0)

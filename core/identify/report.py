@@ -50,9 +50,11 @@ def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | No
             "plausible": parameter.plausible(values[name]),
         })  # fmt: skip
     if intervals is not None:
-        for row, below, above in zip(rows, intervals.lower, intervals.upper, strict=True):
+        ends = zip(rows, intervals.lower, intervals.upper, intervals.stands_in, strict=True)
+        for row, below, above, stands_in in ends:
             scale = WIRE.get(model.parameter(row["name"]).unit, ("", 1.0))[1]
             row["lower"], row["upper"] = row["value"] + float(below) * scale, row["value"] + float(above) * scale
+            row["interval_from"] = "sigma" if stands_in else intervals.kind
     return rows
 
 

@@ -103,6 +103,7 @@ def test_intervals_come_with_the_parameters(kind: str) -> None:
     assert all(p["lower"] < p["value"] < p["upper"] for p in result["parameters"])
     inside = [p["lower"] <= p["nominal"] <= p["upper"] for p in result["parameters"]]
     assert sum(inside) >= 4
+    assert {p["interval_from"] for p in result["parameters"]} == {kind}
     assert result["observability"]["rank"] == 6
     with pytest.raises(OptionError, match="intervals"):
         IdentifyOptions(intervals="guess")
