@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -108,6 +109,10 @@ def _document(file: Path | None, preset: str | None, described: Described) -> di
         raise UsageError("Give either a FILE or --preset.")
     if file is not None:
         return read_robot(file, described)
+    if replace(described, name=None) != Described():
+        raise UsageError(
+            "A preset is whole: --tip-link and --base-link belong to a .urdf file, the others to other files."
+        )
     return {"name": described.name or preset, "convention": "preset", "preset": preset}
 
 
