@@ -134,18 +134,31 @@ def identify(
         other = Measurement.of(validation, measurement.marker_points)
         held = {name: Errors.of(stage, other) for name, stage in stages.items()}
     tell(0.95, "identifiability")
+    metrics = _metrics({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held)
+    return _reported(calibration, fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s))
+
+
+def _reported(
+    calibration: Calibration,
+    fit: Fit,
+    train: Observations,
+    metrics: dict[str, Any],
+    options: IdentifyOptions,
+    tell: Progress,
+) -> Identification:
+    """What was found, with all that is said about it."""
     sigma = repeat_sigma(train)
     return Identification(
         calibration=calibration,
         fit=fit,
-        metrics=_metrics({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held),
+        metrics=metrics,
         noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
         noise_source="residuals of the fit" if sigma is None else "repeats",
         null_directions=null_directions(fit.J, fit.names, fit.problem.prior_sigma),
         warnings=tuple(warnings_of(fit, train, sigma)),
         method=options.method,
         influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
-        intervals=_intervals(fit, options, lambda f, s: tell(0.95 + 0.04 * f, s)),
+        intervals=_intervals(fit, options, tell),
     )
 
 
