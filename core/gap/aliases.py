@@ -36,6 +36,7 @@ def aliases_of(hunt: Hunt, place: int) -> tuple[Alias, ...]:
     given = gram.given(selector.columns(rest))
     variance = selector.variance(gram, hunt.chosen)
     scores = selector.scorer.scores(given)
+    lenient = scores.S / variance - 2.0 * scores.d
     chosen = selector.scorer.candidates[place]
     value = scores.S / variance - scores.d * np.log(selector.rows)
     strength = max(float(scores.S[place]) / variance - float(scores.d[place]), 0.0)
@@ -43,8 +44,11 @@ def aliases_of(hunt: Hunt, place: int) -> tuple[Alias, ...]:
     for k in np.argsort(-value, kind="stable"):
         rival = selector.scorer.candidates[int(k)]
         behind = float(value[place] - value[k])
+        if not rival.empirical:
+            # A richer rival is not ruled out by its price alone: two points a parameter is what noise gives it.
+            behind = min(behind, float(lenient[place] - lenient[k]))
         if behind > MARGIN:
-            break
+            continue
         own = int(k) in hunt.chosen or _nested(chosen, rival) or scores.d[k] == 0
         if own or not selector.plausible(gram, (*rest, int(k)), int(k)):
             continue

@@ -95,7 +95,8 @@ def _label_named(hunt: Hunt, place: int, label: str, order: Ints) -> bool:
     batch = source.batch
     shuffled = replace(batch, **{n: v[order] for n in LABELS[label] if (v := getattr(batch, n)) is not None})
     rest = hunt.selector.columns([k for k in hunt.chosen if k != place])
-    other = _only(hunt.selector.scorer.candidates[place], world_at(world.setting, world.values, shuffled).W_raw)
+    columns = hunt.selector.scorer.candidates[place].columns
+    other = world_at(world.setting, world.values, shuffled, columns).W_raw
     basis = world.basis(rest)
     return _named(hunt, place, other - basis @ (basis.T @ other), residual_given(world, rest))
 

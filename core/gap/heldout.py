@@ -14,7 +14,7 @@ from core.gap.hunt import Hunt
 from core.gap.prepare import Prepared
 from core.gap.scan import residual_given
 from core.gap.source import LinkSource, Source, ToolSource
-from core.gap.world import World, refit
+from core.gap.world import World, solved
 from core.measurement import Measurement
 from core.model import RobotModel
 from core.observations import Observations
@@ -22,7 +22,9 @@ from core.observations import Observations
 Floats = NDArray[np.float64]
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is no measurement
-SPIKES = 0.02  # share of such rows above which they are no broken beams but what the model cannot predict: all then count
+SPIKES = (
+    0.02  # share of such rows above which they are no broken beams but what the model cannot predict: all then count
+)
 
 
 @dataclass(frozen=True)
@@ -47,14 +49,20 @@ class Bench:
     def __init__(self, hunt: Hunt, prepared: Prepared, validation: Observations | None) -> None:
         self.hunt, self.prepared = hunt, prepared
         self.rows = validation
-        self.plain = prepared.world
+        self._known: dict[tuple[int, ...], Floats] = {}
 
     def errors(self, columns: Sequence[int]) -> Floats:
-        """Whitened errors (V, m) of the held-out poses."""
+        """Whitened errors (V, m) of the held-out poses; each set of columns is fitted once."""
+        key = tuple(columns)
+        if key not in self._known:
+            self._known[key] = self._errors(columns)
+        return self._known[key]
+
+    def _errors(self, columns: Sequence[int]) -> Floats:
         if self.rows is None:
             return left_out_errors(self.hunt.world, columns)[self.hunt.world.setting.used]
-        world = refit(self.hunt.world.setting, self._near(columns), columns)
-        source = on_rows(world.setting.source, self.rows, self.hunt, world)
+        world = self.hunt.world
+        source = on_rows(world.setting.source, self.rows, self.hunt, solved(world.setting, world.values, columns)[0])
         r = np.nan_to_num(source[0].residual(source[1]))
         return np.asarray(r @ np.linalg.inv(_root(world.setting.noise.row)).T)
 
@@ -85,11 +93,8 @@ class Bench:
         )
         return gain(without, with_, group)
 
-    def _near(self, columns: Sequence[int]) -> Floats:
-        return self.plain.values if not len(columns) else self.hunt.world.values
 
-
-def on_rows(source: Source, rows: Observations, hunt: Hunt, world: World) -> tuple[Source, Floats]:
+def on_rows(source: Source, rows: Observations, hunt: Hunt, fitted: Floats) -> tuple[Source, Floats]:
     """The fitted model on other rows: only the effects in use, so that only their columns are needed."""
     effects = tuple(e for k in hunt.chosen for e in hunt.selector.scorer.candidates[k].effects)
     if isinstance(source, ToolSource):
@@ -97,12 +102,12 @@ def on_rows(source: Source, rows: Observations, hunt: Hunt, world: World) -> tup
         model = RobotModel(
             source.model.robot, (*source.model.effects[:started], *effects), source.model.T_base, source.model.T_tool
         )
-        known = dict(zip(source.model.names, world.values, strict=True))
+        known = dict(zip(source.model.names, fitted, strict=True))
         values = np.array([known[p.name] for p in model.parameters])
         measurement = Measurement.of(rows, source.measurement.marker_points)
         return ToolSource.of(model, measurement, source.free, 0), values
     assert isinstance(source, LinkSource)
-    return source.on(rows), world.values
+    return source.on(rows), fitted
 
 
 def _library_effects(source: ToolSource) -> int:

@@ -51,19 +51,17 @@ def hunt(setting: Setting, world: World, scorer: Scorer, limits: Floats, options
     chosen: tuple[int, ...] = ()
     first: Null | None = None
     steps = [_step(world, selector, chosen)]
-    seen = {chosen}
+    seen = {frozenset(chosen)}
     for round_ in range(2 * options.max_effects):
         tell(min(0.9, round_ / 6.0), f"scan {round_ + 1}: {len(scorer.candidates)} candidates")
         null = null_of(world, scorer, selector.columns(chosen), options.bootstraps, options.seed)
         first = first or null
         critical = null.critical(options.alpha)
-        k, _ = selector.entry(world.gram, chosen, critical)
-        after = chosen if k is None or len(chosen) >= options.max_effects else (*chosen, k)
-        after = selector.improved(world.gram, after, critical)
-        if set(after) == set(chosen) or frozenset(after) in {frozenset(s) for s in seen}:
+        after = selector.better(world.gram, chosen, critical, options.max_effects)
+        if set(after) == set(chosen) or frozenset(after) in seen:
             break
         chosen = after
-        seen.add(chosen)
+        seen.add(frozenset(chosen))
         tell(min(0.9, (round_ + 0.5) / 6.0), "re-fitting with " + ", ".join(scorer.candidates[m].label for m in chosen))
         world = refit(setting, world.values, selector.columns(chosen))
         steps.append(_step(world, selector, chosen))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, t
 
 from core.gap.hunt import Hunt
-from core.gap.world import fitted, left_over, refit
+from core.gap.world import fitted, solved
 
 Floats = NDArray[np.float64]
 
@@ -55,8 +55,7 @@ def amplitudes(hunt: Hunt, tell: Callable[[float], None]) -> dict[int, Amplitude
 def _end(hunt: Hunt, k: int, best: float, end: float, least: float, target: float) -> float:
     """End of the profile interval: where chi-square has risen by ``target``², one secant step from the linear end."""
     others = [c for c in hunt.columns if c != k]
-    world = refit(hunt.world.setting, hunt.world.values, others, (k, end))
-    rise = left_over(world, others, (k, end)) - least
+    rise = solved(hunt.world.setting, hunt.world.values, others, (k, end))[1] - least
     if rise <= 0.0:
         return end
     return best + (end - best) * float(np.clip(target / np.sqrt(rise), 0.5, 2.0))

@@ -21,6 +21,8 @@ Floats = NDArray[np.float64]
 
 MARGIN = 6.0  # criterion points (2 log of a Bayes factor of 20) within which two explanations count as equal
 FAMILY_MARGIN = 3.0
+MOST_JOINTS = 0.6
+TRIED = 4
 SMALLEST_GAIN = 0.2  # criterion points: below this two explanations are one, and the library's order decides
 CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
 TIME_FIRST = ("time_offset", "tracking_lag")
@@ -58,14 +60,17 @@ class Selector:
         ratio = (gram.yy - gram.reduction(columns)) / max(gram.nu - gram.rank(columns), 1.0)
         return max(1.0, ratio) if self.scorer.absolute else max(ratio, 1e-12)
 
-    def entry(self, gram: Gram, chosen: Sequence[int], critical: float) -> tuple[int | None, Scores]:
-        """Best candidate to add, None when the best is no better than noise."""
+    def entry(
+        self, gram: Gram, chosen: Sequence[int], critical: float, banned: Sequence[int] = ()
+    ) -> tuple[int | None, Scores]:
+        """Best candidate to add, None when the best is no better than noise; ``banned`` ones were tried in vain."""
         given = gram.given(self.columns(chosen))
         scores = self.scorer.scores(given)
         if not len(scores.p):
             return None, scores
         ranked = self.ranked(given, scores)
         able = (scores.p < critical) & (scores.d > 0)
+        able[list(banned)] = False
         for k in np.argsort(-np.where(able, ranked, -np.inf), kind="stable"):
             if not able[k]:
                 break
@@ -130,7 +135,7 @@ class Selector:
             variance = self.variance(gram, (*rest, family[0]))
             members = self._members(gram, rest, family[0], variance)
             whole = self.criterion(gram, (*rest, family[0]), variance)
-            better = self.criterion(gram, (*rest, *members), variance) > whole + FAMILY_MARGIN
+            better = self.criterion(gram, (*rest, *members), variance) > whole + self._family_margin(family[0], members)
             if better and max(self.tails(gram, (*rest, *members))[len(rest) :]) < critical:
                 chosen = (*rest, *members)
             elif self.plausible(gram, (*rest, family[0]), family[0]):
@@ -147,6 +152,17 @@ class Selector:
             chosen = tuple(m for m in chosen if m != chosen[worst])
         return chosen
 
+    def _slack(self, chosen: Sequence[int]) -> float:
+        """Criterion points that a family in the set may have cost against naming some of its joints."""
+        families = [k for k in chosen if self.scorer.candidates[k].level == FAMILY]
+        return SMALLEST_GAIN + sum(MARGIN * len(self.scorer.candidates[k].joints or ()) / 2 for k in families)
+
+    def _family_margin(self, family: int, members: Sequence[int]) -> float:
+        """How much better a part of a family must be: what most joints show, the others probably have too weakly."""
+        joints = len(self.scorer.candidates[family].joints or ())
+        missing = joints - len(members)
+        return MARGIN * missing if missing and len(members) >= MOST_JOINTS * joints else FAMILY_MARGIN
+
     def tails(self, gram: Gram, chosen: tuple[int, ...]) -> list[float]:
         """Tail probability of each member given the others; 1 where its amplitude contradicts physics."""
         out = []
@@ -160,11 +176,35 @@ class Selector:
         """Whole selection on one linear world, for resamples."""
         chosen: tuple[int, ...] = ()
         for _ in range(2 * most):
-            k, _ = self.entry(gram, chosen, critical)
-            if k is None or len(chosen) >= most:
+            after = self.better(gram, chosen, critical, most)
+            if after == chosen:
                 break
-            chosen = self.improved(gram, (*chosen, k), critical)
+            chosen = after
         return chosen
+
+    def better(self, gram: Gram, chosen: tuple[int, ...], critical: float, most: int) -> tuple[int, ...]:
+        """Next set: the best entry, improved, if it beats the set as it is; else the next entry; else the set itself.
+
+        Sets only ever get better, so the search cannot run in circles.
+        """
+        base = self.improved(gram, chosen, critical)
+        if base != chosen and (self.beats(gram, base, chosen) or max(self.tails(gram, chosen)) >= critical):
+            return base
+        banned: list[int] = []
+        while len(chosen) < most and len(banned) < TRIED:
+            k, _ = self.entry(gram, chosen, critical, banned)
+            if k is None:
+                break
+            after = self.improved(gram, (*chosen, k), critical)
+            if set(after) != set(chosen) and self.beats(gram, after, chosen):
+                return after
+            banned.append(k)
+        return chosen
+
+    def beats(self, gram: Gram, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
+        """Whether a set's criterion is larger than another's, at the smaller noise of the two."""
+        variance = min(self.variance(gram, one), self.variance(gram, other))
+        return self.criterion(gram, one, variance) > self.criterion(gram, other, variance) - self._slack(one)
 
     def _best_instead(
         self, gram: Gram, rest: tuple[int, ...], variance: float, critical: float, taken: set[int]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -49,8 +50,11 @@ class Source(Protocol):
     def residual(self, values: Floats) -> Floats:
         """Residuals (V, m), NaN where nothing was seen."""
 
-    def linear(self, values: Floats, batch: Batch | None = None) -> Linear:
-        """Residuals and derivatives; ``batch`` replaces the conditions the effects see, not the rows."""
+    def linear(self, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None) -> Linear:
+        """Residuals and derivatives; ``batch`` replaces the conditions the effects see, not the rows.
+
+        ``only`` gives the library columns wanted, in order; all when None.
+        """
 
     def geometry(self, values: Floats) -> Floats:
         """Values (P,) of the geometric parameters."""
@@ -94,9 +98,12 @@ class ToolSource:
         """Residuals (V, m)."""
         return _stacked(self.measurement.residual(self.model.predict(self.batch, values)))
 
-    def linear(self, values: Floats, batch: Batch | None = None) -> Linear:
+    def linear(self, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None) -> Linear:
         """Residuals and derivatives."""
-        columns = np.concatenate([self.free, np.arange(len(self.model.names) - self.n_library, len(self.model.names))])
+        wanted = np.arange(self.n_library) if only is None else np.array(only, dtype=np.int64)
+        order = np.argsort(wanted)
+        start = len(self.model.names) - self.n_library
+        columns = np.concatenate([self.free, start + wanted[order]])
         prediction, J = self.model.jacobian(batch or self.batch, values, columns)
         residual = self.measurement.residual(prediction, J)
         assert residual.d_points is not None
@@ -106,7 +113,7 @@ class ToolSource:
         D = np.concatenate(parts, axis=1)
         r = _stacked(residual)
         D[np.isnan(r)] = 0.0
-        return Linear(r, D[:, :, : len(self.free)], D[:, :, len(self.free) :])
+        return Linear(r, D[:, :, : len(self.free)], D[:, :, len(self.free) :][:, :, np.argsort(order)])
 
     def geometry(self, values: Floats) -> Floats:
         """Values of the free geometric parameters."""
@@ -179,7 +186,7 @@ class LinkSource:
         r = self.observations.link_q - self.model.link_angles(self.batch, effects) - offsets
         return r[:, self.live]
 
-    def linear(self, values: Floats, batch: Batch | None = None) -> Linear:
+    def linear(self, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None) -> Linear:
         """Residuals and derivatives."""
         n = self.model.robot.n_joints
         rows, start = len(self.observations), len(values) - len(self.model.names) + self.model.n_geometric
@@ -194,7 +201,8 @@ class LinkSource:
             start += count
         D = D[:, self.live]
         split = len(values) - self.n_library
-        return Linear(self.residual(values), D[:, :, :split], D[:, :, split:])
+        wanted = D[:, :, split:] if only is None else D[:, :, split:][:, :, list(only)]
+        return Linear(self.residual(values), D[:, :, :split], wanted)
 
     def geometry(self, values: Floats) -> Floats:
         """Offsets and the starting effects."""

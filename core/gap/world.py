@@ -153,9 +153,12 @@ class Gram:
         return replace(self, c=c, yy=yy)
 
 
-def world_at(setting: Setting, values: Floats, batch: Batch | None = None) -> World:
-    """Linearise at ``values``: whiten, project off geometry, take the library's own part back into the data."""
-    linear = setting.source.linear(values, batch)
+def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None) -> World:
+    """Linearise at ``values``: whiten, project off geometry, take the library's own part back into the data.
+
+    ``only`` keeps these library columns, in this order, and holds the rest of the library at its values.
+    """
+    linear = setting.source.linear(values, batch, only)
     r = (np.einsum("vij,vj->vi", setting.whitener, np.nan_to_num(linear.r)) * setting.used[:, None]).reshape(-1)
     G = _white(setting, linear.G)
     W = _white(setting, linear.W)
@@ -163,25 +166,38 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None) -> Wo
     unit = np.where(norm > 0.0, norm, 1.0)
     W = W / unit
     U = _seen(G * setting.source.prior_sigma)
-    y = r + W @ (setting.source.library(values) * unit)
+    library = setting.source.library(values)
+    y = r + W @ ((library if only is None else library[list(only)]) * unit)
     Wp = W - U @ (U.T @ W)
     yp = y - U @ (U.T @ y)
     nu = float(setting.used.sum() * setting.whitener.shape[-1] - U.shape[1])
     return World(setting, values, yp, Wp, U, np.where(norm > 0.0, 1.0 / unit, 0.0), nu, Wp.T @ Wp, Wp.T @ yp, r, G, W)
 
 
-def refit(setting: Setting, values: Floats, columns: Sequence[int], held: tuple[int, float] | None = None) -> World:
-    """Nonlinear re-fit of geometry (with its priors) and the library ``columns`` (free), from ``values``.
+def refit(setting: Setting, values: Floats, columns: Sequence[int]) -> World:
+    """Nonlinear re-fit of geometry (with its priors) and the library ``columns`` (free), from ``values``."""
+    return world_at(setting, solved(setting, values, columns)[0])
+
+
+def solved(
+    setting: Setting, values: Floats, columns: Sequence[int], held: tuple[int, float] | None = None
+) -> tuple[Floats, float]:
+    """Values of the nonlinear fit and its chi-square; the rest of the library is zero.
 
     ``held`` keeps one more library parameter at a value, as a profile does.
     """
-    world = world_at(setting, values)
+    free = [k for k in columns if held is None or k != held[0]]
+    library = np.zeros(len(setting.source.library(values)))
+    library[free] = setting.source.library(values)[free]
+    if held is not None:
+        library[held[0]] = held[1]
+    values = setting.source.moved(values, np.zeros(len(setting.source.prior_mean)), library)
     for _ in range(REFITS):
-        values, change = _step(world, list(columns), held)
-        world = world_at(setting, values)
+        world = world_at(setting, values, only=free)
+        values, change = _step(world, free)
         if change < STILL:
             break
-    return world
+    return values, world.gram.given(range(len(free))).yy
 
 
 def fitted(world: World, columns: Sequence[int]) -> tuple[Floats, Floats]:
@@ -192,38 +208,26 @@ def fitted(world: World, columns: Sequence[int]) -> tuple[Floats, Floats]:
     return world.gram.solve(index) * scale, covariance * np.outer(scale, scale)
 
 
-def left_over(world: World, columns: Sequence[int], held: tuple[int, float]) -> float:
-    """Chi-square with one parameter held and the columns and the geometry at their best."""
-    gram, k, value = world.gram, held[0], held[1] * world.size[held[0]]
-    data = gram.with_data(gram.c - gram.A[:, k] * value, gram.yy - 2.0 * value * gram.c[k] + value**2 * gram.A[k, k])
-    return data.yy - data.reduction(columns)
-
-
-def _step(world: World, index: list[int], held: tuple[int, float] | None) -> tuple[Floats, float]:
-    """Gauss-Newton step; also the size of the change it makes, in sigmas."""
+def _step(world: World, free: list[int]) -> tuple[Floats, float]:
+    """Gauss-Newton step in the library columns ``free``, which are the world's; also its size, in sigmas."""
     source = world.setting.source
-    now = source.library(world.values)
-    beta = np.zeros(len(now))
-    gram = world.gram
-    if held is not None:
-        beta[held[0]] = held[1]
-        gram = gram.with_data(gram.c - gram.A[:, held[0]] * (held[1] * world.size[held[0]]), gram.yy)
-    if index:
-        beta[index] = gram.solve(index) * world.scale[index]
+    library = source.library(world.values).copy()
+    now = library[free]
+    beta = world.gram.solve(range(len(free))) * world.scale if free else np.zeros(0)
+    library[free] = beta
     moved = world.W_raw @ ((beta - now) * world.size)
-    left = world.raw - moved
     pull = (source.prior_mean - source.geometry(world.values)) / source.prior_sigma
     scaled = world.G * source.prior_sigma
     # Priors as extra rows: the normal equations would square a condition number of 1e9.
     with_prior = np.vstack([scaled, np.eye(scaled.shape[1])])
-    step = np.linalg.lstsq(with_prior, np.concatenate([left, pull]), rcond=None)[0]
+    step = np.linalg.lstsq(with_prior, np.concatenate([world.raw - moved, pull]), rcond=None)[0]
     change = float(np.linalg.norm(moved + scaled @ step))
-    return source.moved(world.values, step * source.prior_sigma, beta), change
+    return source.moved(world.values, step * source.prior_sigma, library), change
 
 
 def _white(setting: Setting, columns: Floats) -> Floats:
     white = np.matmul(setting.whitener, columns) * setting.used[:, None, None]
-    return np.asarray(white.reshape(-1, columns.shape[-1]))
+    return np.asarray(white.reshape(columns.shape[0] * columns.shape[1], columns.shape[2]))
 
 
 def _seen(scaled: Floats) -> Floats:

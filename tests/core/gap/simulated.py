@@ -24,7 +24,7 @@ def campaign(
     robot: Robot,
     hidden: Sequence[Hidden] = (),
     *,
-    poses: int = 80,
+    poses: int = 70,
     revisits: int = 20,
     noise_m: float = 2e-5,
     seed: int = 0,

@@ -13,7 +13,7 @@ from core.model import Calibration
 from core.observations import Observations
 from tests.core.gap.simulated import campaign, katana
 
-QUICK = GapOptions(resamples=20, permutations=10, next_poses=3)
+QUICK = GapOptions(resamples=20, permutations=5, bootstraps=499, next_poses=3)
 BACKLASH = ("backlash", (1,), (3e-4,))
 
 

@@ -10,7 +10,8 @@ from core.gap.trajectory import blocks, correlation_length, is_trajectory, segme
 from core.observations import Observations
 from tests.core.gap.simulated import katana
 
-QUICK = GapOptions(resamples=10, permutations=5, bootstraps=499)
+EFFECTS = ("backlash", "axial_compliance", "eccentricity", "encoder_scale", "link_bending", "unknown_joint_curve")
+QUICK = GapOptions(effects=EFFECTS, resamples=10, permutations=5, bootstraps=499)
 
 
 def red_noise(rng, rows, columns, length):
@@ -33,7 +34,7 @@ def test_blocks_are_ten_correlation_times_and_enough_of_them():
     assert blocks(100, 50.0).max() + 1 >= 30
 
 
-def motion(seed, compliance, samples=1500):
+def motion(seed, compliance, samples=1000):
     """Sums of sines in all joints, link encoders behind compliant joints, correlated noise."""
     rng = np.random.default_rng(seed)
     robot = katana()
