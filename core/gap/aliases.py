@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from core.gap.candidates import Candidate
+from core.gap.candidates import FAMILY, Candidate
 from core.gap.hunt import Hunt
 from core.gap.select import MARGIN
 from core.gap.world import VISIBLE
@@ -55,7 +55,13 @@ def aliases_of(hunt: Hunt, place: int) -> tuple[Alias, ...]:
         rho = correlation(given.A, chosen.columns, rival.columns)
         wrong = float(norm.cdf(-np.sqrt(strength * max(1.0 - rho, 0.0) / 2.0)))
         found.append(Alias(int(k), rival, behind, rho, wrong))
-    return tuple(found)
+    singles = {(a.candidate.id, k) for a in found if a.candidate.level != FAMILY for k in a.candidate.columns}
+    return tuple(a for a in found if a.candidate.level != FAMILY or chosen.level == FAMILY or not _listed(a, singles))
+
+
+def _listed(alias: Alias, singles: set[tuple[str, int]]) -> bool:
+    """Whether a family only repeats one of its joints that is in the list already."""
+    return any((alias.candidate.id, k) in singles for k in alias.candidate.columns)
 
 
 def correlation(A: Floats, one: tuple[int, ...], other: tuple[int, ...]) -> float:

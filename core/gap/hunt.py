@@ -57,8 +57,8 @@ def hunt(setting: Setting, world: World, scorer: Scorer, limits: Floats, options
         null = null_of(world, scorer, selector.columns(chosen), options.bootstraps, options.seed)
         first = first or null
         critical = null.critical(options.alpha)
-        after = selector.better(world.gram, chosen, critical, options.max_effects)
-        if set(after) == set(chosen) or frozenset(after) in seen:
+        after = selector.better(world.gram, chosen, critical, options.max_effects, seen)
+        if set(after) == set(chosen):
             break
         chosen = after
         seen.add(frozenset(chosen))

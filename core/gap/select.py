@@ -7,7 +7,7 @@ a swap pass (one for one, and two for one) and a backward pass; and an effect th
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -182,24 +182,27 @@ class Selector:
             chosen = after
         return chosen
 
-    def better(self, gram: Gram, chosen: tuple[int, ...], critical: float, most: int) -> tuple[int, ...]:
-        """Next set: the best entry, improved, if it beats the set as it is; else the next entry; else the set itself.
+    def better(
+        self, gram: Gram, chosen: tuple[int, ...], critical: float, most: int, seen: Collection[frozenset[int]] = ()
+    ) -> tuple[int, ...]:
+        """Next set: the best entry, improved, if it beats the set as it is; else the next entry; else the set improved.
 
-        Sets only ever get better, so the search cannot run in circles.
+        Sets only ever get better and never return to one ``seen``, so the search cannot run in circles.
         """
-        base = self.improved(gram, chosen, critical)
-        if base != chosen and (self.beats(gram, base, chosen) or max(self.tails(gram, chosen)) >= critical):
-            return base
         banned: list[int] = []
         while len(chosen) < most and len(banned) < TRIED:
             k, _ = self.entry(gram, chosen, critical, banned)
             if k is None:
                 break
             after = self.improved(gram, (*chosen, k), critical)
-            if set(after) != set(chosen) and self.beats(gram, after, chosen):
+            if frozenset(after) not in {frozenset(chosen), *seen} and self.beats(gram, after, chosen):
                 return after
             banned.append(k)
-        return chosen
+        after = self.improved(gram, chosen, critical)
+        if not chosen or frozenset(after) in {frozenset(chosen), *seen}:
+            return chosen
+        failed = max(self.tails(gram, chosen)) >= critical
+        return after if failed or self.beats(gram, after, chosen) else chosen
 
     def beats(self, gram: Gram, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
         """Whether a set's criterion is larger than another's, at the smaller noise of the two."""
