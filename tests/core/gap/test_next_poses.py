@@ -3,6 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from core.errors import OptionError
+from core.gap import plan_separation
 from core.gap.candidates import with_testable
 from core.gap.next_poses import _Question, rows_of, separate
 from core.gap.options import GapOptions
@@ -54,3 +56,13 @@ def test_proposed_poses_stay_within_the_limits(asked):
         assert np.all(np.array(row["q_deg"]) >= limits[:, 0])
         assert np.all(np.array(row["q_deg"]) <= limits[:, 1])
         assert row["separates"] == ["a", "b"]
+
+
+def test_a_plan_for_two_named_effects():
+    robot = katana()
+    rows = campaign(robot, seed=1, poses=40, loads=(2.0,))
+    planned = plan_separation(robot, rows, ("axial_compliance", (1,)), ("link_bending", (1,)), count=4)
+    assert len(planned) == 8
+    assert planned[3]["information_factor"] > planned[0]["information_factor"] > 1.0
+    with pytest.raises(OptionError, match="cannot show axial_compliance"):
+        plan_separation(robot, rows, ("axial_compliance", (0,)), ("link_bending", (1,)))
