@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-SEEN = 1e-3  # singular value (data sigmas per prior sigma) below which a geometric direction moves nothing
+SEEN = 0.5  # data sigmas that one prior sigma of a geometric direction moves; below, the prior knows it better than the data
 VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
 REFITS = 6
 STILL = 1e-2  # change of the fit, in sigmas over all data, that counts as converged
