@@ -46,7 +46,7 @@ def aliases_of(hunt: Hunt, place: int) -> tuple[Alias, ...]:
         behind = float(value[place] - value[k])
         if not rival.empirical:
             # A richer rival is not ruled out by its price alone: two points a parameter is what noise gives it.
-            behind = min(behind, float(lenient[place] - lenient[k]))
+            behind = min(behind, max(float(lenient[place] - lenient[k]), 0.0))
         if behind > MARGIN:
             continue
         own = int(k) in hunt.chosen or _nested(chosen, rival) or scores.d[k] == 0

@@ -195,7 +195,9 @@ class Selector:
             if k is None:
                 break
             after = self.improved(gram, (*chosen, k), critical)
-            if frozenset(after) not in {frozenset(chosen), *seen} and self.beats(gram, after, chosen):
+            # A significant addition needs no better price: the price compares explanations, noise was ruled out already.
+            added = set(after) > set(chosen)
+            if frozenset(after) not in {frozenset(chosen), *seen} and (added or self.beats(gram, after, chosen)):
                 return after
             banned.append(k)
         after = self.improved(gram, chosen, critical)
