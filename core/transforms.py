@@ -18,15 +18,29 @@ def pose_from_xyz_rpy(xyz_m: Floats, rpy_rad: Floats) -> Floats:
 
 
 def xyz_rpy_from_pose(T: Floats) -> tuple[Floats, Floats]:
-    """Return (xyz (3,) m, rpy (3,) rad) of a pose (4, 4), the inverse of :func:`pose_from_xyz_rpy`."""
-    # A gimbal-locked pose has many equal triples; scipy picks one and warns, the pose it stands for is the same.
+    """Return (xyz (3,) m, rpy (3,) rad) of a pose (4, 4), exact to rounding at and near pitch 90 degrees too.
+
+    The inverse of :func:`pose_from_xyz_rpy`.
+    """
     R = T[:3, :3]
-    ry = float(np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0])))
-    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
-        rx, rz = float(np.arctan2(-R[1, 2], R[1, 1])), 0.0
-    else:
-        rx, rz = float(np.arctan2(R[2, 1], R[2, 2])), float(np.arctan2(R[1, 0], R[0, 0]))
-    return T[:3, 3].copy(), np.array([rx, ry, rz])
+    yaw = float(np.arctan2(R[1, 0], R[0, 0])) if np.hypot(R[0, 0], R[1, 0]) > 1e-15 else 0.0
+    c, s = np.cos(yaw), np.sin(yaw)
+    # Near pitch 90 degrees yaw is rounding noise; what is taken off as yaw comes back as roll.
+    rest = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
+    roll = float(np.arctan2(-rest[1, 2], rest[1, 1]))
+    return T[:3, 3].copy(), np.array([roll, float(np.arctan2(-rest[2, 0], rest[0, 0])), yaw])
+
+
+def aligned(R: Floats, z: Floats) -> Floats:
+    """Rotation (3, 3) with this z axis, turned as little as possible from ``R``."""
+    # A rotation by half a turn has no nearest: then the frame is turned about its own x.
+    x = R[:, 0] - z * (R[:, 0] @ z)
+    if np.linalg.norm(x) < 0.5:
+        y = R[:, 1] - z * (R[:, 1] @ z)
+        y /= np.linalg.norm(y)
+        return np.column_stack([np.cross(y, z), y, z])
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
 
 
 def inverse(T: Floats) -> Floats:

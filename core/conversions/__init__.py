@@ -1,6 +1,6 @@
 """One arm in other words: joint axes (product of exponentials), DH and MDH tables, joint frames; the poses stay the same."""
 
-from core.conversions.frames import JointFrames, joint_frames, xyz_rpy
+from core.conversions.frames import JointFrames, joint_frames
 from core.conversions.geometry import FlangeFrames, arm_screws, flange_frames, flange_screws, wanted_tool
 from core.conversions.screws import Screws, chain_frames, screws_of_chain
 from core.conversions.tables import Table, link_table
@@ -18,5 +18,4 @@ __all__ = [
     "link_table",
     "screws_of_chain",
     "wanted_tool",
-    "xyz_rpy",
 ]

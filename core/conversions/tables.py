@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.conventions import PARALLEL_RAD, Row
-from core.conversions.frames import aligned
 from core.conversions.screws import Screws
-from core.transforms import inverse
+from core.transforms import aligned, inverse
 
 Floats = NDArray[np.float64]
 

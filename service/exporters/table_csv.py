@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from core.conversions import xyz_rpy
 from core.conversions.closest import ClosestTable, closest_table
 from core.conversions.tables import angles_and_lengths
+from core.transforms import xyz_rpy_from_pose
 from service.exporters.exportable import Exportable, Written
 from service.exporters.remarks import distance, left_out
 
@@ -78,7 +78,7 @@ def _limit(joint: Joint, column: str) -> str:
 
 
 def _frame(T: NDArray[np.float64]) -> str:
-    xyz, rpy = xyz_rpy(T)
+    xyz, rpy = xyz_rpy_from_pose(T)
     values = [*((f"{k}_mm", v * 1e3) for k, v in zip("xyz", xyz, strict=True))]
     values += [(f"r{k}_deg", math.degrees(v)) for k, v in zip("xyz", rpy, strict=True)]
     return " ".join(f"{name}={float(value)!r}" for name, value in values)

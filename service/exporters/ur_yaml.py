@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from core.conversions import JointFrames, Screws, arm_screws, flange_screws, joint_frames, wanted_tool, xyz_rpy
+from core.conversions import JointFrames, Screws, arm_screws, flange_screws, joint_frames, wanted_tool
 from core.errors import RobotError
-from core.transforms import inverse
+from core.transforms import inverse, xyz_rpy_from_pose
 from service.exporters.exportable import Exportable, Written
 from service.exporters.remarks import remarks
 
@@ -37,7 +37,7 @@ def ur_yaml(version: Exportable) -> Written:
     notes = (*notes, "The driver compares the hash with the arm's own and will say that they differ: they should.")
     lines = [f"# {note}" for note in notes] + ["kinematics:"]
     for name, origin in zip(LINKS, frames.origin, strict=True):
-        xyz, rpy = xyz_rpy(origin)
+        xyz, rpy = xyz_rpy_from_pose(origin)
         lines += [f"  {name}:"]
         keys = ("x", "y", "z", "roll", "pitch", "yaw")
         lines += [f"    {key}: {float(value)!r}" for key, value in zip(keys, (*xyz, *rpy), strict=True)]
@@ -78,10 +78,10 @@ def _first_parent(version: Exportable) -> Floats:
 
 def _tool_note(end: Floats, tool: Floats) -> tuple[str, ...]:
     """Say the tool frame to set where the identified flange is not on the last joint's frame."""
-    xyz, rpy = xyz_rpy(end)
+    xyz, rpy = xyz_rpy_from_pose(end)
     if np.abs(xyz).max() < SAID_M and np.abs(rpy).max() < SAID_RAD:
         return ()
-    xyz, rpy = xyz_rpy(tool)
+    xyz, rpy = xyz_rpy_from_pose(tool)
     millimetres = ", ".join(f"{v * 1e3:.4f}" for v in xyz)
     degrees = ", ".join(f"{v:.5f}" for v in np.degrees(rpy))
     return (

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from core.chain import Axis, Chain, Element
 from core.conventions import Row
-from core.conversions import Screws, flange_screws, joint_frames, link_table, screws_of_chain, xyz_rpy
+from core.conversions import Screws, flange_screws, joint_frames, link_table, screws_of_chain
 from core.conversions.closest import closest_table
 from core.errors import RobotError
 from core.model import Calibration
 from core.observations import Observations
 from core.robots import preset_document, robot_from_document
+from core.transforms import xyz_rpy_from_pose
 from core.twin import Twin, thesis_katana
 
 Floats = NDArray[np.float64]
@@ -182,7 +183,7 @@ def test_effects_are_lost_and_said() -> None:
 def test_roll_pitch_yaw_give_the_rotation_back_near_pitch_90(short_of_90: float) -> None:
     for yaw, side in ((0.4, 1.0), (-2.0, -1.0)):
         R = rz(yaw) @ ry(side * (math.pi / 2 - short_of_90)) @ rx(1.1)
-        _, rpy = xyz_rpy(R)
+        _, rpy = xyz_rpy_from_pose(R)
         assert np.abs(rz(rpy[2]) @ ry(rpy[1]) @ rx(rpy[0]) - R).max() < 1e-14
 
 
