@@ -132,8 +132,8 @@ class Effect(ABC):
 
     The class says what a search for missing effects must know: ``needs`` (columns), ``stage``, ``signs`` ("positive"
     when physics fixes the sign of the parameters), ``aliases`` (ids whose signatures come nearest), ``remedy`` (what
-    to measure so that it can be tested or told apart), ``empirical`` (a shape without a cause), and ``at_joints``
-    (whether ``joints`` choose where it acts).
+    to measure so that it can be tested or told apart), ``empirical`` (a shape without a cause), ``at_joints`` (whether
+    ``joints`` choose where it acts), and ``learned`` (never searched; kept only if it predicts held-out poses better).
     """
 
     id: ClassVar[str]
@@ -148,6 +148,7 @@ class Effect(ABC):
     remedy: ClassVar[str] = ""
     empirical: ClassVar[bool] = False
     at_joints: ClassVar[bool] = True
+    learned: ClassVar[bool] = False
     counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents
 
     joints: tuple[int, ...] | None = None

@@ -30,6 +30,7 @@ from core.effects.time_offset import TimeOffset
 from core.effects.tracking_lag import TrackingLag
 from core.effects.unknown_field import UnknownField
 from core.effects.unknown_joint_curve import UnknownJointCurve
+from core.effects.unknown_residual import UnknownResidual
 from core.errors import OptionError
 
 _ALL: tuple[type[Effect], ...] = (
@@ -56,6 +57,7 @@ _ALL: tuple[type[Effect], ...] = (
     SessionShift,
     UnknownJointCurve,
     UnknownField,
+    UnknownResidual,
 )
 
 EFFECTS: Mapping[str, type[Effect]] = MappingProxyType({effect.id: effect for effect in _ALL})

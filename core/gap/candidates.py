@@ -82,9 +82,12 @@ def library_of(robot: Robot, rows: Observations, started: Sequence[str] = (), on
     unknown = [k for k in only if k not in EFFECTS]
     if unknown:
         raise OptionError(f"There is no effect {unknown[0]!r}. There are: {', '.join(EFFECTS)}.", option="effects")
+    learned = [k for k in only if EFFECTS[k].learned]
+    if learned:
+        raise OptionError(f"{learned[0]} is learned, not searched: give it to an identification.", option="effects")
     shelf = _Shelf(robot, rows, frozenset(started))
     for effect_id, kind in EFFECTS.items():
-        if not only or effect_id in only:
+        if effect_id in only or (not only and not kind.learned):
             shelf.add(kind)
     return Library(tuple(shelf.effects), tuple(shelf.parameters), tuple(shelf.candidates), tuple(shelf.refused))
 

@@ -16,6 +16,7 @@ from core.identify.holdout import Folds, fold_splits, split
 from core.identify.influence import influence_of
 from core.identify.intervals import Intervals, bootstrap, profile
 from core.identify.kalman import Prior
+from core.identify.learned import Learned, gated
 from core.identify.least_squares import Fit
 from core.identify.methods import fit_by_method
 from core.identify.noise import repeat_sigma
@@ -51,6 +52,7 @@ class Identification:
     method: str = "least_squares"
     influence: list[dict[str, Any]] | None = None
     intervals: Intervals | None = None
+    learned: Learned | None = None
 
     @property
     def covariance(self) -> Floats:
@@ -86,6 +88,7 @@ class Identification:
             "method": {"name": self.method, **self.fit.report},
             "influence": self.influence,
             "intervals": None if self.intervals is None else self.intervals.kind,
+            "learned": None if self.learned is None else self.learned.to_document(),
             **_together(self.fit),
             "reference": {"base": self._reference("base"), "tool": self._reference("tool")},
         }
@@ -125,6 +128,7 @@ def identify(
         train, validation = train.select(inside), train.select(outside)
     measurement = Measurement.of(train, begin.marker_points)
     registered = _registered(begin, measurement, options, prior)
+    begin, learned = gated(begin, train, options, prior)
     fit = fit_by_method(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s), prior)
     calibration = Calibration(
         *fit.problem.model.folded(fit.values), measurement.marker_points, *_wanted_frames(registered, options)
@@ -135,7 +139,7 @@ def identify(
         held = {name: Errors.of(stage, other) for name, stage in stages.items()}
     tell(0.95, "identifiability")
     metrics = _metrics({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held)
-    return _reported(calibration, fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s))
+    return _reported(calibration, fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned)
 
 
 def _reported(
@@ -145,6 +149,7 @@ def _reported(
     metrics: dict[str, Any],
     options: IdentifyOptions,
     tell: Progress,
+    learned: Learned | None = None,
 ) -> Identification:
     """What was found, with all that is said about it."""
     sigma = repeat_sigma(train)
@@ -155,10 +160,11 @@ def _reported(
         noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
         noise_source="residuals of the fit" if sigma is None else "repeats",
         null_directions=null_directions(fit.J, fit.names, fit.problem.prior_sigma),
-        warnings=tuple(warnings_of(fit, train, sigma)),
+        warnings=(*warnings_of(fit, train, sigma), *(() if learned is None else (learned.warning(),))),
         method=options.method,
         influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
         intervals=_intervals(fit, options, tell),
+        learned=learned,
     )
 
 
@@ -240,7 +246,7 @@ def _cross_validated(
         tell(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
         report = _within(tell, k, folds.folds)
         seen, unseen = Measurement.of(train.select(inside), shape), Measurement.of(train.select(outside), shape)
-        fit = fit_by_method(begin, seen, options, report, prior)
+        fit = fit_by_method(gated(begin, train.select(inside), options, prior)[0], seen, options, report, prior)
         parts["nominal"].append(Errors.of(nominal, unseen))
         parts["registration_only"].append(Errors.of(_registered(begin, seen, options, prior), unseen))
         parts["identified"].append(Errors.of(Calibration(fit.problem.model, fit.values, shape), unseen))

@@ -34,6 +34,7 @@ OPTIONS: Mapping[str, list[dict[str, Any]]] = {
     "payload_error": [{"compliances": (1e-4, 2e-4, 1e-5, 3e-4, 4e-4)}],
     "unknown_joint_curve": [{}, {"joints": (1,), "orders": (), "partner": 3}],
     "unknown_field": [{}, {"degree": 3, "reach_m": 0.7}],
+    "unknown_residual": [{}, {"inputs": (2, 1), "length": 0.8, "amplitude_m": 1e-3}],
 }
 
 # Axes about x and y, a joint turned round, a slide along x, gears at three joints: what a standard arm never shows.

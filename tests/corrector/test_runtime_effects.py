@@ -23,13 +23,14 @@ CONFIG: dict[str, dict[str, Any]] = {
     "payload_error": {"compliances": (1e-5,) * 6},
     "session_shift": {"sessions": (1, 2)},
     "drift": {"t0_s": 0.0},
+    "unknown_residual": {"inputs": (1, 2), "length": 1.0, "centres": ((0.1, 0.5), (1.0, -0.4))},
 }
 AT_RUN_TIME = (
     "clearance_tilt", "backlash", "backlash_load", "axial_compliance", "radial_compliance", "eccentricity",
     "second_harmonic", "gear_error", "encoder_scale", "joint_coupling", "gravity_spring", "link_bending",
     "base_compliance", "thermal_growth", "friction_windup", "tracking_lag", "unknown_joint_curve",
 )  # fmt: skip
-NAMED = ("drift", "unknown_field")
+NAMED = ("drift", "unknown_field", "unknown_residual")
 OF_THE_INSTRUMENT = ("time_offset", "measurement_scale", "session_shift")
 
 
