@@ -38,7 +38,8 @@ class Element:
 
     ``value`` (m or rad) is the constant, for a joint element its zero offset. A joint element moves by
     ``ratio * q[joint] + value``; a ratio of -1 turns the axis round, others couple joints (mimic, FANUC J2/J3).
-    ``name`` makes the constant a parameter; without a name it is part of the structure.
+    ``name`` makes the constant a parameter; without a name it is part of the structure. A ``spare`` parameter says what
+    others of a complete model say together: it is identified at level 1 or when it is asked for, not beside them.
     """
 
     axis: Axis
@@ -46,6 +47,7 @@ class Element:
     name: str | None = None
     joint: int | None = None
     ratio: float = 1.0
+    spare: bool = False
 
     def parameter(self) -> Parameter:
         """The named constant as a :class:`~core.parameters.Parameter`."""

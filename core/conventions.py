@@ -21,6 +21,8 @@ class Row:
     d: float | None = 0.0
     beta: float | None = None
     prismatic: bool = False
+    gamma: float = 0.0  # S-model only: turn and shift along the next axis
+    b: float = 0.0
 
 
 def _joint(i: int, row: Row) -> tuple[Element, Element | None]:
@@ -54,11 +56,32 @@ def dh_elements(rows: Sequence[Row]) -> tuple[tuple[Element, ...], tuple[int, ..
     elements: list[Element] = []
     frames = []
     for i, row in enumerate(rows):
-        joint, partner = _joint(i, row)
-        ordered = [joint, partner] if row.prismatic else [partner, joint]
-        elements += [e for e in ordered if e is not None]
-        elements += [Element(Axis.TX, row.a, f"a_{i + 1}"), Element(Axis.RX, row.alpha, f"alpha_{i + 1}")]
-        elements += _beta(i, row, _parallel(row.alpha) and i + 1 < len(rows))
+        elements += _dh_row(i, row, last=i + 1 == len(rows))
+        frames.append(len(elements) - 1)
+    return tuple(elements), tuple(frames)
+
+
+def _dh_row(i: int, row: Row, *, last: bool) -> list[Element]:
+    joint, partner = _joint(i, row)
+    ordered = [joint, partner] if row.prismatic else [partner, joint]
+    made = [e for e in ordered if e is not None]
+    made += [Element(Axis.TX, row.a, f"a_{i + 1}"), Element(Axis.RX, row.alpha, f"alpha_{i + 1}")]
+    return made + _beta(i, row, _parallel(row.alpha) and not last)
+
+
+def s_model_elements(rows: Sequence[Row]) -> tuple[tuple[Element, ...], tuple[int, ...]]:
+    """Stone's S-model: Tz(d) Rz(θ) Tx(a) Rx(α) Rz(γ) Tz(b) per row, so that a frame may stand anywhere on its axis.
+
+    γ and b say what θ and d of the next row say, so they are parameters in the last row only, which with them places the
+    flange freely. Returns the elements and, per row, the index of the row's frame.
+    """
+    elements: list[Element] = []
+    frames = []
+    for i, row in enumerate(rows):
+        last = i + 1 == len(rows)
+        elements += _dh_row(i, row, last=last)
+        elements.append(Element(Axis.RZ, row.gamma, f"gamma_{i + 1}" if last else None))
+        elements.append(Element(Axis.TZ, row.b, f"b_{i + 1}" if last else None))
         frames.append(len(elements) - 1)
     return tuple(elements), tuple(frames)
 

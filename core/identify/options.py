@@ -112,7 +112,7 @@ class IdentifyOptions:
         if self.free:
             return _matching(model.names, self.free)
         wanted = [chain.elements[k] for k in chain.named]
-        return [str(e.name) for e in wanted if self.level != 1 or e.joint is not None]
+        return [str(e.name) for e in wanted if (e.joint is not None if self.level == 1 else not e.spare)]
 
     def _one_of(self, name: str, allowed: Sequence[Any]) -> None:
         value = getattr(self, name)

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from core.chain import Axis, Chain, Element
-from core.conventions import Row, dh_elements, mdh_elements
+from core.conventions import Row, dh_elements, mdh_elements, s_model_elements
 from core.errors import RobotError
-from core.robot import STANDARD_GRAVITY, Joint, Link, Robot
+from core.robot import STANDARD_GRAVITY, Joint, Robot
+from core.robots.complete import Read, read_places, read_poe
+from core.robots.parts import MM, Document, joint_of, links_of, pose_of
 from core.robots.presets import preset_document
-from core.transforms import pose_from_xyz_rpy
-
-MM = 1e-3
-Document = Mapping[str, Any]
 
 
 def robot_from_document(document: Document) -> Robot:
-    """Build a robot from a document of convention ``chain``, ``dh``, ``mdh`` or ``preset``.
+    """Build a robot from a document: ``chain``, ``dh``, ``mdh``, ``s_model``, ``poe``, ``cpc``, ``mcpc`` or ``preset``.
 
     URDF is turned into ``chain`` before.
 
@@ -37,48 +33,37 @@ def robot_from_document(document: Document) -> Robot:
         return robot_from_document(
             {**base, **{k: v for k, v in document.items() if v is not None and k in _OVERRIDABLE}}
         )
-    if convention == "chain":
-        joints, chain, frames = _from_elements(document)
-    elif convention in ("dh", "mdh"):
-        joints, chain, frames = _from_rows(document, str(convention))
-    else:
-        raise RobotError(
-            f"convention is {convention!r}: give chain, dh, mdh, urdf or preset.", field="convention", value=convention
-        )
+    joints, chain, frames = _read(document, str(convention))
     gravity = document.get("gravity_m_s2")
     return Robot(
         name=str(document.get("name", "robot")),
         joints=joints,
         chain=chain,
-        links=_links(document.get("links") or (), frames),
+        links=links_of(document.get("links") or (), frames),
         gravity=np.array([0.0, 0.0, -STANDARD_GRAVITY] if gravity is None else gravity, dtype=np.float64),
-        T_base=_pose(document.get("base")),
-        T_tool=_pose(document.get("tool")),
+        T_base=pose_of(document.get("base")),
+        T_tool=pose_of(document.get("tool")),
     )
 
 
+def _read(document: Document, convention: str) -> Read:
+    if convention == "chain":
+        return _from_elements(document)
+    if convention in TABLES:
+        return _from_rows(document, convention)
+    if convention == "poe":
+        return read_poe(document)
+    if convention in ("cpc", "mcpc"):
+        return read_places(document, convention)
+    raise RobotError(
+        f"convention is {convention!r}: give chain, dh, mdh, s_model, poe, cpc, mcpc, urdf or preset.",
+        field="convention",
+        value=convention,
+    )
+
+
+TABLES = {"dh": dh_elements, "mdh": mdh_elements, "s_model": s_model_elements}
 _OVERRIDABLE = {"name", "gravity_m_s2", "tool", "base", "links"}
-
-
-def _pose(pose: Document | None) -> NDArray[np.float64]:
-    pose = pose or {}
-    xyz = np.array([pose.get(f"{k}_mm", 0.0) for k in "xyz"]) * MM
-    rpy = np.radians([pose.get(f"r{k}_deg", 0.0) for k in "xyz"])
-    return pose_from_xyz_rpy(xyz, rpy)
-
-
-def _joint(i: int, joint: Document, kind: str) -> Joint:
-    unit, scale = ("mm", MM) if kind == "prismatic" else ("deg", math.pi / 180.0)
-    limits = joint.get(f"limits_{unit}") or (None, None)
-    lower, upper = (
-        bound if value is None else float(value) * scale
-        for value, bound in zip(limits, (-math.inf, math.inf), strict=True)
-    )
-    if not lower < upper:
-        raise RobotError(
-            f"Joint {i + 1} has limits {list(limits)}: the first must be below the second.", field=f"joints[{i}].limits"
-        )
-    return Joint(str(joint.get("name") or f"j{i + 1}"), kind, lower, upper, joint.get("gear_ratio"))
 
 
 def _from_rows(document: Document, convention: str) -> tuple[tuple[Joint, ...], Chain, tuple[int, ...]]:
@@ -89,9 +74,9 @@ def _from_rows(document: Document, convention: str) -> tuple[tuple[Joint, ...], 
     if len(joints) != len(rows):
         raise RobotError(f"There are {len(rows)} rows but {len(joints)} joints: give one of each.", field="joints")
     table = [_row(row) for row in rows]
-    elements, frames = (dh_elements if convention == "dh" else mdh_elements)(table)
+    elements, frames = TABLES[convention](table)
     kinds = ["prismatic" if row.prismatic else "revolute" for row in table]
-    made = tuple(_joint(i, joint, kind) for i, (joint, kind) in enumerate(zip(joints, kinds, strict=True)))
+    made = tuple(joint_of(i, joint, kind) for i, (joint, kind) in enumerate(zip(joints, kinds, strict=True)))
     return made, Chain(elements, len(made)), frames
 
 
@@ -104,6 +89,8 @@ def _row(row: Document) -> Row:
         d=None if d is None else d * MM,
         beta=None if beta is None else math.radians(beta),
         prismatic=row.get("type", "revolute") == "prismatic",
+        gamma=math.radians(row.get("gamma_deg", 0.0)),
+        b=row.get("b_mm", 0.0) * MM,
     )
 
 
@@ -121,7 +108,7 @@ def _from_elements(document: Document) -> tuple[tuple[Joint, ...], Chain, tuple[
     kinds = ["revolute" if made[k].axis.rotates else "prismatic" for k in chain.primary]
     by_name = {str(j["name"]): j for j in described}
     joints = tuple(
-        _joint(i, by_name.get(name, {"name": name}), kind)
+        joint_of(i, by_name.get(name, {"name": name}), kind)
         for i, (name, kind) in enumerate(zip(order, kinds, strict=True))
     )
     return joints, chain, chain.primary
@@ -145,6 +132,7 @@ def _element(k: int, element: Document, order: Sequence[str], seen: set[str]) ->
         name=None if element.get("fixed") else element.get("name") or _default_name(k, axis, joint, order, seen),
         joint=None if joint is None else order.index(joint),
         ratio=float(element.get("ratio", 1.0)),
+        spare=bool(element.get("spare")),
     )
 
 
@@ -156,25 +144,3 @@ def _default_name(k: int, axis: Axis, joint: str | None, order: Sequence[str], s
         return None
     seen.add(joint)
     return f"{'theta' if axis.rotates else 'd'}_offset_{order.index(joint) + 1}"
-
-
-def _links(links: Sequence[Document], frames: tuple[int, ...]) -> tuple[Link, ...]:
-    if links and len(links) != len(frames):
-        raise RobotError(
-            f"There are {len(links)} links for {len(frames)} joints: give each joint one, with mass_kg 0 where it has none.",
-            field="links",
-        )
-    return tuple(_link(i, link, frame) for i, (link, frame) in enumerate(zip(links, frames, strict=False)))
-
-
-def _link(i: int, link: Document, element: int) -> Link:
-    mass = float(link.get("mass_kg") or 0.0)
-    if mass < 0:
-        raise RobotError(f"links[{i}] has a mass of {mass} kg: a mass cannot be negative.", field=f"links[{i}].mass_kg")
-    xx, yy, zz, xy, xz, yz = link.get("inertia_kg_m2") or (0.0,) * 6
-    return Link(
-        element=element,
-        mass=mass,
-        com=np.array(link.get("com_mm") or (0.0, 0.0, 0.0), dtype=np.float64) * MM,
-        inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=np.float64),
-    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, SubElement
 
@@ -41,9 +42,13 @@ def new_urdf(name: str, calibration: Calibration) -> Element:
     for k, origin in enumerate(frames.origin):
         joint = robot.joints[screws.joint[k]]
         own = leader[int(screws.joint[k])] == k
-        parent = _axis(root, parent, joint, joint.name if own else f"{joint.name}_follower_{k + 1}", origin)
-        if not own:
-            _mimic(root[-1], joint.name, float(turned.ratio[k]))
+        if own:
+            parent = _axis(root, parent, joint, joint.name, origin)
+            continue
+        ratio = float(turned.ratio[k])
+        follower = _follower(joint, k, bool(screws.prismatic[k]), ratio)
+        parent = _axis(root, parent, follower, follower.name, origin)
+        SubElement(root[-1], "mimic", joint=joint.name, multiplier=repr(ratio), offset="0")
     if robot.has_masses:
         _add_masses(root, robot, calibration, frames, leader)
     _fixed(root, parent, "flange", frames.end)
@@ -90,13 +95,11 @@ def _axis(root: Element, parent: str, joint: Joint, name: str, origin: Floats) -
     return child
 
 
-def _mimic(element: Element, leader: str, ratio: float) -> None:
-    """Let a joint follow; its own limits would be those of the leader, so it has none."""
-    element.set("type", "continuous" if element.get("type") != "prismatic" else "prismatic")
-    limit = element.find("limit")
-    if limit is not None and element.get("type") == "continuous":
-        element.remove(limit)
-    SubElement(element, "mimic", joint=leader, multiplier=repr(ratio), offset="0")
+def _follower(leader: Joint, k: int, slides: bool, ratio: float) -> Joint:
+    """The joint of an axis that follows: as far as the leader takes it. Readers refuse an endless follower of a bounded one."""
+    lower, upper = sorted((ratio * leader.lower, ratio * leader.upper))
+    kind = "prismatic" if slides else "revolute"
+    return replace(leader, name=f"{leader.name}_follower_{k + 1}", kind=kind, lower=lower, upper=upper)
 
 
 def _fixed(root: Element, parent: str, child: str, T: Floats) -> None:

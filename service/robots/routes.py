@@ -7,7 +7,7 @@ from fastapi import APIRouter, Response
 from service.auth.access import Admin
 from service.robots import service
 from service.robots.check_schemas import RobotCheck
-from service.robots.schemas import RobotDocument, RobotList, RobotReport
+from service.robots.schemas import RobotDocument, RobotList, RobotReport, Target
 from service.state import DatabaseOfApp
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"])
@@ -28,6 +28,14 @@ def check(document: RobotDocument) -> RobotCheck:
     from service.robots.check import check as report  # imports numpy and scipy: not at the start of the API process
 
     return report(document)
+
+
+@router.post("/convert", response_model_exclude_none=True)
+def convert(document: RobotDocument, to: Target) -> RobotDocument:
+    """Write a document in another convention, without adding it: the same poses at the same joint readings."""
+    from service.robots.convert import convert as converted  # imports numpy and scipy: not at the start of the process
+
+    return service.DOCUMENT.validate_python(converted(document, to))
 
 
 @router.get("")

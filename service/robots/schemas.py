@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
+from service.robots.complete_schemas import CpcFlange, CpcRow, McpcFlange, McpcRow, PoeAxis, SModelRow
+
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Axis = Literal["Rx", "Ry", "Rz", "Tx", "Ty", "Tz"]
 Range = tuple[FiniteFloat, FiniteFloat]
@@ -55,6 +57,7 @@ class Element(Strict):
     joint: str | None = None
     ratio: FiniteFloat | None = None
     fixed: bool | None = None
+    spare: bool | None = None
 
 
 class DhRow(Strict):
@@ -111,6 +114,41 @@ class MdhRobot(_Robot):
     rows: Annotated[list[MdhRow], Field(min_length=1)]
 
 
+class SModelRobot(_Robot):
+    """A robot as rows of Stone's S-model."""
+
+    convention: Literal["s_model"]
+    joints: list[Joint] | None = None
+    rows: Annotated[list[SModelRow], Field(min_length=1)]
+
+
+class PoeRobot(_Robot):
+    """A robot as a product of exponentials: its axes at zero, and the flange there."""
+
+    convention: Literal["poe"]
+    joints: list[Joint] | None = None
+    axes: Annotated[list[PoeAxis], Field(min_length=1)]
+    home: Pose = Pose()
+
+
+class CpcRobot(_Robot):
+    """A robot as rows of the complete and parametrically continuous model."""
+
+    convention: Literal["cpc"]
+    joints: list[Joint] | None = None
+    rows: Annotated[list[CpcRow], Field(min_length=1)]
+    flange: CpcFlange = CpcFlange()
+
+
+class McpcRobot(_Robot):
+    """A robot as rows of the modified CPC model."""
+
+    convention: Literal["mcpc"]
+    joints: list[Joint] | None = None
+    rows: Annotated[list[McpcRow], Field(min_length=1)]
+    flange: McpcFlange = McpcFlange()
+
+
 class UrdfRobot(_Robot):
     """A robot as a URDF; joints, limits and masses are the URDF's, ``joints`` may add gear ratios and limits."""
 
@@ -128,7 +166,11 @@ class PresetRobot(_Robot):
     preset: str
 
 
-RobotDocument = Annotated[ChainRobot | DhRobot | MdhRobot | UrdfRobot | PresetRobot, Field(discriminator="convention")]
+RobotDocument = Annotated[
+    ChainRobot | DhRobot | MdhRobot | SModelRobot | PoeRobot | CpcRobot | McpcRobot | UrdfRobot | PresetRobot,
+    Field(discriminator="convention"),
+]
+Target = Literal["chain", "dh", "mdh", "s_model", "poe", "cpc", "mcpc", "urdf"]
 
 
 class JointSummary(Strict):

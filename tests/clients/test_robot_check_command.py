@@ -58,3 +58,21 @@ def test_drawings_keep_the_proportions() -> None:
     rows = drawing(circle).splitlines()
     assert max(len(row) for row in rows) == pytest.approx(2 * len(rows), abs=2)
     assert drawing([(0, 0), (0, 0), (0, 0)]) == "o"
+
+
+def test_a_table_is_written_in_another_convention(server: Path, tmp_path: Path, capsys: Capture) -> None:
+    path, out = tmp_path / "arm.csv", tmp_path / "arm.json"
+    path.write_text(TABLE)
+    assert run(["robot", "convert", str(path), "--convention", "dh", "--to", "mcpc", "-o", str(out)]) == 0
+    document = json.loads(out.read_text())
+    assert (document["name"], document["convention"], len(document["rows"])) == ("arm", "mcpc", 3)
+    urdf = tmp_path / "arm.urdf"
+    assert run(["robot", "convert", str(out), "--to", "urdf", "-o", str(urdf)]) == 0
+    assert urdf.read_text().startswith("<?xml")
+    capsys.readouterr()
+    described = ["--name", "arm", "--base-link", "base_link", "--tip-link", "flange"]
+    assert run(["robot", "check", str(urdf), *described, "--json"]) == 0
+    # Upright for 300 mm, then level for 900.
+    tool = json.loads(capsys.readouterr().out)["zero"]["tool"]
+    assert (tool["x_mm"], tool["y_mm"], tool["z_mm"]) == pytest.approx((900, 0, 300))
+    assert run(["robot", "convert", str(out), "--to", "euler"]) == 1

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from core.errors import RobotError
 from core.model import RobotModel
@@ -48,7 +50,7 @@ def test_joint_jacobian_equals_pinocchio(kind: str, n: int, seed: int) -> None:
     arm, q = arm_and_rows(kind, n, seed)
     model = model_of(arm)
     prediction, J = model.joint_jacobian(Observations(q), model.values0())
-    np.testing.assert_allclose(J, arm.joint_jacobians(q), atol=1e-11, rtol=0)
+    np.testing.assert_allclose(J, arm.joint_jacobians(q), atol=1e-12, rtol=0)
     np.testing.assert_allclose(prediction.position, arm.poses(q)[0], atol=1e-12, rtol=0)
 
 
@@ -84,6 +86,19 @@ def test_a_selection_of_columns_is_a_selection_of_the_whole_jacobian() -> None:
     _, whole = model.jacobian(Observations(q), model.values0())
     _, part = model.jacobian(Observations(q), model.values0(), free)
     np.testing.assert_array_equal(part, whole[:, :, free])
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 100_000), n=st.integers(1, 8), slides=st.booleans(), coupled=st.booleans())
+def test_any_arm_has_pinocchio_s_poses_and_jacobian(seed: int, n: int, slides: bool, coupled: bool) -> None:
+    rng = np.random.default_rng(seed)
+    arm = some_arm(rng, n, prismatic=slides, coupled=coupled)
+    model, q = model_of(arm), rng.uniform(-2.0, 2.0, (5, n))
+    prediction, J = model.joint_jacobian(Observations(q), model.values0())
+    position, rotation = arm.poses(q)
+    np.testing.assert_allclose(prediction.position, position, atol=1e-12, rtol=0)
+    np.testing.assert_allclose(prediction.rotation, rotation, atol=1e-12, rtol=0)
+    np.testing.assert_allclose(J, arm.joint_jacobians(q), atol=1e-12, rtol=0)
 
 
 def test_no_rows_give_no_poses() -> None:

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from core.effects import make_effect
 from core.model import Calibration
@@ -16,7 +18,12 @@ from core.robot import Robot
 from core.robots import preset_document, robot_from_document
 from tests.core.truth import UR10_ROWS, Arm, Body, Step, some_arm, ur10, with_bodies
 
-KINDS = {"revolute": {}, "prismatic": {"prismatic": True}, "coupled": {"coupled": True}}
+KINDS = {
+    "revolute": {},
+    "prismatic": {"prismatic": True},
+    "coupled": {"coupled": True},
+    "both": {"prismatic": True, "coupled": True},
+}
 CASES = [pytest.param(kind, n, seed, id=f"{kind}-{n}-{seed}") for kind in KINDS for n, seed in ((3, 1), (6, 2), (7, 3))]
 ROWS = 8
 
@@ -65,6 +72,19 @@ def test_a_wrench_on_the_tool_loads_the_joints(kind: str, n: int, seed: int) -> 
         torques, wrenches, _ = arm.reactions(q[k], external=external[k])
         np.testing.assert_allclose(axial[k], -torques, atol=1e-10, rtol=0)
         np.testing.assert_allclose(loads.joints[k], -wrenches, atol=1e-10, rtol=0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 100_000), n=st.integers(1, 8), kind=st.sampled_from(sorted(KINDS)))
+def test_moments_of_any_arm_are_minus_pinocchio_s_rnea(seed: int, n: int, kind: str) -> None:
+    arm, robot, rng = arm_robot(kind, n, seed)
+    q, qd, qdd = (rng.uniform(-1.0, 1.0, (2, n)) for _ in range(3))
+    kg, external = rng.uniform(0.5, 4.0, 2), rng.normal(0.0, 20.0, (2, 6))
+    loads = joint_loads(robot, q, qd=qd, qdd=qdd, payload_kg=kg, external=external)
+    for k in range(2):
+        torques, wrenches, _ = arm.reactions(q[k], qd[k], qdd[k], payload=(kg[k], np.zeros(3)), external=external[k])
+        np.testing.assert_allclose(axial_loads(robot, loads)[k], -torques, atol=1e-10, rtol=1e-13)
+        np.testing.assert_allclose(loads.joints[k], -wrenches, atol=1e-10, rtol=1e-13)
 
 
 def test_the_tool_point_is_where_the_nominal_arm_has_it() -> None:

@@ -127,7 +127,7 @@ class Arm:
         data = model.createData()
         out = np.zeros((len(q), 6, self.n))
         for k, row in enumerate(q):
-            J = pin.computeFrameJacobian(model, data, self.motors(row), frame, pin.LOCAL_WORLD_ALIGNED)
+            J = pin.computeFrameJacobian(model, data, self.motors(row), frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)
             for m, step in enumerate(self.moving):
                 out[k, :, step.joint] += step.ratio * J[:, m]
         return out

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from core.gap import GapOptions, find_gap
-from core.gap.trajectory import blocks, correlation_length, is_trajectory, segments
+from core.gap.trajectory import blocks, correlation_length, hold_out, is_trajectory, segments, windows_of
 from core.observations import Observations
 from tests.core.gap.simulated import katana
 
@@ -34,8 +36,8 @@ def test_blocks_are_ten_correlation_times_and_enough_of_them():
     assert blocks(100, 50.0).max() + 1 >= 30
 
 
-def motion(seed, compliance, samples=1000):
-    """Sums of sines in all joints, link encoders behind compliant joints, correlated noise."""
+def motion(seed, compliance, samples=1000, lag=0.0, offset=2e-4):
+    """Sums of sines in all joints, link encoders behind compliant joints, read late, correlated noise."""
     rng = np.random.default_rng(seed)
     robot = katana()
     t = np.arange(samples) * 4e-3
@@ -44,8 +46,8 @@ def motion(seed, compliance, samples=1000):
     q = sum(0.4 * np.sin(2 * np.pi * f * t[:, None] + p) for f, p in zip(speeds, phase, strict=True))
     qd = np.gradient(q, t, axis=0)
     tau = 3.0 * np.cos(q) + 0.5 * np.sign(qd)
-    link = q - compliance * tau + 2e-4 + 2e-5 * red_noise(rng, samples, robot.n_joints, 3.0)
-    return robot, Observations(q=q, link_q=link, tau=tau, t=t, direction=np.sign(qd))
+    link = q - compliance * tau - np.asarray(lag) * qd + offset + 2e-5 * red_noise(rng, samples, robot.n_joints, 3.0)
+    return robot, Observations(q=q, qd=qd, link_q=link, tau=tau, t=t, direction=np.sign(qd))
 
 
 def test_link_encoders_show_compliance_by_the_measured_torque():
@@ -57,6 +59,64 @@ def test_link_encoders_show_compliance_by_the_measured_torque():
     values = [a.value for a in ids["axial_compliance"].evidence.amplitudes]
     np.testing.assert_allclose(values, 1e-4, rtol=0.1)
     assert "correlated" in {w["code"] for w in report.warnings}
+
+
+LAGS = replace(QUICK, effects=(*EFFECTS, "tracking_lag", "time_offset"))
+
+
+def test_an_equal_lag_of_all_joints_is_a_time_offset():
+    report = find_gap(*motion(1, 1e-4, lag=1e-3), LAGS)
+    said = {j.evidence.candidate.id: j for j in report.effects}
+    assert set(said) == {"time_offset", "axial_compliance"}
+    assert said["time_offset"].evidence.amplitudes[0].value == pytest.approx(-1e-3, rel=0.02)
+
+
+def test_a_lag_of_its_own_per_joint_is_a_tracking_lag():
+    report = find_gap(*motion(2, 0.0, lag=[1e-3, 1e-3, 1e-3, 2e-3, 1e-3]), LAGS)
+    assert [j.evidence.candidate.id for j in report.effects] == ["tracking_lag"]
+
+
+def test_where_sees_the_direction_through_a_strong_delay_and_no_joint_without_an_encoder():
+    robot, rows = motion(3, 0.0, lag=3e-3)
+    rows.link_q[:, 4] = 0.0
+    report = find_gap(robot, rows, LAGS)
+    sure = {p.factor for p in report.where if p.p_value < 0.01}
+    assert {f"direction of joint {j}" for j in (1, 2, 3, 4)} <= sure
+    assert not [p.factor for p in report.where if p.factor.endswith("joint 5") or p.factor.startswith("contrast")]
+
+
+def test_each_held_out_motion_has_encoder_offsets_of_its_own():
+    robot, rows = motion(4, 1e-4)
+    held = Observations.concatenate([motion(5, 1e-4, offset=2e-3)[1], motion(6, 1e-4, offset=-1e-3)[1]])
+    report = find_gap(robot, rows, QUICK, validation=held)
+    assert "offsets" in report.gap["held_out"]
+    # The noise of 2e-5 rad, and little more: the offsets would be a hundred times that.
+    assert report.gap["validation_after_deg"] < np.degrees(2.5e-5)
+    assert report.gap["held_out_set_aside"] == 0
+    assert all(j.gates["held_out"] for j in report.effects)
+
+
+def test_the_error_of_joints_is_per_joint():
+    robot, rows = motion(7, 1e-4)
+    report = find_gap(robot, rows, QUICK)
+    raw = rows.link_q - rows.q
+    assert report.gap["before_deg"] == pytest.approx(np.degrees(np.sqrt(np.mean(np.var(raw, axis=0)))), rel=0.01)
+
+
+def test_of_a_motion_the_end_is_held_out_and_of_several_whole_ones():
+    _, rows = motion(8, 0.0)
+    inside, outside = hold_out(rows, 0.25, 0)
+    assert inside.max() < outside.min()
+    assert len(outside) == 250
+    three = Observations.concatenate([rows] * 3)
+    inside, outside = hold_out(three, 0.3, 0)
+    assert len(outside) == 1000
+    assert len(np.unique(segments(three)[outside])) == 1
+
+
+def test_windows_do_not_span_two_motions():
+    rows = Observations(q=np.zeros((7, 1)), t=np.array([0.0, 1.0, 2.0, 0.0, 1.0, 2.0, 3.0]))
+    assert windows_of(rows, 2).window.tolist() == [0, 0, 1, 2, 2, 3, 3]
 
 
 def test_correlated_noise_alone_has_no_name():

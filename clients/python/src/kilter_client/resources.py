@@ -31,6 +31,10 @@ class Robots:
         """Return what a document comes to, without adding it: axes, the arm at zero, reach, what looks wrong."""
         return self._connection.post("/v1/robots/check", document)
 
+    def convert(self, document: Mapping[str, Any], to: str) -> Document:
+        """Return the same arm as a document of convention ``to`` (chain, dh, mdh, s_model, poe, cpc, mcpc, urdf)."""
+        return self._connection.post(f"/v1/robots/convert?to={to}", document)
+
     def list(self) -> list[Document]:
         """Return the robots, by name."""
         return list(self._connection.get("/v1/robots")["robots"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +12,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.arguments import Json, Robot
 from kilter_client.cli.drawing import show_check
-from kilter_client.cli.output import emit, say
+from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.picture import picture
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
@@ -89,6 +90,42 @@ def check(
     emit(found, as_json, show_check)
 
 
+@robot.command(epilog="Example: kilter robot convert arm.csv --name arm --convention dh --to mcpc -o arm.json")
+def convert(
+    to: Annotated[str, typer.Option(metavar="CONVENTION", help="chain, dh, mdh, s_model, poe, cpc, mcpc or urdf.")],
+    file: RobotFile = None,
+    preset: Preset = None,
+    name: Name = None,
+    base_link: BaseLink = None,
+    tip_link: TipLink = None,
+    convention: Convention = None,
+    model: Model = None,
+    turned: Turned = None,
+    follows: Follows = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="File to write.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a robot in another convention: the same poses at the same joint readings; nothing is added."""
+    described = Described(
+        name or (file.stem if file and file.suffix != ".json" else None),
+        base_link,
+        tip_link,
+        convention,
+        model,
+        turned or (),
+        follows or (),
+    )
+    document = _document(file, preset, described)
+    with Kilter() as kilter:
+        found = kilter.robots.convert(document, to)
+    if output is not None:
+        text = found["urdf"] if output.suffix == ".urdf" and to == "urdf" else json.dumps(found, indent=1) + "\n"
+        write(output, text.encode())
+        note(f"{output}: {to}", as_json)
+        found = {**found, "file": str(output)} if as_json else found
+    emit(found, as_json, say_document if output is None else lambda _: None)
+
+
 @robot.command("list", epilog="Example: kilter robot list")
 def list_(as_json: Json = False) -> None:
     """List the robots."""
@@ -116,6 +153,11 @@ def _document(file: Path | None, preset: str | None, described: Described) -> di
     return {"name": described.name or preset, "convention": "preset", "preset": preset}
 
 
+def say_document(document: dict[str, Any]) -> None:
+    """Print a robot document as it would stand in its file."""
+    say(json.dumps(document, indent=1))
+
+
 def _show(document: dict[str, Any]) -> None:
     say(f"{document['name']} ({document['convention']}), active version: {document.get('active_version') or 'none'}")
     rows = [
@@ -130,8 +172,8 @@ def _show(document: dict[str, Any]) -> None:
     ]
     show_rows(("", "joint", "kind", "limits", "gear ratio"), rows)
     say(f"parameters: {', '.join(document.get('parameters', ())) or 'none'}")
-    for note in document.get("notes", ()):
-        say(f"note: {note}")
+    for remark in document.get("notes", ()):
+        say(f"note: {remark}")
 
 
 def _limits(joint: dict[str, Any]) -> str:

@@ -1,0 +1,68 @@
+"""A document in another convention: the same arm over HTTP, and refusals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import httpx
+import numpy as np
+import pinocchio
+import pytest
+
+from core.robots import preset_document
+from service.robots.documents import core_document
+from tests.core.conversions.test_documents import poses
+from tests.core.truth import some_arm, ur10
+
+
+def convert(client: httpx.Client, document: dict[str, Any], to: str) -> dict[str, Any]:
+    answer = client.post(f"/v1/robots/convert?to={to}", json=document)
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+@pytest.mark.parametrize("to", ["chain", "dh", "mdh", "s_model", "poe", "cpc", "mcpc", "urdf"])
+def test_the_published_ur10_in_every_convention(shared_client: httpx.Client, to: str) -> None:
+    found = convert(shared_client, preset_document("ur10"), to)
+    assert found["convention"] == to
+    q = np.random.default_rng(0).uniform(-3, 3, (5, 6))
+    position, rotation = poses(core_document(found).document, q)
+    np.testing.assert_allclose(position, ur10().poses(q)[0], atol=1e-12, rtol=0)
+    np.testing.assert_allclose(rotation, ur10().poses(q)[1], atol=1e-12, rtol=0)
+    # What comes out goes in again.
+    assert shared_client.post("/v1/robots/check", json=found).status_code == 200
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_urdf_of_an_arm_that_slides_and_follows_is_read_by_pinocchio(
+    shared_client: httpx.Client, seed: int
+) -> None:
+    arm = some_arm(np.random.default_rng(seed), 4, prismatic=True, coupled=True)
+    found = convert(shared_client, {**arm.document(), "links": None}, "urdf")
+    model = pinocchio.buildModelFromXML(found["urdf"], True)
+    assert model.nq == 4
+    data, flange = model.createData(), model.getFrameId(found["tip_link"])
+    for q in np.random.default_rng(seed).uniform(-2, 2, (5, 4)):
+        order = np.array(
+            [
+                q[int(model.names[k + 1][1:]) - 1]
+                for k in range(model.njoints - 1)
+                if "follower" not in model.names[k + 1]
+            ]
+        )
+        pinocchio.framesForwardKinematics(model, data, order)
+        pose = arm.base * data.oMf[flange] * arm.tool
+        np.testing.assert_allclose(pose.translation, arm.poses(q[None])[0][0], atol=1e-12, rtol=0)
+    back = convert(shared_client, found, "poe")
+    q = np.random.default_rng(seed).uniform(-2, 2, (5, 4))
+    np.testing.assert_allclose(poses(back, q)[0], arm.poses(q)[0], atol=1e-12, rtol=0)
+
+
+def test_what_cannot_be_said_is_refused(shared_client: httpx.Client) -> None:
+    coupled = some_arm(np.random.default_rng(0), 3, coupled=True).document()
+    answer = shared_client.post("/v1/robots/convert?to=dh", json={**coupled, "links": None})
+    assert answer.status_code == 400
+    assert answer.json()["code"] == "robot_invalid"
+    assert "one axis per joint" in answer.json()["detail"]
+    assert shared_client.post("/v1/robots/convert?to=euler", json=coupled).status_code == 422
