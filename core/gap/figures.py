@@ -37,10 +37,11 @@ def contributions(hunt: Hunt) -> list[dict[str, Any]]:
     for place in hunt.chosen:
         candidate = hunt.selector.scorer.candidates[place]
         moved = _moved(hunt.world, hunt.columns, candidate.columns)[hunt.world.setting.used]
-        size = np.linalg.norm(moved[:, :3], axis=1) * _unit(hunt)
+        size = np.abs(moved).max(axis=1) if _joint_data(hunt) else np.linalg.norm(moved[:, :3], axis=1)
         out.append({
             "label": candidate.label, **candidate.named(),
-            "rms": rms(moved, np.eye(moved.shape[1])) * _unit(hunt), "largest": float(size.max(initial=0.0)),
+            "rms": rms(moved, np.eye(moved.shape[1]), _joint_data(hunt)) * _unit(hunt),
+            "largest": float(size.max(initial=0.0)) * _unit(hunt),
         })  # fmt: skip
     return out
 
@@ -59,7 +60,11 @@ def _residuals(world: World, columns: Sequence[int]) -> Floats:
 
 
 def _unit(hunt: Hunt) -> float:
-    return 180.0 / np.pi if isinstance(hunt.world.setting.source, LinkSource) else 1e3
+    return 180.0 / np.pi if _joint_data(hunt) else 1e3
+
+
+def _joint_data(hunt: Hunt) -> bool:
+    return isinstance(hunt.world.setting.source, LinkSource)
 
 
 def _joints(hunt: Hunt, rows: Observations) -> list[int]:
@@ -140,7 +145,7 @@ def _gap_bar(hunt: Hunt, gap: dict[str, Any]) -> list[dict[str, Any]]:
         bars.append(
             {
                 "label": "+ " + hunt.selector.scorer.candidates[hunt.chosen[n - 1]].label,
-                "value": rms(r, np.eye(r.shape[1])) * _unit(hunt),
+                "value": rms(r, np.eye(r.shape[1]), _joint_data(hunt)) * _unit(hunt),
             }
         )
     if hunt.chosen:

@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 
 from core.gap.adequacy import gain, left_out_errors, left_out_floor
 from core.gap.hunt import Hunt
-from core.gap.prepare import Prepared
+from core.gap.prepare import Prepared, windowed
 from core.gap.scan import residual_given
 from core.gap.source import LinkSource, Source, ToolSource
+from core.gap.trajectory import is_trajectory, motion_blocks, segments
 from core.gap.world import World, solved
 from core.measurement import Measurement
 from core.model import RobotModel
 from core.observations import Observations
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is no measurement
-SPIKES = (
-    0.02  # share of such rows above which they are no broken beams but what the model cannot predict: all then count
-)
+SPIKES = 0.02  # share of such rows above which they are what the model cannot predict, no broken beams: all then count
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class HeldOut:
     """Whitened errors (V, m) by the fits before and after, and how they came about.
 
     ``lower (m, m)`` turns them back into m or rad; ``floor`` is the variance a perfect model's would have, in units of
-    noise: a little above 1, since the model was estimated. ``set_aside`` rows were left out as spikes.
+    noise: a little above 1, since the model was estimated. ``set_aside`` rows were left out as spikes. Whitening
+    correlated samples took ``inflation`` off their variance too.
     """
 
     before: Floats
@@ -41,6 +42,7 @@ class HeldOut:
     floor: float
     how: str
     set_aside: int = 0
+    inflation: float = 1.0
 
 
 class Bench:
@@ -49,6 +51,10 @@ class Bench:
     def __init__(self, hunt: Hunt, prepared: Prepared, validation: Observations | None) -> None:
         self.hunt, self.prepared = hunt, prepared
         self.rows = validation
+        self.moving = prepared.moving and validation is not None and is_trajectory(validation)
+        if self.moving and validation is not None:
+            source, values = on_rows(hunt.world.setting.source, validation, hunt, hunt.world.values)
+            self.rows = windowed(validation, source, values, prepared.width)
         self._known: dict[tuple[int, ...], Floats] = {}
 
     def errors(self, columns: Sequence[int]) -> Floats:
@@ -64,7 +70,14 @@ class Bench:
         world = self.hunt.world
         source = on_rows(world.setting.source, self.rows, self.hunt, solved(world.setting, world.values, columns)[0])
         r = np.nan_to_num(source[0].residual(source[1]))
-        return np.asarray(r @ np.linalg.inv(_root(world.setting.noise.row)).T)
+        if self.moving and isinstance(source[0], LinkSource):
+            r = referenced(r, segments(self.rows))
+        return np.asarray(r @ np.linalg.inv(self._lower()).T)
+
+    def _lower(self) -> Floats:
+        """Root (m, m) of the noise covariance of a held-out row."""
+        setting = self.hunt.world.setting
+        return _root(setting.noise.row * (setting.inflation if self.moving else 1.0))
 
     def report(self) -> HeldOut:
         """Geometry only, and everything named."""
@@ -74,24 +87,36 @@ class Bench:
         if self.rows is None:
             lower = _root(np.mean(noise.visit[used], axis=0) * world.setting.inflation)
             floor = left_out_floor(world, columns)
-            return HeldOut(before, after, lower, floor, "leave one pose out")
+            return HeldOut(before, after, lower, floor, "leave one pose out", 0, world.setting.inflation)
         spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
         floor = 1.0 + (world.U.shape[1] + len(columns)) / max(world.rows, 1)
         if np.mean(spike) > SPIKES:
             spike[:] = False
-        how, root = "validation observations", _root(noise.row)
-        return HeldOut(before[~spike], after[~spike], root, floor, how, int(np.sum(spike)))
+        how = "validation observations"
+        if self.moving and isinstance(world.setting.source, LinkSource):
+            how += ", with the encoder offsets of each motion fitted to it"
+        inflation = world.setting.inflation if self.moving else 1.0
+        return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), inflation)
 
     def gain_of(self, place: int) -> tuple[float, float]:
         """Gain by one chosen candidate beyond the others, and its standard error."""
         rest = self.hunt.selector.columns([k for k in self.hunt.chosen if k != place])
         without, with_ = self.errors(rest), self.errors(self.hunt.columns)
-        group = (
-            self.hunt.world.setting.group[self.hunt.world.setting.used]
-            if self.rows is None
-            else self.rows.pose_groups()
-        )
-        return gain(without, with_, group)
+        return gain(without, with_, self._groups())
+
+    def _groups(self) -> Ints:
+        """Pose of each held-out row; of motions the block."""
+        setting = self.hunt.world.setting
+        if self.rows is None:
+            return setting.group[setting.used]
+        return motion_blocks(self.rows, setting.inflation) if self.moving else self.rows.pose_groups()
+
+
+def referenced(residual: Floats, motion: Ints) -> Floats:
+    """Residuals (V, m) of joints less their mean in each motion: encoders are referenced anew, as a tool registered."""
+    count = np.bincount(motion)
+    mean = np.stack([np.bincount(motion, c) for c in residual.T], axis=1) / count[:, None]
+    return np.asarray(residual - mean[motion])
 
 
 def on_rows(source: Source, rows: Observations, hunt: Hunt, fitted: Floats) -> tuple[Source, Floats]:
@@ -120,9 +145,11 @@ def _library_effects(source: ToolSource) -> int:
     return count
 
 
-def rms(errors: Floats, lower: Floats) -> float:
+def rms(errors: Floats, lower: Floats, joints: bool = False) -> float:
     """Root mean square size of the error of a point (m), or of a joint (rad), from whitened errors (V, m)."""
     e = errors @ lower.T
+    if joints:
+        return float(np.sqrt(np.mean(e**2)))
     points = e[:, : 3 * max(1, e.shape[1] // 3)] if e.shape[1] % 3 == 0 and e.shape[1] != 6 else e[:, :3]
     return float(np.sqrt(np.mean(np.sum(points**2, axis=1)) / max(1, points.shape[1] // 3)))
 
@@ -132,16 +159,17 @@ def train_rms(world: World, columns: Sequence[int]) -> float:
     setting = world.setting
     r = residual_given(world, columns).reshape(-1, setting.whitener.shape[-1])
     e = np.einsum("vij,vj->vi", np.linalg.inv(setting.whitener), r)[setting.used]
-    return rms(e, np.eye(e.shape[1]))
+    return rms(e, np.eye(e.shape[1]), isinstance(setting.source, LinkSource))
 
 
 def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any]:
     """The gap before and after in mm (rms of the 3-D error), on training and held-out poses, beside the noise."""
     world = hunt.world
     size = world.setting.whitener.shape[-1]
-    noise = rms(_root(np.mean(world.setting.noise.visit, axis=0)).T * np.sqrt(size), np.eye(size))
-    r0, r1 = rms(held.before, held.lower), rms(held.after, held.lower)
-    sigma = rms(np.eye(size) * np.sqrt(size * held.floor), held.lower)
+    joint = isinstance(world.setting.source, LinkSource)
+    noise = rms(_root(np.mean(world.setting.noise.visit, axis=0)).T * np.sqrt(size), np.eye(size), joint)
+    r0, r1 = rms(held.before, held.lower, joint), rms(held.after, held.lower, joint)
+    sigma = rms(np.eye(size) * np.sqrt(size * held.floor), held.lower / np.sqrt(held.inflation), joint)
     # Against a noise that was read from the fit itself, a closed gap means nothing.
     known = world.setting.noise.absolute and r0**2 > sigma**2 and bool(hunt.chosen)
     closure = (r0**2 - r1**2) / (r0**2 - sigma**2) if known else None
@@ -149,7 +177,6 @@ def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any
         "before": train_rms(world, []), "after": train_rms(world, hunt.columns), "noise": noise,
         "validation_before": r0, "validation_after": r1, "validation_noise": sigma,
     }  # fmt: skip
-    joint = isinstance(world.setting.source, LinkSource)
     unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
     out: dict[str, Any] = {f"{k}_{unit}": v * scale for k, v in numbers.items()}
     if joint:

@@ -16,7 +16,7 @@ from core.gap.noise import FIT, Noise, fit_noise, repeat_noise, spikes, stated_n
 from core.gap.options import GapOptions
 from core.gap.outliers import outliers
 from core.gap.source import LinkSource, Source, ToolSource
-from core.gap.trajectory import averaged, blocks, correlation_length, is_trajectory, windows_of
+from core.gap.trajectory import averaged, correlation_length, is_trajectory, motion_blocks, windows_of
 from core.gap.visits import Visits, visits_of
 from core.gap.world import Setting, World, refit
 from core.identify.estimate import estimate
@@ -45,6 +45,7 @@ class Prepared:
     kept: Bools
     outlying: Ints  # rows set aside
     moving: bool
+    width: int  # rows in a window of a motion
     warnings: tuple[dict[str, Any], ...]
 
 
@@ -69,7 +70,8 @@ class Workshop:
         rows = self.rows.select(kept)
         moving = is_trajectory(rows)
         self.tell(0.02, "fitting the geometry")
-        visits = visits_of(rows.select(windows_of(rows).middle) if moving else rows)
+        windows = windows_of(rows)
+        visits = visits_of(rows.select(windows.middle) if moving else rows)
         source, values, library = self._source(visits)
         if moving:
             rows = self._windowed(rows, source, values)
@@ -89,7 +91,7 @@ class Workshop:
         self.tell(0.6, "looking for outliers")
         world = self._correlated(world, visits) if moving else self._without_outliers(world, visits)
         outlying = _outlying(kept, visits, world)
-        return Prepared(world, library, visits, rows, kept, outlying, moving, tuple(self.warnings))
+        return Prepared(world, library, visits, rows, kept, outlying, moving, windows.width, tuple(self.warnings))
 
     def _without_copies(self) -> Bools:
         """Rows that are not exact copies of an earlier one: a copy would make the noise look like nothing."""
@@ -139,8 +141,7 @@ class Workshop:
 
     def _windowed(self, rows: Observations, source: Source, values: Floats) -> Observations:
         self.tell(0.15, f"averaging {len(rows)} samples of a motion")
-        live = source.live if isinstance(source, LinkSource) else np.ones(rows.q.shape[1], dtype=bool)
-        return averaged(rows, _row_residual(source, values, rows), windows_of(rows), live)
+        return windowed(rows, source, values)
 
     def _noise(self, source: Source, values: Floats, rows: Observations, visits: Visits) -> Noise:
         visit_residual = source.residual(values)
@@ -199,7 +200,7 @@ class Workshop:
         """Noise and its correlation from what the whole library could not explain; blocks instead of poses."""
         rest = _unexplained(world)
         length = correlation_length(rest)
-        group = blocks(len(rest), length)
+        group = motion_blocks(visits.observations, length)
         setting = world.setting
         L = np.linalg.inv(setting.whitener)
         noise = fit_noise(np.einsum("vij,vj->vi", L, rest), visits, setting.used, 0.0)
@@ -212,6 +213,12 @@ class Workshop:
 
     def _warn(self, code: str, message: str) -> None:
         self.warnings.append({"code": code, "message": message})
+
+
+def windowed(rows: Observations, source: Source, values: Floats, width: int | None = None) -> Observations:
+    """Rows of motions averaged over windows, by the residuals they have at ``values``."""
+    live = source.live if isinstance(source, LinkSource) else np.ones(rows.q.shape[1], dtype=bool)
+    return averaged(rows, _row_residual(source, values, rows), windows_of(rows, width), live)
 
 
 def _on(source: Source, rows: Observations) -> Source:

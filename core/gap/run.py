@@ -27,9 +27,9 @@ from core.gap.shadow import bumped
 from core.gap.source import LinkSource, ToolSource, calibrated
 from core.gap.stability import inclusion
 from core.gap.testability import Testability, alias_matrix, smallest_rows, testability, untestable
+from core.gap.trajectory import hold_out
 from core.gap.verdict import Evidence, Judged, judge, run_verdict, sentence
 from core.gap.where import where
-from core.identify.holdout import split
 from core.model import Calibration, RobotModel
 from core.observations import Observations
 from core.robot import Robot
@@ -63,7 +63,7 @@ def find_gap(
     options = options or GapOptions()
     tell = progress or (lambda fraction, stage: None)
     if isinstance(validation, float):
-        inside, outside = split(observations, validation, options.seed)
+        inside, outside = hold_out(observations, validation, options.seed)
         observations, validation = observations.select(inside), observations.select(outside)
     begin = start or Calibration.nominal(robot)
     prepared = Workshop(begin, observations, options, _part(tell, 0.0, 0.15)).run()
@@ -88,7 +88,7 @@ class _Run:
         prepared, world = self.prepared, self.prepared.world
         rows = prepared.visits.observations
         self.tell(0.15, "where the model is wrong")
-        places = where(world, rows, self.options.seed)
+        places = where(world, rows, self.options.seed, prepared.moving)
         judged = testability(world, prepared.library)
         strange = self._strange()
         candidates = () if strange else with_testable(prepared.library, judged.able)
@@ -106,7 +106,7 @@ class _Run:
         self.tell(0.95, "next poses and pictures")
         return GapReport(
             calibration=self._calibration(found), verdict=verdict, sentence=said, effects=effects, where=places,
-            gap=gap,            adequacy=fit, not_testable=untestable(prepared.library, judged, world, rows),
+            gap=gap, adequacy=fit, not_testable=untestable(prepared.library, judged, world, rows),
             smallest_detectable=smallest_rows(prepared.library, judged),
             next_poses=self._next_poses(found, effects), negative_control=control,
             alias_matrix=alias_matrix(world, candidates, found.chosen), noise=self._noise(found),

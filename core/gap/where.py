@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln
 from scipy.stats import chi2
 
 from core.gap.source import LinkSource, ToolSource
@@ -35,12 +36,16 @@ class Place:
     visits: int
 
 
-def where(world: World, rows: Observations, seed: int = 0) -> tuple[Place, ...]:
-    """Levels by how far they stand out, most significant first; contrasts before bins at equal p."""
+def where(world: World, rows: Observations, seed: int = 0, moving: bool = False) -> tuple[Place, ...]:
+    """Levels by how far they stand out, most significant first; contrasts before bins at equal p.
+
+    Samples of a motion have no pose in common, so of motions there are no contrasts.
+    """
     size = world.setting.whitener.shape[-1]
     r = _studentised(world).reshape(-1, size)
     scale = 1.0 if world.setting.trusted else float(np.mean(r[world.setting.used] ** 2))
-    found = list(_contrasts(world, rows, r, scale)) + _bins(world, rows, r, scale, seed)
+    found = [] if moving else list(_contrasts(world, rows, r, scale))
+    found += _bins(world, rows, r, scale, seed)
     return tuple(sorted(found, key=lambda p: (p.p_value, -p.excess)))
 
 
@@ -53,8 +58,11 @@ def _contrasts(world: World, rows: Observations, r: Floats, scale: float) -> Ite
     """Same pose under two conditions: geometry cancels, so chi-square of the difference needs no fit."""
     used, group = world.setting.used, world.setting.group
     labels: dict[str, NDArray[np.float64]] = {}
+    own: dict[str, Floats] = {}
     if rows.direction is not None:
-        labels |= {f"direction of joint {j + 1}": rows.direction[:, j] for j in range(rows.direction.shape[1])}
+        for j, part in enumerate(_parts(world, r, rows.direction.shape[1])):
+            labels[f"direction of joint {j + 1}"] = rows.direction[:, j]
+            own[f"direction of joint {j + 1}"] = part
     if rows.payload_kg is not None:
         labels["load"] = rows.payload_kg
     if rows.temperature_c is not None:
@@ -62,16 +70,27 @@ def _contrasts(world: World, rows: Observations, r: Floats, scale: float) -> Ite
     if rows.qd is not None:
         labels["speed"] = np.round(np.log2(1e-3 + np.linalg.norm(rows.qd, axis=1)))
     for factor, label in labels.items():
-        taken, freedom, pairs = _contrast(r[used], group[used], label[used])
+        taken, freedom, pairs = _contrast(own.get(factor, r)[used], group[used], label[used])
         if pairs >= FEWEST_PAIRS:
             p = float(chi2.sf(taken / scale, freedom))
             excess = taken / scale / freedom - 1.0
             yield Place(f"contrast: {factor}", f"{pairs} poses measured under both", excess, p, 2 * pairs)
 
 
+def _parts(world: World, r: Floats, joints: int) -> Iterator[Floats]:
+    """What a joint can move of the residual: all of a tool's, its own encoder's of joint data, nothing without one."""
+    source = world.setting.source
+    if not isinstance(source, LinkSource):
+        yield from itertools.repeat(r, joints)
+        return
+    for j in range(joints):
+        k = int(np.sum(source.live[:j]))
+        yield r[:, k : k + 1] if source.live[j] else r[:, :0]
+
+
 def _contrast(r: Floats, group: Ints, label: Floats) -> tuple[float, float, int]:
     low, high = label.min(), label.max()
-    if low == high:
+    if low == high or not r.shape[1]:
         return 0.0, 0.0, 0
     poses = int(group.max()) + 1
     sums, counts = [], []
@@ -88,7 +107,10 @@ def _contrast(r: Floats, group: Ints, label: Floats) -> tuple[float, float, int]
 
 
 def _bins(world: World, rows: Observations, r: Floats, scale: float, seed: int) -> list[Place]:
-    """Mean residual of each bin, with the largest over all bins under sign flips of whole poses as the yardstick."""
+    """Mean residual of each bin, with the largest over all bins under sign flips of whole poses as the yardstick.
+
+    Each bin is held against what flips make of it: an effect that is strong elsewhere would drown it otherwise.
+    """
     used, group = world.setting.used, world.setting.group
     bins = [(f, level, mask & used, part) for f, level, mask, part in _levels(world, rows, r)]
     bins = [b for b in bins if b[2].sum() >= FEWEST]
@@ -105,7 +127,7 @@ def _bins(world: World, rows: Observations, r: Floats, scale: float, seed: int) 
         )
         T = np.sum((flips @ sums) ** 2, axis=1)
         excess.append(float(T[0]) / part.shape[1] - 1.0)
-        z.append(-chi2.logsf(T, part.shape[1]))
+        z.append(unlikelihood(*_matched(T)))
     Z = np.stack(z)
     best = Z[:, 1:].max(axis=0)
     return [
@@ -114,10 +136,26 @@ def _bins(world: World, rows: Observations, r: Floats, scale: float, seed: int) 
     ]
 
 
+def _matched(T: Floats) -> tuple[Floats, float]:
+    """Scale ``T``, its flips after the first, to chi-square of the freedom that has their mean and variance."""
+    mean, variance = max(float(T[1:].mean()), 1e-300), max(float(T[1:].var()), 1e-300)
+    freedom = 2.0 * mean * (mean / variance)
+    return T * (freedom / mean), freedom
+
+
+def unlikelihood(T: Floats, freedom: float) -> Floats:
+    """Minus log of the tail probability of chi-square, also where that is too small for a number."""
+    with np.errstate(divide="ignore"):
+        exact = -chi2.logsf(T, freedom)
+    half = np.maximum(T, 1.0) / 2.0
+    far = half - (freedom / 2.0 - 1.0) * np.log(half) + gammaln(freedom / 2.0)
+    return np.asarray(np.where(np.isfinite(exact), exact, far))
+
+
 def _levels(world: World, rows: Observations, r: Floats) -> Iterator[tuple[str, str, Bools, Floats]]:
     """Factor, level, members (V,), and the residual part (V, k) that the factor would move."""
     for j, along in enumerate(_along_joints(world, rows, r)):
-        if np.ptp(rows.q[:, j]) < 1e-6:
+        if np.ptp(rows.q[:, j]) < 1e-6 or not along.shape[1]:
             continue
         for level, mask in _ranges(np.degrees(rows.q[:, j]), "°"):
             yield f"angle of joint {j + 1}", level, mask, along
@@ -144,10 +182,7 @@ def _along_joints(world: World, rows: Observations, r: Floats) -> Iterator[Float
     """Residual (V, 1) along what each joint's own angle would move, in units of noise."""
     source = world.setting.source
     if not isinstance(source, ToolSource):
-        assert isinstance(source, LinkSource)
-        for j in range(rows.q.shape[1]):
-            live = int(np.sum(source.live[:j]))
-            yield r[:, live : live + 1] if source.live[j] else np.zeros((len(r), 1))
+        yield from _parts(world, r, rows.q.shape[1])
         return
     _, JQ = source.model.joint_jacobian(source.batch, world.values)
     residual = source.measurement.residual(source.model.predict(source.batch, world.values), JQ)

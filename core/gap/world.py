@@ -170,7 +170,8 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     y = r + W @ ((library if only is None else library[list(only)]) * unit)
     Wp = W - U @ (U.T @ W)
     yp = y - U @ (U.T @ y)
-    nu = float(setting.used.sum() * setting.whitener.shape[-1] - U.shape[1])
+    # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
+    nu = float(setting.used.sum() * setting.whitener.shape[-1] / setting.inflation - U.shape[1])
     return World(setting, values, yp, Wp, U, np.where(norm > 0.0, 1.0 / unit, 0.0), nu, Wp.T @ Wp, Wp.T @ yp, r, G, W)
 
 

@@ -89,7 +89,7 @@ def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
 
 
 def _rows(job: JobInput, seed: int) -> tuple[Observations, Observations | None]:
-    from core.identify.holdout import split
+    from core.gap.trajectory import hold_out
     from core.observations import Observations
     from service.campaigns.store import numbered
 
@@ -100,7 +100,7 @@ def _rows(job: JobInput, seed: int) -> tuple[Observations, Observations | None]:
     rows = Observations.concatenate(numbered(job.campaigns.values()))
     if not isinstance(job.validation, float):
         return rows, None
-    inside, outside = split(rows, job.validation, seed)
+    inside, outside = hold_out(rows, job.validation, seed)
     return rows.select(inside), rows.select(outside)
 
 
