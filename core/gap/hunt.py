@@ -50,7 +50,7 @@ def hunt(setting: Setting, world: World, scorer: Scorer, limits: Floats, options
     selector = Selector(scorer, world.rows, limits * world.size)
     chosen: tuple[int, ...] = ()
     first: Null | None = None
-    steps = [_step(world, selector, chosen)]
+    steps = [step_of(world, selector, chosen)]
     seen = {frozenset(chosen)}
     for round_ in range(2 * options.max_effects):
         tell(min(0.9, round_ / 6.0), f"scan {round_ + 1}: {len(scorer.candidates)} candidates")
@@ -64,11 +64,12 @@ def hunt(setting: Setting, world: World, scorer: Scorer, limits: Floats, options
         seen.add(frozenset(chosen))
         tell(min(0.9, (round_ + 0.5) / 6.0), "re-fitting with " + ", ".join(scorer.candidates[m].label for m in chosen))
         world = refit(setting, world.values, selector.columns(chosen))
-        steps.append(_step(world, selector, chosen))
+        steps.append(step_of(world, selector, chosen))
     assert first is not None
     return Hunt(world, selector, chosen, first, first.critical(options.alpha), tuple(steps))
 
 
-def _step(world: World, selector: Selector, chosen: tuple[int, ...]) -> Step:
+def step_of(world: World, selector: Selector, chosen: tuple[int, ...]) -> Step:
+    """Describe a set at the fit that includes it."""
     left = world.gram.given(selector.columns(chosen))
     return Step(tuple(selector.scorer.candidates[k].label for k in chosen), left.yy / max(left.nu, 1.0))

@@ -23,6 +23,7 @@ from core.gap.options import GapOptions
 from core.gap.prepare import Prepared, Workshop
 from core.gap.report import GapReport
 from core.gap.scan import Scorer
+from core.gap.settle import chance, settled
 from core.gap.shadow import bumped
 from core.gap.source import LinkSource, ToolSource, calibrated
 from core.gap.stability import inclusion
@@ -97,6 +98,7 @@ class _Run:
         scorer = Scorer.of(candidates, trusted, freedom)
         limits = np.array([max(abs(p.lower), abs(p.upper)) for p in prepared.library.parameters])
         found = hunt(world.setting, world, scorer, limits, self.options, _part(self.tell, 0.2, 0.5))
+        found = settled(found, self.options.alpha)
         fit = adequacy(found.world, prepared.visits.condition, found.columns)
         effects, control, held = self._judged(found, fit)
         verdict = "unexplained" if strange else run_verdict(effects, fit)
@@ -141,12 +143,11 @@ class _Run:
         selector = found.selector
         rest = selector.columns([k for k in found.chosen if k != place])
         candidate = selector.scorer.candidates[place]
-        tail = float(selector.scorer.scores(found.world.gram.given(rest)).p[place])
         unit = 180.0 / np.pi if isinstance(found.world.setting.source, LinkSource) else 1e3
         return Evidence(
             place, candidate, rivals, share, held.gain_of(place), control,
             tuple(sizes[c] for c in candidate.columns),
-            found.null.family_wise(tail, len(selector.scorer.candidates)),
+            chance(found, place),
             (train_rms(found.world, rest) - train_rms(found.world, found.columns)) * unit,
             bumped(found, place, self.prepared.visits.observations.q),
         )  # fmt: skip

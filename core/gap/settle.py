@@ -1,0 +1,64 @@
+"""After the hunt: no name that chance could have given, no shape without a cause where a cause does as well.
+
+The hunt judged each entry before the last re-fit. Here everything is judged again at the final fit, with the null
+distribution the report quotes; and an empirical term that a physical one could replace at the same price gives way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from core.gap.hunt import Hunt, step_of
+from core.gap.select import MARGIN
+from core.gap.world import refit
+
+
+def settled(found: Hunt, alpha: float) -> Hunt:
+    """Drop and replace until every member stands at the final fit; each change is followed by a re-fit."""
+    seen = {frozenset(found.chosen)}
+    while found.chosen:
+        after = _without_chance(found, alpha)
+        if after == found.chosen:
+            after = _with_causes(found, seen)
+        if after == found.chosen:
+            return found
+        seen.add(frozenset(after))
+        world = refit(found.world.setting, found.world.values, found.selector.columns(after))
+        step = step_of(world, found.selector, after)
+        found = replace(found, world=world, chosen=after, steps=(*found.steps, step))
+    return found
+
+
+def chance(found: Hunt, place: int) -> float:
+    """Family-wise p-value of a chosen candidate given the others, at the final fit."""
+    rest = found.selector.columns([k for k in found.chosen if k != place])
+    tail = float(found.selector.scorer.scores(found.world.gram.given(rest)).p[place])
+    return found.null.family_wise(tail, len(found.selector.scorer.candidates))
+
+
+def _without_chance(found: Hunt, alpha: float) -> tuple[int, ...]:
+    p = {k: chance(found, k) for k in found.chosen}
+    worst = max(p, key=lambda k: p[k])
+    return found.chosen if p[worst] <= alpha else tuple(k for k in found.chosen if k != worst)
+
+
+def _with_causes(found: Hunt, seen: set[frozenset[int]]) -> tuple[int, ...]:
+    """The set with one empirical member replaced by the best physical one within the margin, where there is one."""
+    selector, gram = found.selector, found.world.gram
+    candidates = selector.scorer.candidates
+    for place in (k for k in found.chosen if candidates[k].empirical):
+        rest = tuple(k for k in found.chosen if k != place)
+        taken = set(selector.columns(rest))
+        scores = selector.scorer.scores(gram.given(selector.columns(rest)))
+        value = scores.S / selector.variance(gram, found.chosen) - scores.d * np.log(selector.rows)
+        for k in np.argsort(-value, kind="stable"):
+            rival = candidates[int(k)]
+            if value[place] - value[k] > MARGIN:
+                break
+            after = (*rest, int(k))
+            fits = not rival.empirical and not taken & set(rival.columns)
+            if fits and scores.d[k] and frozenset(after) not in seen and selector.plausible(gram, after, int(k)):
+                return after
+    return found.chosen
