@@ -8,7 +8,7 @@ clearance tilts towards the transverse moment, backlash follows the sign of the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,8 @@ UPRIGHT = 0.95  # cosine to the vertical from which an inclinometer does not see
 LEAST_MOMENT_NM = 0.01
 APART = 0.05  # share of a column that must be left beside the others for its parameter to be told apart
 LARGE = 5.0  # resolutions of scatter from which something else than reading is wrong
+MENDED = 0.5  # share of that scatter below which another axis explains the readings
+TRIAL_POSES = 200
 
 
 @dataclass(frozen=True)
@@ -109,13 +111,26 @@ def joint_parameters(robot: Robot, log: Log) -> tuple[list[JointParameter], list
         mine = log.joint == j
         parameters, scatter = _of_joint(robot, int(j), log, columns[mine], mine)
         found += parameters
+        warnings += _negative(robot, parameters)
         if scatter > LARGE * log.resolution:
+            swapped = _other_axis(robot, int(j), log, whole[rows, log.joint], mine, scatter)
+            if swapped is not None:
+                warnings.append(swapped)
+                continue
             warnings.append({
                 "code": "readings_scatter", "joint": robot.joints[j].name,
                 "message": f"Readings of joint {robot.joints[j].name} scatter by {math.degrees(scatter):.4f} deg: look for a "
                 "wrong axis, a changed mounting without a new series, or masses that are not the robot's.",
             })  # fmt: skip
     return found, warnings
+
+
+def weightless_joints(robot: Robot) -> list[int]:
+    """Joints about whose axes gravity never turns, in any of 200 poses: no inclinometer can measure them."""
+    limits = np.where(np.isfinite(robot.limits), robot.limits, np.sign(robot.limits) * math.pi)
+    q = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (TRIAL_POSES, robot.n_joints))
+    axial = regressors(robot, Observations(q, payload_kg=np.ones(TRIAL_POSES)))[0][:, :, 2, 2]
+    return [int(j) for j in np.flatnonzero(np.max(np.abs(axial), axis=0) < LEAST_MOMENT_NM)]
 
 
 def as_calibration(robot: Robot, found: list[JointParameter]) -> Calibration:
@@ -158,6 +173,46 @@ def _of_joint(
             )
         )
     return out, scatter
+
+
+def _other_axis(
+    robot: Robot, j: int, log: Log, every: Floats, mine: NDArray[np.bool_], scatter: float
+) -> dict[str, str] | None:
+    """Whether the readings about one axis fit those of another one, or with the sign turned; the warning if so."""
+    best, found = MENDED * scatter, None
+    for declared in np.unique(log.axis[mine]):
+        those = mine & (log.axis == declared)
+        for other, sign in ((o, s) for o in range(3) for s in (1.0, -1.0) if (o, s) != (declared, 1.0)):
+            axis = np.where(those, other, log.axis)
+            reading = np.where(those, sign * log.reading, log.reading)
+            columns = every[np.arange(len(axis)), axis]
+            # Offsets keep the declared axis: what was mounted together stays together.
+            parameters, left = _of_joint(robot, j, replace(log, reading=reading), columns[mine], mine)
+            if left < best and not _negative(robot, parameters):
+                best, found = left, (int(declared), other, sign)
+    if found is None:
+        return None
+    name, (declared, other, sign) = robot.joints[j].name, found
+    true = f"{'-' if sign < 0 else ''}{AXES[other]}"
+    return {
+        "code": "inclinometer_axis", "joint": name,
+        "message": f"Readings of joint {name} given about {AXES[declared]} fit axis {true} of its frame: they scatter by "
+        f"{math.degrees(scatter):.4f} deg as given and by {math.degrees(best):.4f} deg so. Turn the inclinometer, or "
+        "correct the axis (for a minus the sign of the readings), and send them again.",
+    }  # fmt: skip
+
+
+def _negative(robot: Robot, parameters: list[JointParameter]) -> list[dict[str, str]]:
+    """A joint that gives way against its load has its inclinometer the wrong way round."""
+    below = [p for p in parameters if p.value is not None and p.value < -3.0 * (p.sigma or 0.0)]
+    if not below:
+        return []
+    joint, names = robot.joints[below[0].joint].name, ", ".join(p.name for p in below)
+    return [{
+        "code": "inclinometer_axis", "joint": joint,
+        "message": f"{names} of joint {joint} would be negative, against the load: the inclinometer is the wrong way "
+        "round (readings before the joint minus after it), or the masses are not the robot's. Turn the sign of the readings.",
+    }]  # fmt: skip
 
 
 def _apart(columns: Floats, k: int, offsets: Floats) -> bool:

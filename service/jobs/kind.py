@@ -57,7 +57,8 @@ class JobKind:
     ``check`` refuses options at once, before the job is queued; it raises a CoreError. ``run`` computes: it gets
     ``progress(fraction, stage)``, which raises ``CancelledError`` when the job was cancelled, and must call it at
     least once a second. Both import core inside, for the API process lists the kinds without it. ``version_option``
-    names the option that holds a version; ``needs_campaigns`` and ``takes_folds`` say what a request must and may have.
+    names the option that holds a version; ``needs_campaigns`` and ``takes_folds`` say what a request must and may have,
+    ``instead_of_campaigns`` which options stand in for campaigns.
     """
 
     name: str
@@ -66,3 +67,4 @@ class JobKind:
     version_option: str | None = None
     needs_campaigns: bool = True
     takes_folds: bool = True
+    instead_of_campaigns: tuple[str, ...] = ()

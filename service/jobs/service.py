@@ -52,8 +52,16 @@ def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind
                 code="campaigns_invalid",
                 campaign=campaign,
             )
-    if not job.campaigns and kind.needs_campaigns:
-        raise ServiceError("The job names no campaign: give at least one in `campaigns`.", code="campaigns_invalid")
+    others = [name for name in kind.instead_of_campaigns if job.options.get(name)]
+    if not job.campaigns and kind.needs_campaigns and not others:
+        instead = "".join(f", or {name} in `options`" for name in kind.instead_of_campaigns)
+        raise ServiceError(
+            f"The job names no campaign: give at least one in `campaigns`{instead}.", code="campaigns_invalid"
+        )
+    if job.campaigns and others:
+        raise ServiceError(
+            f"A {kind.name} job takes campaigns or {others[0]}, not both: make two jobs.", code="campaigns_invalid"
+        )
     if isinstance(job.validation, Folds) and not kind.takes_folds:
         raise ServiceError(
             f"A {kind.name} job takes no folds: name campaigns in `validation`, give a fraction of the poses, or "

@@ -10,7 +10,7 @@ import pytest
 
 from core.design.inclinometer_poses import inclinometer_poses
 from core.errors import ObservationError, RobotError
-from core.inclinometers import Log, as_calibration, joint_parameters
+from core.inclinometers import Log, as_calibration, joint_parameters, weightless_joints
 from core.robots import preset_document, robot_from_document
 from tests.core.truth import Arm, Body, ur10
 
@@ -95,6 +95,30 @@ def test_a_wrong_axis_shows_as_scatter() -> None:
     wrong = replace(log, reading=np.where(np.arange(12) % 3 == 0, -log.reading, log.reading))
     _, warnings = joint_parameters(robot_from_document(true.document()), wrong)
     assert [w["code"] for w in warnings] == ["readings_scatter"]
+
+
+@pytest.mark.parametrize(("true_axis", "sign"), [(1, 1.0), (0, -1.0)])
+def test_an_inclinometer_on_another_axis_than_stated_is_named(true_axis: int, sign: float) -> None:
+    true, log = planned(2, 16)
+    stated_x = log.axis == 0
+    assert stated_x.sum() >= 3
+    as_mounted = replace(log, axis=np.where(stated_x, true_axis, log.axis))
+    shown = readings(as_mounted, true) * np.where(stated_x, sign, 1.0)
+    _, warnings = joint_parameters(robot_from_document(true.document()), replace(log, reading=shown))
+    assert {w["code"] for w in warnings} == {"inclinometer_axis"}
+    assert f"fit axis {'-' if sign < 0 else ''}{'xyz'[true_axis]}" in " ".join(w["message"] for w in warnings)
+
+
+def test_readings_the_wrong_way_round_are_named() -> None:
+    true, log = planned(2)
+    found, warnings = joint_parameters(robot_from_document(true.document()), replace(log, reading=-log.reading))
+    assert [w["code"] for w in warnings] == ["inclinometer_axis"]
+    assert "wrong way" in warnings[0]["message"]
+    assert all(p.value is not None and p.value < 0.0 for p in found)
+
+
+def test_only_the_upright_joint_is_weightless() -> None:
+    assert weightless_joints(robot_from_document(arm().document())) == [0]
 
 
 def test_the_katana_of_the_thesis_can_be_planned() -> None:

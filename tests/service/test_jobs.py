@@ -214,7 +214,13 @@ def test_joint_parameters_from_planned_readings(client: httpx.Client, katana: An
     assert set(found) == {"clearance_3", "backlash_load_3", "compliance_3"}
     assert all(abs(p["value"]) <= 3 * p["sigma"] for p in found.values())
     assert client.get(f"/v1/versions/{done['result']['version_id']}").json()["job_id"] == done["id"]
-    for options, says in (({}, "either"), ({"propose": "j3", "count": 1}, "count")):
+    assert "joint_without_gravity" in {w["code"] for w in done["result"]["warnings"]}
+    refusals = (
+        ({}, "campaigns_invalid", "or readings in"),
+        ({"propose": "j3", "count": 1}, "option_invalid", "count"),
+        ({"propose": "j3", "readings": readings}, "option_invalid", "either"),
+    )
+    for options, code, says in refusals:
         refused = client.post("/v1/jobs", json={"kind": "joint_parameters", "robot": "katana", "options": options})
-        assert (refused.status_code, refused.json()["code"]) == (400, "option_invalid")
+        assert (refused.status_code, refused.json()["code"]) == (400, code)
         assert says in refused.json()["detail"]

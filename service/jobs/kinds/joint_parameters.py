@@ -1,4 +1,4 @@
-"""Job kind ``joint_parameters``: clearance, backlash and stiffness from inclinometer readings, or where to take them."""
+"""Job kind ``joint_parameters``: from inclinometer readings, or from link-side encoders; or where to take readings."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionCon
 
 if TYPE_CHECKING:
     from core.inclinometers import JointParameter, Log
+    from core.link_encoders import LinkJoint
+    from core.model import Calibration
     from core.robot import Robot
 
 AXES = "xyz"
@@ -49,27 +51,88 @@ def check(options: dict[str, Any]) -> None:
     """Refuse options that joint_parameters does not have.
 
     Raises:
-        OptionError: one that does not exist or cannot be, or neither readings nor a joint.
+        OptionError: one that does not exist or cannot be, or both readings and a joint.
 
     """
     _read(options)
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
-    """Measure the joints of the readings, or propose configurations for one joint."""
+    """Measure the joints of the readings or of the campaigns, or propose configurations for one joint."""
     options = _read(job.options)
     if options.propose is not None:
         progress(0.1, "choosing configurations")
-        return JobOutput({"joint": options.propose, "configurations": _proposed(job.robot, options)})
-    from core.inclinometers import as_calibration, joint_parameters
-
+        return JobOutput({"joint": options.propose, **_proposed(job.robot, options)})
     progress(0.1, "fitting joints")
-    found, warnings = joint_parameters(job.robot, _log(job.robot, options))
-    result = {"parameters": [_row(p) for p in found], "warnings": warnings}
-    told = [p for p in found if p.sigma is not None]
+    return _by_encoders(job) if job.campaigns else _by_inclinometers(job.robot, options)
+
+
+def _by_inclinometers(robot: Robot, options: Options) -> JobOutput:
+    from core.inclinometers import as_calibration, joint_parameters, weightless_joints
+
+    found, warnings = joint_parameters(robot, _log(robot, options))
+    warnings += [_at_the_tool(robot.joints[j].name) for j in weightless_joints(robot)]
+    result = {"measured_by": "inclinometer", "parameters": [_row(p) for p in found], "warnings": warnings}
+    return JobOutput(result, _content(as_calibration(robot, found), found, result))
+
+
+def _by_encoders(job: JobInput) -> JobOutput:
+    from core.link_encoders import as_calibration, link_joints
+
+    if job.validation is not None and not isinstance(job.validation, dict):
+        raise OptionError("Name campaigns in validation: motions are held out whole.", option="validation")
+    held = job.validation or {}
+    found = link_joints(job.robot, list(job.campaigns.values()), list(held.values()))
+    rows = [p for joint in found for p in joint.parameters]
+    result: dict[str, Any] = {
+        "measured_by": "link-side encoder",
+        "parameters": [_row(p) for p in rows],
+        "joints": [_spreads(job.robot, joint, list(job.campaigns), list(held)) for joint in found],
+        "warnings": [_dead(job.robot, joint) for joint in found if joint.dead is not None],
+    }
+    return JobOutput(result, _content(as_calibration(job.robot, found), rows, result))
+
+
+def _content(calibration: Calibration, found: list[JointParameter], result: dict[str, Any]) -> VersionContent:
+    told = [p for p in found if p.sigma is not None and p.name in calibration.names]
     matrix = [[float(p.sigma or 0.0) ** 2 if p is other else 0.0 for other in told] for p in told]
-    covariance = {"names": [p.name for p in told], "matrix": matrix, "units": "SI"}
-    return JobOutput(result, VersionContent(as_calibration(job.robot, found).to_document(), result, covariance))
+    return VersionContent(
+        calibration.to_document(), result, {"names": [p.name for p in told], "matrix": matrix, "units": "SI"}
+    )
+
+
+def _spreads(robot: Robot, joint: LinkJoint, fitted: list[str], predicted: list[str]) -> dict[str, Any]:
+    """Standard deviation of link minus motor angle in degrees, before and after, for every motion of the joint."""
+    none = joint.dead is not None
+    motions = [("fitted", c, s) for c, s in zip([] if none else fitted, joint.fitted, strict=True)]
+    motions += [("predicted", c, s) for c, s in zip([] if none else predicted, joint.predicted, strict=True)]
+    return {
+        "joint": robot.joints[joint.joint].name,
+        "dead": joint.dead,
+        "motions": [
+            {"campaign": campaign, "use": use, "raw_deg": math.degrees(s.raw), "left_deg": math.degrees(s.left)}
+            for use, campaign, s in motions
+            if s is not None
+        ],
+    }
+
+
+def _dead(robot: Robot, joint: LinkJoint) -> dict[str, str]:
+    code = "dead_encoder" if "dead" in str(joint.dead) else "joint_never_moves"
+    return {
+        "code": code,
+        "joint": robot.joints[joint.joint].name,
+        "message": f"Nothing is known of this joint: {joint.dead}.",
+    }
+
+
+def _at_the_tool(name: str) -> dict[str, str]:
+    return {
+        "code": "joint_without_gravity",
+        "joint": name,
+        "message": f"Gravity never turns about joint {name}, so no inclinometer can measure its backlash and stiffness: "
+        "measure tool positions reached from both sides, and under a sideways force, and identify them (thesis 4.4.1).",
+    }
 
 
 def _read(options: dict[str, Any]) -> Options:
@@ -79,7 +142,7 @@ def _read(options: dict[str, Any]) -> Options:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         raise OptionError(f"options.{place}: {first['msg']}.", option=place) from error
-    if bool(read.readings) == (read.propose is not None):
+    if read.readings and read.propose is not None:
         raise OptionError("Give either `readings`, or in `propose` the joint to plan readings for.", option="readings")
     return read
 
@@ -114,21 +177,27 @@ def _log(robot: Robot, options: Options) -> Log:
     )
 
 
-def _proposed(robot: Robot, options: Options) -> list[dict[str, Any]]:
+def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
+    """Configurations to read, and the same as a table to fill in."""
     from core.design.inclinometer_poses import inclinometer_poses
 
     joint = _joint(robot, str(options.propose))
-    scale = [180.0 / math.pi if j.kind == "revolute" else 1e3 for j in robot.joints]
-    return [
-        {"joint": options.propose, "axis": AXES[c.axis], "payload_kg": c.payload_kg,
-         "q_deg": [float(v) * k for v, k in zip(c.q, scale, strict=True)]}
-        for c in inclinometer_poses(robot, joint, options.count, options.payloads_kg, options.seed)
-    ]  # fmt: skip
+    turns = [j.kind == "revolute" for j in robot.joints]
+    scale = [180.0 / math.pi if t else 1e3 for t in turns]
+    configurations: list[dict[str, Any]] = []
+    head = ["joint", "axis", *(f"q{i + 1}_{'deg' if t else 'mm'}" for i, t in enumerate(turns)), "payload_kg", "series"]
+    lines = [",".join([*head, "reading_deg"])]
+    for c in inclinometer_poses(robot, joint, options.count, options.payloads_kg, options.seed):
+        q = [float(v) * k for v, k in zip(c.q, scale, strict=True)]
+        axis = AXES[c.axis]
+        configurations.append({"joint": options.propose, "axis": axis, "payload_kg": c.payload_kg, "q_deg": q})
+        lines.append(",".join([str(options.propose), axis, *(f"{v:.4f}" for v in q), f"{c.payload_kg:g}", "0", ""]))
+    return {"configurations": configurations, "csv": "\n".join(lines) + "\n"}
 
 
 def _row(p: JointParameter) -> dict[str, Any]:
     """A parameter in degrees; the stiffness of a joint stands beside its compliance."""
-    scale = 180.0 / math.pi
+    scale = 1.0 if p.unit == "s" else 180.0 / math.pi
     row: dict[str, Any] = {
         "name": p.name, "unit": p.unit.replace("rad", "deg"), "readings": p.readings, "identifiable": p.value is not None,
         "value": None if p.value is None else p.value * scale, "sigma": None if p.sigma is None else p.sigma * scale,
@@ -140,4 +209,6 @@ def _row(p: JointParameter) -> dict[str, Any]:
     return row
 
 
-JOINT_PARAMETERS = JobKind("joint_parameters", check, run, needs_campaigns=False, takes_folds=False)
+JOINT_PARAMETERS = JobKind(
+    "joint_parameters", check, run, takes_folds=False, instead_of_campaigns=("readings", "propose")
+)

@@ -47,7 +47,10 @@ def identify(
         list[str] | None, typer.Option(metavar="A,B", help="Only these parameters (alpha_* works).")
     ] = None,
     fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Hold these parameters.")] = None,
-    base: Annotated[Frame | None, typer.Option(help="Frame of the measuring device.")] = None,
+    base: Annotated[
+        Literal["free", "fixed", "removed"] | None,
+        typer.Option(help="Frame of the measuring device; removed: only distances between poses count."),
+    ] = None,
     tool: Annotated[Frame | None, typer.Option(help="Tool point.")] = None,
     loss: Annotated[Literal["linear", "huber"] | None, typer.Option(help="huber forgives outliers.")] = None,
     tilt_first: Annotated[bool, typer.Option("--tilt-first", help="Hold the starting version's effects.")] = False,
@@ -74,7 +77,7 @@ def identify(
         seed=seed,
         start=start,
     )
-    _run("identify", robot, campaign, validation, chosen, no_wait, as_json)
+    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json)
 
 
 def gap(
@@ -106,7 +109,7 @@ def gap(
     as_json: Json = False,
 ) -> None:
     """Find where the model is wrong, name what is missing, and show how the gap shrinks on rows never used."""
-    _needs_result(no_wait, figures=figures, poses=poses)
+    needs_result(no_wait, figures=figures, poses=poses)
     chosen = arguments.options(
         option,
         start=start,
@@ -123,11 +126,11 @@ def gap(
     def files(job: dict[str, Any]) -> None:
         result = job.get("result") or {}
         if poses is not None:
-            _write_poses(poses, result.get("next_poses_csv"), as_json)
+            write_poses(poses, result.get("next_poses_csv"), as_json)
         if figures is not None:
             _write_figures(figures, result.get("figures") or {}, as_json)
 
-    _run("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files)
+    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files)
 
 
 def evaluate(
@@ -143,7 +146,7 @@ def evaluate(
     chosen = arguments.options(option, version=version)
     if refit is not None:
         chosen["refit"] = arguments.split_names([refit])
-    _run("evaluate", robot, campaign, None, chosen, no_wait, as_json)
+    run_job("evaluate", robot, campaign, None, chosen, no_wait, as_json)
 
 
 def plan(
@@ -165,7 +168,7 @@ def plan(
     as_json: Json = False,
 ) -> None:
     """Plan poses to measure: for ISO 9283, to identify well, or to tell two effects apart."""
-    _needs_result(no_wait, output=output)
+    needs_result(no_wait, output=output)
     chosen = arguments.options(
         option,
         purpose=purpose,
@@ -178,18 +181,20 @@ def plan(
 
     def files(job: dict[str, Any]) -> None:
         if output is not None:
-            _write_poses(output, (job.get("result") or {}).get("csv"), as_json)
+            write_poses(output, (job.get("result") or {}).get("csv"), as_json)
 
-    _run("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files)
+    run_job("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files)
 
 
-def _needs_result(no_wait: bool, **files: Path | None) -> None:
+def needs_result(no_wait: bool, **files: Path | None) -> None:
+    """Refuse files to write when nobody waits for the result."""
     for name, file in files.items():
         if no_wait and file is not None:
             raise UsageError(f"--{name} needs the result: leave out --no-wait.")
 
 
-def _write_poses(file: Path, text: str | None, as_json: bool) -> None:
+def write_poses(file: Path, text: str | None, as_json: bool) -> None:
+    """Write poses as CSV and say how many."""
     if not text:
         note(f"{file}: not written, no pose would tell more.", as_json)
         return
@@ -205,7 +210,7 @@ def _write_figures(folder: Path, drawn: dict[str, Any], as_json: bool) -> None:
     note(f"{folder}: {len(written)} files", as_json)
 
 
-def _run(
+def run_job(
     kind: str,
     robot: str,
     campaign: list[str] | None,
@@ -216,6 +221,7 @@ def _run(
     needs_campaign: bool = True,
     files: Callable[[dict[str, Any]], None] | None = None,
 ) -> None:
+    """Submit a job, follow it, and print it."""
     ids = arguments.split_names(campaign)
     if needs_campaign and not ids:
         raise UsageError(f"Name at least one --campaign ID: `kilter campaigns {robot}` lists them.")

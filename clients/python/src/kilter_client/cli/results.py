@@ -62,6 +62,8 @@ def show_result(result: Mapping[str, Any]) -> None:
     for campaign, report in (result.get("iso9283") or {}).items():
         _iso9283(campaign, report)
     _parameters(result.get("parameters") or [])
+    _joints(result.get("joints") or [])
+    _configurations(result.get("configurations") or [])
     _null_directions(result.get("null_directions") or [])
     for warning in result.get("warnings") or ():
         say(f"warning: {warning.get('message', warning) if isinstance(warning, Mapping) else warning}")
@@ -115,14 +117,48 @@ def _parameters(parameters: list[Mapping[str, Any]]) -> None:
     rows = [
         (
             str(p["name"]),
-            number(p["value"], 7),
+            number(p["value"], 7) if p["value"] is not None else "-",
             number(p.get("sigma"), 2),
             str(p.get("unit", "")),
-            "" if p.get("identifiable", True) else "not identifiable: these poses do not tell it apart",
+            _remark(p),
         )
         for p in parameters
     ]
     show_rows(("parameter", "value", "sigma", "unit", ""), rows)
+
+
+def _remark(p: Mapping[str, Any]) -> str:
+    if p.get("reason"):
+        return str(p["reason"])
+    if p.get("stiffness_nm_deg"):
+        return f"stiffness {number(p['stiffness_nm_deg'])} N m/deg"
+    return "" if p.get("identifiable", True) else "not identifiable: these poses do not tell it apart"
+
+
+def _joints(joints: list[Mapping[str, Any]]) -> None:
+    """How far link and motor angle are apart, and what of it is left."""
+    rows = [
+        (
+            str(joint["joint"]),
+            f"{motion['use']} {motion['campaign']}",
+            number(motion["raw_deg"]),
+            number(motion["left_deg"]),
+            number(motion["left_deg"] / motion["raw_deg"], 2) if motion["raw_deg"] else "",
+        )
+        for joint in joints
+        for motion in joint["motions"]
+    ]
+    if rows:
+        show_rows(("joint", "motion", "apart, std deg", "left, std deg", "left of it"), rows)
+
+
+def _configurations(configurations: list[Mapping[str, Any]]) -> None:
+    rows = [
+        (str(c["joint"]), c["axis"], number(c["payload_kg"]), ", ".join(f"{v:.1f}" for v in c["q_deg"]))
+        for c in configurations
+    ]
+    if rows:
+        show_rows(("joint", "axis", "payload kg", "joint values (deg, slides mm)"), rows)
 
 
 def _null_directions(directions: list[Any]) -> None:

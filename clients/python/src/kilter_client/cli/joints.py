@@ -1,0 +1,70 @@
+"""``kilter joint-parameters``: what joints do on their own, by inclinometer or by encoders on the link side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client.cli import arguments
+from kilter_client.cli.analyse import needs_result, run_job, write_poses
+from kilter_client.cli.arguments import CampaignIds, Json, MoreOptions, NoWait, Robot, ValidationText
+from kilter_client.errors import UsageError
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.command(epilog="Example: kilter joint-parameters katana --readings joint3.csv")(joint_parameters)
+
+
+def joint_parameters(
+    robot: Robot,
+    readings: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Inclinometer readings, CSV.", exists=True, dir_okay=False)
+    ] = None,
+    campaign: CampaignIds = None,
+    validation: ValidationText = None,
+    propose: Annotated[
+        str | None, typer.Option(metavar="JOINT", help="Propose where to read for this joint instead.")
+    ] = None,
+    count: Annotated[int | None, typer.Option(min=4, help="How many readings to propose.")] = None,
+    payload_kg: Annotated[
+        list[float] | None, typer.Option(help="A payload at hand; give it again for more.", min=0.0)
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the proposal.")] = None,
+    resolution_deg: Annotated[float | None, typer.Option(help="Of the inclinometer; 0.001.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the proposal as CSV.", dir_okay=False)
+    ] = None,
+    option: MoreOptions = None,
+    no_wait: NoWait = False,
+    as_json: Json = False,
+) -> None:
+    """Measure clearance, backlash and stiffness of joints directly, or say where to read for that."""
+    given = [
+        name for name, there in (("--readings", readings), ("--campaign", campaign), ("--propose", propose)) if there
+    ]
+    if len(given) != 1:
+        raise UsageError(
+            "Give one of --readings FILE (inclinometer), --campaign ID (link-side encoders) and --propose JOINT, "
+            f"not {' and '.join(given) or 'none'}."
+        )
+    needs_result(no_wait, output=output)
+    if output is not None and propose is None:
+        raise UsageError("--output writes a proposal: give --propose JOINT.")
+    chosen = arguments.options(
+        option, propose=propose, count=count, payloads_kg=payload_kg or None, seed=seed, resolution_deg=resolution_deg
+    )
+    if readings is not None:
+        from kilter_client.files.readings import read_readings
+
+        chosen["readings"] = read_readings(readings)
+
+    def files(job: dict[str, Any]) -> None:
+        if output is not None:
+            write_poses(output, (job.get("result") or {}).get("csv"), as_json)
+
+    run_job(
+        "joint_parameters", robot, campaign, validation, chosen, no_wait, as_json, needs_campaign=False, files=files
+    )
