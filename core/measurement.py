@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from core.errors import ObservationError
 from core.markers import marker_shape
-from core.model import Prediction
+from core.model import Calibration, Prediction
 from core.observations import Observations
 from core.transforms import right_jacobian_inverse, rotation_log, skew
 
@@ -20,7 +20,8 @@ Floats = NDArray[np.float64]
 class Residual:
     """Stacked residuals, measured minus predicted.
 
-    ``points (N, m, 3)`` m, NaN where a marker was not seen, with ``d_points (N, m, 3, P)``; ``turns (N, 3)`` rad and
+    ``points (N, m, 3)`` m ((M, m, 1) where lengths were measured), NaN where a marker was not seen, with ``d_points``
+    (..., P); ``turns (N, 3)`` rad and
     ``d_turns (N, 3, P)`` where orientation was measured. The Jacobians are of the prediction (minus the residual's).
     """
 
@@ -59,8 +60,34 @@ class Measurement:
         """Whether the tool's orientation was measured, by itself or through markers."""
         return self.observations.rotation is not None or self.marker_points is not None
 
+    @property
+    def sees_base(self) -> bool:
+        """Whether the rows are told in a frame of their own, so that the base has a place in it."""
+        return True
+
+    @property
+    def redundancy(self) -> float:
+        """How many residuals there are for each number that is independent of the others."""
+        return 1.0
+
+    @property
+    def each(self) -> int:
+        """Numbers that one more pose brings."""
+        return 6 if self.sees_orientation else 3
+
+    def numbers(self) -> int:
+        """Independent numbers of the distinct poses, repeats not counted."""
+        return (int(self.observations.pose_groups().max()) + 1) * self.each
+
+    def misses(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
+        """Errors (K, 3) m and rad (K,) of a calibration, in the units of what was measured; unseen markers left out."""
+        residual = self.residual(calibration.predict(self.observations))
+        points = residual.points.reshape(-1, residual.points.shape[-1])
+        turns = None if residual.turns is None else np.linalg.norm(residual.turns, axis=1)
+        return points[~np.isnan(points).any(axis=1)], turns
+
     def scalars(self) -> int:
-        """Number of measured scalars."""
+        """Number of measured scalars that are independent."""
         o = self.observations
         if o.markers is not None:
             return int(np.count_nonzero(~np.isnan(o.markers)))

@@ -15,7 +15,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Errors:
-    """Point errors (K, 3) m, measured minus predicted, and orientation errors (K,) rad where measured."""
+    """Point errors (K, 3) m, measured minus predicted, and orientation errors (K,) rad where measured.
+
+    Distances and contacts have errors of one number, (K, 1).
+    """
 
     points: Floats
     turns: Floats | None
@@ -23,10 +26,7 @@ class Errors:
     @staticmethod
     def of(calibration: Calibration, measurement: Measurement) -> Errors:
         """Errors of a calibration; every seen marker counts as a point."""
-        residual = measurement.residual(calibration.predict(measurement.observations))
-        points = residual.points.reshape(-1, 3)
-        turns = None if residual.turns is None else np.linalg.norm(residual.turns, axis=1)
-        return Errors(points[~np.isnan(points).any(axis=1)], turns)
+        return Errors(*measurement.misses(calibration))
 
     @staticmethod
     def concatenate(parts: list[Errors]) -> Errors:
@@ -37,16 +37,15 @@ class Errors:
     def to_document(self) -> dict[str, float]:
         """Mean, rms, 95th percentile and maximum of the 3-D error, rms per axis, in mm; mean orientation error in deg."""
         size = np.linalg.norm(self.points, axis=1) * 1e3
-        x, y, z = np.sqrt(np.mean(self.points**2, axis=0)) * 1e3
         out = {
             "mean_mm": size.mean(),
             "rms_mm": np.sqrt(np.mean(size**2)),
             "p95_mm": np.percentile(size, 95),
             "max_mm": size.max(),
-            "x_mm": x,
-            "y_mm": y,
-            "z_mm": z,
         }
+        if self.points.shape[1] == 3:
+            axes = np.sqrt(np.mean(self.points**2, axis=0)) * 1e3
+            out |= dict(zip(("x_mm", "y_mm", "z_mm"), axes, strict=True))
         if self.turns is not None:
             out["orientation_deg"] = np.degrees(self.turns).mean()
         return {key: float(value) for key, value in out.items()}

@@ -16,7 +16,7 @@ from core.effects import BASE, TOOL, Batch, Effect, Local, effect_from_document
 from core.errors import ObservationError
 from core.frames import FRAME_AXES, frame_parameters, increment
 from core.kernels import kinematics
-from core.moments import Loads, axial_loads, joint_loads, payload_sensitivity
+from core.moments import Loads, axial_loads, loads_of, payload_sensitivity
 from core.observations import Observations
 from core.parameters import Parameter, indices, refuse_collisions
 from core.robot import Robot
@@ -158,7 +158,7 @@ class RobotModel:
 
     def _loads(self, o: Observations) -> Loads:
         if self.effects:
-            return joint_loads(self.robot, o.q, qd=o.qd, qdd=o.qdd, payload_kg=o.payload_kg, payload_com=o.payload_com)
+            return loads_of(self.robot, o)
         none = np.zeros((*o.q.shape, 6))
         return Loads(none, none, np.zeros((len(o), 6)), np.zeros((len(o), 3)))
 

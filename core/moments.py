@@ -82,6 +82,13 @@ def joint_loads(
     return loads
 
 
+def loads_of(robot: Robot, o: Observations) -> Loads:
+    """Load wrenches of rows under their own conditions: motion, payload and the wrench on the tool."""
+    return joint_loads(
+        robot, o.q, qd=o.qd, qdd=o.qdd, payload_kg=o.payload_kg, payload_com=o.payload_com, external=o.wrench
+    )  # fmt: skip
+
+
 def axial_loads(robot: Robot, loads: Loads) -> Floats:
     """Load (N, n) that works on each joint: moment about a revolute axis (N·m), force along a prismatic one (N)."""
     revolute = [joint.kind == "revolute" for joint in robot.joints]

@@ -23,8 +23,12 @@ class Observations:
     """Rows of one or more campaigns, SI and radians, batch axis first.
 
     Shapes: ``q (N, n)``; ``position (N, 3)`` m; ``rotation (N, 3, 3)``; ``markers (N, m, 3)`` m with NaN where a marker
-    was not seen; ``link_q (N, n)`` the joint angle behind gear and play; ``direction (N, n)`` in {-1, 0, +1}, the last
-    motion of each joint; ``sigma (N, 3)`` m, the standard deviation of each position coordinate.
+    was not seen; ``tip (N, 3)`` m a point of the tool digitised while the markers were seen, NaN elsewhere; ``link_q
+    (N, n)`` the joint angle behind gear and play; ``direction (N, n)`` in {-1, 0, +1}, the last
+    motion of each joint; ``sigma (N, 3)`` m, the standard deviation of each position coordinate; ``wrench (N, 6)`` force N
+    and moment N·m on the tool point in the tool frame. Without an instrument: ``socket``, ``plane`` and ``bar (N,)`` the
+    number of the ball socket, plane or ball bar that the tool's ball is held by in a row, 0 for none; ``bar_length (N,)``
+    m that the bar reads.
     """
 
     q: Floats
@@ -43,6 +47,12 @@ class Observations:
     session: Ints | None = None
     pose_id: Ints | None = None
     sigma: Floats | None = None
+    tip: Floats | None = None
+    wrench: Floats | None = None
+    socket: Ints | None = None
+    plane: Ints | None = None
+    bar: Ints | None = None
+    bar_length: Floats | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):

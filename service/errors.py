@@ -11,6 +11,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "robot_invalid": (400, "The robot description cannot be a serial arm"),
     "observations_invalid": (400, "The measurements cannot be what their columns say"),
     "option_invalid": (400, "An option does not exist or does not fit"),
+    "contact_too_small": (400, "A socket, plane or bar has too few rows"),
     "too_few_poses": (400, "Too few poses"),
     "not_converged": (400, "The estimator found no minimum"),
     "metric_not_supported": (400, "The data cannot support this criterion"),

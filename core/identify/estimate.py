@@ -87,15 +87,28 @@ def prepared(
 
     """
     model, values = start.model.folded(start.values)
-    free = options.free_parameters(model, sees_orientation=measurement.sees_orientation)
+    free = options.free_parameters(
+        model, sees_orientation=measurement.sees_orientation, sees_base=measurement.sees_base
+    )
     if not registered:
         refuse_too_few(model, measurement, free)
-        base = options.base == "free" and _any(model, free, "base_")
-        model = model.in_frames(*register(model, values, measurement, base=base, tool=_any(model, free, "tool_")))
+        model = model.in_frames(*_start_frames(model, values, measurement, options, free))
     sigma = START_SIGMA_M if options.noise_mm is None else options.noise_mm * 1e-3
     weights = Weights(_row_sigmas(measurement, sigma), START_SIGMA_RAD)
     still = (values if anchor is None else anchor)[free]
     return Problem(model, measurement, free, weights, options.loss, None, still), values
+
+
+def _start_frames(
+    model: RobotModel, values: Floats, measurement: Measurement, options: IdentifyOptions, free: NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Base and tool (4, 4) to start from. Where the base has no place its registration still finds the tool."""
+    o, tool = measurement.observations, _any(model, free, "tool_")
+    if o.position is None and o.markers is None:
+        return model.T_base, model.T_tool
+    if not measurement.sees_base:
+        return model.T_base, register(model, values, measurement, tool=tool)[1]
+    return register(model, values, measurement, base=options.base == "free" and _any(model, free, "base_"), tool=tool)
 
 
 def weights_of(fit: Fit, options: IdentifyOptions) -> Weights:
@@ -130,12 +143,11 @@ def _returned(fit: Fit, blind: Floats, anchor: Floats) -> Floats:
 
 def refuse_too_few(model: RobotModel, measurement: Measurement, free: NDArray[np.int64]) -> None:
     """Raise :class:`TooFewPosesError` unless the distinct poses give at least as many numbers as there are unknowns."""
-    poses = int(measurement.observations.pose_groups().max()) + 1
-    each = 6 if measurement.sees_orientation else 3
-    needed = math.ceil(len(free) / each)
-    if poses < needed:
+    poses, numbers = int(measurement.observations.pose_groups().max()) + 1, measurement.numbers()
+    needed = poses + math.ceil((len(free) - numbers) / measurement.each)
+    if numbers < len(free):
         raise TooFewPosesError(
-            f"{poses} distinct poses give {poses * each} numbers for {len(free)} free parameters: at least {needed} poses "
+            f"{poses} distinct poses give {numbers} numbers for {len(free)} free parameters: at least {needed} poses "
             "are needed, and several times that for a result to trust. Measure more, or fix parameters (level 1, fix).",
             poses=poses,
             needed=needed,
@@ -149,7 +161,7 @@ def _any(model: RobotModel, free: NDArray[np.int64], prefix: str) -> bool:
 
 def _row_sigmas(measurement: Measurement, common: float) -> float | Floats:
     sigma = measurement.observations.sigma
-    if sigma is None or measurement.marker_points is not None:
+    if sigma is None or measurement.marker_points is not None or not measurement.sees_base:
         return common
     extra = max(common**2 - float(np.mean(sigma**2)), SMALLEST_SIGMA_M**2)
     return np.asarray(np.sqrt(sigma**2 + extra)[:, None, :])
@@ -163,7 +175,7 @@ def scatter(fit: Fit) -> tuple[float, float]:
     points = residual.points[~np.isnan(residual.points)]
     # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
     robust, plain = np.median(np.abs(points)) / 0.6745, np.sqrt(np.mean(points**2))
-    size = float(robust if problem.loss == "huber" else plain)
+    size = float(robust if problem.loss == "huber" else plain) * math.sqrt(problem.measurement.redundancy)
     turns = 0.0 if residual.turns is None else float(np.sqrt(np.mean(residual.turns**2)))
     return size / math.sqrt(freedom), turns / math.sqrt(freedom)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -24,7 +24,9 @@ class IdentifyOptions:
 
     ``level`` 1 joint offsets, 2 geometry, 3 geometry and non-geometric effects (3 when ``effects`` are given, else 2).
     ``effects`` ids, or documents with options and joints. ``free`` patterns replace the level's geometric parameters,
-    ``fix`` patterns hold parameters (``alpha_*``). ``base`` and ``tool`` are "free" or "fixed". ``tilt_first`` holds the
+    ``fix`` patterns hold parameters (``alpha_*``). ``base`` and ``tool`` are "free" or "fixed"; with ``base`` "removed" only
+    the distances between poses count (relative calibration). ``socket_distances_mm`` are known distances between ball
+    sockets, {"1-2": 400.0}. ``tilt_first`` holds the
     effects while the geometry is identified (thesis 4.22, 5.20): those of the starting version, else those fitted first.
     ``search_mm`` and ``search_deg`` are half the box of a global search. ``intervals`` "bootstrap" or "profile" adds 95 %
     intervals that do not rest on the covariance. ``noise_mm`` is the standard
@@ -49,11 +51,12 @@ class IdentifyOptions:
     search_mm: float = 25.0
     search_deg: float = 10.0
     intervals: str | None = None
+    socket_distances_mm: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._one_of("level", (None, 1, 2, 3))
         self._one_of("method", METHODS)
-        self._one_of("base", ("free", "fixed"))
+        self._one_of("base", ("free", "fixed", "removed"))
         self._one_of("tool", ("free", "fixed"))
         self._one_of("loss", ("linear", "huber"))
         self._one_of("intervals", (None, "bootstrap", "profile"))
@@ -63,6 +66,15 @@ class IdentifyOptions:
         for name in ("search_mm", "search_deg"):
             if not getattr(self, name) > 0:
                 raise OptionError(f"{name} must be above 0: it is half the width of the search.", option=name)
+        if not isinstance(self.socket_distances_mm, Mapping):
+            raise OptionError('socket_distances_mm is no object: give {"1-2": 400.0}.', option="socket_distances_mm")
+        for pair, value in self.socket_distances_mm.items():
+            first, _, second = pair.partition("-")
+            if not (first.isdecimal() and second.isdecimal() and first != second and value > 0):
+                raise OptionError(
+                    f'socket_distances_mm has {pair!r}: {value!r}. Give two socket ids and a length, {{"1-2": 400.0}}.',
+                    option="socket_distances_mm",
+                )
         if self.level in (1, 2) and self.effects:
             raise OptionError(
                 f"Level {self.level} has no effects: drop them, or ask for level 3.", option="level", level=self.level
@@ -90,7 +102,9 @@ class IdentifyOptions:
         chosen: Sequence[str | Mapping[str, Any]] = self.effects or (FULL_TILTING if self.level == 3 else ())
         return tuple(effect_from_document({"id": e} if isinstance(e, str) else e) for e in chosen)
 
-    def free_parameters(self, model: RobotModel, *, sees_orientation: bool) -> NDArray[np.int64]:
+    def free_parameters(
+        self, model: RobotModel, *, sees_orientation: bool, sees_base: bool = True
+    ) -> NDArray[np.int64]:
         """Indices of the parameters to identify in ``model``.
 
         Raises:
@@ -98,7 +112,7 @@ class IdentifyOptions:
 
         """
         names = set(self._geometric(model))
-        names |= {f"base_{k}" for k in FRAME_NAMES} if self.base == "free" else set()
+        names |= {f"base_{k}" for k in FRAME_NAMES} if self.base == "free" and sees_base else set()
         names |= {f"tool_{k}" for k in FRAME_NAMES if sees_orientation or len(k) == 1} if self.tool == "free" else set()
         if not self.tilt_first:
             names |= set(model.names[model.n_geometric :])

@@ -22,6 +22,7 @@ from core.identify.methods import fit_by_method
 from core.identify.noise import repeat_sigma
 from core.identify.options import IdentifyOptions
 from core.identify.report import parameter_rows, warnings_of
+from core.identify.seeing import seen
 from core.measurement import Measurement
 from core.metrics import Errors
 from core.model import Calibration
@@ -126,7 +127,7 @@ def identify(
     elif isinstance(validation, float):
         inside, outside = split(train, validation, options.seed)
         train, validation = train.select(inside), train.select(outside)
-    measurement = Measurement.of(train, begin.marker_points)
+    measurement = seen(train, options, begin.marker_points)
     registered = _registered(begin, measurement, options, prior)
     begin, learned = gated(begin, train, options, prior)
     fit = fit_by_method(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s), prior)
@@ -135,7 +136,7 @@ def identify(
     )
     stages = {"nominal": nominal, "registration_only": registered, "identified": calibration}
     if isinstance(validation, Observations):
-        other = Measurement.of(validation, measurement.marker_points)
+        other = seen(validation, options, measurement.marker_points, measurement)
         held = {name: Errors.of(stage, other) for name, stage in stages.items()}
     tell(0.95, "identifiability")
     metrics = _metrics({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held)
@@ -193,11 +194,11 @@ def _begin(robot: Robot, train: Observations, options: IdentifyOptions, start: C
     return start.with_effects(effects or start.model.effects)
 
 
-def _registered(begin: Calibration, seen: Measurement, options: IdentifyOptions, prior: Prior | None) -> Calibration:
+def _registered(begin: Calibration, shown: Measurement, options: IdentifyOptions, prior: Prior | None) -> Calibration:
     """The nominal robot in fitted frames; where a filter continues, in those of its start: two poses cannot fit any."""
     if options.method == "kalman" and prior is not None:
         return begin.wanted()
-    return registration_only(Calibration.nominal(begin.robot), seen, options.loss)
+    return registration_only(Calibration.nominal(begin.robot), shown, options.loss)
 
 
 def _wanted_frames(registered: Calibration, options: IdentifyOptions) -> tuple[Floats, Floats]:
@@ -210,7 +211,7 @@ def _wanted_frames(registered: Calibration, options: IdentifyOptions) -> tuple[F
 
 
 def _own(own: Floats, fitted: Floats, state: str, turns: bool, reference: str) -> bool:
-    if reference != "auto" or state == "fixed":
+    if reference != "auto" or state != "free":
         return reference != "registration"
     apart = np.linalg.norm(own[:3, 3] - fitted[:3, 3])
     angle = float(np.linalg.norm(rotation_log((own[:3, :3].T @ fitted[:3, :3])[None])))
@@ -240,15 +241,16 @@ def _cross_validated(
     prior: Prior | None = None,
 ) -> dict[str, Errors]:
     """Errors on held-out poses, pooled over the folds."""
-    shape = Measurement.of(train, begin.marker_points).marker_points
+    shape = seen(train, options, begin.marker_points).marker_points
     parts: dict[str, list[Errors]] = {"nominal": [], "registration_only": [], "identified": []}
     for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
         tell(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
         report = _within(tell, k, folds.folds)
-        seen, unseen = Measurement.of(train.select(inside), shape), Measurement.of(train.select(outside), shape)
-        fit = fit_by_method(gated(begin, train.select(inside), options, prior)[0], seen, options, report, prior)
+        shown = seen(train.select(inside), options, shape)
+        unseen = seen(train.select(outside), options, shape, shown)
+        fit = fit_by_method(gated(begin, train.select(inside), options, prior)[0], shown, options, report, prior)
         parts["nominal"].append(Errors.of(nominal, unseen))
-        parts["registration_only"].append(Errors.of(_registered(begin, seen, options, prior), unseen))
+        parts["registration_only"].append(Errors.of(_registered(begin, shown, options, prior), unseen))
         parts["identified"].append(Errors.of(Calibration(fit.problem.model, fit.values, shape), unseen))
     return {name: Errors.concatenate(errors) for name, errors in parts.items()}
 

@@ -18,8 +18,8 @@ Floats = NDArray[np.float64]
 
 MM = 1e-3
 BY_JOINT = {"q": "q", "link": "link_q", "dir": "direction", "qd": "qd", "qdd": "qdd", "tau": "tau"}
-PLAIN = {"t": "t", "payload": "payload_kg", "temperature": "temperature_c"}
-WHOLE = {"session": "session", "pose_id": "pose_id"}
+PLAIN = {"t": "t", "payload": "payload_kg", "temperature": "temperature_c", "bar": "bar_length"}
+WHOLE = {"session": "session", "pose_id": "pose_id", "socket_id": "socket", "plane_id": "plane", "bar_id": "bar"}
 
 
 def observations(table: pa.Table, columns: Sequence[Column], conditions: dict[str, Any]) -> Observations:
@@ -30,6 +30,8 @@ def observations(table: pa.Table, columns: Sequence[Column], conditions: dict[st
     fields |= {field: _whole(si.get((quantity, None))) for quantity, field in WHOLE.items()}
     fields["position"] = _vector(si, ("x", "y", "z"))
     fields["sigma"] = _vector(si, ("sx", "sy", "sz"))
+    fields["tip"] = _vector(si, ("tipx", "tipy", "tipz"))
+    fields["wrench"] = _wrench(si, conditions, table.num_rows)
     fields["rotation"] = _rotation(si)
     fields["markers"] = _markers(si)
     return Observations(**_filled(fields, conditions, table.num_rows))
@@ -42,6 +44,18 @@ def _by_joint(si: dict[tuple[str, int | None], Floats], quantity: str) -> Floats
 
 def _vector(si: dict[tuple[str, int | None], Floats], names: Sequence[str]) -> Floats | None:
     return np.stack([si[name, None] for name in names], axis=1) if (names[0], None) in si else None
+
+
+def _wrench(si: dict[tuple[str, int | None], Floats], conditions: dict[str, Any], rows: int) -> Floats | None:
+    """Force and moment (N, 6) on the tool point; where only one of them is known the other is zero."""
+    parts = []
+    for names, condition in ((("fx", "fy", "fz"), "tool_force_n"), (("mx", "my", "mz"), "tool_moment_nm")):
+        whole = conditions.get(condition)
+        found = _vector(si, names)
+        parts.append(np.tile(np.asarray(whole, dtype=np.float64), (rows, 1)) if found is None and whole else found)
+    if all(part is None for part in parts):
+        return None
+    return np.concatenate([np.zeros((rows, 3)) if part is None else part for part in parts], axis=1)
 
 
 def _whole(values: Floats | None) -> NDArray[np.int64] | None:

@@ -35,8 +35,23 @@ PLAIN_UNITS: dict[str, dict[str, float]] = {
     "temperature": {"c": 1.0},
     "session": {"": 1.0},
     "pose_id": {"": 1.0},
+    **dict.fromkeys(("tipx", "tipy", "tipz"), LENGTHS),
+    **{f"f{axis}": {"n": 1.0} for axis in "xyz"},
+    **{f"m{axis}": {"nm": 1.0} for axis in "xyz"},
+    **{f"{kind}_id": {"": 1.0} for kind in ("socket", "plane", "bar")},
+    "bar": LENGTHS,
 }
-TOGETHER = (("x", "y", "z"), ("sx", "sy", "sz"), ("qw", "qx", "qy", "qz"), ("phi", "theta", "psi"))
+CONTACTS = ("socket_id", "plane_id", "bar_id")
+TOGETHER = (
+    ("x", "y", "z"),
+    ("sx", "sy", "sz"),
+    ("qw", "qx", "qy", "qz"),
+    ("phi", "theta", "psi"),
+    ("tipx", "tipy", "tipz"),
+    ("fx", "fy", "fz"),
+    ("mx", "my", "mz"),
+    ("bar_id", "bar"),
+)
 
 _JOINT = re.compile(r"(q|qd|qdd|link|tau|dir)([1-9][0-9]?)(?:_(\w+))?")
 _MARKER = re.compile(r"m([1-9][0-9]?)([xyz])(?:_(\w+))?")
@@ -54,13 +69,13 @@ class Column:
 
     @property
     def may_be_empty(self) -> bool:
-        """Whether a cell may be missing: only a marker can be out of sight."""
-        return self.quantity.startswith("marker_")
+        """Whether a cell may be missing: a marker can be out of sight, a tip is digitised in some rows only."""
+        return self.quantity.startswith(("marker_", "tip"))
 
     @property
     def is_integer(self) -> bool:
         """Whether the cells are whole numbers."""
-        return self.quantity in ("dir", "session", "pose_id")
+        return self.quantity in ("dir", "session", "pose_id", *CONTACTS)
 
 
 def read_columns(names: Sequence[str], kinds: Sequence[str]) -> tuple[Column, ...]:
@@ -146,6 +161,14 @@ def _whole(group: Sequence[str], there: Sequence[str]) -> None:
 
 
 def _conflicts(present: set[str], markers: set[int]) -> None:
+    if (held := present & set(CONTACTS)) and (seen := present & {"x", "marker_x"}):
+        raise refuse(
+            f"Column {sorted(held)[0]!r} stands beside a measured tool ({'x' if 'x' in seen else 'm1x'}): give what held the "
+            "tool or where an instrument saw it, in two campaigns.",
+            sorted(held)[0],
+        )
+    if "tipx" in present and not markers:
+        raise refuse("Column 'tipx' is missing its markers: a tip is digitised while they are seen.", "tipx")
     if {"qw", "phi"} <= present:
         raise refuse("Column 'phi' says the same as 'qw': give the orientation once.", "phi")
     if markers and "x" in present:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import ObservationError
-from service.campaigns.columns import Column
+from service.campaigns.columns import CONTACTS, Column
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -49,6 +49,8 @@ class RowRules:
         for column in self.columns:
             self._check_column(column, cells[column.name])
         self._check_markers(cells)
+        self._check_tips(cells)
+        self._check_contacts(cells)
         self._check_quaternions(cells)
         self._remember(cells)
         self.rows += table.num_rows
@@ -69,7 +71,7 @@ class RowRules:
 
     def _check_column(self, column: Column, cells: Floats) -> None:
         if not column.may_be_empty:
-            self._refuse(np.isnan(cells), column.name, "is empty: only markers may be missing")
+            self._refuse(np.isnan(cells), column.name, "is empty: only markers and tips may be missing")
         if column.is_integer:
             self._refuse(cells != np.round(cells), column.name, "is not a whole number", cells)
         if column.quantity == "dir":
@@ -93,13 +95,33 @@ class RowRules:
 
     def _check_markers(self, cells: dict[str, Floats]) -> None:
         for x in (c for c in self.columns if c.quantity == "marker_x"):
-            group = sorted(c.name for c in self.columns if c.number == x.number and c.may_be_empty)
+            group = sorted(c.name for c in self.columns if c.number == x.number and c.quantity.startswith("marker_"))
             xyz = np.stack([cells[name] for name in group])
             missing = np.isnan(xyz)
             for name, absent in zip(group, missing, strict=True):
                 self._refuse(absent & ~missing.all(axis=0), name, "is empty where the marker's other cells are not")
             at_zero = (xyz == 0.0).all(axis=0)
             self._refuse(at_zero, group[0], "and its neighbours are zero: leave the cells of a missing marker empty")
+
+    def _check_tips(self, cells: dict[str, Floats]) -> None:
+        names = [c.name for c in self.columns if c.quantity.startswith("tip")]
+        missing = [np.isnan(cells[name]) for name in names]
+        for name, absent in zip(names, missing, strict=True):
+            self._refuse(absent & ~np.all(missing, axis=0), name, "is empty where the tip's other cells are not")
+
+    def _check_contacts(self, cells: dict[str, Floats]) -> None:
+        """Every row is held by one thing, a ball bar with the length it reads."""
+        held = [c.name for c in self.columns if c.quantity in CONTACTS]
+        if not held:
+            return
+        for name in held:
+            self._refuse(cells[name] < 0, name, "is negative: give 1, 2, ... or 0 for none", cells[name])
+        count = np.sum([cells[name] > 0 for name in held], axis=0)
+        self._refuse(count != 1, held[0], "and its neighbours must name the one thing that held the tool, the others 0")
+        for length in (c.name for c in self.columns if c.quantity == "bar"):
+            bar = next(c.name for c in self.columns if c.quantity == "bar_id")
+            wrong = (cells[bar] > 0) & (cells[length] <= 0)
+            self._refuse(wrong, length, "is no length of a ball bar: it must be above 0", cells[length])
 
     def _check_quaternions(self, cells: dict[str, Floats]) -> None:
         parts = [c.name for c in self.columns if c.quantity in ("qw", "qx", "qy", "qz")]
@@ -122,7 +144,7 @@ class RowRules:
             self._sample.append(np.stack([cells[c.name][::step] * c.factor for c in joints], axis=1))
 
     def _lengths(self) -> Iterable[Column]:
-        return (c for c in self.columns if c.quantity in ("x", "y", "z") or c.may_be_empty)
+        return (c for c in self.columns if c.quantity in ("x", "y", "z") or c.quantity.startswith("marker_"))
 
     def _reach(self) -> float:
         """Return how far the tool point can be from the base (m): all lengths of the arm in a row."""

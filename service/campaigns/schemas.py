@@ -23,6 +23,8 @@ class Conditions(Strict):
     payload_kg: Annotated[FiniteFloat, Field(ge=0)] | None = None
     payload_com_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] | None = None
+    tool_force_n: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    tool_moment_nm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
 
 
 class NewCampaign(Strict):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from core.errors import ObservationError
 from service.campaigns import reading, store
 from service.campaigns.chunks import Chunk, write_chunk
-from service.campaigns.columns import has, read_columns
+from service.campaigns.columns import CONTACTS, has, read_columns
 from service.campaigns.rules import RowRules
 from service.campaigns.schemas import Campaign, CampaignList, NewCampaign, Uploaded
 from service.db import Database, Session
@@ -18,7 +18,7 @@ from service.robots import store as robots
 if TYPE_CHECKING:
     from core.robot import Robot
 
-MEASURED = ("x", "marker_x", "link")
+MEASURED = ("x", "marker_x", "link", *CONTACTS)
 
 
 def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
@@ -75,7 +75,8 @@ def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -
     columns = read_columns(names, [joint.kind for joint in robot.joints])
     if not any(has(columns, quantity) for quantity in MEASURED):
         raise ObservationError(
-            "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ... ."
+            "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ..., or what held "
+            "the tool, socket_id, plane_id or bar_id with bar_mm."
         )
     rules = RowRules(columns, robot)
     chunks = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -38,3 +39,21 @@ def measured(
 def table_errors(arm: Arm, rng: np.random.Generator, metres: float = 5e-4, radians: float = 1e-3) -> dict[str, float]:
     """A random error for every named step."""
     return {s.name: float(rng.normal(0.0, radians if s.axis[0] == "r" else metres)) for s in arm.steps if s.name}
+
+
+def held(arm: Arm, q: Floats, towards: Any) -> Floats:
+    """Joint vectors near ``q`` of an uncoupled arm at which ``towards(position) -> (residual (k,), slope (k, 3))`` is zero."""
+    model, frame = arm.pinocchio()
+    data, out = model.createData(), []
+    for row in q:
+        here = row.copy()
+        for _ in range(60):
+            J = pin.computeFrameJacobian(model, data, arm.motors(here), frame, pin.LOCAL_WORLD_ALIGNED)
+            r, D = towards(pin.updateFramePlacement(model, data, frame).translation)
+            if np.abs(r).max() < 1e-11:
+                out.append(here)
+                break
+            slope = D @ J[:3]
+            step = -slope.T @ np.linalg.solve(slope @ slope.T + 1e-9 * np.eye(len(r)), r)
+            here = here + step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
+    return np.array(out)

@@ -68,6 +68,21 @@ def split_names(texts: Iterable[str] | None) -> list[str]:
     return [name.strip() for text in texts or () for name in text.split(",") if name.strip()]
 
 
+def three(name: str, text: str | None) -> list[float] | None:
+    """Understand three numbers given as ``a,b,c``.
+
+    Raises:
+        UsageError: other than three numbers.
+
+    """
+    if text is None:
+        return None
+    found = [_number(part) for part in text.split(",")]
+    if len(found) != 3 or None in found:
+        raise UsageError(f"{name} {text}: give three numbers, for example 0,0,-50.")
+    return [part for part in found if part is not None]
+
+
 def effects(texts: Iterable[str] | None) -> list[str | dict[str, Any]]:
     """Understand --effects: ids as ``a,b``, or a JSON document of one effect with its joints."""
     found: list[str | dict[str, Any]] = []

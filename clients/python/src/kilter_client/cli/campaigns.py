@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
+from kilter_client.cli import arguments
 from kilter_client.cli.arguments import File, Json, Robot
 from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
 from kilter_client.cli.progress import upload_bar
@@ -39,6 +40,12 @@ def upload(
     name: Annotated[str | None, typer.Option(help="Name of the campaign; default is the file's name.")] = None,
     payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point during the campaign.")] = None,
     temperature_c: Annotated[float | None, typer.Option(help="Temperature during the campaign.")] = None,
+    tool_force_n: Annotated[
+        str | None, typer.Option(metavar="FX,FY,FZ", help="Force on the tool point, in the tool frame, N.")
+    ] = None,
+    tool_moment_nm: Annotated[
+        str | None, typer.Option(metavar="MX,MY,MZ", help="Moment on the tool, in the tool frame, N m.")
+    ] = None,
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what is understood of the file, send nothing.")
@@ -49,14 +56,19 @@ def upload(
 
     Makes a campaign, or adds to --campaign. The same file again changes nothing.
     """
-    if campaign and (name or notes or payload_kg is not None or temperature_c is not None):
+    conditions = {
+        "payload_kg": payload_kg,
+        "temperature_c": temperature_c,
+        "tool_force_n": arguments.three("--tool-force-n", tool_force_n),
+        "tool_moment_nm": arguments.three("--tool-moment-nm", tool_moment_nm),
+    }
+    if campaign and (name or notes or any(value is not None for value in conditions.values())):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     prepared = prepare(file, device, column_map)
     _understood(file, prepared, as_json)
     if dry_run:
         emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256}), as_json, lambda _: None)
         return
-    conditions = {"payload_kg": payload_kg, "temperature_c": temperature_c}
     wanted = {
         "name": name or file.name,
         "device": device or "",

@@ -125,7 +125,8 @@ def _column(columns: Section, target: str) -> Column:
     if wanted is None:
         raise columns.error(
             "is no contract column; those are q1_deg or _rad, x_mm y_mm z_mm, qw qx qy qz, m1x_mm, link1_deg, t_s, "
-            "tau1_nm, dir1, payload_kg, temperature_c, session, pose_id, sx_mm, each with its unit in the name",
+            "tau1_nm, dir1, payload_kg, fx_n, mx_nm, temperature_c, session, pose_id, sx_mm, tipx_mm, socket_id, plane_id, "
+            "bar_id, bar_mm, each with its unit in the name",
             target,
         )
     section = columns.part(target)

@@ -39,7 +39,10 @@ CONTRACT: tuple[tuple[str, str], ...] = (
     (r"t_s", "s"),
     (r"payload_kg", "kg"),
     (r"temperature_c", "C"),
-    (r"q[wxyz]|dir\d+|session|pose_id", ""),
+    (r"(?:tip[xyz]|bar)_(mm|m)", "{0}"),
+    (r"f[xyz]_n", "N"),
+    (r"m[xyz]_nm", "Nm"),
+    (r"q[wxyz]|dir\d+|session|pose_id|socket_id|plane_id|bar_id", ""),
 )
 
 

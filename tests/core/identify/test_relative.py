@@ -1,0 +1,124 @@
+"""Absolute and relative calibration on one arm with hidden errors: base free, fixed, removed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core.errors import NotConvergedError, OptionError, TooFewPosesError
+from core.identify import Folds, IdentifyOptions, identify
+from core.model import RobotModel
+from core.observations import Observations
+from core.relative import Distances
+from core.robots import robot_from_document
+from tests.core.campaigns import MARKERS, joints, measured, table_errors
+from tests.core.truth import some_pose, ur10
+
+Floats = NDArray[np.float64]
+NOISE = 2e-5
+
+
+def campaign(see: str = "position", rows: int = 120, noise: float = NOISE) -> tuple[object, Observations, Observations]:
+    rng = np.random.default_rng(4)
+    arm = ur10()
+    actual = arm.moved(table_errors(arm, rng))
+    robot = robot_from_document(arm.document())
+    # The instrument stands anywhere: only distances are the same in its frame.
+    elsewhere = type(actual)(actual.steps, actual.n, some_pose(rng, 5.0), actual.tool)
+    train = measured(elsewhere, joints(arm, rows, rng), rng, noise, see)
+    return robot, train, measured(elsewhere, joints(arm, 60, rng), rng, noise, see)
+
+
+@pytest.mark.parametrize("see", ["position", "markers"])
+def test_distances_alone_calibrate_an_arm_as_well_as_positions(see: str) -> None:
+    robot, train, held = campaign(see)
+    relative = identify(robot, train, held, IdentifyOptions(base="removed"))
+    absolute = identify(robot, train, held, IdentifyOptions(base="free"))
+    block = relative.metrics["validation"]
+    assert "x_mm" not in block["identified"]
+    assert block["nominal"]["rms_mm"] > 1.0
+    # A distance between two points has the noise of both along it.
+    assert block["identified"]["rms_mm"] == pytest.approx(NOISE * np.sqrt(2.0) * 1e3, rel=0.15)
+    assert relative.noise_m == pytest.approx(NOISE, rel=0.15)
+    # And the identified arm, put where it fits, predicts positions it never saw as well as the absolute one.
+    from core.evaluate import evaluate
+
+    there = [evaluate(found.calibration, held, ("base",))["identified"]["rms_mm"] for found in (relative, absolute)]
+    assert there[0] < 1.1 * there[1]
+
+
+def test_the_base_has_no_parameters_and_stays_where_it_is() -> None:
+    robot, train, _ = campaign(rows=60)
+    found = identify(robot, train, None, IdentifyOptions(base="removed"))
+    assert not [name for name in found.free_names if name.startswith("base_")]
+    np.testing.assert_array_equal(found.calibration.model.T_base, robot.T_base)
+    assert found.to_document()["reference"]["base"] == "robot"
+    # Turning the first joint moves no distance: its zero cannot be told, and is said to be blind.
+    assert any("theta_offset_1" in dict(d.weights) and d.structural for d in found.null_directions)
+
+
+def test_a_fixed_base_is_believed_and_a_free_one_found() -> None:
+    rng = np.random.default_rng(4)
+    arm = ur10(base=some_pose(rng, 5.0))
+    actual = arm.moved(table_errors(arm, rng))
+    robot = robot_from_document(arm.document())
+    train, held = (measured(actual, joints(arm, rows, rng), rng, NOISE) for rows in (120, 60))
+    for base in ("fixed", "free", "removed"):
+        found = identify(robot, train, held, IdentifyOptions(base=base))
+        assert found.metrics["validation"]["identified"]["rms_mm"] < 0.06
+        assert any(name.startswith("base_") for name in found.free_names) == (base == "free")
+    # An instrument that does not stand where the robot says contradicts a base that is held.
+    with pytest.raises(NotConvergedError):
+        identify(robot_from_document(ur10().document()), train, None, IdentifyOptions(base="fixed"))
+
+
+def test_residuals_and_slopes_are_those_of_the_distances() -> None:
+    robot, train, _ = campaign("markers", rows=12)
+    hidden = train.markers.copy()  # type: ignore[union-attr]
+    hidden[3, 1] = np.nan
+    measurement = Distances.of(Observations(train.q, markers=hidden), MARKERS)
+    model = RobotModel(robot)
+    values = model.values0()
+    prediction, J = model.jacobian(measurement.observations, values)
+    residual = measurement.residual(prediction, J)
+    factor = np.sqrt(2.0 * measurement.redundancy)
+    points = prediction.position[:, None] + np.einsum("nij,mj->nmi", prediction.rotation, MARKERS)
+    for (a, b), left in zip(measurement.pairs, residual.points[:, :, 0] * factor, strict=True):
+        expected = np.linalg.norm(hidden[a] - hidden[b], axis=1) - np.linalg.norm(points[a] - points[b], axis=1)
+        np.testing.assert_allclose(left, expected, atol=1e-12)
+    k = model.names.index("alpha_2")
+    sides = []
+    for step in (1e-6, -1e-6):
+        moved = values.copy()
+        moved[k] += step
+        sides.append(measurement.residual(model.predict(measurement.observations, moved)).points)
+    slope = (sides[1] - sides[0]) / 2e-6
+    seen = ~np.isnan(slope)
+    assert 0 < np.count_nonzero(~seen) < 20
+    np.testing.assert_allclose(residual.d_points[..., k][seen], slope[seen], atol=1e-6)  # type: ignore[index]
+
+
+def test_folds_hold_out_poses_and_repeats_are_no_distances() -> None:
+    robot, train, _ = campaign(rows=60)
+    twice = Observations(np.repeat(train.q, 2, axis=0), position=np.repeat(train.position, 2, axis=0))  # type: ignore[arg-type]
+    found = identify(robot, twice, Folds(4), IdentifyOptions(base="removed"))
+    assert found.metrics["validation"]["identified"]["rms_mm"] < 0.1
+    pairs = Distances.of(twice).pairs
+    assert np.all(pairs[:, 0] // 2 != pairs[:, 1] // 2)
+
+
+def test_what_goes_only_with_positions_is_refused() -> None:
+    robot, train, _ = campaign(rows=30)
+    for options in (
+        IdentifyOptions(base="removed", method="kalman"),
+        IdentifyOptions(base="removed", intervals="bootstrap"),
+    ):
+        with pytest.raises(OptionError, match="Distances between poses"):
+            identify(robot, train, None, options)
+    with pytest.raises(TooFewPosesError, match="five or more"):
+        identify(robot, train.select(slice(0, 4)), None, IdentifyOptions(base="removed"))
+    with pytest.raises(TooFewPosesError, match=r"at least 12 poses"):
+        identify(robot, train.select(slice(0, 8)), None, IdentifyOptions(base="removed"))
+    with pytest.raises(OptionError, match="removed"):
+        IdentifyOptions(base="none")
