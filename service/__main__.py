@@ -61,6 +61,13 @@ def corrector(settings: Settings, _: argparse.Namespace) -> None:
     run(settings)
 
 
+def ros2(settings: Settings, _: argparse.Namespace) -> None:
+    """Run the process that corrects messages of ROS 2."""
+    from service.ros2.process import run
+
+    run(settings)
+
+
 def migrate(settings: Settings, _: argparse.Namespace) -> None:
     """Bring the database to the revision of this Kilter."""
     from service.db import Database, revision
@@ -78,12 +85,13 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "api": (api, "kilterd api --port 0"),
     "worker": (worker, "KILTER_WORKER_NAME=second kilterd worker"),
     "corrector": (corrector, "KILTER_ZENOH_LISTEN=tcp/127.0.0.1:7447 kilterd corrector"),
+    "ros2": (ros2, "KILTER_ROS2='{...}' kilterd ros2"),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
 }
 ENVIRONMENT = (
     "Every setting is also an environment variable: KILTER_DATA, KILTER_DATABASE_URL, KILTER_HOST, KILTER_PORT, "
-    "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_SITE, KILTER_TEMPERATURE_C, "
-    "KILTER_MAX_UPLOAD_MB, KILTER_WORKER_NAME."
+    "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_SITE, KILTER_TEMPERATURE_C, KILTER_ROS2, "
+    "KILTER_ROS2_DOMAIN, KILTER_ROS2_CONNECT, KILTER_ROS2_DIALECT, KILTER_MAX_UPLOAD_MB, KILTER_WORKER_NAME."
 )
 
 

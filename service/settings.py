@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import ipaddress
+import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from service.ros2.topics import RobotTopics
 
 DATABASE_FILE = "kilter.sqlite"
 JOBS_FILE = "jobs.sqlite"
@@ -37,6 +40,10 @@ class Settings(BaseSettings):
     )
     site: str = Field(default="local", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="site name in zenoh keys")
     temperature_c: float | None = Field(default=None, description="temperature of the arms, for thermal growth")
+    ros2: dict[str, RobotTopics] = Field(default={}, description="topics of ROS 2 by robot, JSON; none: off")
+    ros2_domain: Annotated[int, Field(ge=0, le=232, description="ROS_DOMAIN_ID")] = 0
+    ros2_connect: str = Field(default="tcp/127.0.0.1:7447", description="zenoh router of ROS 2")
+    ros2_dialect: Literal["rmw_zenoh", "ros2dds"] = Field(default="rmw_zenoh", description="how ROS speaks zenoh")
     max_upload_mb: Annotated[int, Field(ge=1)] = 1024
     worker_name: str | None = Field(default=None, description="stable name of this worker; default is the host name")
 
@@ -89,6 +96,10 @@ class Settings(BaseSettings):
             "ZENOH_LISTEN": self.zenoh_listen,
             "SITE": self.site,
             "TEMPERATURE_C": None if self.temperature_c is None else str(self.temperature_c),
+            "ROS2": json.dumps({robot: topics.model_dump() for robot, topics in self.ros2.items()}),
+            "ROS2_DOMAIN": str(self.ros2_domain),
+            "ROS2_CONNECT": self.ros2_connect,
+            "ROS2_DIALECT": self.ros2_dialect,
             "MAX_UPLOAD_MB": str(self.max_upload_mb),
             "WORKER_NAME": self.worker_name,
         }

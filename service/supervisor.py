@@ -119,6 +119,8 @@ def serve(settings: Settings) -> None:
             Child("worker", settings),
             Child("corrector", settings),
         ]
+        if settings.ros2:
+            children.append(Child("ros2", settings))
         try:
             _start(settings, children)
             if _wait_until_ready(settings, children, url_of(opened), stop):

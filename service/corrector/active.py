@@ -22,6 +22,7 @@ class Active:
     largest_deg: float = 1.0
     largest_mm: float = 5.0
     ramp_s: float = 1.0
+    joint_names: tuple[str, ...] = ()
 
     def announcement(self) -> bytes:
         """JSON that goes out on the ``active`` key."""

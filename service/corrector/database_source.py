@@ -66,4 +66,5 @@ def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Acti
         largest_deg=math.degrees(version.max_joint),
         largest_mm=version.max_position * 1e3,
         ramp_s=options.ramp_s,
+        joint_names=tuple(joint.name for joint in version.calibration.robot.joints),
     )

@@ -46,7 +46,10 @@ def calibration_of(
 def active_of(calibration: Calibration, epoch: int = 1, **options: float) -> Active:
     """A version as the processes pass it around."""
     program = compile_program(calibration, CorrectionOptions(**options))  # type: ignore[arg-type]
-    return Active(calibration.robot.name, f"ver_{epoch}", version_number(program.digest), epoch, program)
+    names = tuple(joint.name for joint in calibration.robot.joints)
+    return Active(
+        calibration.robot.name, f"ver_{epoch}", version_number(program.digest), epoch, program, joint_names=names
+    )
 
 
 class MemorySource:
