@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from kilter_client.cli.arguments import File, Json
+from kilter_client.cli import arguments
+from kilter_client.cli.arguments import Json
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.tables import show_rows
 from kilter_client.errors import MissingPackageError, UsageError
@@ -15,6 +17,18 @@ MARKERS_SHOWN = 12
 
 Rate = Annotated[float | None, typer.Option("--rate", help="Frames per second, where the file does not say.")]
 AllowCut = Annotated[bool, typer.Option("--allow-cut", help="Take the whole frames of a file that is cut off.")]
+Topic = Annotated[str | None, typer.Option("--topic", help="Bag: the topic of the joint states, if there are several.")]
+JointOrder = Annotated[
+    str | None,
+    typer.Option(
+        "--joint-order",
+        metavar="A,B",
+        help="Bag: the arm's joints from the base to the tool; one that slides is NAME:m.",
+    ),
+]
+FileOrBag = Annotated[
+    Path, typer.Argument(help="The file, or a bag's folder.", metavar="FILE", show_default=False, exists=True)
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -23,7 +37,7 @@ def register(app: typer.Typer) -> None:
 
 
 def inspect(
-    file: File,
+    file: FileOrBag,
     rate: Rate = None,
     allow_cut: AllowCut = False,
     preset: Annotated[
@@ -33,19 +47,23 @@ def inspect(
         str | None, typer.Option(help="Order of its angles: XYZ about the moving axes, xyz about the fixed ones.")
     ] = None,
     unit: Annotated[str | None, typer.Option(help="Unit of an inclinometer's angles, where it is not stated.")] = None,
+    topic: Topic = None,
+    joint_order: JointOrder = None,
     as_json: Json = False,
 ) -> None:
     """Show what is understood of a file: columns, units, rows, frames, gaps, and what looks wrong. Sends nothing."""
     check_numpy()
     from kilter_client.files.inspection import Hints
     from kilter_client.files.inspection import inspect as look
+    from kilter_client.files.joint_log import LogHints
     from kilter_client.files.tracker_header import PRESETS
 
     if preset not in PRESETS:
         raise UsageError(f"--preset {preset}: is none of {', '.join(PRESETS)}.")
     if rate is not None and not rate > 0:
         raise UsageError(f"--rate {rate}: give frames per second, above 0.")
-    document = look(file, Hints(rate, allow_cut, preset, euler, unit))
+    log = LogHints(topic, arguments.split_names([joint_order or ""]))
+    document = look(file, Hints(rate, allow_cut, preset, euler, unit, log))
     emit(document, as_json, _show)
     if document["problems"]:
         raise typer.Exit(1)
@@ -70,7 +88,7 @@ def _show(document: dict[str, Any]) -> None:
     size = document.get("frames", document.get("rows"))
     what = "frames" if "frames" in document else "rows"
     say(f"{document['file']}: {document['kind']}" + (f", {size} {what}" if size is not None else ""))
-    if "rate_hz" in document:
+    if document.get("rate_hz"):
         say(f"  {document['rate_hz']:g} Hz, {document['duration_s']:.3f} s")
     for text in document["notes"]:
         say(f"  {text}")
@@ -105,6 +123,8 @@ def _show_columns(document: dict[str, Any]) -> None:
     ]
     if rows:
         show_rows(("column", "unit", "lowest", "highest", "empty"), rows)
+    for topic in document.get("topics", []):
+        say(f"  {topic['name']}: {topic['messages']} messages of {topic['type']}")
     for channel in document.get("channels", []):
         rate = "" if channel["rate_hz"] is None else f", {channel['rate_hz']:g} Hz"
         span = f", {channel['low']:.6g} to {channel['high']:.6g}" if "low" in channel else ""

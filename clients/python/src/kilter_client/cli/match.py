@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
+from kilter_client.cli import arguments
 from kilter_client.cli.arguments import Json
-from kilter_client.cli.inspect import AllowCut, Rate, check_numpy
+from kilter_client.cli.inspect import AllowCut, JointOrder, Rate, Topic, check_numpy
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import UsageError
@@ -22,6 +23,15 @@ if TYPE_CHECKING:
 By = Literal["order", "time", "frames"]
 Role = Literal["train", "validation", "confirmation"]
 Existing = {"exists": True, "dir_okay": False, "show_default": False}
+Joints = Annotated[
+    Path,
+    typer.Argument(
+        help="The joint log: CSV, Parquet, a ROS 2 bag, or a program's targets.",
+        metavar="JOINTS",
+        show_default=False,
+        exists=True,
+    ),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -31,11 +41,18 @@ def register(app: typer.Typer) -> None:
 
 def match(
     recording: Annotated[Path, typer.Argument(help="The recording of markers.", metavar="RECORDING", **Existing)],
-    joints: Annotated[Path, typer.Argument(help="The joint log.", metavar="JOINTS", **Existing)],
+    joints: Annotated[
+        Path,
+        typer.Argument(
+            help="The joint log: CSV, Parquet, a bag, a program.", metavar="JOINTS", show_default=False, exists=True
+        ),
+    ],
     by: Annotated[
         By, typer.Option(help="One row per dwell, in order or by time; or a row of every frame, by time.")
     ] = "order",
     joints_map: Annotated[Path | None, typer.Option(help="Column map of the joint log.", **Existing)] = None,
+    topic: Topic = None,
+    joint_order: JointOrder = None,
     rate: Rate = None,
     allow_cut: AllowCut = False,
     rest_speed: Annotated[float | None, typer.Option(help="Slower than this is rest, mm/s.")] = None,
@@ -53,10 +70,14 @@ def match(
     if by == "frames" and out is not None:
         raise UsageError("--out writes dwells; every frame is sent with --robot, in parts.")
     from kilter_client.files.dwells import RestOptions
-    from kilter_client.files.joint_log import read_joint_log
+    from kilter_client.files.joint_bag import is_bag
+    from kilter_client.files.joint_log import LogHints, read_joint_log
     from kilter_client.files.recordings import open_recording
 
-    found, log = open_recording(recording, rate, allow_cut), read_joint_log(joints, joints_map)
+    hints = LogHints(topic, arguments.split_names([joint_order or ""]), joints_of(robot) if is_bag(joints) else ())
+    found, log = open_recording(recording, rate, allow_cut), read_joint_log(joints, joints_map, hints)
+    for text in log.notes:
+        note(f"  {text}", as_json)
     wanted = {"name": name or recording.name, "device": device, "role": role}
     if by == "frames":
         document = _frames(found, log, robot, wanted, as_json)
@@ -64,6 +85,15 @@ def match(
         options = RestOptions(rest_speed, shortest, settle)
         document = _dwells(found, log, by, options, out, robot, wanted, as_json)
     emit(document, as_json, _show)
+
+
+def joints_of(robot: str | None) -> list[str]:
+    """Return the joint names of a robot of the server, for logs that name their joints; those that slide end in ``:m``."""
+    if robot is None:
+        return []
+    with Kilter() as kilter:
+        joints = kilter.robots.get(robot)["joints"]
+    return [joint["name"] + (":m" if joint["kind"] == "prismatic" else "") for joint in joints]
 
 
 def _dwells(
@@ -95,7 +125,7 @@ def _frames(
 
     refuse_jumps(found)
     clocks = match_clocks(found.path, thin(found), log)
-    report = {"clock": clock_report(clocks, found.duration_s), "warnings": list(found.warnings)}
+    report = {"clock": clock_report(clocks, found.duration_s), "warnings": [*found.warnings, *log.warnings]}
     _tell(report, as_json)
     if not robot:
         return report | {"frames": found.frames}

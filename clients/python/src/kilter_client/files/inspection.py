@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from kilter_client.files.inclinometer import read_inclinometer, tilts_of
-from kilter_client.files.joint_log import JOINT, read_joint_log
+from kilter_client.files.inspection_joints import column, describe_bag, describe_log
+from kilter_client.files.joint_bag import is_bag
+from kilter_client.files.joint_log import JOINT, LogHints, read_joint_log
 from kilter_client.files.marker_header import RATE, told, understand
 from kilter_client.files.recording import Recording
 from kilter_client.files.recordings import kind_of, open_recording
 from kilter_client.files.survey import SHOWN, survey
+from kilter_client.files.targets import dialect_of
 from kilter_client.files.text_layout import TextLayout, sniff
 from kilter_client.files.tracker_text import read_tracker
 from kilter_client.files.units import unit_of
@@ -30,6 +33,7 @@ class Hints:
     preset: str = "generic"
     euler: str | None = None
     unit: str | None = None
+    log: LogHints = field(default_factory=LogHints)
 
 
 def inspect(path: Path, hints: Hints = Hints()) -> Document:
@@ -39,16 +43,23 @@ def inspect(path: Path, hints: Hints = Hints()) -> Document:
         FileError: the file cannot be read at all, with place and remedy.
 
     """
-    kind = kind_of(path)
+    kind = "bag" if is_bag(path) else kind_of(path)
     if kind in ("c3d", "n3d"):
         found = _recording(open_recording(path, hints.rate_hz, hints.allow_cut))
     else:
-        found = {"tdms": _tdms, "mat": _mat, "parquet": _parquet, "text": _text}[kind](path, hints)
+        found = {"tdms": _tdms, "mat": _mat, "parquet": _parquet, "text": _text, "bag": _bag}[kind](path, hints)
     known = {"kind": kind, "problems": [], "warnings": [], "notes": []}
-    return {"file": str(path), "size_bytes": path.stat().st_size} | known | found
+    size = path.stat().st_size if path.is_file() else sum(file.stat().st_size for file in path.iterdir())
+    return {"file": str(path), "size_bytes": size} | known | found
+
+
+def _bag(path: Path, hints: Hints) -> Document:
+    return describe_bag(path, hints.log)
 
 
 def _text(path: Path, hints: Hints) -> Document:
+    if dialect_of(path) is not None:
+        return describe_log(read_joint_log(path))
     layout = sniff(path)
     shape = {"layout": _layout(layout)}
     contract = [name for name in _full_names(layout) if unit_of(name) is not None]
@@ -59,7 +70,7 @@ def _text(path: Path, hints: Hints) -> Document:
     if is_recording(layout, hints.rate_hz):
         return _recording(open_recording(path, hints.rate_hz, hints.allow_cut)) | shape
     table = read_tracker(path, hints.preset, hints.euler)
-    columns = [_column(name, np.array(values)) for name, values in table.columns.items()]
+    columns = [column(name, unit_of(name), np.array(values)) for name, values in table.columns.items()]
     return shape | {
         "kind": "tracker-text",
         "rows": len(table),
@@ -130,23 +141,14 @@ def _recording(recording: Recording) -> Document:
 def _contract(path: Path, names: list[str]) -> Document:
     if not any(JOINT.fullmatch(name) for name in names):
         return {"kind": "contract-columns", "columns": [{"name": name} for name in names], "warnings": ["no joints"]}
-    log = read_joint_log(path)
-    q, warnings = np.abs(log.q_even()), []
-    if all(name.endswith("_deg") for name in log.joints) and len(log) > 20 and q.max() < 3.2:
-        warnings.append("no joint turns more than 3.2 deg: are these radians?")
+    found = describe_log(read_joint_log(path))
     measured = any(name in names for name in ("x_mm", "x_m", "m1x_mm", "m1x_m", "link1_deg", "link1_rad"))
-    return {
-        "kind": "contract-columns" if measured else "joint-log",
-        "rows": len(log),
-        "columns": [_column(name, values) for name, values in log.columns.items()],
-        "notes": ["ready for kilter upload" if measured else "joins a recording with kilter match"],
-        "warnings": warnings,
-    }
+    return found | ({"kind": "contract-columns", "notes": ["ready for kilter upload"]} if measured else {})
 
 
 def _inclinometer(path: Path, hints: Hints) -> Document:
     found = read_inclinometer(path, hints.unit)
-    columns = [_column(name, values) for name, values in found.columns.items()]
+    columns = [column(name, unit_of(name), values) for name, values in found.columns.items()]
     rows = len(found.columns["t_s"])
     return {"kind": "inclinometer", "rows": rows, "columns": columns, "notes": list(found.notes)}
 
@@ -186,13 +188,6 @@ def _parquet(path: Path, hints: Hints) -> Document:
     odd = [name for name in source.names if unit_of(name) is None]
     warnings = [f"no contract columns: {', '.join(odd[:SHOWN])}"] if odd else []
     return {"kind": "parquet", "rows": source.table.num_rows, "columns": columns, "warnings": warnings}
-
-
-def _column(name: str, values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Document:
-    empty = int(np.isnan(values).sum())
-    known = values[~np.isnan(values)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (None, None)
-    return {"name": name, "unit": unit_of(name), "low": low, "high": high, "empty": empty}
 
 
 def _alike(columns: dict[str, list[float]]) -> list[str]:

@@ -51,7 +51,7 @@ def match_dwells(recording: Recording, log: JointLog, by: str, options: RestOpti
     columns |= {n: v[index] for n, v in log.columns.items() if n not in columns and n not in ("t_s", "pose_id")}
     columns["pose_id"] = log.columns["pose_id"][index] if "pose_id" in log.columns else pose_numbers(log, index)
     columns |= _measured(kept)
-    return Matched(columns, _report(recording, kept, columns, clocks, warnings))
+    return Matched(columns, _report(recording, log, kept, columns, clocks, warnings))
 
 
 def refuse_jumps(recording: Recording) -> None:
@@ -138,7 +138,12 @@ def marker_columns(points: Floats) -> Columns:
 
 
 def _report(
-    recording: Recording, dwells: list[Dwell], columns: Columns, clocks: Clocks | None, warnings: list[str]
+    recording: Recording,
+    log: JointLog,
+    dwells: list[Dwell],
+    columns: Columns,
+    clocks: Clocks | None,
+    warnings: list[str],
 ) -> dict[str, Any]:
     scatter = np.stack([d.scatter_mm for d in dwells])
     return {
@@ -148,7 +153,7 @@ def _report(
         "mean_sigma_mm": [round(float(np.median(columns[f"s{axis}_mm"])), 6) for axis in "xyz"],
         "outliers": sum(d.outliers for d in dwells),
         "clock": None if clocks is None else clock_report(clocks, recording.duration_s),
-        "warnings": [*recording.warnings, *warnings],
+        "warnings": [*recording.warnings, *log.warnings, *warnings],
     }
 
 

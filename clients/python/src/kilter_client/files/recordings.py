@@ -8,11 +8,14 @@ from kilter_client.files.c3d import read_c3d
 from kilter_client.files.c3d_parameters import SECTOR, is_c3d
 from kilter_client.files.faults import fault, head_of
 from kilter_client.files.marker_text import read_marker_text
+from kilter_client.files.mcap_check import MCAP, SQLITE
 from kilter_client.files.ndi_n3d import is_n3d, read_n3d
 from kilter_client.files.recording import Recording
 
 OTHERS = {
     b"TDSm": ("a TDMS file", "See what it holds with kilter inspect."),
+    SQLITE: ("a ROS 2 bag (SQLite)", "It is the joint log: kilter match RECORDING BAG."),
+    MCAP: ("a ROS 2 bag (MCAP)", "It is the joint log: kilter match RECORDING BAG."),
     b"PAR1": ("a Parquet file", "Contract columns are sent with kilter upload, others come in with a column map."),
     b"MATLAB 5.0": ("a MATLAB file", "It comes in with a column map (kilter upload --map)."),
     b"\x89HDF": ("an HDF5 file (MATLAB 7.3)", "Save it in MATLAB with '-v7'."),
@@ -25,7 +28,7 @@ OTHERS = {
 
 
 def kind_of(path: Path) -> str:
-    """Return ``c3d``, ``n3d``, ``tdms``, ``mat``, ``parquet`` or ``text`` by a file's first bytes.
+    """Return ``c3d``, ``n3d``, ``tdms``, ``mat``, ``parquet``, ``bag`` or ``text`` by a file's first bytes.
 
     Raises:
         FileError: an empty file, or one of a kind that holds no measurements Kilter reads.
@@ -34,7 +37,7 @@ def kind_of(path: Path) -> str:
     head = head_of(path, SECTOR)
     if not head:
         raise fault(path, "is empty", "Export it again.")
-    known = {b"TDSm": "tdms", b"PAR1": "parquet", b"MATLAB 5.0": "mat"}
+    known = {b"TDSm": "tdms", b"PAR1": "parquet", b"MATLAB 5.0": "mat", SQLITE: "bag", MCAP: "bag"}
     for magic, (what, remedy) in OTHERS.items():
         if head.startswith(magic) and magic in known:
             return known[magic]
