@@ -30,8 +30,11 @@ class ThermalGrowth(Effect):
     reference_c: float = 20.0
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Coefficient of expansion α, 1/K; steel has 12e-6, aluminium 23e-6."""
-        return (Parameter("expansion", "1/K", 0.0, 2e-5, 5e-6, 3e-5, "coefficient of expansion"),)
+        """Coefficient of expansion α, 1/K; steel has 12e-6, aluminium 23e-6.
+
+        The range is wider than that of metals: the thermometer is seldom where the links are warmest.
+        """
+        return (Parameter("expansion", "1/K", 0.0, 2e-5, 0.0, 1e-4, "coefficient of expansion"),)
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Shift of each joint's frame along its link, of the base frame along the column; and the derivative."""
