@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
+from core.gap.noise import WITHIN
 from core.gap.scan import residual_given
 from core.gap.world import World
 
@@ -22,17 +23,24 @@ CLOSED_LEVERAGE = 1.0 - 1e-6
 
 @dataclass(frozen=True)
 class Adequacy:
-    """Chi-square of the residual with its freedom, lack of fit F and its p; p is None where noise is relative."""
+    """Chi-square of the residual with its freedom, lack of fit F and its p; p is None where noise is relative.
+
+    ``least`` says that the noise is that within visits: the least it can be. A residual no larger proves the model
+    adequate and the approach exact; a larger one may be either the model's or the approach's, and proves nothing.
+    """
 
     chi2: float
     nu: float
     lack_of_fit: float
     p_value: float | None
+    least: bool = False
 
     @property
     def adequate(self) -> bool | None:
         """Whether noise explains what is left; None when the noise itself came from the fit."""
-        return None if self.p_value is None else self.p_value > ADEQUATE
+        if self.p_value is None or (self.least and self.p_value <= ADEQUATE):
+            return None
+        return self.p_value > ADEQUATE
 
     def to_document(self) -> dict[str, Any]:
         """Plain numbers."""
@@ -49,10 +57,10 @@ def adequacy(world: World, condition: Ints, chosen: Sequence[int]) -> Adequacy:
     lof_freedom = max(left.nu - freedom, 1.0)
     lof = max(left.yy - pure, 0.0) / lof_freedom
     noise = world.setting.noise
-    if not noise.absolute:
+    if not noise.absolute and noise.source != WITHIN:
         return Adequacy(left.yy, left.nu, lof, None)
     p = chi2.sf(lof * lof_freedom, lof_freedom) if np.isinf(noise.freedom) else f.sf(lof, lof_freedom, noise.freedom)
-    return Adequacy(left.yy, left.nu, lof, float(p))
+    return Adequacy(left.yy, left.nu, lof, float(p), not noise.absolute)
 
 
 def left_out_errors(world: World, chosen: Sequence[int]) -> Floats:

@@ -23,6 +23,7 @@ SPIKE = 6.0  # robust standard deviations from its own repeats at which a row is
 SPIKE_PASSES = 4
 SPHERICAL = 0.001  # chance of calling equal variances unequal
 FIT = "residuals of the fit"
+WITHIN = "repeats within visits"
 SMALLEST = 1e-9  # m or rad: keeps noise-free simulations solvable
 
 
@@ -96,7 +97,7 @@ def repeat_noise(residual: Floats, visit_residual: Floats, visits: Visits, point
     if k_between < FEWEST:
         # Rows of one visit say nothing of the next approach: their shape is used, their scale cannot be relied on.
         made = _noise(rows_cov * share[:, None, None], rows_cov.mean(axis=0), k_within, rows_cov, None)
-        return replace(made, absolute=False, source="repeats within visits")
+        return replace(made, absolute=False, source=WITHIN)
     if k_within < FEWEST:
         total = _spread(between, k_between, at, at)
         return _noise(total, total.mean(axis=0), k_between, None, total)

@@ -157,8 +157,9 @@ class Workshop:
             if not found.absolute:
                 self._warn(
                     "no_re_approach",
-                    "Repeats were taken without leaving the pose, so how well the arm comes back is not known: every "
-                    "verdict is relative to the scatter of the fit. Approach ten poses anew three times each.",
+                    "Repeats were taken without leaving the pose, so how well the arm comes back is not known: unless "
+                    "what is left is as small as these repeats, every verdict is relative to the scatter of the fit. "
+                    "Approach ten poses anew three times each.",
                 )
             return found
         if visits.observations.sigma is not None and not linear:

@@ -128,6 +128,21 @@ def test_without_repeats_every_verdict_is_relative(robot):
     assert report.effects[0].evidence.candidate.id == "backlash"
 
 
+@pytest.mark.parametrize(("approach_m", "verdict"), [(0.0, "class_confirmed"), (6e-5, "provisional")])
+def test_repeats_without_leaving_the_pose_confirm_only_what_leaves_no_more_than_they_scatter(
+    robot, approach_m, verdict
+):
+    once = campaign(robot, [("backlash", (1,), (2e-3,))], revisits=0, noise_m=0.0)
+    rng = np.random.default_rng(4)
+    rows = replace(once.select(np.repeat(np.arange(len(once)), 3)), t=None)
+    approach = np.repeat(rng.normal(0, 1, (len(once), 3)), 3, axis=0) * approach_m
+    measured = rows.position + approach + 2e-5 * rng.standard_normal(rows.position.shape)
+    report = find_gap(robot, replace(rows, position=measured), QUICK)
+    assert "no_re_approach" in codes(report)
+    (effect,) = report.effects
+    assert (effect.evidence.candidate.id, effect.verdict) == ("backlash", verdict)
+
+
 def test_the_wrong_robot_is_not_a_missing_effect(robot):
     rows = campaign(robot, seed=1)
     swapped = replace(rows, q=rows.q[:, [0, 2, 1, 3, 4]])
