@@ -1,0 +1,150 @@
+"""``kilter sheet``, ``kilter sheet-read``: print the pencil sheet, and read it back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from kilter_client.cli.arguments import File, Json
+from kilter_client.cli.output import emit, note, say
+from kilter_client.cli.tables import show_rows
+from kilter_client.cli.versions import write
+from kilter_client.errors import MissingPackageError, UsageError
+
+RadiusMm = Annotated[
+    float | None, typer.Option("--radius-mm", help="The sheet's radius, where its marker is cut away; else checked.")
+]
+PageNumber = Annotated[int, typer.Option("--page", min=1, help="Page of a PDF.")]
+BarsMm = Annotated[
+    str | None,
+    typer.Option("--bars-mm", metavar="X,Y", help="The two scale bars as measured on the paper, across and upright."),
+]
+AllowGaps = Annotated[bool, typer.Option("--allow-gaps", help="Take a line that is missing somewhere.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the ``kilter`` command."""
+    app.command("sheet", epilog="Example: kilter sheet --radius-mm 80 -o sheet.pdf")(sheet)
+    app.command("sheet-read", epilog="Example: kilter sheet-read scan.png --plot error.svg")(sheet_read)
+
+
+def sheet(
+    radius_mm: Annotated[float, typer.Option("--radius-mm", help="Radius of the circle to draw along.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="sheet.pdf or sheet.svg.")],
+    page: Annotated[
+        Literal["a4", "a3", "letter"] | None, typer.Option(help="Paper; default is A4 where the circle fits, else A3.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write the sheet to print for the pencil: circle, quarter points, markers, scale bars, in true mm."""
+    from kilter_client.sheet.drawing import save_sheet
+    from kilter_client.sheet.layout import sheet_for
+
+    made = sheet_for(radius_mm, page)
+    size = save_sheet(made, output)
+    document = {
+        "file": str(output),
+        "bytes": size,
+        "page": made.page,
+        "radius_mm": made.radius_mm,
+        "gaps": made.dashes,
+        "bar_mm": made.bar_mm,
+    }
+    emit(document, as_json, _show_sheet)
+
+
+def sheet_read(
+    file: File,
+    radius_mm: RadiusMm = None,
+    page: PageNumber = 1,
+    bars_mm: BarsMm = None,
+    allow_gaps: AllowGaps = False,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the errors as CSV.", dir_okay=False)
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the errors: .png or .svg.", dir_okay=False)
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Read a scan or photo of a drawn sheet (PNG, JPEG, PDF): how far the line is from the circle, by angle."""
+    if plot is not None and plot.suffix.lower() not in (".png", ".svg"):
+        raise UsageError(f"--plot {plot}: end it in .png or .svg.")
+    reading = read(file, radius_mm, page, bars_mm, allow_gaps)
+    if output is not None:
+        from kilter_client.sheet.report import to_csv
+
+        write(output, to_csv(reading))
+        note(f"{output}: {len(reading.angle_deg)} angles", as_json)
+    if plot is not None:
+        from kilter_client.plots import draw
+        from kilter_client.sheet.report import figure
+
+        draw(figure(reading), plot.with_suffix(""), (plot.suffix.lower().removeprefix("."),))
+        note(f"{plot}: drawn", as_json)
+    emit(reading.to_document(), as_json, _show_reading)
+
+
+def read(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, allow_gaps: bool) -> Any:
+    """Read a sheet with the options of the command line.
+
+    Raises:
+        UsageError: bars that are no two lengths.
+        MissingPackageError: the extra ``sheet`` is not installed.
+
+    """
+    try:
+        from kilter_client.sheet.reading import Options, read_sheet
+    except ImportError as error:
+        raise MissingPackageError(
+            f"Reading a pencil sheet needs {error.name}. Install it with: pip install 'kilter-client[sheet]'",
+            package=str(error.name),
+        ) from error
+    return read_sheet(file, Options(radius_mm, page, bars(bars_mm), allow_gaps))
+
+
+def bars(text: str | None) -> tuple[float, float] | None:
+    """Understand --bars-mm: two lengths, or one for both.
+
+    Raises:
+        UsageError: something else.
+
+    """
+    if text is None:
+        return None
+    try:
+        lengths = [float(part) for part in text.split(",")]
+    except ValueError:
+        lengths = []
+    if len(lengths) not in (1, 2) or not all(1 < length < 1000 for length in lengths):
+        raise UsageError(f"--bars-mm {text}: give the length of both bars in mm, for example 89.8,90.1.")
+    return lengths[0], lengths[-1]
+
+
+def _show_sheet(document: dict[str, Any]) -> None:
+    say(f"{document['file']}: {document['page'].upper()}, radius {document['radius_mm']:g} mm, {document['gaps']} gaps")
+    say(f"  Print it at 100 % and measure both scale bars: {document['bar_mm']:g} mm.")
+
+
+def _show_reading(document: dict[str, Any]) -> None:
+    line, placing = document["line"], document["placing"]
+    say(f"{document['file']}: sheet of radius {document['radius_mm']:g} mm, {placing['dpi']:.0f} dpi")
+    for text in document["notes"]:
+        say(f"  {text}")
+    for text in document["warnings"]:
+        say(f"  Warning: {text}.")
+    marks = f"{placing['marks']} marks within {placing['marks_rms_mm']:.3f} mm"
+    say(f"  {marks}; line {line['width_mm']:.2f} mm wide, seen in {line['seen']} of {line['gaps']} gaps")
+    errors = f"mean {line['mean_abs_mm']:.3f}, rms {line['rms_mm']:.3f}, largest {line['max_abs_mm']:.3f} mm"
+    say(f"  error out of the circle: {errors}; mean radius {line['radius_mm']:.3f} mm")
+    head = {"angle_deg": "deg", "out_mm": "out mm", "out_sigma_mm": "sigma", "along_mm": "along mm"}
+    head |= {"along_sigma_mm": "sigma"}
+    names = [name for name in head if name in document["rows"][0]]
+    rows = [tuple(_cell(row[name], name) for name in names) for row in document["rows"]]
+    show_rows([head[name] for name in names], rows, numbers=True)
+
+
+def _cell(value: float | None, name: str) -> str:
+    return "" if value is None else f"{value:.2f}" if name == "angle_deg" else f"{value:.3f}"
