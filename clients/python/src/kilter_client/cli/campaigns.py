@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,13 +11,27 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import File, Json, Robot
+from kilter_client.cli.inspect import check_numpy
+from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.cli.tables import show_rows
 from kilter_client.errors import ObservationError, UsageError
 from kilter_client.files import DEVICES, Prepared, prepare
+from kilter_client.files.tracker_header import PRESETS
 
 Role = Literal["train", "validation", "confirmation"]
+PresetName = Annotated[
+    str | None,
+    typer.Option("--preset", help=f"The file is a tracker's or CMM's text export of: {', '.join(PRESETS)}."),
+]
+Euler = Annotated[
+    str | None, typer.Option(help="Preset: order of its angles, XYZ about the moving axes, xyz about the fixed ones.")
+]
+Joints = Annotated[
+    Path | None,
+    typer.Option(help="Preset: joints of the points, in order: CSV, Parquet, a bag, a program.", exists=True),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -31,6 +46,9 @@ def upload(
     device: Annotated[
         str | None, typer.Option(help=f"Measuring device; files of these are converted: {', '.join(DEVICES)}.")
     ] = None,
+    preset: PresetName = None,
+    euler: Euler = None,
+    joints: Joints = None,
     role: Annotated[Role, typer.Option(help="What the measurements are for.")] = "train",
     column_map: Annotated[
         Path | None,
@@ -64,14 +82,14 @@ def upload(
     }
     if campaign and (name or notes or any(value is not None for value in conditions.values())):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
-    prepared = prepare(file, device, column_map)
+    prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints))
     _understood(file, prepared, as_json)
     if dry_run:
         emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256}), as_json, lambda _: None)
         return
     wanted = {
         "name": name or file.name,
-        "device": device or "",
+        "device": device or preset or "",
         "role": role,
         "conditions": {key: value for key, value in conditions.items() if value is not None},
         "notes": notes,
@@ -80,6 +98,40 @@ def upload(
         target = campaign or _campaign(kilter, robot, wanted, prepared.sha256)
         done = _send(kilter, target, file, prepared, as_json)
     emit(_report(prepared, done), as_json, _show_upload)
+
+
+@dataclass(frozen=True)
+class _Points:
+    """What was said of a text export of points."""
+
+    preset: str | None
+    euler: str | None
+    joints: Path | None
+
+
+def _prepared(robot: str, file: Path, device: str | None, column_map: Path | None, points: _Points) -> Prepared:
+    """Read the file: points by a preset (``--preset``, or a device of that name), else as ``prepare`` does."""
+    preset = points.preset or (
+        device if device in PRESETS and file.suffix.lower() not in (".json", ".parquet") else None
+    )
+    if preset is None or column_map is not None:
+        if points != _Points(None, None, None):
+            raise UsageError("--preset, --euler and --joints belong to a text export of points, without --map.")
+        return prepare(file, device, column_map)
+    if preset not in PRESETS:
+        raise UsageError(f"--preset {preset}: is none of {', '.join(PRESETS)}.")
+    check_numpy()
+    from kilter_client.files.inspection import is_contract
+    from kilter_client.files.joint_bag import is_bag
+    from kilter_client.files.joint_log import LogHints, read_joint_log
+    from kilter_client.files.points import prepare_points
+
+    if points == _Points(None, None, None) and is_contract(file):
+        return prepare(file)
+    log = None
+    if points.joints is not None:
+        log = read_joint_log(points.joints, hints=LogHints(likely=joints_of(robot) if is_bag(points.joints) else ()))
+    return prepare_points(file, preset, points.euler, log)
 
 
 def campaigns(robot: Robot, as_json: Json = False) -> None:

@@ -80,6 +80,12 @@ def _text(path: Path, hints: Hints) -> Document:
     }
 
 
+def is_contract(path: Path) -> bool:
+    """Tell whether every column of a text is a contract column."""
+    layout = sniff(path)
+    return all(unit_of(name) is not None for name in _full_names(layout))
+
+
 def is_recording(layout: TextLayout, rate_hz: float | None = None) -> bool:
     """Tell whether a text holds frames of markers and not one point per row that somebody chose to measure."""
     columns = understand(layout)

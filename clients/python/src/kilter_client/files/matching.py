@@ -72,7 +72,7 @@ def refuse_jumps(recording: Recording) -> None:
 
 
 def _by_order(recording: Recording, dwells: list[Dwell], log: JointLog) -> NDArray[np.int64]:
-    poses = _settled(log)
+    poses = settled(log)
     if len(poses) != len(dwells):
         short = min(dwells, key=lambda d: d.end_s - d.start_s)
         remedy = (
@@ -83,8 +83,8 @@ def _by_order(recording: Recording, dwells: list[Dwell], log: JointLog) -> NDArr
     return poses
 
 
-def _settled(log: JointLog) -> NDArray[np.int64]:
-    """Rows of the log that are poses: all, or without repeated rows where nothing moved since the row before."""
+def settled(log: JointLog) -> NDArray[np.int64]:
+    """Return the rows of the log that are poses: all, or without repeated rows where nothing moved since the row before."""
     q = log.q_even()
     if log.t_s is None or "pose_id" in log.columns or len(log) < 2:
         return np.arange(len(log))

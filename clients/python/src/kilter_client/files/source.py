@@ -10,8 +10,9 @@ from kilter_client.files.source_mat import read_mat
 from kilter_client.files.source_parquet import read_parquet
 from kilter_client.files.source_text import Layout, read_text
 
-FORMATS = ("csv", "mat", "parquet")
-ENDINGS = {".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv", ".mat": "mat", ".parquet": "parquet"}
+FORMATS = ("csv", "mat", "parquet", "tdms")
+ENDINGS = {".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv", ".mat": "mat"}
+ENDINGS |= {".parquet": "parquet", ".tdms": "tdms"}
 
 
 class Source(Protocol):
@@ -29,7 +30,7 @@ class Source(Protocol):
 
 
 def open_source(path: Path, form: str | None, layout: Layout) -> Source:
-    """Read ``path`` in ``form`` ("csv", "mat", "parquet"; None: by the file's ending).
+    """Read ``path`` in ``form`` ("csv", "mat", "parquet", "tdms"; None: by the file's ending).
 
     Raises:
         FileError: an ending that says nothing, or a file its reader refuses.
@@ -41,6 +42,10 @@ def open_source(path: Path, form: str | None, layout: Layout) -> Source:
         return read_mat(path, numbers)
     if form == "parquet":
         return read_parquet(path, numbers)
+    if form == "tdms":
+        from kilter_client.files.source_tdms import read_tdms  # its reader needs numpy, which maps of text do not
+
+        return read_tdms(path, numbers)
     if form == "csv":
         return read_text(path, layout)
     raise FileError(

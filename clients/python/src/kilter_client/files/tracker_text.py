@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,6 +24,8 @@ from kilter_client.files.units import SIZES, converter
 
 K95 = 2.0  # trackers state U95 with the coverage factor 2
 AXES = ("x", "y", "z")
+JOINT = re.compile(r"q\d+_(deg|rad|mm|m)")
+FRAME = re.compile(r"(?:frame|coordinate system|coord\w* sys\w*|alignment)\s*[:=]\s*(\S[^;,]{0,60})", re.I)
 LONGEST_S = 30 * 86_400.0
 
 
@@ -38,8 +42,12 @@ class _Export:
     warnings: list[str] = field(default_factory=list)
 
 
-def read_tracker(path: Path, preset: str = "generic", euler: str | None = None) -> Table:
+def read_tracker(
+    path: Path, preset: str = "generic", euler: str | None = None, joints: Mapping[str, Floats] | None = None
+) -> Table:
     """Read a text export; ``euler`` is the order of its angles, as in a column map, before the preset's.
+
+    ``joints`` are columns of another file, a row for each point.
 
     Raises:
         FileError: no x, y and z, angles of unknown order, a damaged row; line, column and remedy are named.
@@ -59,6 +67,8 @@ def read_tracker(path: Path, preset: str = "generic", euler: str | None = None) 
     _orientation(export, values)
     _spread(export, values)
     _joints_and_more(export, values)
+    _joints_beside(export, joints)
+    _frame(export)
     return _table(export)
 
 
@@ -154,6 +164,29 @@ def _joints_and_more(export: _Export, values: dict[str, Floats]) -> None:
             export.warnings.append(f"{_name(export, 't')!r} left out: it is no time in seconds that goes on")
         else:
             export.columns["t_s"] = t
+
+
+def _joints_beside(export: _Export, joints: Mapping[str, Floats] | None) -> None:
+    """Join columns of another file; points and joints must be as many, before any row is left out."""
+    if joints is None:
+        return
+    if any(JOINT.fullmatch(name) for name in export.columns):
+        what = "holds joints of its own"
+        raise fault(export.path, what, "Leave out --joints.", line=export.layout.first_line)
+    count = len(next(iter(joints.values())))
+    if count != export.rows:
+        what = f"{export.rows} points, but {count} poses of joints"
+        raise fault(export.path, what, "Bring both files to the same poses in the same order.")
+    export.columns = {**joints, **export.columns}
+
+
+def _frame(export: _Export) -> None:
+    """Say which coordinate frame the header names."""
+    for cells in export.layout.above:
+        match = FRAME.search(" ".join(cells))
+        if match:
+            export.notes.append(f"coordinate frame: {match[1].strip()}")
+            return
 
 
 def _table(export: _Export) -> Table:
