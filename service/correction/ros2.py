@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import ObservationError
+from service.corrector.frames import Status
 
 if TYPE_CHECKING:
-    from core.compensate import Correction
+    from service.correction.follow import Corrected
 
 NANO = 1_000_000_000
 
 
-def joint_trajectory(names: Sequence[str], t: NDArray[np.float64] | None, parts: Sequence[Correction]) -> bytes:
+def joint_trajectory(names: Sequence[str], t: NDArray[np.float64] | None, done: Corrected) -> bytes:
     """Write positions (rad, m) over the time from the first row.
 
     Raises:
@@ -29,17 +30,14 @@ def joint_trajectory(names: Sequence[str], t: NDArray[np.float64] | None, parts:
     if len(late):
         row = int(late[0]) + 2
         raise ObservationError(f"Row {row}, column 't_s': the time must rise from row to row.", row=row, column="t_s")
-    _refuse_gaps(parts)
-    return "".join(_lines(names, t - t[0], np.concatenate([part.q for part in parts]))).encode()
+    _refuse_gaps(done)
+    return "".join(_lines(names, t - t[0], done.q)).encode()
 
 
-def _refuse_gaps(parts: Sequence[Correction]) -> None:
-    from core.compensate import Status
-
-    status = np.concatenate([part.status for part in parts])
-    bad = np.flatnonzero(status != Status.OK)
+def _refuse_gaps(done: Corrected) -> None:
+    bad = np.flatnonzero(done.status != Status.OK)
     if len(bad):
-        word = Status(int(status[bad[0]])).name
+        word = Status(int(done.status[bad[0]])).name
         raise ObservationError(
             f"Row {int(bad[0]) + 1} is not corrected ({word}), {len(bad)} rows in all: a JointTrajectory cannot have a "
             "gap. Take CSV, which marks such rows, or leave them out.",

@@ -17,6 +17,7 @@ from service.state import DatabaseOfApp, SettingsOfApp
 router = APIRouter(prefix="/v1/robots", tags=["correction"])
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
+NOT_CORRECTED = "Kilter-Not-Corrected"
 YAML = "application/yaml"
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array"}}}
 ANSWER = "The trajectory corrected, with dx_mm, dy_mm, dz_mm, status"
@@ -39,11 +40,15 @@ async def correct(
 ) -> Response:
     """Correct a trajectory (CSV, Parquet or JSON columns) with the active version, or with the one named.
 
-    The answer has the format that was sent; ``format=ros2-yaml`` asks for a ROS 2 JointTrajectory instead.
+    The numbers are those of the stream. The answer has the format that was sent; ``format=ros2-yaml`` asks for a ROS 2
+    JointTrajectory instead. Effects of the version that a correction leaves out are named in ``Kilter-Not-Corrected``.
     """
     media = reading.media_type(request.headers.get("content-type"))
     with tempfile.TemporaryDirectory(prefix="kilter-correct-") as folder:
         path = Path(folder) / "body"
         await receive(request, path, settings.max_upload_mb)
-        corrected = await run_in_threadpool(service.correct, database, robot, version, path, media, format)
-    return Response(corrected, media_type=media if format is None else YAML)
+        corrected, left_out = await run_in_threadpool(
+            service.correct, database, robot, version, path, media, format, settings.temperature_c
+        )
+    headers = {NOT_CORRECTED: ", ".join(left_out)} if left_out else None
+    return Response(corrected, media_type=media if format is None else YAML, headers=headers)

@@ -15,9 +15,14 @@ import yaml
 from pyarrow import parquet
 
 from core.compensate import CorrectOptions, correct
+from core.correction import CorrectionOptions, Track, compile_program
 from core.model import Calibration
 from core.twin import Twin, thesis_katana
-from service.correction.service import last_motion
+from service.correction.follow import last_motion
+from service.corrector.active import Active
+from service.corrector.frames import Answer, Flag, decode_answer, encode_setpoints
+from service.corrector.queries import correct_trajectory, decode_trajectory, encode_trajectory
+from service.corrector.stream import Stream
 from service.db import Database
 from service.db.tables import JobRow, VersionRow
 from service.versions import store
@@ -146,22 +151,46 @@ def trajectory(rows: int = 50) -> dict[str, list[float]]:
     return {"t_s": t.tolist()} | {f"q{j + 1}_deg": q[:, j].tolist() for j in range(5)}
 
 
-def test_correction_over_http_is_cores(client: httpx.Client, versions: Versions, twin: Twin) -> None:
-    columns = trajectory()
+def joints(columns: dict[str, list[float]]) -> np.ndarray:
+    return np.radians(np.stack([np.array(columns[f"q{j + 1}_deg"], dtype=float) for j in range(5)], axis=1))
+
+
+def streamed(active: Active, q: np.ndarray, step_s: float) -> list[Answer]:
+    """What the stream answers to the rows one by one, the arm resting at the first."""
+    stream, answers, step = Stream(), [], round(step_s * 1e9)
+    for k, row in enumerate(q):
+        flags = Flag.RESET | Flag.SETTLED if k == 0 else 0
+        at = 10**12 + k * step
+        data = encode_setpoints(row[None], joints=5, seq=k, t_send_ns=at, t_apply_ns=at, flags=flags)
+        answers.append(decode_answer(stream.answer(data, at, active) or b""))
+    return answers
+
+
+def test_correction_over_http_is_that_of_stream_and_query(client: httpx.Client, versions: Versions, twin: Twin) -> None:
+    columns = trajectory(51)  # 0.02 s, a whole number of the stream's nanoseconds
     none = client.post("/v1/robots/katana/correct", json=columns)
     assert (none.status_code, none.json()["code"]) == (409, "no_active_version")
     version = versions.add("a", twin.truth)
     client.post(f"/v1/versions/{version}/activate")
-    q = np.radians(np.stack([columns[f"q{j + 1}_deg"] for j in range(5)], axis=1))
-    expected = correct(twin.truth, q, direction=last_motion(q), options=CorrectOptions())
+    program = compile_program(twin.truth, CorrectionOptions())
+    active = Active("katana", version, 1, 1, program)
+    q, t = joints(columns), np.array(columns["t_s"])
 
     out = client.post("/v1/robots/katana/correct", json=columns).json()
     assert list(out) == [*columns, "dx_mm", "dy_mm", "dz_mm", "status"]
     assert out["t_s"] == columns["t_s"]
     assert set(out["status"]) == {"OK"}
-    assert np.allclose(np.radians(out["q3_deg"]), expected.q[:, 2], atol=1e-12)
-    assert np.allclose(out["dz_mm"], expected.error_removed[:, 2] * 1e3, atol=1e-9)
     assert np.abs(np.array(out["q2_deg"]) - columns["q2_deg"]).max() > 1e-3
+    by_stream = np.array([answer.values[0] for answer in streamed(active, q, t[1] - t[0])])
+    assert np.max(np.abs(joints(out) - by_stream)) < 1e-12
+    query = correct_trajectory(decode_trajectory(encode_trajectory(t, q, joints=5)), active)
+    by_query = np.frombuffer(query[-8 * q.size :]).reshape(q.shape)
+    assert np.max(np.abs(joints(out) - by_query)) < 1e-12
+    off = np.stack([out[f"d{axis}_mm"] for axis in "xyz"], axis=1) * 1e-3
+    ideal = correct(twin.truth, q, direction=last_motion(q), options=CorrectOptions())
+    # The stream crosses play no faster than its rate limit; the ideal jumps.
+    apart = np.linalg.norm(off - ideal.error_removed, axis=1)
+    assert np.median(apart) < 0.1 * np.median(np.linalg.norm(off, axis=1))
 
     buffer = io.BytesIO()
     parquet.write_table(pa.table(columns), buffer)
@@ -175,6 +204,57 @@ def test_correction_over_http_is_cores(client: httpx.Client, versions: Versions,
     rows = list(csv.DictReader(io.StringIO(as_csv.text)))
     assert [float(row["q3_deg"]) for row in rows] == out["q3_deg"]
     assert rows[0]["status"] == "OK"
+
+
+def test_rows_without_times_are_corrected_each_by_itself(client: httpx.Client, versions: Versions, twin: Twin) -> None:
+    client.post(f"/v1/versions/{versions.add('a', twin.truth)}/activate")
+    columns = {name: cells for name, cells in trajectory().items() if name != "t_s"}
+    answer = client.post("/v1/robots/katana/correct", json=columns).json()
+    out, q = joints(answer), joints(columns)
+    ideal = correct(twin.truth, q, direction=last_motion(q), options=CorrectOptions())
+    assert np.median(np.abs(answer["dz_mm"] - ideal.error_removed[:, 2] * 1e3)) < 1e-3
+    program = compile_program(twin.truth, CorrectionOptions())
+    assert np.max(np.abs(out - program.correct_rows(q, direction=last_motion(q)).q)) < 1e-12
+    alone = {name: cells[17:18] for name, cells in columns.items()} | {f"dir{j + 1}": [1] for j in range(5)}
+    one = joints(client.post("/v1/robots/katana/correct", json=alone).json())
+    assert np.max(np.abs(one - program.correct_rows(q[17:18], direction=np.ones((1, 5))).q)) < 1e-12
+
+
+def test_a_refused_row_leaves_no_trace(client: httpx.Client, versions: Versions, twin: Twin) -> None:
+    version = versions.add("a", twin.truth)
+    columns = trajectory(201)
+    for k in (*range(60, 70), 130, 200):
+        columns["q2_deg"][k] = 500.0
+    out = client.post("/v1/robots/katana/correct", params={"version": version}, json=columns).json()
+    assert {out["status"][k] for k in (60, 69, 130, 200)} == {"JOINT_LIMIT"}
+    assert out["q3_deg"][130] is None
+    active = Active("katana", version, 1, 1, compile_program(twin.truth, CorrectionOptions()))
+    answers = streamed(active, joints(columns), columns["t_s"][1] - columns["t_s"][0])
+    assert [answer.status.name for answer in answers] == out["status"]
+    good = [k for k, name in enumerate(out["status"]) if name == "OK"]
+    got = joints({name: [cells[k] for k in good] for name, cells in out.items() if name.startswith("q")})
+    assert np.max(np.abs(got - [answers[k].values[0] for k in good])) < 1e-12
+
+
+def test_a_load_picked_up_on_the_way_changes_the_correction(
+    client: httpx.Client, versions: Versions, twin: Twin
+) -> None:
+    client.post(f"/v1/versions/{versions.add('a', twin.truth)}/activate")
+    columns = trajectory(100)
+    loads = [0.0] * 40 + [0.4] * 60
+    out = joints(client.post("/v1/robots/katana/correct", json=columns | {"payload_kg": loads}).json())
+    q, t = joints(columns), np.array(columns["t_s"])
+    empty, loaded = (compile_program(twin.truth, CorrectionOptions(payload_kg=kg)) for kg in (0.0, 0.4))
+    track = Track(empty, settled=True)
+    _, first, _, _ = track.follow(q[:40], 1, np.diff(t[:40], prepend=t[0]))
+    track.change(loaded)
+    _, second, _, _ = track.follow(q[40:], 1, np.diff(t[40:], prepend=t[39]))
+    assert np.max(np.abs(out - np.vstack([first, second]))) < 1e-12
+    many = columns | {"payload_kg": [0.001 * k for k in range(100)]}
+    assert client.post("/v1/robots/katana/correct", json=many).status_code == 200
+    back = columns | {"t_s": [*columns["t_s"][:-1], 0.0]}
+    answer = client.post("/v1/robots/katana/correct", json=back)
+    assert (answer.status_code, answer.json()["context"]["row"]) == (400, 100)
 
 
 def test_rows_that_cannot_be_corrected_carry_no_numbers(client: httpx.Client, versions: Versions, twin: Twin) -> None:
