@@ -8,7 +8,7 @@ IMAGE ?= kilter
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check bench bench-peers bench-stream fuzz-stream blind image fmt clean
+.PHONY: help setup demo serve test check bench bench-peers bench-stream fuzz-stream blind thesis image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -59,6 +59,10 @@ fuzz-stream: $(KERNELS) ## send a million damaged frames through the corrector
 
 blind: $(READY) ## find hidden physics in N simulated campaigns and write docs/reference/gap-finder-benchmark.md (N=1000)
 	$(BIN)/python -m tests.blind.run --n $(or $(N),1000)
+
+thesis: $(KERNELS) ## do the thesis's experiments again on simulated arms and write their pages
+	$(BIN)/python -m tools.thesis_reproduction
+	$(BIN)/python -m tools.influence_and_tilting
 
 image: ## build the container image (needs a container engine)
 	docker build --tag $(IMAGE) .
