@@ -68,6 +68,18 @@ def test_the_order_of_the_thesis_and_the_figures_of_the_page() -> None:
     assert said == pytest.approx([done.errors_mm(found[n], arm, unseen[:1])[0] for n in MODELS], abs=2e-3)
 
 
+def test_weights_and_tilting_together_as_the_page_says() -> None:
+    """One arm of one make: tilting is what counts, weights on top of it change little and lose."""
+    make = combining.MAKES["Katana 450"]
+    robot = combining.robot_of(make)
+    calibrate, unseen = combining.poses(robot, 30)
+    error = combining.compared(robot, make, 1, calibrate, unseen)
+    measured = error["tilting measured first, least squares"]
+    assert error["no tilting, least squares"] > 10.0 * measured
+    assert error["tilting measured first, influence"] == pytest.approx(measured, rel=0.25)
+    assert error["tilting identified too, influence"] > 5.0 * error["tilting identified too, least squares"]
+
+
 def test_noise_decides_no_verdict() -> None:
     assert [verdict(n, 20) for n in (20, 18, 12, 10)] == ["Holds.", "Holds.", "Holds for most arms.", "Does not hold."]
     assert table(["a", "b"], [["1", "2"]]).splitlines() == ["| a | b |", "| --- | --- |", "| 1 | 2 |"]
