@@ -10,10 +10,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pytest
 import typer
 from kilter_client import Kilter
 from kilter_client.cli import app, run
+from pyarrow import parquet
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]
@@ -142,9 +144,18 @@ def _correct(robot: str, command: Command, tmp_path: Path) -> None:
     assert len(rows) == 5
     assert "5 rows" in command("correct", robot, path, "-o", output)
     assert "name the file" in command.json("correct", robot, path, code=2)["detail"]
+    table, back = tmp_path / "path.parquet", tmp_path / "corrected.parquet"
+    parquet.write_table(pa.table({name: [float(x) for x in cells] for name, *cells in _columns(path)}), table)
+    command("correct", robot, table, "-o", back)
+    as_csv = {name: [float(x) for x in cells] for name, *cells in _columns(output) if name != "status"}
+    assert parquet.read_table(back).drop_columns("status").to_pydict() == as_csv
     path.write_text(path.read_text() + "0.5,0,0,0,0,9999\n")
     assert command.json("correct", robot, path, "-o", output)["status"]["JOINT_LIMIT"] == 1
     assert "JOINT_LIMIT 1" in command("correct", robot, path, "-o", output)
+
+
+def _columns(path: Path) -> list[tuple[str, ...]]:
+    return list(zip(*csv.reader(path.read_text().splitlines()), strict=True))
 
 
 def _jobs(robot: str, job: str, campaign: str, command: Command) -> None:
