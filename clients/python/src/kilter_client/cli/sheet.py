@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from kilter_client.cli.arguments import File, Json
+from kilter_client.cli.inspect import check_numpy
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import MissingPackageError, UsageError
+
+if TYPE_CHECKING:
+    from kilter_client.files.rig import Circle
 
 RadiusMm = Annotated[
     float | None, typer.Option("--radius-mm", help="The sheet's radius, where its marker is cut away; else checked.")
@@ -28,6 +32,10 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.command("sheet", epilog="Example: kilter sheet --radius-mm 80 -o sheet.pdf")(sheet)
     app.command("sheet-read", epilog="Example: kilter sheet-read scan.png --plot error.svg")(sheet_read)
+    app.command(
+        "sheet-join",
+        epilog="Example: kilter sheet-join scan.png joints.csv --points points.csv --height rig.tdms -o rows.csv",
+    )(sheet_join)
 
 
 def sheet(
@@ -87,6 +95,75 @@ def sheet_read(
     emit(reading.to_document(), as_json, _show_reading)
 
 
+def sheet_join(
+    file: File,
+    joints: Annotated[
+        Path, typer.Argument(help="Joint log with commanded x_mm, y_mm, z_mm.", metavar="JOINTS", exists=True)
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the rows go, as CSV.")],
+    points: Annotated[
+        Path | None,
+        typer.Option(help="CSV of quarter points 1 to 4 in the robot's base: x_mm, y_mm, z_mm.", exists=True),
+    ] = None,
+    height: Annotated[
+        Path | None, typer.Option(help="Log of the potentiometer: TDMS, CSV or .mat.", exists=True, dir_okay=False)
+    ] = None,
+    channel: Annotated[str | None, typer.Option(help="Its channel or column.")] = None,
+    calibration: Annotated[str | None, typer.Option(metavar="V:MM,V:MM", help="Volts to mm by gauge blocks.")] = None,
+    height_time: Annotated[str | None, typer.Option(help="Its time column, where its name does not say so.")] = None,
+    height_starts_s: Annotated[float, typer.Option(help="Time of the joint log at which it begins.")] = 0.0,
+    take_command: Annotated[
+        float | None,
+        typer.Option(metavar="MM", help="Let the command stand in for what was not measured, as uncertain as this."),
+    ] = None,
+    joints_map: Annotated[
+        Path | None, typer.Option(help="Column map of the joint log (TOML).", exists=True, dir_okay=False)
+    ] = None,
+    radius_mm: RadiusMm = None,
+    page: PageNumber = 1,
+    bars_mm: BarsMm = None,
+    allow_gaps: AllowGaps = False,
+    as_json: Json = False,
+) -> None:
+    """Join a drawn sheet (or a ball bar's log) and the tool's height with the joint log: rows for kilter upload."""
+    if take_command is not None and not 0 < take_command < 100:
+        raise UsageError(f"--take-command {take_command:g}: give mm above 0, for example 1.")
+    check_numpy()
+    from kilter_client.files.height import read_calibration, read_heights
+    from kilter_client.files.joint_log import read_joint_log
+    from kilter_client.files.rig import Frame, JoinOptions, join, read_points, register
+
+    volts = None if calibration is None else read_calibration(calibration)
+    heights = None if height is None else read_heights(height, channel, volts, height_time)
+    circle = _circle(file, radius_mm, page, bars_mm, allow_gaps)
+    frame = Frame.own() if points is None else register(points, read_points(points), circle.radius_mm)
+    log = read_joint_log(joints, joints_map)
+    joined = join(circle, log, heights, frame, JoinOptions(starts_s=height_starts_s, taken_mm=take_command))
+    write(output, joined.table.to_csv())
+    document = {"file": str(output), "notes": joined.table.notes, "warnings": joined.table.warnings} | joined.report
+    emit(document, as_json, _show_join)
+
+
+def _circle(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, allow_gaps: bool) -> Circle:
+    """Errors of the circle in a scan, or in a ball bar's log."""
+    import numpy as np
+
+    from kilter_client.files.faults import head_of
+    from kilter_client.files.rig import Circle
+
+    if head_of(file, 1024).lstrip()[:4] not in (b"%PDF", b"\x89PNG") and head_of(file, 2) != b"\xff\xd8":
+        from kilter_client.files.ballbar import BAR_SIGMA_MM, read_ballbar
+
+        bar = read_ballbar(file, radius_mm)
+        out, turn = bar.radius_mm - bar.nominal_mm, np.radians(bar.angle_deg)
+        return Circle(file, bar.nominal_mm, turn, out, np.full(len(out), BAR_SIGMA_MM), None, None)
+    found = read(file, radius_mm, page, bars_mm, allow_gaps)
+    turn = np.radians(found.angle_deg)
+    return Circle(
+        file, found.sheet.radius_mm, turn, found.out_mm, found.out_sigma_mm, found.along_mm, found.along_sigma_mm
+    )
+
+
 def read(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, allow_gaps: bool) -> Any:
     """Read a sheet with the options of the command line.
 
@@ -121,6 +198,17 @@ def bars(text: str | None) -> tuple[float, float] | None:
     if len(lengths) not in (1, 2) or not all(1 < length < 1000 for length in lengths):
         raise UsageError(f"--bars-mm {text}: give the length of both bars in mm, for example 89.8,90.1.")
     return lengths[0], lengths[-1]
+
+
+def _show_join(document: dict[str, Any]) -> None:
+    say(f"{document['file']}: {document['rows']} rows for kilter upload")
+    for text in document["notes"]:
+        say(f"  {text}")
+    for text in document["warnings"]:
+        say(f"  Warning: {text}.")
+    if any(document["frame"]["left_mm"]):
+        say(f"  the four points fit the sheet within {max(document['frame']['left_mm']):.3f} mm")
+    say(f"  rms distance from the command: {document['off_command_rms_mm']:.3f} mm")
 
 
 def _show_sheet(document: dict[str, Any]) -> None:
