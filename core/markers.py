@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,41 +11,57 @@ from core.errors import ObservationError
 from core.transforms import nearest_rotation
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+FLAT = 0.01  # spread across the line of the markers, as a share of that along it, below which they lie in one line
+NARROW = 0.1  # share of the largest triangle below which the first three markers do not set the frame
+PASSES = 3
 
 
-def marker_shape(markers: Floats) -> Floats:
+def marker_shape(markers: Floats, tip: Floats | None = None) -> Floats:
     """Common shape (m, 3) m of rigid marker sets (N, m, 3), in its own frame.
 
-    Origin at the mean marker, z normal to the first three, x along the line from their middle to marker 1. The shape
-    is the mean of all complete rows after a rigid alignment to each other (generalised Procrustes), so its noise is
-    that of one row over sqrt(N).
+    Origin at the mean marker, z normal to the first three (or, where these are nearly in line, to the three that span
+    most), x along the line from their middle to the first of them. The shape is the mean of all rows after a rigid
+    alignment to each other (generalised Procrustes); rows with unseen markers count with those they show, so no row needs
+    to show all. With ``tip (N, 3)``, a point of the tool digitised in some rows, the origin is that point.
 
     Raises:
-        ObservationError: no row shows every marker, fewer than three markers, or markers in one line.
+        ObservationError: fewer than three markers, markers in one line, or markers that no row ties to the others.
 
     """
     if markers.shape[1] < 3:
         raise ObservationError(f"{markers.shape[1]} markers do not fix a pose: three or more, not in line, are needed.")
-    complete = markers[~np.isnan(markers).any(axis=(1, 2))]
-    if len(complete) == 0:
-        raise ObservationError("No row shows every marker, so their common shape is unknown: measure one such row.")
-    shape = _own_frame(complete[0])
-    for _ in range(3):
-        centred = complete - complete.mean(axis=1, keepdims=True)
-        turned = np.stack([row @ nearest_rotation(row.T @ shape) for row in centred])
-        shape = _own_frame(turned.mean(axis=0))
-    return shape
+    shape = _linked(markers)
+    for _ in range(PASSES):
+        shape = _own_frame(_mean_of_rows(shape, markers))
+    return shape if tip is None else shape - tip_in(shape, markers, tip)
 
 
-def fit_poses(shape: Floats, markers: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def tip_in(shape: Floats, markers: Floats, tip: Floats) -> Floats:
+    """Place (3,) m of a digitised point in the shape's frame: the mean over the rows that have it; zero where none has."""
+    position, rotation, usable = fit_poses(shape, markers)
+    rows = usable & ~np.isnan(tip).any(axis=1)
+    if not rows.any():
+        if np.isnan(tip).all():
+            return np.zeros(3)
+        raise ObservationError(
+            "The tip was digitised in rows that do not show three markers: digitise it while they are seen."
+        )
+    return np.asarray(np.einsum("nji,nj->ni", rotation[rows], tip[rows] - position[rows]).mean(axis=0))
+
+
+def fit_poses(shape: Floats, markers: Floats) -> tuple[Floats, Floats, Bools]:
     """Least-squares pose of the shape in every row (Kabsch 1976).
 
-    Returns positions (N, 3) m of the shape's origin, rotations (N, 3, 3), and which rows show the three markers needed.
+    Returns positions (N, 3) m of the shape's origin, rotations (N, 3, 3), and which rows show three markers or more that
+    are not in one line.
     """
     rows = len(markers)
     position, rotation = np.full((rows, 3), np.nan), np.tile(np.eye(3), (rows, 1, 1))
-    seen = np.asarray(~np.isnan(markers).any(axis=2))
-    usable = seen.sum(axis=1) >= 3
+    seen = np.asarray(~np.isnan(markers).any(axis=2)) & ~np.isnan(shape).any(axis=1)
+    patterns, pattern = np.unique(seen, axis=0, return_inverse=True)
+    usable = np.array([span_of(shape[p]) >= FLAT for p in patterns])[pattern.reshape(-1)]
     for k in np.flatnonzero(usable):
         body, world = shape[seen[k]], markers[k, seen[k]]
         b, w = body.mean(axis=0), world.mean(axis=0)
@@ -52,14 +70,71 @@ def fit_poses(shape: Floats, markers: Floats) -> tuple[Floats, Floats, NDArray[n
     return position, rotation, usable
 
 
+def span_of(points: Floats) -> float:
+    """How far points (k, 3) spread across their line, as a share of their spread along it; 0 for fewer than three."""
+    if len(points) < 3:
+        return 0.0
+    s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return float(s[1] / s[0]) if s[0] > 0.0 else 0.0
+
+
+def _linked(markers: Floats) -> Floats:
+    """A first shape: the row that shows most, and the unseen markers from rows that share three others with it."""
+    seen = np.asarray(~np.isnan(markers).any(axis=2))
+    first = int(np.argmax(seen.sum(axis=1)))
+    shape = markers[first].copy()
+    if span_of(shape[seen[first]]) < FLAT:
+        _refuse_line(markers, seen)
+    while np.isnan(shape).any():
+        known = int(np.isnan(shape).any(axis=1).sum())
+        shape = _mean_of_rows(shape, markers)
+        if int(np.isnan(shape).any(axis=1).sum()) == known:
+            lost = [k + 1 for k in np.flatnonzero(np.isnan(shape).any(axis=1))]
+            raise ObservationError(
+                f"No row shows marker {lost[0]} together with three others that are known, so its place among them is "
+                "not: measure one such row, or leave the marker out.",
+                markers=lost,
+            )
+    return _own_frame(shape)
+
+
+def _refuse_line(markers: Floats, seen: Bools) -> None:
+    if seen.sum(axis=1).max() < 3:
+        raise ObservationError("No row shows three markers, so none fixes a pose: measure rows that do.")
+    raise ObservationError(
+        "The markers lie in one line: their turn about it cannot be seen. Add one off the line.",
+        code="markers_collinear",
+    )
+
+
+def _mean_of_rows(shape: Floats, markers: Floats) -> Floats:
+    """Mean (m, 3) of all rows in the shape's frame; NaN for a marker that no usable row shows."""
+    position, rotation, usable = fit_poses(shape, markers)
+    local = np.einsum("nji,nmj->nmi", rotation[usable], markers[usable] - position[usable, None])
+    count = (~np.isnan(local)).sum(axis=0)
+    total = np.nansum(local, axis=0)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
 def _own_frame(points: Floats) -> Floats:
+    if span_of(points) < FLAT:
+        _refuse_line(points[None], np.ones((1, len(points)), dtype=bool))
     centred = points - points.mean(axis=0)
-    normal = np.cross(centred[1] - centred[0], centred[2] - centred[0])
-    size = np.linalg.norm(normal)
-    if size < 1e-6 * np.linalg.norm(centred) ** 2 or not np.isfinite(size):
-        raise ObservationError("The markers lie in one line: their turn about it cannot be seen. Add one off the line.")
-    z = normal / size
-    # From the middle of the first three, so that x lies in their plane wherever the others pull the origin.
-    x = points[0] - points[:3].mean(axis=0)
+    a, b, c = _widest(centred)
+    normal = np.cross(centred[b] - centred[a], centred[c] - centred[a])
+    z = normal / np.linalg.norm(normal)
+    # From the middle of the three, so that x lies in their plane wherever the others pull the origin.
+    x = points[a] - points[[a, b, c]].mean(axis=0)
     x = x / np.linalg.norm(x)
     return np.asarray(centred @ np.stack([x, np.cross(z, x), z], axis=1))
+
+
+def _widest(points: Floats) -> tuple[int, int, int]:
+    """Three markers that set the frame: the first three unless others span far more."""
+
+    def area(three: tuple[int, int, int]) -> float:
+        a, b, c = points[list(three)]
+        return float(np.linalg.norm(np.cross(b - a, c - a)))
+
+    best = max(combinations(range(len(points)), 3), key=area)
+    return (0, 1, 2) if area((0, 1, 2)) >= NARROW * area(best) else best

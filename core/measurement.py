@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import ObservationError
+from core.marker_checks import refuse_bad_markers
 from core.markers import marker_shape
 from core.model import Calibration, Prediction
 from core.observations import Observations
@@ -47,7 +48,8 @@ class Measurement:
 
         """
         if observations.markers is not None:
-            points = marker_shape(observations.markers) if marker_points is None else marker_points
+            refuse_bad_markers(observations.markers, marker_points)
+            points = marker_shape(observations.markers, observations.tip) if marker_points is None else marker_points
             return Measurement(observations, points)
         if observations.position is None:
             raise ObservationError(

@@ -80,6 +80,11 @@ class Observations:
         """
         if not parts:
             raise ObservationError("No observations: name at least one campaign that has some.")
+        if any(part.tip is not None for part in parts):
+            # A tip is digitised once; the other campaigns of the same markers need no columns for it.
+            parts = [
+                part if part.tip is not None else replace(part, tip=np.full((len(part), 3), np.nan)) for part in parts
+            ]
         names = set(parts[0]._present())
         for part in parts[1:]:
             if set(part._present()) != names:

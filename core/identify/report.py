@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from core.identifiability import identifiable
 from core.identify.intervals import Intervals
 from core.identify.least_squares import Fit
+from core.identify.spread import spread_of
+from core.marker_checks import bending
 from core.model import Calibration
 from core.observations import Observations
 from core.transforms import xyz_rpy_from_pose
@@ -66,6 +68,25 @@ def warnings_of(fit: Fit, train: Observations, repeats: float | None) -> Iterato
             "code": "joint_never_moves",
             "joint": name,
             "message": f"Joint {name} never moves: nothing about it can be identified. Vary it, or fix its parameters.",
+        }
+    spread = spread_of(fit)
+    if spread is not None and spread.too_alike:
+        yield {
+            "code": "poses_ill_conditioned",
+            "here_mm": spread.here * 1e3,
+            "elsewhere_mm": spread.elsewhere * 1e3,
+            "message": f"The result knows the tool to {spread.here * 1e3:.3g} mm in these poses but only to "
+            f"{spread.elsewhere * 1e3:.3g} mm over the joint limits: the poses are too alike ({spread.narrow} used "
+            f"{spread.used:.0%} of its range). Measure poses that spread all joints (`kilter plan --purpose identify`), or "
+            "use the result near these poses only.",
+        }
+    bent = None if train.markers is None else bending(train.markers, repeats)
+    if bent is not None:
+        yield {
+            "code": "markers_not_rigid",
+            "markers": list(bent[:2]),
+            "message": f"The distance of markers {bent[0]} and {bent[1]} varies by {bent[2] * 1e3:.2f} mm (standard "
+            "deviation): the set bends, or one of them is loose. Fasten them; until then errors below that mean little.",
         }
     if repeats is None:
         yield {

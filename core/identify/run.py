@@ -18,6 +18,7 @@ from core.identify.intervals import Intervals, bootstrap, profile
 from core.identify.kalman import Prior
 from core.identify.learned import Learned, gated
 from core.identify.least_squares import Fit
+from core.identify.marker_turns import refuse_feigned_turns
 from core.identify.methods import fit_by_method
 from core.identify.noise import repeat_sigma
 from core.identify.options import IdentifyOptions
@@ -128,6 +129,7 @@ def identify(
         inside, outside = split(train, validation, options.seed)
         train, validation = train.select(inside), train.select(outside)
     measurement = seen(train, options, begin.marker_points)
+    refuse_feigned_turns(begin, measurement)
     registered = _registered(begin, measurement, options, prior)
     begin, learned = gated(begin, train, options, prior)
     fit = fit_by_method(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s), prior)
