@@ -17,8 +17,26 @@ def _ipa_lasertracker(path: Path) -> Table:
     return read_ipa_lasertracker(path)
 
 
+def _ballbar(path: Path) -> Table:
+    from kilter_client.files.ballbar import ballbar_table
+
+    return ballbar_table(path)
+
+
+def _inclinometer(path: Path) -> Table:
+    raise FileError(
+        f"{path}: an inclinometer measures joints, not tool positions, so it makes no campaign. See what it holds with "
+        "`kilter inspect`, and send readings with `kilter joint-parameters ROBOT --readings FILE`.",
+        file=str(path),
+    )
+
+
 # device name -> reader of its files; any other device's files must be contract columns or come with a map
-DEVICES: Mapping[str, Callable[[Path], Table]] = {"ipa-lasertracker": _ipa_lasertracker}
+DEVICES: Mapping[str, Callable[[Path], Table]] = {
+    "ballbar": _ballbar,
+    "inclinometer": _inclinometer,
+    "ipa-lasertracker": _ipa_lasertracker,
+}
 
 TYPES = {".csv": CSV_TYPE, ".parquet": PARQUET_TYPE, ".json": JSON_TYPE}
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from kilter_client.errors import FileError
 from kilter_client.files.faults import fault
+from kilter_client.files.inclinometer import TIME
 from kilter_client.files.recording import Floats
 from kilter_client.files.source_text import parse_number
 from kilter_client.files.table import Table
@@ -56,9 +57,10 @@ class BallBar:
 
 
 def is_ballbar(layout: TextLayout) -> bool:
-    """Tell whether a text's columns are an angle and a radius, or its deviation."""
+    """Tell whether a text's columns are an angle and a radius, or its deviation and no time."""
     names = [plain(name) for name in layout.names]
-    return any(map(ANGLE.match, names)) and any(RADIUS.match(name) or DEVIATION.match(name) for name in names)
+    radius, deviation = (any(map(pattern.match, names)) for pattern in (RADIUS, DEVIATION))
+    return any(map(ANGLE.match, names)) and (radius or (deviation and not any(name in TIME for name in names)))
 
 
 def read_ballbar(path: Path, nominal_mm: float | None = None) -> BallBar:
@@ -82,7 +84,8 @@ def read_ballbar(path: Path, nominal_mm: float | None = None) -> BallBar:
         what = f"turns only {np.ptp(degrees):.3g} in all: are these radians"
         raise fault(path, what, "State the unit: angle_rad or angle_deg.", column=layout.names[angle])
     lengths = _converted(path, layout, length, values[:, 1], "mm", None)
-    nominal = nominal_mm or _nominal(path, layout) or (float(np.median(lengths)) if radius is not None else None)
+    said = nominal_mm or _nominal(path, layout)
+    nominal = said or (float(np.median(lengths)) if radius is not None else None)
     if nominal is None:
         raise fault(path, "deviations without the nominal radius", REMEDY, column=layout.names[length])
     radii = lengths if radius is not None else lengths + nominal
@@ -93,7 +96,10 @@ def read_ballbar(path: Path, nominal_mm: float | None = None) -> BallBar:
         if unit not in ("deg", "rad", "mm", "m"):
             raise fault(path, "a joint without unit", "Call it q1_deg or q1_rad.", column=name)
         columns[f"{name.lower()}_{unit}"] = values[:, 2 + k]
-    notes = (f"nominal radius {nominal:g} mm", f"{len(radii)} readings in {int(run.max())} runs")
+    notes = (
+        f"nominal radius {nominal:g} mm{'' if said else ', the median: none is stated'}",
+        f"{len(radii)} readings in {int(run.max())} runs",
+    )
     return BallBar(path, nominal, degrees, radii, run, line, columns, notes)
 
 

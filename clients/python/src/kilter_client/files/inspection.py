@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_client.files.ballbar import analysed, is_ballbar, read_ballbar
 from kilter_client.files.inclinometer import read_inclinometer, tilts_of
 from kilter_client.files.inspection_joints import column, describe_bag, describe_log
 from kilter_client.files.joint_bag import is_bag
@@ -65,6 +66,8 @@ def _text(path: Path, hints: Hints) -> Document:
     contract = [name for name in _full_names(layout) if unit_of(name) is not None]
     if len(contract) == len(layout.names):
         return _contract(path, contract) | shape
+    if is_ballbar(layout):
+        return _ballbar(path) | shape
     if tilts_of(layout) and not understand(layout).xyz:
         return _inclinometer(path, hints) | shape
     if is_recording(layout, hints.rate_hz):
@@ -157,6 +160,23 @@ def _inclinometer(path: Path, hints: Hints) -> Document:
     columns = [column(name, unit_of(name), values) for name, values in found.columns.items()]
     rows = len(found.columns["t_s"])
     return {"kind": "inclinometer", "rows": rows, "columns": columns, "notes": list(found.notes)}
+
+
+def _ballbar(path: Path) -> Document:
+    found = read_ballbar(path)
+    measured = {"angle_deg": ("deg", found.angle_deg), "radius_mm": ("mm", found.radius_mm)}
+    columns = [column(name, unit, values) for name, (unit, values) in measured.items()]
+    columns += [column(name, unit_of(name), values) for name, values in found.joints.items()]
+    runs = analysed(found)
+    notes = [*found.notes]
+    for run in runs:
+        x, y = run["centre_mm"]
+        size = f"circularity {1000 * run['circularity_mm']:.1f} um about its centre ({x:+.4f}, {y:+.4f}) mm"
+        notes.append(f"run {run['run']}, {run['direction']}: {size}, mean radius {run['mean_radius_mm']:.4f} mm")
+    notes.append(
+        "ready for kilter upload --device ballbar" if found.joints else "joins a joint log with kilter sheet-join"
+    )
+    return {"kind": "ballbar", "rows": len(found.radius_mm), "columns": columns, "runs": runs, "notes": notes}
 
 
 def _tdms(path: Path, hints: Hints) -> Document:

@@ -12,6 +12,7 @@ from kilter_client.files.mcap_check import MCAP, SQLITE
 from kilter_client.files.ndi_n3d import is_n3d, read_n3d
 from kilter_client.files.recording import Recording
 
+PICTURE = "Export the numbers; a scanned pencil sheet is read with kilter sheet-read."
 OTHERS = {
     b"TDSm": ("a TDMS file", "See what it holds with kilter inspect."),
     SQLITE: ("a ROS 2 bag (SQLite)", "It is the joint log: kilter match RECORDING BAG."),
@@ -21,9 +22,9 @@ OTHERS = {
     b"\x89HDF": ("an HDF5 file (MATLAB 7.3)", "Save it in MATLAB with '-v7'."),
     b"PK\x03\x04": ("a ZIP archive or a spreadsheet", "Unpack it, or save the sheet as CSV."),
     b"\x1f\x8b": ("compressed with gzip", "Unpack it first."),
-    b"%PDF": ("a PDF", "Export the numbers."),
-    b"\x89PNG": ("a picture", "Export the numbers."),
-    b"\xff\xd8\xff": ("a picture", "Export the numbers."),
+    b"%PDF": ("a PDF", PICTURE),
+    b"\x89PNG": ("a picture", PICTURE),
+    b"\xff\xd8\xff": ("a picture", PICTURE),
 }
 
 
