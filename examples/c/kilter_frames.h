@@ -1,5 +1,33 @@
-/* Frames of a Kilter stream for a controller in C99: encode a setpoint, decode its answer. docs/reference/stream.md has
- * the tables. No allocation, no dependency, any byte order, any alignment. Angles rad, sliding joints m. */
+/* Frames of a Kilter stream for a controller in C99: encode a setpoint, decode its answer. docs/reference/stream.md says
+ * more. No allocation, no dependency, any byte order, any alignment. Angles rad, sliding joints m.
+ *
+ * Every number is little-endian. A frame begins with 32 bytes:
+ *
+ *   offset  bytes  type     field
+ *        0      4  char[4]  magic, "KLT1"
+ *        4      1  uint8    kind: 0 a setpoint or its answer (1 chunk, 2 trajectory: not in this file)
+ *        5      1  uint8    joints n, 1 to 16; in an answer 0 unless the status is KILTER_OK
+ *        6      2  uint16   flags
+ *        8      8  uint64   seq, one more with every frame; echoed
+ *       16      8  uint64   t_send_ns, the controller's clock; echoed
+ *       24      8  uint64   t_apply_ns, the same clock, 0 for at once; echoed
+ *
+ * To the corrector follow: 8 bytes version (uint64) with KILTER_VERSION, then n float64 q, n float64 qd with KILTER_QD,
+ * n float64 qdd with KILTER_QDD. A plain setpoint of 6 joints has 80 bytes.
+ *
+ * In an answer follow 24 bytes, and n float64 corrected q only when the status is KILTER_OK (6 joints: 104 bytes):
+ *
+ *   offset  bytes  type     field
+ *       32      8  uint64   version used
+ *       40      4  uint32   epoch, grows with every activation
+ *       44      2  uint16   status
+ *       46      2  uint16   limit_mask, bit 0 is joint 1
+ *       48      4  uint32   processing_ns
+ *       52      4  int32    reserved, 0
+ *
+ * What a controller owes to its arm: wait for the answer with seq just sent, until a deadline of its own. In time and
+ * KILTER_OK: send q. Else send the wanted joints plus the last good difference, for a few cycles; then let that difference
+ * fade out, or stop. Never use an answer to another seq. */
 #ifndef KILTER_FRAMES_H
 #define KILTER_FRAMES_H
 

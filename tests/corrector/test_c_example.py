@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import random
+import re
 import shutil
+import struct
 import subprocess
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from service.corrector import frames
 from service.corrector.frames import Status
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "c" / "controller.c"
+HEADER = EXAMPLE.with_name("kilter_frames.h")
 COMPILER = shutil.which("cc") or shutil.which("gcc")
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")
 
@@ -29,6 +32,18 @@ def controller(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def talk(controller: Path, lines: list[str]) -> list[str]:
     done = subprocess.run([str(controller)], input="\n".join(lines) + "\n", capture_output=True, text=True, check=True)
     return done.stdout.splitlines()
+
+
+def test_the_byte_tables_of_the_header_file_are_those_of_the_frames() -> None:
+    rows = re.findall(r"^ \* +(\d+) +(\d+) +(char\[4\]|u?int\d+) ", HEADER.read_text(), re.MULTILINE)
+    codes = {"char[4]": "4s", "uint8": "B", "uint16": "H", "uint32": "I", "uint64": "Q", "int32": "i"}
+    assert "<" + "".join(codes[kind] for _, _, kind in rows[:7]) == frames.HEADER.format
+    assert "<" + "".join(codes[kind] for _, _, kind in rows[7:]) == frames.VERDICT.format
+    at = 0
+    for offset, size, kind in rows:
+        assert (int(offset), int(size)) == (at, struct.calcsize(f"<{codes[kind]}"))
+        at += int(size)
+    assert at == frames.HEADER.size + frames.VERDICT.size
 
 
 def test_c_writes_the_bytes_of_a_setpoint(controller: Path) -> None:

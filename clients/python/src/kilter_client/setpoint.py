@@ -59,6 +59,7 @@ class Statistics:
     late: int = 0  # answers dropped because their cycle was over
     unknown_epoch: int = 0
     malformed: int = 0
+    overruns: int = 0  # cycles of `corrected` that began more than a period late
     refused: Counter[str] = field(default_factory=Counter)
     round_trips_s: deque[float] = field(default_factory=lambda: deque(maxlen=100_000))
 

@@ -80,7 +80,7 @@ class CorrectedStream:
         endpoints: zenoh endpoints of the corrector; default is what the corrector file of this machine says.
         site: site name in the keys; default as endpoints.
         stream: name of this stream; two controllers must not share one.
-        deadline_s: how long a cycle may wait for its answer.
+        deadline_s: how long a cycle may wait for its answer; less than its period.
         hold_cycles: for how many cycles the last correction is used again before the stream reports bypass.
         release_s: in bypass the last correction fades out over this time, and fades in again afterwards.
         settled: the arm rests at the first setpoint, so give it the whole correction at once; else it ramps in.
@@ -221,7 +221,7 @@ class CorrectedStream:
             for reply in self._session.get(f"{self._root}/active", timeout=0.5):
                 if reply.ok is not None:
                     self._learn(reply.ok.payload.to_bytes())
-            if self._known.is_set() and self._publisher.matching_status.matching:
+            if self._known.is_set() and self.alive and self._publisher.matching_status.matching:
                 return
             if time.monotonic() > end:
                 break
@@ -270,9 +270,12 @@ class CorrectedStream:
     def _ask(
         self, values: Sequence[float], joints: int, flags: int, t_apply_ns: int, **chunk: int
     ) -> tuple[Answer | None, float]:
-        """Send a frame and wait for its answer until the deadline."""
-        self._seq += 1
+        """Send a frame and wait for its answer until the deadline; nothing of both while no corrector is there."""
         self.statistics.sent += 1
+        if not self._alive:  # a controller keeps its pace
+            self.statistics.missed += 1
+            return None, math.nan
+        self._seq += 1
         sent = time.monotonic_ns()
         self._publisher.put(
             encode(
@@ -363,13 +366,18 @@ def corrected(
 ) -> Iterator[Setpoint]:
     """Yield the corrected setpoint of every one in ``setpoints``, one each ``period_s``; without it as they come.
 
-    Further options are those of :class:`CorrectedStream`; pass ``statistics=Statistics()`` to look at it afterwards.
+    Further options are those of :class:`CorrectedStream`; pass ``statistics=Statistics()`` to look at it afterwards. The
+    deadline is four fifths of the period unless it is given.
     """
+    if period_s is not None:
+        options.setdefault("deadline_s", 0.8 * period_s)
     with CorrectedStream(robot, **options) as stream:
         start = time.monotonic_ns()
         for k, q in enumerate(setpoints):
             apply_ns = 0
             if period_s is not None:
                 apply_ns = start + round(k * period_s * 1e9)
-                time.sleep(max(0.0, (apply_ns - time.monotonic_ns()) * 1e-9))
+                left = (apply_ns - time.monotonic_ns()) * 1e-9
+                stream.statistics.overruns += left < -period_s
+                time.sleep(max(0.0, left))
             yield stream.correct(q, t_apply_ns=apply_ns)
