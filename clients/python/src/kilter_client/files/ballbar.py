@@ -96,10 +96,8 @@ def read_ballbar(path: Path, nominal_mm: float | None = None) -> BallBar:
         if unit not in ("deg", "rad", "mm", "m"):
             raise fault(path, "a joint without unit", "Call it q1_deg or q1_rad.", column=name)
         columns[f"{name.lower()}_{unit}"] = values[:, 2 + k]
-    notes = (
-        f"nominal radius {nominal:g} mm{'' if said else ', the median: none is stated'}",
-        f"{len(radii)} readings in {int(run.max())} runs",
-    )
+    origin = "" if said else ", the median: none is stated"
+    notes = (f"nominal radius {nominal:g} mm{origin}", f"{len(radii)} readings in {int(run.max())} runs")
     return BallBar(path, nominal, degrees, radii, run, line, columns, notes)
 
 
