@@ -47,7 +47,10 @@ class VersionSummary(Strict):
 
 
 class Version(VersionSummary):
-    """A version with all it holds; the covariance is SI, everything else in mm and degrees."""
+    """A version with all it holds; the covariance is SI, everything else in mm and degrees.
+
+    ``details`` is what else its job said: method, observability, correlated groups, influence, intervals.
+    """
 
     sha256: str
     campaigns: list[UsedCampaign]
@@ -56,6 +59,7 @@ class Version(VersionSummary):
     null_directions: list[dict[str, Any]]
     noise_mm: float | None
     warnings: list[dict[str, Any]]
+    details: dict[str, Any]
     covariance: dict[str, Any]
 
 

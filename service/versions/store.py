@@ -91,6 +91,9 @@ def row_of(session: Session, version_id: str) -> VersionRow:
     return row
 
 
+OF_ITS_OWN = ("parameters", "null_directions", "noise_mm", "warnings", "metrics")  # parts of a report with fields
+
+
 def get(session: Session, version_id: str) -> Version:
     """Return a version with all it holds."""
     row = row_of(session, version_id)
@@ -103,6 +106,7 @@ def get(session: Session, version_id: str) -> Version:
         null_directions=row.report.get("null_directions", []),
         noise_mm=row.report.get("noise_mm"),
         warnings=row.report.get("warnings", []),
+        details={key: value for key, value in row.report.items() if key not in OF_ITS_OWN},
         covariance=row.covariance,
     )
 

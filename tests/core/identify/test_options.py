@@ -68,6 +68,7 @@ def test_tilt_first_holds_the_effects() -> None:
         ({"reference": "moon"}, "reference"),
         ({"noise_mm": 0.0}, "above 0"),
         ({"level": 2, "effects": ("axial_compliance",)}, "Level 2 has no effects"),
+        ({"method": "influence", "intervals": "bootstrap"}, "does not end at"),
     ],
 )
 def test_impossible_options_are_refused_in_words(options: dict[str, Any], says: str) -> None:

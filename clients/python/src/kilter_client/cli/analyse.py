@@ -53,6 +53,9 @@ def identify(
     ] = None,
     tool: Annotated[Frame | None, typer.Option(help="Tool point.")] = None,
     loss: Annotated[Literal["linear", "huber"] | None, typer.Option(help="huber forgives outliers.")] = None,
+    intervals: Annotated[
+        Literal["bootstrap", "profile"] | None, typer.Option(help="95 % intervals that do not rest on the sigmas.")
+    ] = None,
     tilt_first: Annotated[bool, typer.Option("--tilt-first", help="Hold the starting version's effects.")] = False,
     noise_mm: Annotated[float | None, typer.Option(help="Noise of a coordinate, when it is known.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the split.")] = None,
@@ -72,6 +75,7 @@ def identify(
         base=base,
         tool=tool,
         loss=loss,
+        intervals=intervals,
         tilt_first=tilt_first,
         noise_mm=noise_mm,
         seed=seed,

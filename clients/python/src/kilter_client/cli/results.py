@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kilter_client.cli.gap_report import show_gap
+from kilter_client.cli.identify_report import show_identification, show_parameters
 from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
 
@@ -53,7 +54,7 @@ def show_version(version: dict[str, Any]) -> None:
     say(f"  {'active' if version['active'] else 'not active'}, job {version['job_id']}, parent {version['parent_id']}")
     for campaign in version["campaigns"]:
         say(f"  {campaign['use']}: campaign {campaign['id']} ({campaign['name']}), {campaign['rows']} rows")
-    show_result(version)
+    show_result({**(version.get("details") or {}), **version})
 
 
 def show_result(result: Mapping[str, Any]) -> None:
@@ -61,7 +62,8 @@ def show_result(result: Mapping[str, Any]) -> None:
     _metrics(result.get("metrics") or {})
     for campaign, report in (result.get("iso9283") or {}).items():
         _iso9283(campaign, report)
-    _parameters(result.get("parameters") or [])
+    show_parameters(result.get("parameters") or [])
+    show_identification(result)
     _joints(result.get("joints") or [])
     _configurations(result.get("configurations") or [])
     _null_directions(result.get("null_directions") or [])
@@ -109,30 +111,6 @@ def _iso9283(campaign: str, report: Mapping[str, Any]) -> None:
     show_rows(("ISO 9283", "mm", "repeats", "demanded"), texts, title=f"campaign {campaign}", numbers=True)
     for refused in report.get("refused") or ():
         say(f"not given: {refused['message']}")
-
-
-def _parameters(parameters: list[Mapping[str, Any]]) -> None:
-    if not parameters:
-        return
-    rows = [
-        (
-            str(p["name"]),
-            number(p["value"], 7) if p["value"] is not None else "-",
-            number(p.get("sigma"), 2),
-            str(p.get("unit", "")),
-            _remark(p),
-        )
-        for p in parameters
-    ]
-    show_rows(("parameter", "value", "sigma", "unit", ""), rows)
-
-
-def _remark(p: Mapping[str, Any]) -> str:
-    if p.get("reason"):
-        return str(p["reason"])
-    if p.get("stiffness_nm_deg"):
-        return f"stiffness {number(p['stiffness_nm_deg'])} N m/deg"
-    return "" if p.get("identifiable", True) else "not identifiable: these poses do not tell it apart"
 
 
 def _joints(joints: list[Mapping[str, Any]]) -> None:

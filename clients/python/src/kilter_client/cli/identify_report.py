@@ -1,0 +1,99 @@
+"""What an identification says besides its errors: parameters, intervals, influence, and how well the poses were chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from kilter_client.cli.output import say
+from kilter_client.cli.tables import number, show_rows
+
+MANY_WEIGHTS = 12  # learned weights from which a line stands for all of them
+LEARNED = "residual_"
+INDICES = ("O1", "O2", "O3", "O4", "O5")
+MOST_INFLUENCES = 30
+
+
+def show_parameters(parameters: list[Mapping[str, Any]]) -> None:
+    """Print parameters with their sigmas, and their intervals where there are any."""
+    if not parameters:
+        return
+    bounded = any(p.get("lower") is not None for p in parameters)
+    weights = [p for p in parameters if str(p["name"]).startswith(LEARNED)]
+    folded = weights if len(weights) > MANY_WEIGHTS else []
+    rows = [_row(p, bounded) for p in parameters if p not in folded]
+    ends = ("from", "to") if bounded else ()
+    show_rows(("parameter", "value", "sigma", *ends, "unit", ""), rows)
+    if folded:
+        say(f"and {len(folded)} learned weights, {folded[0]['name']} to {folded[-1]['name']}: no physics; see --json")
+
+
+def show_identification(result: Mapping[str, Any]) -> None:
+    """Print what an identification adds: method, intervals, learning, observability, groups, influence."""
+    for line in _lines(result):
+        say(line)
+    _influence(result.get("influence") or [])
+
+
+def _lines(result: Mapping[str, Any]) -> Iterator[str]:
+    method = result.get("method") or {}
+    if method:
+        more = ", ".join(f"{k.replace('_', ' ')} {_short(v)}" for k, v in method.items() if k != "name")
+        yield f"method {method['name']}" + (f": {more}" if more else "")
+    if result.get("intervals"):
+        yield f"from and to: 95 % intervals by {result['intervals']}"
+    learned = result.get("learned") or {}
+    if learned.get("p_value") is not None:
+        yield (
+            f"{', '.join(learned['effects'])} {'kept' if learned['kept'] else 'left out'}: error of poses held out "
+            f"{number(learned['held_out_without_mm'])} mm without, {number(learned['held_out_with_mm'])} mm with it, "
+            f"p = {number(learned['p_value'], 2)}"
+        )
+    seen = result.get("observability") or {}
+    if seen:
+        values = ", ".join(f"{name} {number(seen.get(name), 3)}" for name in INDICES)
+        yield f"observability: {values}; {seen['rank']} of {seen['parameters']} directions seen"
+    groups = result.get("correlated_groups") or []
+    if groups:
+        yield "parameters that go together (correlation):"
+    for group in groups:
+        yield f"  {number(group['correlation'], 3)}  {', '.join(group['parameters'])}"
+
+
+def _influence(rows: list[Mapping[str, Any]]) -> None:
+    """How far the tool moves when each parameter alone is off by its step, most influential first."""
+    if not rows:
+        return
+    texts = [
+        (
+            str(row["name"]),
+            f"{number(row['step'], 3)} {row['unit']}",
+            *(number(row[key], 3) for key in ("mean_mm", "min_mm", "max_mm", "mean_k")),
+            f"{100 * row['leads']:.0f} %",
+        )
+        for row in rows[:MOST_INFLUENCES]
+    ]
+    head = ("influence of", "off by", "mean mm", "least", "most", "mean k", "leads")
+    show_rows(head, texts, numbers=True)
+    if len(rows) > MOST_INFLUENCES:
+        say(f"and {len(rows) - MOST_INFLUENCES} of less influence; see --json")
+
+
+def _row(p: Mapping[str, Any], bounded: bool) -> tuple[str, ...]:
+    ends = (number(p.get("lower"), 6), number(p.get("upper"), 6)) if bounded else ()
+    value = "-" if p["value"] is None else number(p["value"], 7)
+    return str(p["name"]), value, number(p.get("sigma"), 2), *ends, str(p.get("unit", "")), _remark(p)
+
+
+def _remark(p: Mapping[str, Any]) -> str:
+    if p.get("reason"):
+        return str(p["reason"])
+    if p.get("stiffness_nm_deg"):
+        return f"stiffness {number(p['stiffness_nm_deg'])} N m/deg"
+    if not p.get("identifiable", True):
+        return "not identifiable: these poses do not tell it apart"
+    return "" if p.get("plausible", True) else "outside its physical range: look for what is missing in the model"
+
+
+def _short(value: Any) -> str:
+    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else number(value)

@@ -1,0 +1,72 @@
+"""What ``kilter identify`` and ``kilter version`` print of an identification, and that it is what the JSON says."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from kilter_client.cli import run
+from kilter_client.cli.results import show_result
+
+Capture = pytest.CaptureFixture[str]
+
+
+def printed(capsys: Capture, *arguments: object) -> str:
+    capsys.readouterr()
+    code = run([str(argument) for argument in arguments])
+    out = capsys.readouterr()
+    assert code == 0, out.out + out.err
+    return out.out
+
+
+def line_of(text: str, start: str) -> list[str]:
+    return next(line.split() for line in text.splitlines() if line.strip().startswith(start))
+
+
+def asked(capsys: Capture, robot: str, campaign: str, *options: str) -> tuple[dict[str, Any], list[str]]:
+    """Result of an identification; and what is printed of its job and of its version."""
+    job: dict[str, Any] = json.loads(printed(capsys, "identify", robot, "-c", campaign, *options, "--json"))
+    version = job["result"]["version_id"]
+    return job["result"], [printed(capsys, "jobs", "show", job["id"]), printed(capsys, "version", version)]
+
+
+def test_influence_intervals_observability_and_groups(
+    robot: str, write_campaign: Callable[..., Path], capsys: Capture
+) -> None:
+    campaign = json.loads(printed(capsys, "upload", robot, write_campaign(), "--json"))["campaign_id"]
+    result, texts = asked(capsys, robot, campaign, "--intervals", "bootstrap")
+    row = next(p for p in result["parameters"] if p["name"] == "theta_offset_2")
+    assert row["lower"] < row["value"] < row["upper"]
+    seen = result["observability"]
+    assert result["correlated_groups"]
+    for text in texts:
+        assert "95 % intervals by bootstrap" in text
+        cells = [float(c) for c in line_of(text, "theta_offset_2")[1:5]]
+        assert cells == pytest.approx([row["value"], row["sigma"], row["lower"], row["upper"]], rel=0.05, abs=1e-4)
+        assert f"{seen['rank']} of {seen['parameters']} directions seen" in text
+        assert f"O3 {seen['O3']:.3g}" in text
+        for group in result["correlated_groups"]:
+            assert f"{group['correlation']:.3g}  {', '.join(group['parameters'])}" in text
+    result, texts = asked(capsys, robot, campaign, "--method", "influence")
+    for text in texts:
+        assert "method influence: sweeps" in text
+        for most in result["influence"][:3]:
+            cells = line_of(text[text.index("influence of") :], most["name"])
+            assert float(cells[3]) == pytest.approx(most["mean_mm"], rel=0.01)
+
+
+def test_learned_weights_stand_on_one_line(capsys: Capture) -> None:
+    names = ["a_2", *(f"residual_{axis}_{k}" for k in range(1, 9) for axis in "xyz")]
+    rows = [{"name": name, "value": 0.1, "sigma": 0.01, "unit": "mm", "identifiable": True} for name in names]
+    learned = {"effects": ["unknown_residual"], "kept": True, "poses": 90, "held_out_without_mm": 0.3456,
+               "held_out_with_mm": 0.1, "p_value": 2.1e-9}  # fmt: skip
+    show_result({"parameters": [*rows, {**rows[0], "name": "b", "plausible": False}], "learned": learned})
+    text = capsys.readouterr().out
+    assert "residual_x_1 to residual_z_8" in text
+    assert text.count("residual_") == 2
+    assert "24 learned weights" in text
+    assert "held out 0.3456 mm without, 0.1 mm with it, p = 2.1e-09" in text
+    assert "outside its physical range" in text
