@@ -25,6 +25,8 @@ MOST_JOINTS = 0.6
 TRIED = 4
 SMALLEST_GAIN = 0.2  # criterion points: below this two explanations are one, and the library's order decides
 CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
+HIDING = 3.0  # standard deviations of chi-square above its freedom at which effects may hide one another
+PAIRED = 25
 TIME_FIRST = ("time_offset", "tracking_lag")
 
 
@@ -71,12 +73,23 @@ class Selector:
         ranked = self.ranked(given, scores)
         able = (scores.p < critical) & (scores.d > 0)
         able[list(banned)] = False
-        for k in np.argsort(-np.where(able, ranked, -np.inf), kind="stable"):
-            if not able[k]:
+        k, _ = self._first(gram, tuple(chosen), ranked, able)
+        return (None if k is None else self._time_first(k, scores, able)), scores
+
+    def _first(
+        self, gram: Gram, chosen: tuple[int, ...], value: Floats, able: NDArray[np.bool_]
+    ) -> tuple[int | None, float]:
+        """Best of the ``able`` whose sign is possible, and its value; one of an implausible amount is worth less by the
+        margin. It is not banned: another name would then be given for what it explains, and be wrong.
+        """
+        best, worth = None, -np.inf
+        for k in map(int, np.argsort(-np.where(able, value, -np.inf), kind="stable")):
+            if not able[k] or value[k] <= worth:
                 break
-            if self.plausible(gram, [*chosen, int(k)], int(k)):
-                return self._time_first(int(k), scores, able), scores
-        return None, scores
+            if self.signed(gram, (*chosen, k), k):
+                its = float(value[k]) - (0.0 if self.within(gram, (*chosen, k), k) else MARGIN)
+                best, worth = (k, its) if its > worth else (best, worth)
+        return best, worth
 
     def ranked(self, given: Gram, scores: Scores) -> Floats:
         """S over the noise left, less the price (K,), to a tenth: equal explanations keep the library's order."""
@@ -89,14 +102,23 @@ class Selector:
 
     def plausible(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
         """Whether no parameter comes out clearly negative against its known sign, or beyond what is plausible."""
-        candidate = self.scorer.candidates[place]
+        return self.within(gram, chosen, place) and self.signed(gram, chosen, place)
+
+    def within(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
+        """Whether no parameter of a member comes out clearly larger than is plausible."""
+        amount, sigma = self._amounts(gram, chosen, place)
+        limits = self.limits[list(self.scorer.candidates[place].columns)]
+        return not np.any(np.abs(amount) > limits + CLEARLY_WRONG * sigma)
+
+    def signed(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
+        """Whether no parameter of a member comes out clearly negative against its known sign."""
+        amount, sigma = self._amounts(gram, chosen, place)
+        return not self.scorer.candidates[place].positive or bool(np.all(amount > -CLEARLY_WRONG * sigma))
+
+    def _amounts(self, gram: Gram, chosen: Sequence[int], place: int) -> tuple[Floats, Floats]:
         columns = self.columns(chosen)
-        index = [columns.index(k) for k in candidate.columns]
-        sigma = np.sqrt(np.diag(gram.inverse(columns)[0]))[index]
-        amount = gram.solve(columns)[index]
-        if np.any(np.abs(amount) > self.limits[list(candidate.columns)] + CLEARLY_WRONG * sigma):
-            return False
-        return not candidate.positive or bool(np.all(amount > -CLEARLY_WRONG * sigma))
+        index = [columns.index(k) for k in self.scorer.candidates[place].columns]
+        return gram.solve(columns)[index], np.sqrt(np.diag(gram.inverse(columns)[0]))[index]
 
     def improved(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Swap, merge and drop until nothing improves."""
@@ -138,7 +160,7 @@ class Selector:
             better = self.criterion(gram, (*rest, *members), variance) > whole + self._family_margin(family[0], members)
             if better and max(self.tails(gram, (*rest, *members))[len(rest) :]) < critical:
                 chosen = (*rest, *members)
-            elif self.plausible(gram, (*rest, family[0]), family[0]):
+            elif self.signed(gram, (*rest, family[0]), family[0]):
                 chosen = (*rest, family[0])
         return chosen
 
@@ -164,12 +186,12 @@ class Selector:
         return MARGIN * missing if missing and len(members) >= MOST_JOINTS * joints else FAMILY_MARGIN
 
     def tails(self, gram: Gram, chosen: tuple[int, ...]) -> list[float]:
-        """Tail probability of each member given the others; 1 where its amplitude contradicts physics."""
+        """Tail probability of each member given the others; 1 where its sign contradicts physics."""
         out = []
         for k in chosen:
             rest = tuple(m for m in chosen if m != k)
             p = float(self.scorer.scores(gram.given(self.columns(rest))).p[k])
-            out.append(p if self.plausible(gram, chosen, k) else 1.0)
+            out.append(p if self.signed(gram, chosen, k) else 1.0)
         return out
 
     def searched(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
@@ -200,11 +222,39 @@ class Selector:
             if frozenset(after) not in {frozenset(chosen), *seen} and (added or self.beats(gram, after, chosen)):
                 return after
             banned.append(k)
+        pair = self.pair(gram, chosen, critical) if len(chosen) + 2 <= most else None
+        if pair is not None:
+            after = self.improved(gram, (*chosen, *pair), critical)
+            if set(after) > set(chosen) and frozenset(after) not in seen:
+                return after
         after = self.improved(gram, chosen, critical)
         if not chosen or frozenset(after) in {frozenset(chosen), *seen}:
             return chosen
         failed = max(self.tails(gram, chosen)) >= critical
         return after if failed or self.beats(gram, after, chosen) else chosen
+
+    def pair(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, int] | None:
+        """Two candidates that hide each other: alone neither stands out, since the other's share counts as noise.
+
+        Looked for only when what is left is clearly more than noise; each must stand out given the other.
+        """
+        given = gram.given(self.columns(chosen))
+        if not self.scorer.absolute or given.yy < given.nu + HIDING * np.sqrt(2.0 * max(given.nu, 1.0)):
+            return None
+        scores = self.scorer.scores(given)
+        if not len(scores.p):
+            return None
+        worth = np.where(scores.d > 0, self.ranked(given, scores), -np.inf)
+        best, most = None, -np.inf
+        for k in map(int, np.argsort(-worth, kind="stable")[:PAIRED]):
+            m, _ = self.entry(gram, (*chosen, k), critical)
+            if m is None or m in (*chosen, k):
+                continue
+            both = (*chosen, k, m)
+            value = self.criterion(gram, both, self.variance(gram, both))
+            if value > most and max(self.tails(gram, both)) < critical:
+                best, most = (k, m), value
+        return best
 
     def beats(self, gram: Gram, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
         """Whether a set's criterion is larger than another's, at the smaller noise of the two."""
@@ -220,11 +270,8 @@ class Selector:
         value = np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical, 1)
         able = (scores.p < critical) & (scores.d > 0)
         able[list(taken)] = False
-        base = self.criterion(gram, rest, variance)
-        for k in np.argsort(-np.where(able, value, -np.inf), kind="stable")[:5]:
-            if able[k] and self.plausible(gram, (*rest, int(k)), int(k)):
-                return int(k), base + float(value[k])
-        return None, -np.inf
+        k, worth = self._first(gram, rest, np.asarray(value), able)
+        return k, self.criterion(gram, rest, variance) + worth
 
     def _members(self, gram: Gram, rest: tuple[int, ...], family: int, variance: float) -> tuple[int, ...]:
         """Joints of a family that pay their price, by dropping the least worthy one after another."""

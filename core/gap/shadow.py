@@ -17,6 +17,7 @@ from core.gap.source import ToolSource
 Floats = NDArray[np.float64]
 
 CENTRES = 12
+FAIR = 2.0  # price of a parameter, Akaike: taking a name away needs less proof than giving one
 WIDTHS = (0.06, 0.12, 0.25)  # of the joint's range, as standard deviations
 
 
@@ -31,9 +32,8 @@ def bumped(hunt: Hunt, place: int, rows_q: Floats) -> bool:
     basis = world.basis(rest)
     r = residual_given(world, rest)
     variance = selector.variance(world.gram, hunt.chosen)
-    price = float(np.log(selector.rows))
     S = world.gram.reduction(selector.columns(hunt.chosen)) - world.gram.reduction(rest)
-    own = S / variance - len(candidate.columns) * price
+    own = S / variance - FAIR * len(candidate.columns)
     (joint,) = candidate.joints or (0,)
     columns = _columns(hunt, source, joint, rows_q[:, joint])
     columns = columns - basis @ (basis.T @ columns)
@@ -41,7 +41,7 @@ def bumped(hunt: Hunt, place: int, rows_q: Floats) -> bool:
     seen = size > 1e-6 * size.max(initial=1e-300)
     taken = (columns[:, seen].T @ r) ** 2 / size[seen]
     # Centre and width are chosen too: they are parameters like the height.
-    return bool(taken.max(initial=0.0) / variance - 3.0 * price > own)
+    return bool(taken.max(initial=0.0) / variance - 3.0 * FAIR > own)
 
 
 def _is_curve(candidate: Candidate) -> bool:
