@@ -11,7 +11,7 @@ from fastapi.concurrency import run_in_threadpool
 from service.auth.access import Admin
 from service.campaigns import reading, service
 from service.campaigns.receive import receive
-from service.campaigns.schemas import Campaign, CampaignList, NewCampaign, Uploaded
+from service.campaigns.schemas import Campaign, CampaignList, NewCampaign, Parts, Uploaded
 from service.state import DatabaseOfApp, SettingsOfApp
 
 router = APIRouter(prefix="/v1", tags=["campaigns"])
@@ -35,15 +35,27 @@ def add(robot: str, campaign: NewCampaign, response: Response, database: Databas
 
 
 @router.get("/robots/{robot}/campaigns")
-def listed(robot: str, database: DatabaseOfApp) -> CampaignList:
-    """List the campaigns of a robot."""
-    return service.listed(database, robot)
+def listed(robot: str, database: DatabaseOfApp, staged: bool = False) -> CampaignList:
+    """List the campaigns of a robot; with `staged` those whose parts are not all there yet."""
+    return service.listed(database, robot, staged)
 
 
 @router.get("/campaigns/{campaign}")
 def get(campaign: str, database: DatabaseOfApp) -> Campaign:
     """Show a campaign and its uploads."""
     return service.get(database, campaign)
+
+
+@router.post("/campaigns/{campaign}/commit")
+def commit(campaign: str, parts: Parts, database: DatabaseOfApp, _: Admin) -> Campaign:
+    """Make a staged campaign visible, if it holds exactly the parts that are named; again changes nothing."""
+    return service.commit(database, campaign, parts)
+
+
+@router.delete("/campaigns/{campaign}", status_code=204)
+def discard(campaign: str, database: DatabaseOfApp, _: Admin) -> None:
+    """Delete a staged campaign with all that was sent to it."""
+    service.discard(database, campaign)
 
 
 @router.post(

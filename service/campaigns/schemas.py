@@ -35,6 +35,7 @@ class NewCampaign(Strict):
     role: Role = "train"
     conditions: Conditions = Conditions()
     notes: Annotated[str, Field(max_length=20_000)] = ""
+    staged: bool = False
 
 
 class Upload(Strict):
@@ -55,6 +56,12 @@ class Campaign(NewCampaign):
     created_at: datetime
     rows: int
     uploads: list[Upload]
+
+
+class Parts(Strict):
+    """The content hashes of all parts of a staged campaign."""
+
+    sha256: Annotated[list[Annotated[str, Field(pattern="^[0-9a-f]{64}$")]], Field(min_length=1, max_length=100_000)]
 
 
 class CampaignList(Strict):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,20 +12,25 @@ from service.campaigns import reading, store
 from service.campaigns.chunks import Chunk, write_chunk
 from service.campaigns.columns import CONTACTS, has, read_columns
 from service.campaigns.rules import RowRules
-from service.campaigns.schemas import Campaign, CampaignList, NewCampaign, Uploaded
+from service.campaigns.schemas import Campaign, CampaignList, NewCampaign, Parts, Uploaded
 from service.db import Database, Session
+from service.errors import ServiceError
 from service.robots import store as robots
 
 if TYPE_CHECKING:
     from core.robot import Robot
 
+STAGED_FOR = timedelta(days=7)
 MEASURED = ("x", "marker_x", "link", *CONTACTS)
 
 
 def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
-    """Store a new campaign of a robot."""
+    """Store a new campaign of a robot; one begun long ago whose parts never came is dropped on the way."""
     with database.transaction() as session:
-        campaign_id = store.add(session, robots.get(session, robot).id, campaign)
+        robot_id = robots.get(session, robot).id
+        for forgotten in store.staged_before(session, robot_id, datetime.now(UTC) - STAGED_FOR):
+            store.discard(session, forgotten)
+        campaign_id = store.add(session, robot_id, campaign)
         session.flush()
         return store.get(session, campaign_id)
 
@@ -35,10 +41,48 @@ def get(database: Database, campaign_id: str) -> Campaign:
         return store.get(session, campaign_id)
 
 
-def listed(database: Database, robot: str) -> CampaignList:
-    """List the campaigns of a robot."""
+def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
+    """Make a staged campaign visible, at once and only if it holds exactly the parts that are named.
+
+    Raises:
+        ServiceError: no such campaign, or other parts than those named.
+
+    """
     with database.transaction() as session:
-        ids = store.ids_of_robot(session, robots.get(session, robot).id)
+        store.row_of(session, campaign_id)
+        there, named = {upload.sha256 for upload in store.uploads_of(session, campaign_id)}, set(parts.sha256)
+        if there != named:
+            raise ServiceError(
+                f"Campaign {campaign_id} lacks {len(named - there)} of {len(named)} parts and has {len(there - named)} "
+                "others: send what is missing, or discard it and begin anew.",
+                code="campaign_incomplete",
+                missing=sorted(named - there)[:20],
+                others=sorted(there - named)[:20],
+            )
+        store.commit(session, campaign_id)
+        session.flush()
+        return store.get(session, campaign_id)
+
+
+def discard(database: Database, campaign_id: str) -> None:
+    """Delete a staged campaign with all that was sent to it.
+
+    Raises:
+        ServiceError: no such campaign, or one that is not staged: measurements are kept.
+
+    """
+    with database.transaction() as session:
+        if not store.row_of(session, campaign_id).staged:
+            raise ServiceError(
+                f"Campaign {campaign_id} is whole: measurements are kept. Use another one.", code="campaign_committed"
+            )
+        store.discard(session, campaign_id)
+
+
+def listed(database: Database, robot: str, staged: bool = False) -> CampaignList:
+    """List the campaigns of a robot, or those whose parts are not all there yet."""
+    with database.transaction() as session:
+        ids = store.ids_of_robot(session, robots.get(session, robot).id, staged)
         return CampaignList(campaigns=[store.get(session, campaign_id) for campaign_id in ids])
 
 

@@ -15,6 +15,7 @@ from sqlalchemy import (
     TypeDecorator,
     UniqueConstraint,
     event,
+    false,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, Mapper, mapped_column
 
@@ -67,6 +68,7 @@ class CampaignRow(Row):
     conditions: Mapped[dict[str, Any]]
     notes: Mapped[str]
     created_at: Mapped[datetime] = mapped_column(default=now)
+    staged: Mapped[bool] = mapped_column(default=False, server_default=false())
 
 
 class UploadRow(Row):

@@ -46,7 +46,7 @@ def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
 def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind) -> None:
     held = job.validation if isinstance(job.validation, list) else []
     for campaign in [*job.campaigns, *held]:
-        if campaigns.row_of(session, campaign).robot_id != robot_id:
+        if campaigns.whole_row_of(session, campaign).robot_id != robot_id:
             raise ServiceError(
                 f"Campaign {campaign} is not of robot {job.robot!r}: name campaigns of that robot.",
                 code="campaigns_invalid",

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sqlalchemy import func, select
+from sqlalchemy import delete, func, select
 from sqlalchemy.exc import IntegrityError
 
 from service.db import Session
-from service.db.tables import ActivationRow, CampaignRow, RobotRow, VersionRow
+from service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
 from service.errors import ServiceError
 from service.robots.documents import core_document
 from service.robots.schemas import RobotSummary
@@ -94,6 +94,9 @@ def remove(session: Session, name: str) -> None:
             robot=name,
             campaigns=campaigns,
         )
+    staged = select(CampaignRow.id).where(CampaignRow.robot_id == stored.id)
+    session.execute(delete(UploadRow).where(UploadRow.campaign_id.in_(staged)))
+    session.execute(delete(CampaignRow).where(CampaignRow.robot_id == stored.id))
     session.delete(session.get_one(RobotRow, stored.id))
 
 
@@ -117,4 +120,7 @@ def _summary(session: Session, row: RobotRow) -> RobotSummary:
 
 
 def _count(session: Session, table: type[CampaignRow] | type[VersionRow], robot_id: int) -> int:
-    return session.execute(select(func.count()).where(table.robot_id == robot_id)).scalar_one()
+    query = select(func.count()).where(table.robot_id == robot_id)
+    if table is CampaignRow:
+        query = query.where(CampaignRow.staged.is_(False))
+    return session.execute(query).scalar_one()

@@ -311,3 +311,32 @@ def test_an_upload_that_breaks_off_leaves_nothing(client: httpx.Client, campaign
         time.sleep(0.05)
     assert client.get(f"/v1/campaigns/{campaign}").json()["uploads"] == []
     assert send(client, campaign, body).status_code == 201
+
+
+def test_a_staged_campaign_is_seen_by_nobody_before_its_commit(client: httpx.Client) -> None:
+    client.post("/v1/robots", json=ROBOT).raise_for_status()
+    staged = client.post("/v1/robots/arm/campaigns", json={"name": "long", "staged": True}).json()["id"]
+    hashes = []
+    for rows in (5, 7):
+        answer = client.post(f"/v1/campaigns/{staged}/observations", content=csv_of(columns(rows)), headers=CSV)
+        hashes.append(answer.json()["sha256"])
+    assert client.get("/v1/robots/arm/campaigns").json()["campaigns"] == []
+    assert client.get("/v1/robots").json()["robots"][0]["campaigns"] == 0
+    job = {"kind": "identify", "robot": "arm", "campaigns": [staged]}
+    assert client.post("/v1/jobs", json=job).json()["code"] == "campaign_incomplete"
+    short = client.post(f"/v1/campaigns/{staged}/commit", json={"sha256": hashes[:1]})
+    assert (short.status_code, short.json()["context"]["others"]) == (409, hashes[1:])
+    for _ in range(2):  # again changes nothing
+        done = client.post(f"/v1/campaigns/{staged}/commit", json={"sha256": hashes})
+        assert (done.status_code, done.json()["rows"], done.json()["staged"]) == (200, 12, False)
+    assert client.delete(f"/v1/campaigns/{staged}").json()["code"] == "campaign_committed"
+
+
+def test_a_staged_campaign_is_dropped_with_its_rows(client: httpx.Client) -> None:
+    client.post("/v1/robots", json=ROBOT).raise_for_status()
+    staged = client.post("/v1/robots/arm/campaigns", json={"name": "long", "staged": True}).json()["id"]
+    client.post(f"/v1/campaigns/{staged}/observations", content=csv_of(columns()), headers=CSV).raise_for_status()
+    assert client.delete(f"/v1/campaigns/{staged}").status_code == 204
+    assert client.get(f"/v1/campaigns/{staged}").json()["code"] == "campaign_not_found"
+    client.post("/v1/robots/arm/campaigns", json={"name": "other", "staged": True}).raise_for_status()
+    assert client.delete("/v1/robots/arm").status_code == 204  # a staged campaign does not hold a robot

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from kilter_client import Kilter, ServerUnreachableError
+from kilter_client import ConflictError, Kilter, ObservationError, ServerUnreachableError
 from kilter_client.cli import run
-from kilter_client.files.parts import find_campaign, parts, send_parts
+from kilter_client.files.parts import parts, send_whole
 
 from tests.clients.files.simulated import arm, stops, wander, write_log, write_n3d
 
@@ -86,26 +91,125 @@ def blocks() -> Iterator[dict[str, np.ndarray]]:
         yield columns | {f"m{k + 1}{a}_mm": points[:, k, i] for k in range(3) for i, a in enumerate("xyz")}
 
 
-def test_a_broken_sending_goes_on_where_it_stopped(kilter: Kilter) -> None:
+WANTED = {"name": "long", "device": "optotrak", "role": "train"}
+
+
+def seen(kilter: Kilter, robot: str) -> list[int]:
+    """Rows of the campaigns that somebody sees."""
+    return [campaign["rows"] for campaign in kilter.campaigns.list(robot)]
+
+
+def test_a_broken_sending_is_not_seen_and_goes_on_where_it_stopped(kilter: Kilter) -> None:
     robot = three_joints(kilter, "parts-robot")
-    wanted = {"name": "long", "device": "optotrak", "role": "train"}
-    campaign = find_campaign(kilter, robot, wanted, next(parts(blocks(), 300)))
 
     def breaks_off() -> Iterator[Any]:
         for number, part in enumerate(parts(blocks(), 300)):
             if number == 2:
-                raise ServerUnreachableError("the cable was pulled")
+                raise ServerUnreachableError("the cable was pulled.")
             yield part
 
-    with pytest.raises(ServerUnreachableError):
-        send_parts(kilter, campaign, breaks_off())
-    assert kilter.campaigns.get(campaign)["rows"] == 600
-    again = find_campaign(kilter, robot, wanted, next(parts(blocks(), 300)))
-    assert again == campaign
+    with pytest.raises(ServerUnreachableError) as broken:
+        send_whole(kilter, robot, WANTED, breaks_off)
+    assert broken.value.detail.startswith("the cable was pulled. Nothing of it is visible yet: give the same command")
+    assert seen(kilter, robot) == []
+    (begun,) = kilter.campaigns.list(robot, staged=True)
+    assert begun["rows"] == 600
+    with pytest.raises(ConflictError, match="is not whole") as refused:
+        kilter.jobs.submit("identify", robot, [begun["id"]], None, {})
+    assert refused.value.code == "campaign_incomplete"
+    with pytest.raises(ConflictError, match="lacks 1 of 1 parts and has 2 others"):
+        kilter.campaigns.commit(begun["id"], ["0" * 64])
     told: list[tuple[int, bool]] = []
-    assert send_parts(kilter, again, parts(blocks(), 300), lambda rows, there: told.append((rows, there))) == 1000
+    sent = send_whole(kilter, robot, WANTED, lambda: parts(blocks(), 300), lambda n, there: told.append((n, there)))
     assert told == [(300, True), (300, True), (300, False), (100, False)]
-    assert kilter.campaigns.get(campaign)["rows"] == 1000
+    assert (sent.campaign_id, sent.rows, sent.there) == (begun["id"], 1000, 600)
+    assert seen(kilter, robot) == [1000]
+    again = send_whole(kilter, robot, WANTED, lambda: parts(blocks(), 300))
+    assert (again.campaign_id, again.there) == (begun["id"], 1000)
+    with pytest.raises(ConflictError, match="measurements are kept"):
+        kilter.campaigns.discard(begun["id"])
+
+
+def test_a_refused_part_takes_the_whole_recording_with_it(kilter: Kilter) -> None:
+    robot = three_joints(kilter, "refused-robot")
+
+    def outside() -> Iterator[Any]:
+        for number, block in enumerate(blocks()):
+            yield block | ({"q2_deg": block["q2_deg"] + 500} if number == 11 else {})
+
+    with pytest.raises(ObservationError, match="outside the limits") as refused:
+        send_whole(kilter, robot, WANTED, lambda: parts(outside(), 300))
+    assert refused.value.detail.endswith("Nothing of the recording is stored.")
+    assert refused.value.context["column"] == "q2_deg"
+    assert seen(kilter, robot) == []
+    assert kilter.campaigns.list(robot, staged=True) == []
+    kilter.robots.remove(robot)
+
+
+def test_a_killed_client_leaves_nothing_to_see(kilter: Kilter, server: Path) -> None:
+    """The client dies by SIGKILL in the middle; what it began is finished by the next."""
+    robot = three_joints(kilter, "killed-robot")
+    code = (
+        "import os, signal\nfrom kilter_client import Kilter\nfrom kilter_client.files.parts import parts, send_whole\n"
+        "from tests.clients.files.test_sending import WANTED, blocks\n"
+        "def stop(rows, there, seen=[]):\n    seen.append(rows)\n    len(seen) == 3 and os.kill(os.getpid(), signal.SIGKILL)\n"
+        f"send_whole(Kilter(), {robot!r}, WANTED, lambda: parts(blocks(), 200), stop)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3], check=False, timeout=120)
+    assert done.returncode == -signal.SIGKILL
+    assert seen(kilter, robot) == []
+    sent = send_whole(kilter, robot, WANTED, lambda: parts(blocks(), 200))
+    assert (sent.rows, sent.there) == (1000, 600)
+    assert seen(kilter, robot) == [1000]
+
+
+@pytest.mark.slow
+def test_a_killed_server_leaves_nothing_to_see(
+    tmp_path: Path, no_settings: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The server dies by SIGKILL between two parts; started again it shows nothing, and the sending goes on."""
+    monkeypatch.setenv("KILTER_DATA", str(tmp_path))
+    process = start_server(tmp_path)
+    with Kilter() as kilter:
+        robot = three_joints(kilter, "arm")
+
+        def dies() -> Iterator[Any]:
+            for number, part in enumerate(parts(blocks(), 300)):
+                if number == 2:
+                    os.killpg(process.pid, signal.SIGKILL)
+                    process.wait(20)
+                yield part
+
+        with pytest.raises(ServerUnreachableError, match="does not answer"):
+            send_whole(kilter, robot, WANTED, dies)
+    (tmp_path / "server.json").unlink(missing_ok=True)
+    process = start_server(tmp_path)
+    try:
+        with Kilter() as kilter:
+            assert seen(kilter, robot) == []
+            sent = send_whole(kilter, robot, WANTED, lambda: parts(blocks(), 300))
+            assert sent.rows == 1000
+            assert sent.there >= 600  # a part that was on its way may have been stored
+            assert seen(kilter, robot) == [1000]
+    finally:
+        process.terminate()
+        process.wait(20)
+
+
+def start_server(data: Path) -> subprocess.Popen[bytes]:
+    """A server in a process group of its own, ready."""
+    environment = os.environ | {"KILTER_DATA": str(data), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
+    with (data / "log").open("ab") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "service", "serve"], env=environment, stdout=log, stderr=log,
+            stdin=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+    deadline = time.monotonic() + 120
+    while not (data / "server.json").exists():
+        assert process.poll() is None, (data / "log").read_text()
+        assert time.monotonic() < deadline, (data / "log").read_text()
+        time.sleep(0.05)
+    return process
 
 
 def test_match_sends_every_frame_and_again_sends_nothing(

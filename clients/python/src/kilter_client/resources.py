@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +35,21 @@ class Robots:
         """Return the same arm as a document of convention ``to`` (chain, dh, mdh, s_model, poe, cpc, mcpc, urdf)."""
         return self._connection.post(f"/v1/robots/convert?to={to}", document)
 
+    def from_circles(self, rows: Prepared, name: str, convention: str = "chain", base: str = "axis") -> Document:
+        """Find a robot from rows in which one joint moved at a time: its document as ``robot``, and its ``axes``."""
+        response = self._connection.request(
+            "POST",
+            f"{address('robots', 'from-circles')}",
+            content=rows.content,
+            headers={"Content-Type": rows.content_type},
+            params={"name": name, "to": convention, "base": base},
+        )
+        return self._connection.document(response)
+
+    def frame(self, points: Mapping[str, Any]) -> Document:
+        """Find a frame from digitised ``points`` or ``features``: its ``pose``, and how far each point is off."""
+        return self._connection.post("/v1/frames", points)
+
     def list(self) -> list[Document]:
         """Return the robots, by name."""
         return list(self._connection.get("/v1/robots")["robots"])
@@ -63,14 +78,32 @@ class Campaigns:
         role: str = "train",
         conditions: Mapping[str, Any] | None = None,
         notes: str = "",
+        staged: bool = False,
     ) -> Document:
-        """Add a campaign to a robot."""
-        body = {"name": name, "device": device, "role": role, "conditions": dict(conditions or {}), "notes": notes}
+        """Add a campaign to a robot; a ``staged`` one is seen and used by nobody before ``commit``."""
+        body: Document = {
+            "name": name,
+            "device": device,
+            "role": role,
+            "conditions": dict(conditions or {}),
+            "notes": notes,
+        }
+        if staged:
+            body["staged"] = True
         return self._connection.post(address("robots", robot, "campaigns"), body)
 
-    def list(self, robot: str) -> list[Document]:
-        """Return the campaigns of a robot, oldest first."""
-        return list(self._connection.get(address("robots", robot, "campaigns"))["campaigns"])
+    def list(self, robot: str, staged: bool = False) -> list[Document]:
+        """Return the campaigns of a robot, oldest first; ``staged`` are those whose parts are not all there."""
+        asked = {"staged": "true"} if staged else {}
+        return list(self._connection.get(address("robots", robot, "campaigns"), **asked)["campaigns"])
+
+    def commit(self, campaign_id: str, sha256: Sequence[str]) -> Document:
+        """Make a staged campaign visible, if it holds exactly the parts of these content hashes."""
+        return self._connection.post(address("campaigns", campaign_id, "commit"), {"sha256": [*sha256]})
+
+    def discard(self, campaign_id: str) -> None:
+        """Delete a staged campaign with all that was sent to it."""
+        self._connection.request("DELETE", address("campaigns", campaign_id))
 
     def get(self, campaign_id: str) -> Document:
         """Return a campaign and its uploads."""

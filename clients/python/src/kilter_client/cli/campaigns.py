@@ -16,7 +16,7 @@ from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.cli.tables import show_rows
-from kilter_client.errors import ObservationError, UsageError
+from kilter_client.errors import ApiError, ObservationError, UsageError
 from kilter_client.files import DEVICES, Prepared, prepare
 from kilter_client.files.tracker_header import PRESETS
 
@@ -95,8 +95,11 @@ def upload(
         "notes": notes,
     }
     with Kilter() as kilter:
-        target = campaign or _campaign(kilter, robot, wanted, prepared.sha256)
-        done = _send(kilter, target, file, prepared, as_json)
+        target = campaign or _known(kilter, robot, wanted, prepared.sha256)
+        if target is not None:
+            done = _send(kilter, target, file, prepared, as_json)
+        else:
+            done = _send_anew(kilter, robot, wanted, file, prepared, as_json)
     emit(_report(prepared, done), as_json, _show_upload)
 
 
@@ -141,13 +144,27 @@ def campaigns(robot: Robot, as_json: Json = False) -> None:
     emit(document, as_json, _show_campaigns)
 
 
-def _campaign(kilter: Kilter, robot: str, wanted: dict[str, Any], sha256: str) -> str:
-    """Return the campaign to fill: one that a refused upload left empty, or the one of these bytes, else a new one."""
+def _known(kilter: Kilter, robot: str, wanted: dict[str, Any], sha256: str) -> str | None:
+    """Return the campaign that has these bytes already."""
     for known in kilter.campaigns.list(robot):
         same = all(known[key] == wanted[key] for key in ("name", "device", "role"))
-        if same and (not known["uploads"] or any(done["sha256"] == sha256 for done in known["uploads"])):
+        if same and any(done["sha256"] == sha256 for done in known["uploads"]):
             return str(known["id"])
-    return str(kilter.campaigns.add(robot, **wanted)["id"])
+    return None
+
+
+def _send_anew(
+    kilter: Kilter, robot: str, wanted: dict[str, Any], file: Path, prepared: Prepared, as_json: bool
+) -> dict[str, Any]:
+    """Send to a new campaign, which is seen only when the rows are in it; a refused file leaves nothing."""
+    target = str(kilter.campaigns.add(robot, **wanted, staged=True)["id"])
+    try:
+        done = _send(kilter, target, file, prepared, as_json)
+    except ApiError:
+        kilter.campaigns.discard(target)
+        raise
+    kilter.campaigns.commit(target, [str(done["sha256"])])
+    return done
 
 
 def _send(kilter: Kilter, campaign: str, file: Path, prepared: Prepared, as_json: bool) -> dict[str, Any]:

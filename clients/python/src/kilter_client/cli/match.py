@@ -112,7 +112,7 @@ def _dwells(
     if out is not None:
         out.write_bytes(prepared.content)
         document["out"] = str(out)
-    return document | (_send([prepared], rows, robot, wanted, as_json) if robot else {})
+    return document | (_send(lambda: [prepared], rows, robot, wanted, as_json) if robot else {})
 
 
 def _frames(
@@ -129,30 +129,21 @@ def _frames(
     _tell(report, as_json)
     if not robot:
         return report | {"frames": found.frames}
-    return report | _send(parts(frame_rows(found, log, clocks)), found.frames, robot, wanted, as_json)
+    return report | _send(lambda: parts(frame_rows(found, log, clocks)), found.frames, robot, wanted, as_json)
 
 
 def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, str], as_json: bool) -> dict[str, Any]:
-    from itertools import chain
+    from kilter_client.files.parts import send_whole
 
-    from kilter_client.errors import ObservationError
-    from kilter_client.files.parts import find_campaign, send_parts
-
-    whole = iter(pieces)
-    first = next(whole, None)
-    if first is None:
-        raise ObservationError("No frame lies within the joint log: nothing is sent.", code="observations_invalid")
-    sent = {"rows": 0, "there": 0}
+    done = {"rows": 0}
     with Kilter() as kilter, upload_bar(wanted["name"], as_json) as bar:
 
         def progress(count: int, there: bool) -> None:
-            sent["rows"] += count
-            sent["there"] += count if there else 0
-            bar(sent["rows"], max(rows, sent["rows"]))
+            done["rows"] += count
+            bar(done["rows"], max(rows, done["rows"]))
 
-        campaign = find_campaign(kilter, robot, dict(wanted), first)
-        total = send_parts(kilter, campaign, chain([first], whole), progress)
-    return {"campaign_id": campaign, "rows": total, "rows_there_already": sent["there"]}
+        sent = send_whole(kilter, robot, dict(wanted), pieces, progress)
+    return {"campaign_id": sent.campaign_id, "rows": sent.rows, "rows_there_already": sent.there}
 
 
 def _tell(report: dict[str, Any], as_json: bool) -> None:
