@@ -13,6 +13,7 @@ from service.auth.token import admin_token
 from service.campaigns.routes import router as campaigns
 from service.correction.routes import router as correction
 from service.db import Database, revision
+from service.frames.routes import router as frames
 from service.health.routes import router as health
 from service.jobs.queue import JobQueue
 from service.jobs.routes import router as jobs
@@ -23,7 +24,7 @@ from service.versions.routes import router as versions
 
 SUMMARY = "Keeps a serial robot arm true: identifies its errors from measured poses and corrects its setpoints."
 
-ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction)
+ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction, frames)
 
 # How long the API waits at its start for `kilterd serve` to migrate the database beside it.
 MIGRATION_WAIT_S = 30.0

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Response
+import tempfile
+from pathlib import Path
+from typing import Literal
+
+from fastapi import APIRouter, Request, Response
+from fastapi.concurrency import run_in_threadpool
 
 from service.auth.access import Admin
+from service.campaigns import reading
+from service.campaigns.receive import receive
 from service.robots import service
 from service.robots.check_schemas import RobotCheck
-from service.robots.schemas import RobotDocument, RobotList, RobotReport, Target
-from service.state import DatabaseOfApp
+from service.robots.circle_schemas import FoundRobot
+from service.robots.schemas import Name, RobotDocument, RobotList, RobotReport, Target
+from service.state import DatabaseOfApp, SettingsOfApp
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"])
+
+FILE = {"schema": {"type": "string", "format": "binary"}}
+COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array"}}}
+CONTENT = {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS}
 
 
 @router.post("", status_code=201, responses={200: {"model": RobotReport, "description": "Already there, unchanged"}})
@@ -36,6 +48,32 @@ def convert(document: RobotDocument, to: Target) -> RobotDocument:
     from service.robots.convert import convert as converted  # imports numpy and scipy: not at the start of the process
 
     return service.DOCUMENT.validate_python(converted(document, to))
+
+
+@router.post(
+    "/from-circles",
+    response_model_exclude_none=True,
+    openapi_extra={"requestBody": {"required": True, "content": CONTENT}},
+)
+async def from_circles(
+    request: Request,
+    settings: SettingsOfApp,
+    name: Name = "found",
+    to: Target = "chain",
+    base: Literal["axis", "device"] = "axis",
+) -> FoundRobot:
+    """Find a robot from points measured while one joint moved at a time (CSV, Parquet or JSON columns); none is added."""
+    media = reading.media_type(request.headers.get("content-type"))
+    with tempfile.TemporaryDirectory(prefix="kilter-circles-") as folder:
+        path = Path(folder) / "body"
+        await receive(request, path, settings.max_upload_mb)
+        return await run_in_threadpool(_found, path, media, name, to, base)
+
+
+def _found(path: Path, media: str, name: str, to: Target, base: str) -> FoundRobot:
+    from service.robots.circles import found_robot  # imports numpy and scipy: not at the start of the API process
+
+    return found_robot(path, media, name, to, base)
 
 
 @router.get("")

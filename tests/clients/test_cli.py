@@ -66,7 +66,8 @@ COMMANDS = dict(leaves(typer.main.get_command(app)))
 
 def test_every_command_of_the_contract_is_there() -> None:
     assert {f"kilter {name}" for name in (
-        "robot add", "robot check", "robot convert", "robot list", "robot show", "upload", "inspect", "match", "campaigns",
+        "robot add", "robot check", "robot convert", "robot from-circles", "robot frame", "robot list", "robot show",
+        "upload", "inspect", "match", "campaigns",
         "sheet", "sheet-read", "sheet-join",
         "identify", "gap", "evaluate", "plan",
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "versions", "version", "activate", "rollback", "diff",

@@ -76,3 +76,38 @@ def test_a_table_is_written_in_another_convention(server: Path, tmp_path: Path, 
     tool = json.loads(capsys.readouterr().out)["zero"]["tool"]
     assert (tool["x_mm"], tool["y_mm"], tool["z_mm"]) == pytest.approx((900, 0, 300))
     assert run(["robot", "convert", str(out), "--to", "euler"]) == 1
+
+
+def test_a_robot_from_circles_and_a_frame_from_points(server: Path, tmp_path: Path, capsys: Capture) -> None:
+    # Two joints about parallel axes 500 mm apart, the point 300 mm from the second; the device sees the base at (100, 0, 50).
+    path, out = tmp_path / "circles.csv", tmp_path / "arm.json"
+    lines = ["q1_deg,q2_deg,x_mm,y_mm,z_mm"]
+    for one, two in [(a, 30.0) for a in range(0, 100, 10)] + [(20.0, a) for a in range(-60, 60, 10)]:
+        a, b = math.radians(one), math.radians(one + two)
+        x, y = 100 + 500 * math.cos(a) + 300 * math.cos(b), 500 * math.sin(a) + 300 * math.sin(b)
+        lines.append(f"{one},{two},{x:.9f},{y:.9f},50")
+    path.write_text("\n".join(lines) + "\n")
+    assert run(["robot", "from-circles", str(path), "--name", "scara", "--convention", "poe", "-o", str(out)]) == 0
+    assert "revolute" in capsys.readouterr().out
+    document = json.loads(out.read_text())
+    assert document["name"] == "scara"
+    assert (document["base"]["x_mm"], document["base"]["y_mm"]) == pytest.approx((100, 0), abs=1e-6)
+    assert math.dist(document["axes"][1]["point_mm"][:2], (0, 0)) == pytest.approx(500, abs=1e-6)
+    assert run(["robot", "add", str(out)]) == 0
+    capsys.readouterr()
+    points = tmp_path / "points.csv"
+    points.write_text(
+        "feature,x_mm,y_mm,z_mm\nplane,0,0,5\nplane,9,0,5\nplane,0,9,5\nline,0,1,5\nline,7,1,5\norigin,2,3,9\n"
+    )
+    assert run(["robot", "frame", str(points), "--into", str(out), "--json"]) == 0
+    pose = json.loads(capsys.readouterr().out)["pose"]
+    assert (pose["x_mm"], pose["y_mm"], pose["z_mm"]) == pytest.approx((2, 3, 5))
+    assert json.loads(out.read_text())["base"] == pose
+    points.write_text("feature,x_mm,y_mm,z_mm\ncorner,0,0,5\n")
+    assert run(["robot", "frame", str(points)]) == 1
+    assert "line 2: feature is 'corner'" in capsys.readouterr().err
+    points.write_text(
+        "name,known_x_mm,known_y_mm,known_z_mm,x_mm,y_mm,z_mm\nA,0,0,0,1,2,3\nB,9,0,0,10,2,3\nC,0,9,0,1,11,3\n"
+    )
+    assert run(["robot", "frame", str(points)]) == 0
+    assert '"x_mm": 1.0' in capsys.readouterr().out

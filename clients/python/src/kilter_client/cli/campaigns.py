@@ -34,6 +34,10 @@ Joints = Annotated[
 ]
 
 
+ToolForce = Annotated[str | None, typer.Option(metavar="FX,FY,FZ", help="Force on the tool point, in its frame, N.")]
+ToolMoment = Annotated[str | None, typer.Option(metavar="MX,MY,MZ", help="Moment on the tool, in its frame, N m.")]
+
+
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.command(epilog="Example: kilter upload ur10 measurements_grid.csv --device ipa-lasertracker")(upload)
@@ -58,12 +62,8 @@ def upload(
     name: Annotated[str | None, typer.Option(help="Name of the campaign; default is the file's name.")] = None,
     payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point during the campaign.")] = None,
     temperature_c: Annotated[float | None, typer.Option(help="Temperature during the campaign.")] = None,
-    tool_force_n: Annotated[
-        str | None, typer.Option(metavar="FX,FY,FZ", help="Force on the tool point, in the tool frame, N.")
-    ] = None,
-    tool_moment_nm: Annotated[
-        str | None, typer.Option(metavar="MX,MY,MZ", help="Moment on the tool, in the tool frame, N m.")
-    ] = None,
+    tool_force_n: ToolForce = None,
+    tool_moment_nm: ToolMoment = None,
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what is understood of the file, send nothing.")

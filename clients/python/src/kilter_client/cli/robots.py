@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
+from kilter_client.cli import circles
 from kilter_client.cli.arguments import Json, Robot
 from kilter_client.cli.drawing import show_check
 from kilter_client.cli.output import emit, note, say
@@ -24,6 +25,7 @@ robot = typer.Typer(help="Describe robots.", no_args_is_help=True, rich_markup_m
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
+    circles.register(robot)
     app.add_typer(robot, name="robot")
 
 

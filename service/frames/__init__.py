@@ -1,0 +1,1 @@
+"""Frames from digitised points."""

@@ -1,0 +1,17 @@
+"""Frames over HTTP; nothing is stored."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+from service.frames.schemas import Frame, NewFrame
+
+router = APIRouter(prefix="/v1/frames", tags=["frames"])
+
+
+@router.post("")
+def make(frame: NewFrame) -> Frame:
+    """Find a frame from digitised points: known points measured again, or a plane, a line in it and an origin."""
+    from service.frames.service import found  # imports numpy and scipy: not at the start of the API process
+
+    return found(frame)

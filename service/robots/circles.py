@@ -1,0 +1,88 @@
+"""A robot found from circles: a table of readings and points into a robot document."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from core.circle_points import AxisFit, robot_from_circles
+from core.errors import ObservationError
+from service.campaigns import reading
+from service.campaigns.assemble import observations
+from service.campaigns.columns import read_columns
+from service.robots.circle_schemas import CircleAxis, FoundRobot
+from service.robots.schemas import Target
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+JOINT = re.compile(r"q([1-9][0-9]?)_(deg|rad|mm|m)")
+
+
+def found_robot(path: Path, media: str, name: str, convention: Target, frame: str) -> FoundRobot:
+    """Read a table (``q1_deg`` or ``q1_mm`` ..., and ``x_mm`` ... or markers) and find the robot whose joints moved in it.
+
+    Raises:
+        ObservationError: the table cannot be read, or shows no axes. TooFewPosesError: too few rows of a joint.
+
+    """
+    table = _table(path, media)
+    kinds = _kinds(table.column_names)
+    rows = observations(table, read_columns(table.column_names, kinds), {})
+    points = rows.markers if rows.markers is not None else rows.position
+    if points is None:
+        raise ObservationError("Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ... .")
+    slides = np.array([kind == "prismatic" for kind in kinds])
+    found = robot_from_circles(
+        rows.q, slides, points.reshape(len(rows), -1, 3), rows.tip, name=name, convention=convention, frame=frame
+    )
+    axes = [_axis(k, fit) for k, fit in enumerate(found.axes)]
+    return FoundRobot(robot=_document(found.document), axes=axes, rms_mm=found.rms * 1e3)
+
+
+def _table(path: Path, media: str) -> pa.Table:
+    import pyarrow as pa  # 0.4 s: not at the start of the API process
+
+    reading.column_names(path, media)
+    return pa.concat_tables(list(reading.tables(path, media))).combine_chunks()
+
+
+def _kinds(names: list[str]) -> list[str]:
+    """Kind of every joint, by the unit of its reading.
+
+    Raises:
+        ObservationError: no joint readings, or a gap in their numbers.
+
+    """
+    units = {int(match[1]): match[2] for match in map(JOINT.fullmatch, names) if match}
+    if sorted(units) != list(range(1, len(units) + 1)) or not units:
+        raise ObservationError(
+            "The joints are not there or not numbered 1, 2, 3 ...: give q1_deg, q2_deg, ..., q3_mm for a joint that slides.",
+            column=f"q{len(units) + 1}",
+        )
+    return ["prismatic" if units[k] in ("mm", "m") else "revolute" for k in sorted(units)]
+
+
+def _axis(k: int, fit: AxisFit) -> CircleAxis:
+    scale = 1e3 if fit.prismatic else 180.0 / math.pi
+    return CircleAxis(
+        joint=f"j{k + 1}",
+        kind="prismatic" if fit.prismatic else "revolute",
+        rows=fit.rows,
+        arc_deg=None if fit.prismatic else fit.arc * scale,
+        stroke_mm=fit.arc * scale if fit.prismatic else None,
+        radius_mm=None if fit.prismatic else fit.radius * 1e3,
+        rms_mm=fit.rms * 1e3,
+        sigma_deg=math.degrees(fit.sigma_rad),
+        sigma_mm=fit.sigma_m * 1e3,
+    )
+
+
+def _document(document: dict[str, Any]) -> Any:
+    from service.robots.service import DOCUMENT
+
+    return DOCUMENT.validate_python(document)
