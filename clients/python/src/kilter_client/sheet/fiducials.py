@@ -15,8 +15,9 @@ from kilter_client.sheet.picture import Picture, Pixels
 from kilter_client.sheet.shapes import aruco
 
 SEARCHED_SIDE = 2400  # markers are looked for in a picture made this small, and refined in the whole one
-MOST_OFF_MM = 1.0
-DOUBTFUL_MM = 0.25
+MOST_OFF_MM = 0.3  # prints, scanners and flat paper stay below 0.05
+DOUBTFUL_MM = 0.15
+MOST_LEFT_OUT = 2  # covered or smudged; more are a sheet that is bent or cut
 MOST_TARGETS = 14
 REPRINT = "Lay the whole sheet flat in the picture, sharp and with even light, all four corner markers visible."
 
@@ -198,7 +199,7 @@ def place_sheet(picture: Picture, marks: Marks) -> tuple[Camera, Marks, list[str
         while True:
             camera, off = fit_camera(size, marks.mm, marks.pixels)
             worst = int(np.argmax(off))
-            if off[worst] < DOUBTFUL_MM or len(off) < 7:
+            if off[worst] < DOUBTFUL_MM or len(off) < 7 or len(left_out) == MOST_LEFT_OUT:
                 break
             left_out.append(f"{marks.names[worst]} is {off[worst]:.2f} mm off its place and left out")
             keep = np.arange(len(off)) != worst
@@ -207,7 +208,7 @@ def place_sheet(picture: Picture, marks: Marks) -> tuple[Camera, Marks, list[str
     except (ValueError, np.linalg.LinAlgError) as error:
         raise fault(picture.path, "its marks do not span a sheet", REPRINT) from error
     if off.max() > MOST_OFF_MM or not np.isfinite(off).all():
-        what = f"{marks.names[int(np.argmax(off))]} is {off.max():.1f} mm from where the sheet has it"
+        what = f"{marks.names[int(np.argmax(off))]} is {off.max():.2f} mm from where the sheet has it"
         raise fault(picture.path, what, "Is it another sheet, cut, or folded? Scan it flat, or print it again.")
     return camera, marks, left_out
 

@@ -74,8 +74,9 @@ def _image(path: Path) -> Picture:
                 rgb = _flat(turned)
     except FileError:
         raise
-    except MemoryError as error:
-        raise fault(path, "claims more pixels than fit into memory", AGAIN) from error
+    except (Image.DecompressionBombError, MemoryError) as error:
+        remedy = f"At most {MOST_PIXELS // 1_000_000} million are read: scan at 300 to 600 dpi."
+        raise fault(path, "states more pixels than any scan has", remedy) from error
     except Exception as error:  # Pillow's decoders let OSError, SyntaxError, struct.error, ValueError and more through
         raise fault(path, f"is damaged or cut off: {str(error)[:120] or type(error).__name__}", AGAIN) from error
     return Picture(path, rgb, _density(stated))
