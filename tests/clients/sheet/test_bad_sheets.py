@@ -6,6 +6,7 @@ import io
 import json
 import random
 import struct
+import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -207,3 +208,21 @@ def test_damaged_pictures_are_refused_or_read_never_worse(
         assert str(path) in str(caught.value)
 
     attempt()
+
+
+@pytest.mark.parametrize(("module", "package"), [("cv2", "opencv"), ("PIL", "Pillow"), ("reportlab", "reportlab")])
+def test_a_package_that_is_not_installed_is_named(
+    module: str, package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = save(Image.new("RGB", (40, 30), "white"), tmp_path / "white.png")
+    for name in {module, *(name for name in sys.modules if name.partition(".")[0] == module)}:
+        monkeypatch.setitem(sys.modules, name, None)
+    command = (
+        ["sheet", "--radius-mm", "30", "-o", str(tmp_path / "a.pdf")]
+        if module == "reportlab"
+        else ["sheet-read", str(path)]
+    )
+    assert run(command) == 1
+    said = capsys.readouterr().err
+    assert package in said
+    assert "pip install 'kilter-client[sheet]'" in said

@@ -10,7 +10,7 @@ import pytest
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.errors import FileError
-from kilter_client.files.height import read_calibration, read_heights
+from kilter_client.files.height import Heights, read_calibration, read_heights
 from kilter_client.files.joint_log import JointLog
 from kilter_client.files.rig import Circle, Frame, JoinOptions, join, register
 from kilter_client.sheet.layout import sheet_for
@@ -18,6 +18,8 @@ from nptdms import ChannelObject, TdmsWriter
 from numpy.typing import NDArray
 from paper import View, drawn, save, seen
 
+from core.evaluate import evaluate
+from core.identify import IdentifyOptions, identify
 from core.inverse import reach
 from core.observations import Observations
 from core.twin import thesis_katana
@@ -130,6 +132,32 @@ def test_a_drawing_calibrates(server: Path, tmp_path: Path, capsys: pytest.Captu
     assert result["identified"]["mean_mm"] < 0.8 * result["registration_only"]["mean_mm"]
 
 
+def identified(drawing: Drawing, held: Drawing, taken_mm: float) -> tuple[float, float]:
+    """Mean errors in mm on the held drawing, registered and identified, of a bare line with the command along it."""
+    bare = Circle(Path("a"), 60.0, drawing.turn, drawing.out, np.full(len(drawing.turn), 0.01), None, None)
+    t = np.arange(len(drawing.q), dtype=float)
+    columns = {f"{axis}_mm": drawing.commanded[:, k] for k, axis in enumerate("xyz")} | {"q1_deg": t, "t_s": t}
+    heights = Heights(Path("h"), t, drawing.height, "heights")
+    frame = register(Path("p"), drawing.commanded[drawing.quarters], 60.0)
+    table = join(bare, JointLog(Path("j"), ("q1_deg",), columns), heights, frame, JoinOptions(taken_mm=taken_mm)).table
+    position, sigma = (np.stack([table.columns[f"{name}{a}_mm"] for a in "xyz"], axis=1) * 1e-3 for name in ("", "s"))
+    rows = np.array(table.columns["q1_deg"], dtype=int)
+    options = IdentifyOptions(level=1)
+    found = identify(thesis_katana().robot, Observations(drawing.q[rows], position, sigma=sigma), None, options)
+    truth = (CENTRE + (held.sheet + held.error) @ PLANE.T) * 1e-3
+    metrics = evaluate(found.calibration, Observations(held.q, truth), refit=("base",))
+    return metrics["registration_only"]["mean_mm"], metrics["identified"]["mean_mm"]
+
+
+def test_a_bare_line_tells_offsets_if_the_command_along_it_is_taken_as_uncertain() -> None:
+    drawing, held = Drawing(60, 52), Drawing(45, 36)
+    registered, careful = identified(drawing, held, 1.0)
+    trusting = identified(drawing, held, 0.001)[1]
+    print(registered, careful, trusting)
+    assert careful < 0.8 * registered
+    assert careful < 0.8 * trusting
+
+
 def circle(count: int = 24, along: bool = True) -> Circle:
     turn = 2 * np.pi * np.arange(count) / count
     return Circle(
@@ -166,7 +194,7 @@ def test_what_was_not_measured_is_not_made_up() -> None:
     with pytest.raises(FileError, match="no strokes across the line"):
         join(circle(along=False), log(ring(30, 24)), None, Frame.own(), JoinOptions())
     joined = join(circle(along=False), log(ring(30, 24)), None, Frame.own(), JoinOptions(taken_mm=1.0))
-    assert any("to look, not to identify" in text for text in joined.table.warnings)
+    assert any("as 1 mm. Identify joint offsets at most" in text for text in joined.table.warnings)
     with pytest.raises(FileError, match="shows no height"):
         join(circle(), log(ring(30, 24)), None, Frame.own(), JoinOptions())
 

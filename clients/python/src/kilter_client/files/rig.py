@@ -142,8 +142,8 @@ def join(circle: Circle, log: JointLog, heights: Heights | None, frame: Frame, o
     table.notes.append(note)
     if circle.along_mm is None:
         table.warnings.append(
-            "the line shows no error along itself: the command stands in, and an identification from such rows "
-            "takes that for a measurement. Use them to look, not to identify"
+            f"the line shows no error along itself: the command stands in, as {taken:g} mm. Identify joint offsets at "
+            "most from such rows (--level 1)"
         )
     moved = at_sheet[rows] - on_sheet
     report = {
@@ -159,7 +159,7 @@ def _along(circle: Circle, options: JoinOptions) -> tuple[Floats, float]:
         return circle.along_mm, 0.0
     if options.taken_mm is None:
         what = "shows no error along the circle: it has no strokes across the line"
-        remedy = "Draw strokes, or let the command stand in with --take-command (to look, not to identify)."
+        remedy = "Draw strokes, or let the command stand in, as uncertain as the robot is: --take-command 1."
         raise fault(circle.path, what, remedy)
     return np.zeros(len(circle.turn)), options.taken_mm
 
