@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from core.errors import TooFewPosesError
 from core.identify.least_squares import Fit, Problem, Weights, solve
 from core.identify.options import IdentifyOptions
-from core.measurement import Measurement
+from core.measurement import Measurement, Residual
 from core.model import Calibration, RobotModel
 from core.registration import register
 
@@ -57,9 +57,10 @@ def estimate(
     point_sigma, turn_sigma = stated or START_SIGMA_M, START_SIGMA_RAD
     held: Floats | None = None
     still = problem.anchor if problem.anchor is not None else values[problem.free]
+    known: Residual | None = None
     for step in range(WEIGHT_PASSES):
         problem = problem.reweighted(Weights(_row_sigmas(measurement, point_sigma), turn_sigma), held)
-        fit = solve(problem, values, _iterations(progress, step))
+        fit = solve(problem, values, _iterations(progress, step), known)
         points, turns = scatter(fit)
         blind = blind_directions(fit)
         settled = (
@@ -69,6 +70,7 @@ def estimate(
         if settled:
             break
         values, held = _returned(fit, blind, still), blind if len(blind) else None
+        known = None if len(blind) else fit.residual  # only weights change: the Jacobian there is known
     return fit
 
 

@@ -27,6 +27,7 @@ HUBER_SIGMAS = 3.0
 MAX_ITERATIONS = 60
 HOLD = 1e8  # stiffness of a held direction against a prior of 1
 ROUNDING = 1e-13  # share of the loss that a step must promise to be worth taking
+LAST = 1e-9  # share below which the step is taken and the model not asked again: it is linear that near
 STEP_TOLERANCE = 1e-9  # largest step, in prior sigmas and relative to the posterior, that counts as converged
 
 
@@ -75,10 +76,12 @@ class Problem:
         points, turns = self._over_sigma(residual)
         return self._stacked(points, turns, *self._roots(points, turns, _loss_root))
 
-    def linearised(self, values: Floats) -> Linearised:
-        """Whitened residuals and the whitened Jacobian of the prediction, with the loss they stand for."""
-        prediction, J = self.model.jacobian(self.batch, values, self.free)
-        residual = self.measurement.residual(prediction, J)
+    def linearised(self, values: Floats, known: Residual | None = None) -> Linearised:
+        """Whitened residuals and the whitened Jacobian of the prediction, with the loss they stand for.
+
+        ``known`` is the raw residual there with its Jacobian, where only weights changed since.
+        """
+        residual = known or self.measurement.residual(*self.model.jacobian(self.batch, values, self.free))
         assert residual.d_points is not None
         points, turns = self._over_sigma(residual)
         scale = self.weights.points if isinstance(self.weights.points, float) else self.weights.points[..., None]
@@ -90,12 +93,28 @@ class Problem:
         stacked = [_times(root_points, d_points, 1).reshape(-1, columns)]
         if residual.d_turns is not None:
             stacked.append(_times(root_turns, residual.d_turns / self.weights.turns, 1).reshape(-1, columns))
-        weighted = self._stacked(points, turns, root_points, root_turns)
-        exact = (
-            weighted if root_points is None else self._stacked(points, turns, *self._roots(points, turns, _loss_root))
-        )
+        weighted, exact = self._both(points, turns, root_points, root_turns)
         whole = stacked[0] if len(stacked) == 1 else np.concatenate(stacked)
         return Linearised(weighted, whole, self.loss_at(values, exact), residual)
+
+    def beyond(self, here: Linearised, values: Floats, step: Floats) -> Linearised:
+        """What is at ``values (P,)``, a small ``step (F,)`` from where the problem was linearised; the Jacobian stays."""
+        raw = here.residual
+        assert raw.d_points is not None
+        turned = raw.turns if raw.turns is None or raw.d_turns is None else raw.turns - raw.d_turns @ step
+        residual = Residual(raw.points - raw.d_points @ step, raw.d_points, turned, raw.d_turns)
+        points, turns = self._over_sigma(residual)
+        r, exact = self._both(points, turns, *self._roots(points, turns, _weight_root))
+        return Linearised(r, here.J, self.loss_at(values, exact), residual)
+
+    def _both(
+        self, points: Floats, turns: Floats | None, root_points: Floats | None, root_turns: Floats | None
+    ) -> tuple[Floats, Floats]:
+        """Residuals that have the slope of the loss, and residuals whose squares are twice the loss."""
+        weighted = self._stacked(points, turns, root_points, root_turns)
+        if root_points is None:
+            return weighted, weighted
+        return weighted, self._stacked(points, turns, *self._roots(points, turns, _loss_root))
 
     def loss_at(self, values: Floats, r: Floats) -> float:
         """Half the sum of squares of ``r``, of the prior and of what strayed along held directions."""
@@ -159,26 +178,26 @@ class Fit:
         return np.sqrt(np.diag(self.covariance))
 
 
-def solve(problem: Problem, start: Floats, progress: Progress | None = None) -> Fit:
-    """Fit the free parameters from ``start (P,)``.
+def solve(problem: Problem, start: Floats, progress: Progress | None = None, known: Residual | None = None) -> Fit:
+    """Fit the free parameters from ``start (P,)``, where ``known`` is the raw residual if it was computed before.
 
     Raises:
         NotConvergedError: no minimum within the iteration limit, or numbers that are not finite.
 
     """
     values, damping = start.copy(), 1e-6
-    here = problem.linearised(values)
+    here = problem.linearised(values, known)
     for iteration in range(1, MAX_ITERATIONS + 1):
         if not np.isfinite(here.loss):
             raise NotConvergedError("The residuals are not finite: check the observations for impossible values.")
         H, g = _holding(problem, values, *_normal_equations(problem, values, here))
-        taken = _damped_step(problem, values, H, g, here.loss, damping)
+        taken = _damped_step(problem, values, H, g, here, damping)
         if progress is not None:
             progress(iteration, here.loss)
         if taken is None:
             return fit_at(problem, values, here, iteration)
-        drop, (step, damping, values, here) = here.loss - taken[3].loss, taken
-        if np.max(np.abs(step), initial=0.0) < STEP_TOLERANCE or drop < 1e-12 * (1.0 + here.loss):
+        last, damping, values, here = taken
+        if last:
             return fit_at(problem, values, here, iteration)
     raise NotConvergedError(
         f"No minimum after {MAX_ITERATIONS} iterations: fix some parameters, or start from a better version.",
@@ -187,28 +206,28 @@ def solve(problem: Problem, start: Floats, progress: Progress | None = None) -> 
 
 
 def _damped_step(
-    problem: Problem, values: Floats, H: Floats, g: Floats, loss: float, damping: float
-) -> tuple[Floats, float, Floats, Linearised] | None:
-    """Raise the damping until a step lowers the loss: the step, the next damping, the new values and what is there.
+    problem: Problem, values: Floats, H: Floats, g: Floats, here: Linearised, damping: float
+) -> tuple[bool, float, Floats, Linearised] | None:
+    """Raise the damping until a step lowers the loss: whether it was the last, the next damping, the values, what is there.
 
     None where no step does: a minimum to rounding.
     """
-    diagonal = np.diag(H)
+    diagonal, loss = np.diag(H), here.loss
     for _ in range(25):
         damped = H.copy()
         damped.flat[:: len(H) + 1] += damping * diagonal
         step = np.asarray(np.linalg.solve(damped, g), dtype=np.float64)
         promised = float(step @ g)
-        if promised < ROUNDING * (1.0 + loss):
+        if promised < ROUNDING * (1.0 + loss) or np.max(np.abs(step), initial=0.0) < STEP_TOLERANCE:
             return None
         trial = values.copy()
         trial[problem.free] += step * problem.prior_sigma
+        if promised < LAST * (1.0 + loss) and damping < 1e-3:
+            return True, damping, trial, problem.beyond(here, trial, step * problem.prior_sigma)
         # Nearly every step is good, so its Jacobian is taken at once instead of after its loss.
         there = problem.linearised(trial)
         if there.loss < loss:
-            return step, damping * 0.1, trial, there
-        if np.max(np.abs(step), initial=0.0) < STEP_TOLERANCE:
-            return None
+            return False, damping * 0.1, trial, there
         damping = max(damping * 10.0, 1e-9)
     return None
 
