@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 Order = tuple[int, ...]
 
 MOST_SEARCHED = 6  # markers, 720 orders
+ENOUGH = 200  # rows that an order is judged by
 CLEARLY = 3.0  # an order must fit so many times better than the one given
 OFF = 0.01  # share of the set's size from which a distance counts as another
 OFF_M = 5e-4
@@ -106,6 +107,7 @@ def _orders(m: int) -> Iterator[Order]:
 
 def _best_order(distances: Floats, reference: Floats) -> tuple[Order, float] | None:
     """The order of the markers in which rows fit the reference best, and their largest typical difference."""
+    distances = distances[:: max(1, len(distances) // ENOUGH)]
     found = [
         (order, float(np.median(_apart(distances[:, order][:, :, order], reference))))
         for order in _orders(len(reference))
@@ -115,8 +117,8 @@ def _best_order(distances: Floats, reference: Floats) -> tuple[Order, float] | N
 
 def _refuse_other_order(distances: Floats, reference: Floats) -> None:
     off = float(np.median(_apart(distances, reference)))
-    best = _best_order(distances, reference)
-    if off < _limit(reference) or best is None or CLEARLY * best[1] > off:
+    best = _best_order(distances, reference) if off > _limit(reference) else None
+    if best is None or CLEARLY * best[1] > off:
         return
     odd = _is_odd(best[0])
     raise ObservationError(

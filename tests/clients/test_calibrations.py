@@ -105,3 +105,17 @@ def test_a_force_of_the_whole_campaign(server: Path, tmp_path: Path, capsys: Cap
         stored = {c["id"]: c for c in kilter.campaigns.list("leaned-on")}[done["campaign_id"]]
         assert stored["conditions"]["tool_force_n"] == [0, 0, -50]
     assert run(["upload", "leaned-on", str(path), "--tool-force-n", "50"]) == 2
+
+
+def test_markers_that_changed_places_fail_the_job_by_their_code(server: Path, tmp_path: Path, capsys: Capture) -> None:
+    _, train, _ = campaign("markers", rows=40)
+    assert train.markers is not None
+    swapped = train.markers.copy()
+    swapped[20:] = swapped[20:, [2, 1, 0]]
+    with Kilter() as kilter:
+        kilter.robots.add({**ur10().document(), "name": "swapped", "links": None})
+    cells = {f"m{k + 1}{axis}_mm": 1e3 * swapped[:, k, a] for k in range(3) for a, axis in enumerate("xyz")}
+    done = said(capsys, "upload", "swapped", str(write(tmp_path / "swapped.csv", train.q, cells)))
+    job = said(capsys, "identify", "swapped", "--campaign", done["campaign_id"], code=1)
+    assert "markers_swapped" in json.dumps(job)
+    assert "From row 21 on" in json.dumps(job)
