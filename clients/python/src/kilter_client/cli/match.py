@@ -18,11 +18,20 @@ from kilter_client.errors import UsageError
 if TYPE_CHECKING:
     from kilter_client.files.joint_log import JointLog
     from kilter_client.files.recording import Recording
+    from kilter_client.files.rigid_body import Body
     from kilter_client.files.table import Table
 
 By = Literal["order", "time", "frames"]
 Role = Literal["train", "validation", "confirmation"]
 Existing = {"exists": True, "dir_okay": False, "show_default": False}
+Tcp = Annotated[
+    str | None,
+    typer.Option(
+        metavar="mean|X,Y,Z|FILE",
+        help="Send poses of one rigid body, not markers: of the markers' mean, of a point in the body's frame (mm), or of "
+        "the point that FILE has digitised as its last marker.",
+    ),
+]
 Joints = Annotated[
     Path,
     typer.Argument(
@@ -51,6 +60,8 @@ def match(
         By, typer.Option(help="One row per dwell, in order or by time; or a row of every frame, by time.")
     ] = "order",
     joints_map: Annotated[Path | None, typer.Option(help="Column map of the joint log.", **Existing)] = None,
+    tcp: Tcp = None,
+    tool: Annotated[str | None, typer.Option(help="Tool of a recording of several, with --tcp.")] = None,
     topic: Topic = None,
     joint_order: JointOrder = None,
     rate: Rate = None,
@@ -73,17 +84,23 @@ def match(
     from kilter_client.files.joint_bag import is_bag
     from kilter_client.files.joint_log import LogHints, read_joint_log
     from kilter_client.files.recordings import open_recording
+    from kilter_client.files.rigid_body import find_body, tool_as_markers
 
     hints = LogHints(topic, arguments.split_names([joint_order or ""]), joints_of(robot) if is_bag(joints) else ())
     found, log = open_recording(recording, rate, allow_cut), read_joint_log(joints, joints_map, hints)
     for text in log.notes:
         note(f"  {text}", as_json)
+    if tcp is not None and (tool is not None or found.kind.startswith("tool-")):
+        found = tool_as_markers(found, tool)
+    body = None if tcp is None else find_body(found, tcp)
+    if body is not None:
+        note(f"  poses of a rigid body: {body.source}, tool point {body.tcp.round(3).tolist()} mm", as_json)
     wanted = {"name": name or recording.name, "device": device, "role": role}
     if by == "frames":
-        document = _frames(found, log, robot, wanted, as_json)
+        document = _frames(found, log, body, robot, wanted, as_json)
     else:
         options = RestOptions(rest_speed, shortest, settle)
-        document = _dwells(found, log, by, options, out, robot, wanted, as_json)
+        document = _dwells(found, log, body, by, options, out, robot, wanted, as_json)
     emit(document, as_json, _show)
 
 
@@ -97,13 +114,13 @@ def joints_of(robot: str | None) -> list[str]:
 
 
 def _dwells(
-    found: Recording, log: JointLog, by: str, options: Any, out: Path | None, robot: str | None,
+    found: Recording, log: JointLog, body: Body | None, by: str, options: Any, out: Path | None, robot: str | None,
     wanted: dict[str, str], as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
     from kilter_client.files.matching import match_dwells
     from kilter_client.files.table import Prepared, Table
 
-    matched = match_dwells(found, log, by, options)
+    matched = match_dwells(found, log, by, options, body)
     _tell(matched.report, as_json)
     rows = matched.report["dwells"]
     table: Table = Table({n: v.tolist() for n, v in matched.columns.items()}, list(range(1, rows + 1)))
@@ -116,7 +133,7 @@ def _dwells(
 
 
 def _frames(
-    found: Recording, log: JointLog, robot: str | None, wanted: dict[str, str], as_json: bool
+    found: Recording, log: JointLog, body: Body | None, robot: str | None, wanted: dict[str, str], as_json: bool
 ) -> dict[str, Any]:
     from kilter_client.files.clocks import match_clocks
     from kilter_client.files.dwells import thin
@@ -129,7 +146,7 @@ def _frames(
     _tell(report, as_json)
     if not robot:
         return report | {"frames": found.frames}
-    return report | _send(lambda: parts(frame_rows(found, log, clocks)), found.frames, robot, wanted, as_json)
+    return report | _send(lambda: parts(frame_rows(found, log, clocks, body)), found.frames, robot, wanted, as_json)
 
 
 def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, str], as_json: bool) -> dict[str, Any]:

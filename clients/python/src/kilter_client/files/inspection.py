@@ -14,6 +14,7 @@ from kilter_client.files.inspection_joints import column, describe_bag, describe
 from kilter_client.files.joint_bag import is_bag
 from kilter_client.files.joint_log import JOINT, LogHints, read_joint_log
 from kilter_client.files.marker_header import RATE, told, understand
+from kilter_client.files.polaris_long import long_columns
 from kilter_client.files.recording import Recording
 from kilter_client.files.recordings import kind_of, open_recording
 from kilter_client.files.survey import SHOWN, survey
@@ -91,6 +92,8 @@ def is_contract(path: Path) -> bool:
 
 def is_recording(layout: TextLayout, rate_hz: float | None = None) -> bool:
     """Tell whether a text holds frames of markers and not one point per row that somebody chose to measure."""
+    if long_columns(layout) is not None:
+        return True
     columns = understand(layout)
     paced = rate_hz is not None or columns.counter is not None or told(layout, RATE) is not None
     several = (

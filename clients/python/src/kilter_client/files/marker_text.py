@@ -12,6 +12,7 @@ from kilter_client.errors import FileError
 from kilter_client.files.faults import CUT, fault
 from kilter_client.files.gaps import unit_quaternions, without_gaps
 from kilter_client.files.marker_header import FRAMES, RATE, MarkerColumns, told, understand, unit_above
+from kilter_client.files.polaris_long import long_columns, read_long
 from kilter_client.files.recording import Block, Floats, Recording
 from kilter_client.files.text_blocks import blocks, count_rows, line_of
 from kilter_client.files.text_layout import TextLayout, sniff
@@ -29,6 +30,9 @@ def read_marker_text(path: Path, rate_hz: float | None = None, allow_cut: bool =
 
     """
     layout = sniff(path)
+    long = long_columns(layout)
+    if long is not None:
+        return read_long(path, layout, long, rate_hz)
     columns = understand(layout)
     if not columns.xyz:
         named = ", ".join(layout.names[:12])

@@ -15,10 +15,12 @@ from kilter_client.files.dwells import Dwell, RestOptions, find_dwells, thin
 from kilter_client.files.faults import fault
 from kilter_client.files.joint_log import JointLog
 from kilter_client.files.recording import Floats, Recording
+from kilter_client.files.rigid_body import Body, Poses, poses, seen_enough
 from kilter_client.files.survey import jumps
 
 SAME_POSE_DEG = 0.01
 MOVED_DEG = 0.05
+OFF_SHAPE_MM = 1.0  # further from the body's shape is no noise: a marker moved, or is another one
 
 Columns = dict[str, Floats]
 
@@ -31,8 +33,10 @@ class Matched:
     report: dict[str, Any]
 
 
-def match_dwells(recording: Recording, log: JointLog, by: str, options: RestOptions | None = None) -> Matched:
-    """Join the dwells of a recording with the poses of a log, ``by`` "order" or "time".
+def match_dwells(
+    recording: Recording, log: JointLog, by: str, options: RestOptions | None = None, body: Body | None = None
+) -> Matched:
+    """Join the dwells of a recording with the poses of a log, ``by`` "order" or "time"; with ``body`` as its poses.
 
     Raises:
         FileError: counts that differ, motions that do not fit, markers that change places.
@@ -45,12 +49,14 @@ def match_dwells(recording: Recording, log: JointLog, by: str, options: RestOpti
         raise fault(recording.path, what, "Match every frame by time (--by frames), or raise --rest-speed.")
     clocks = match_clocks(recording.path, thin(recording), log) if by == "time" else None
     rows, warnings = (_by_order(recording, dwells, log), []) if clocks is None else _by_time(dwells, log, clocks)
+    if body is not None:
+        rows = _of_known_poses(dwells, rows, body, warnings)
     kept = [dwell for dwell, row in zip(dwells, rows, strict=True) if row >= 0]
     index = rows[rows >= 0]
     columns = {name: log.columns[name][index] for name in log.joints}
     columns |= {n: v[index] for n, v in log.columns.items() if n not in columns and n not in ("t_s", "pose_id")}
     columns["pose_id"] = log.columns["pose_id"][index] if "pose_id" in log.columns else pose_numbers(log, index)
-    columns |= _measured(kept)
+    columns |= _measured(kept) if body is None else _posed(kept, body)
     return Matched(columns, _report(recording, log, kept, columns, clocks, warnings))
 
 
@@ -132,6 +138,29 @@ def _measured(dwells: list[Dwell]) -> Columns:
     return columns | {f"s{axis}_mm": np.maximum(sigma[:, i], 1e-6) for i, axis in enumerate("xyz")}
 
 
+def _of_known_poses(dwells: list[Dwell], rows: NDArray[np.int64], body: Body, warnings: list[str]) -> NDArray[np.int64]:
+    """Leave out dwells in which the body's pose is not known, or its markers do not fit its shape."""
+    found = poses(body, np.stack([d.mean_mm for d in dwells]))
+    usual = float(np.nanquantile(found.rms_mm, 0.25)) if seen_enough(found).any() else 0.0
+    bent = found.rms_mm > max(OFF_SHAPE_MM, 5 * usual)
+    for k in np.flatnonzero(~seen_enough(found) | bent):
+        what = f"its markers are {found.rms_mm[k]:.3g} mm off the body's shape" if bent[k] else "too few markers seen"
+        warnings.append(f"dwell {k + 1} at {dwells[k].start_s:.2f} s left out: {what}")
+    return np.where(seen_enough(found) & ~bent, rows, -1)
+
+
+def _posed(dwells: list[Dwell], body: Body) -> Columns:
+    plain = _measured(dwells)
+    columns = pose_columns(poses(body, np.stack([d.mean_mm for d in dwells])))
+    return {"t_s": plain["t_s"]} | columns | {name: plain[name] for name in ("sx_mm", "sy_mm", "sz_mm")}
+
+
+def pose_columns(found: Poses) -> Columns:
+    """Return x_mm ... qz of poses."""
+    columns = {f"{axis}_mm": found.position_mm[:, i] for i, axis in enumerate("xyz")}
+    return columns | {f"q{part}": found.quaternion[:, i] for i, part in enumerate("wxyz")}
+
+
 def marker_columns(points: Floats) -> Columns:
     """Return m1x_mm ... of points (n, markers, 3)."""
     return {f"m{k + 1}{axis}_mm": points[:, k, i] for k in range(points.shape[1]) for i, axis in enumerate("xyz")}
@@ -169,7 +198,7 @@ def clock_report(clocks: Clocks, duration_s: float) -> dict[str, float]:
     }
 
 
-def frame_rows(recording: Recording, log: JointLog, clocks: Clocks) -> Iterator[Columns]:
+def frame_rows(recording: Recording, log: JointLog, clocks: Clocks, body: Body | None = None) -> Iterator[Columns]:
     """Join every frame with the joints at its time (smooth between rows); frames without a marker are left out."""
     from scipy.interpolate import CubicSpline
 
@@ -181,4 +210,10 @@ def frame_rows(recording: Recording, log: JointLog, clocks: Clocks) -> Iterator[
         if keep.any():
             q = joints(t[keep])
             columns = {"t_s": block.t_s[keep]} | {name: q[:, i] for i, name in enumerate(log.joints)}
-            yield columns | marker_columns(block.points_mm[keep])
+            if body is None:
+                yield columns | marker_columns(block.points_mm[keep])
+                continue
+            found = poses(body, block.points_mm[keep])
+            known = seen_enough(found) & ~(found.rms_mm > OFF_SHAPE_MM)
+            if known.any():
+                yield {name: values[known] for name, values in (columns | pose_columns(found)).items()}
