@@ -31,6 +31,12 @@ def read_trajectory(path: Path, media: str, kinds: Sequence[str]) -> tuple[pa.Ta
 
     columns = read_columns(reading.column_names(path, media), kinds)
     for column in columns:
+        if column.quantity in ("fx", "mx"):
+            raise ObservationError(
+                f"Column {column.name!r}: a correction does not know forces on the tool yet to come, only the payload. Leave "
+                "the column out; what the force bends stays uncorrected.",
+                column=column.name,
+            )
         if column.quantity not in QUANTITIES:
             raise ObservationError(
                 f"Column {column.name!r} is a measurement: leave it out of a trajectory.", column=column.name

@@ -297,6 +297,7 @@ def test_what_is_no_trajectory_is_refused(client: httpx.Client, versions: Versio
     columns: dict[str, list[Any]] = dict(trajectory(3))
     refusals = [
         (columns | {"x_mm": [1, 2, 3], "y_mm": [1, 2, 3], "z_mm": [1, 2, 3]}, "is a measurement"),
+        (columns | {f"f{axis}_n": [1, 2, 3] for axis in "xyz"}, "does not know forces"),
         (columns | {"q1_deg": [1, None, 3]}, "Row 2, column 'q1_deg' is empty"),
         ({key: value for key, value in columns.items() if key != "q5_deg"}, "'q5_deg' is missing"),
     ]

@@ -45,7 +45,7 @@ def exportable(document: dict[str, Any], calibration: Calibration) -> Exportable
     version = Version(
         id="ver_1a", robot=document["name"], active=False, parent_id=None, job_id="job_1a", effects=[], metrics={},
         created_at=datetime(2026, 1, 1, tzinfo=UTC), code_version="test", sha256="0", campaigns=[],
-        limits=CorrectionLimits(), parameters=[], null_directions=[], noise_mm=None, warnings=[], covariance={},
+        limits=CorrectionLimits(), parameters=[], null_directions=[], noise_mm=None, warnings=[], covariance={}, details={},
     )  # fmt: skip
     return Exportable(document, version, calibration.to_document())
 
