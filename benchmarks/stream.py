@@ -1,6 +1,6 @@
 """What the correction costs: corrected round trip against a bare zenoh echo, interleaved in one run.
 
-    python -m benchmarks.stream [--samples 20000] [--rate 1000]
+    python -m benchmarks.stream [--samples 20000] [--rate 1000] [--save samples.npz]
 
 Echo and corrector have the same session settings, ring, thread and priority, and take turns in blocks of a quarter of a
 second, so that whatever else the machine does meets both. The last line is ``ratio p50=... p99=... lost=...``.
@@ -38,7 +38,8 @@ from service.corrector.session import config, open_listening
 from service.settings import Settings
 
 ROBOT, SITE = "ur10", "bench"
-ROOT = f"kilter/@v1/{SITE}/{ROBOT}/stream"
+STREAMS = f"kilter/@v1/{SITE}/{ROBOT}/stream"
+ECHO = f"bare/@v1/{SITE}/{ROBOT}/stream/echo"  # as long as a stream's, and none: the corrector would answer it, too
 BLOCK_S = 0.25
 POSTURE = np.array([0.3, -1.2, 1.4, -0.5, 0.9, 0.2])
 REAL_TIME: dict[str, Any] = {
@@ -89,8 +90,8 @@ def echo_main(pipe: Connection) -> None:
     ask_for_real_time()
     session, endpoint = open_listening("tcp/127.0.0.1:0", None)
     with session:
-        subscriber = session.declare_subscriber(f"{ROOT}/echo/in", zenoh.handlers.RingChannel(256))
-        publisher = session.declare_publisher(f"{ROOT}/echo/out", **REAL_TIME)
+        subscriber = session.declare_subscriber(f"{ECHO}/in", zenoh.handlers.RingChannel(256))
+        publisher = session.declare_publisher(f"{ECHO}/out", **REAL_TIME)
         pipe.send(endpoint)
         gc.freeze()
         gc.disable()
@@ -103,16 +104,16 @@ def echo_main(pipe: Connection) -> None:
 class Line:
     """One direction there and back, with the round trips of its frames."""
 
-    def __init__(self, session: zenoh.Session, name: str) -> None:
+    def __init__(self, session: zenoh.Session, key: str) -> None:
         self.arrived: list[tuple[int, bytes]] = []
         self.sent: dict[int, int] = {}
         self.seq = 0
-        self._publisher = session.declare_publisher(f"{ROOT}/{name}/in", **REAL_TIME)
-        session.declare_subscriber(f"{ROOT}/{name}/out", zenoh.handlers.Callback(self._take, indirect=False))
+        self._publisher = session.declare_publisher(f"{key}/in", **REAL_TIME)
+        session.declare_subscriber(f"{key}/out", zenoh.handlers.Callback(self._take, indirect=False))
         end = time.monotonic() + 20
         while not self._publisher.matching_status.matching:
             if time.monotonic() > end:
-                raise SystemExit(f"nobody listens to {name}")
+                raise SystemExit(f"nobody listens to {key}")
             time.sleep(0.01)
 
     def _take(self, sample: zenoh.Sample) -> None:
@@ -232,6 +233,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Corrected round trip against a bare zenoh echo.")
     parser.add_argument("--samples", type=int, default=20_000, help="setpoints per line")
     parser.add_argument("--rate", type=float, default=1000.0, help="setpoints per second")
+    parser.add_argument("--save", type=Path, help="file for the samples, as benchmarks.latency_page reads them (.npz)")
     arguments = parser.parse_args()
     program = compile_program(calibration(), CorrectionOptions())
     kernel_times(program)
@@ -250,7 +252,7 @@ def main() -> None:
                 time.sleep(0.5)
                 gc.freeze()
                 gc.disable()
-                lines = [Line(session, "echo"), Line(session, "corrected")]
+                lines = [Line(session, ECHO), Line(session, f"{STREAMS}/corrected")]
                 take_turns(lines, arguments.samples, arguments.rate)
                 for line in lines:
                     line.wait()
@@ -261,10 +263,16 @@ def main() -> None:
                 our_p50, our_p99 = report("corrected", lines[1].round_trips_us(), lines[1].seq)
                 quantiles = np.percentile(inside, [50, 99])
                 print(f"inside the corrector p50={quantiles[0]:.1f} p99={quantiles[1]:.1f} µs; {dict(verdicts)}")
-                rate = throughput(Line(session, "chunks"))
+                rate = throughput(Line(session, f"{STREAMS}/chunks"))
                 print(f"throughput in chunks of 200: {rate:,.0f} setpoints/s")
+                if arguments.save:
+                    np.savez_compressed(
+                        arguments.save, echo_us=lines[0].round_trips_us(), corrected_us=lines[1].round_trips_us(),
+                        inside_us=inside, lost=lost, rate_hz=arguments.rate, chunks_per_s=rate,
+                        load=os.getloadavg()[0],
+                    )  # fmt: skip
                 ours.send("stop")
-                session.put(f"{ROOT}/echo/in", b"")  # wakes the echo, which then sees that it is told to stop
+                session.put(f"{ECHO}/in", b"")  # wakes the echo, which then sees that it is told to stop
                 echo.join(5)
         finally:
             corrector.stop()
