@@ -175,16 +175,23 @@ class RobotModel:
         return Prediction(position if total.stretch is None else position * total.stretch, rotation)
 
     def jacobian(
-        self, observations: Observations | Batch, values: Floats, free: NDArray[np.int64] | None = None
+        self,
+        observations: Observations | Batch,
+        values: Floats,
+        free: NDArray[np.int64] | None = None,
+        turns: bool = True,
     ) -> tuple[Prediction, Floats]:
         """Poses and their exact derivative (N, 6, F) by the parameters ``free`` (ascending indices; all when None).
 
-        Rows 0-2 are the position (m per unit), rows 3-5 the rotation vector in the frame of the measurements (rad per unit).
+        Rows 0-2 are the position (m per unit), rows 3-5 the rotation vector in the frame of the measurements (rad per
+        unit), left out (N, 3, F) without ``turns``.
         """
         batch = self._as_batch(observations)
         free = np.arange(len(self.names)) if free is None else free
         total = self._local(batch, values)
         prediction, J, JQ, JX = self._screws(batch, values, total, free[free < self.n_geometric])
+        if not turns:
+            J, JQ, JX = J[:, :3], JQ[:, :3], JX[:, :3]
         if np.any(free >= self.n_geometric):
             J = np.concatenate([J, self._effect_columns(total, free, JQ, JX, prediction.position)], axis=2)
         if total.stretch is None:
@@ -287,7 +294,7 @@ class RobotModel:
     ) -> Floats:
         """Chain rule: tool columns of the free effect parameters from the local derivatives."""
         wanted = [int(k) for k in free if k >= self.n_geometric]
-        out = np.zeros((len(JQ), 6, len(wanted)))
+        out = np.zeros((*JQ.shape[:2], len(wanted)))
         place = {k: c for c, k in enumerate(wanted)}
         for start, local in total.parts:
             for d in local.derivatives:

@@ -81,7 +81,7 @@ class Problem:
 
         ``known`` is the raw residual there with its Jacobian, where only weights changed since.
         """
-        residual = known or self.measurement.residual(*self.model.jacobian(self.batch, values, self.free))
+        residual = known or self._raw(values)
         assert residual.d_points is not None
         points, turns = self._over_sigma(residual)
         scale = self.weights.points if isinstance(self.weights.points, float) else self.weights.points[..., None]
@@ -96,6 +96,10 @@ class Problem:
         weighted, exact = self._both(points, turns, root_points, root_turns)
         whole = stacked[0] if len(stacked) == 1 else np.concatenate(stacked)
         return Linearised(weighted, whole, self.loss_at(values, exact), residual)
+
+    def _raw(self, values: Floats) -> Residual:
+        turns = self.measurement.sees_orientation
+        return self.measurement.residual(*self.model.jacobian(self.batch, values, self.free, turns))
 
     def beyond(self, here: Linearised, values: Floats, step: Floats) -> Linearised:
         """What is at ``values (P,)``, a small ``step (F,)`` from where the problem was linearised; the Jacobian stays."""
@@ -233,10 +237,10 @@ def _damped_step(
 
 
 def _normal_equations(problem: Problem, values: Floats, here: Linearised) -> tuple[Floats, Floats]:
-    scaled = here.J * problem.prior_sigma
-    H = scaled.T @ scaled
+    scale = problem.prior_sigma
+    H = (here.J.T @ here.J) * np.outer(scale, scale)
     H.flat[:: len(H) + 1] += 1.0
-    return H, scaled.T @ here.r - (values[problem.free] - problem.prior_mean) / problem.prior_sigma
+    return H, scale * (here.J.T @ here.r) - (values[problem.free] - problem.prior_mean) / problem.prior_sigma
 
 
 def _strayed(problem: Problem, values: Floats) -> Floats:

@@ -1,0 +1,100 @@
+"""Large fits: Levenberg and Marquardt with 60 parameters, a thousand bootstrap refits, and how the cost grows."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.table import Line, best_of
+from core.design.iso9283 import iso_poses
+from core.effects import make_effect
+from core.identify import IdentifyOptions
+from core.identify.estimate import estimate, prepared
+from core.identify.intervals import RESAMPLES, bootstrap
+from core.identify.least_squares import solve
+from core.measurement import Measurement
+from core.model import Calibration, RobotModel
+from core.observations import Observations
+from core.robots import preset_document, robot_from_document
+from core.twin import thesis_katana
+
+Floats = NDArray[np.float64]
+
+EFFECTS = ("clearance_tilt", "backlash_load", "axial_compliance", "radial_compliance", "base_compliance")
+MASS_KG = (7.0, 13.0, 4.0, 2.0, 2.0, 0.4)
+NOISE_M = 2e-5
+SIZES = (100, 1_000, 10_000, 100_000)
+MOST_MS, MOST_BOOTSTRAP_S, MOST_GROWTH = 100.0, 30.0, 1.5
+
+
+def arm() -> RobotModel:
+    """A UR10 with link masses, in which everything that carries load gives way."""
+    links = [{"mass_kg": kg, "com_mm": [-100.0 if k in (1, 2) else 0.0, 0.0, 30.0]} for k, kg in enumerate(MASS_KG)]
+    robot = robot_from_document({**preset_document("ur10"), "links": links})
+    return RobotModel(robot, tuple(make_effect(e).on(robot) for e in EFFECTS))
+
+
+def campaign(model: RobotModel, count: int, seed: int = 0) -> Observations:
+    """Positions of an arm with an error in every parameter."""
+    rng = np.random.default_rng(seed)
+    sigma = np.array([p.prior_sigma for p in model.parameters])
+    error = 0.1 * sigma * rng.normal(size=len(sigma))
+    values = model.values0() + np.where([p.lower >= 0.0 for p in model.parameters], np.abs(error), error)
+    q = rng.uniform(-2.5, 2.5, (count, 6))
+    exact = model.predict(Observations(q), values).position
+    return Observations(q, position=exact + rng.normal(0.0, NOISE_M, exact.shape))
+
+
+def lines() -> list[Line]:
+    """The figures of the section on speed."""
+    return [*_large_fit(), _bootstrap(), *_growth()]
+
+
+def _large_fit() -> list[Line]:
+    model = arm()
+    start, options = Calibration(model, model.values0()), IdentifyOptions(level=3, noise_mm=NOISE_M * 1e3)
+    rows = Measurement.of(campaign(model, 1_000))
+    problem, values = prepared(start, rows, options)
+    fit = solve(problem, values)
+    alone = best_of(lambda: solve(problem, values), 10) * 1e3
+    whole = best_of(lambda: estimate(start, rows, IdentifyOptions(level=3)), 5) * 1e3
+    what = f"1000 poses, {len(fit.names)} parameters"
+    return [
+        Line(f"Levenberg-Marquardt, {what}", f"{alone:.0f} ms", f"<= {MOST_MS:.0f} ms", alone <= MOST_MS),
+        Line("  the same with registration, and noise and blind directions found", f"{whole:.0f} ms"),
+    ]
+
+
+def _bootstrap() -> Line:
+    twin = thesis_katana()
+    rows = twin.observe(iso_poses(twin.robot, 118), noise_m=1e-5)
+    options = IdentifyOptions(level=3)
+    start = Calibration.nominal(twin.robot, tuple(e.on(twin.robot) for e in options.make_effects()))
+    fit = estimate(start, Measurement.of(rows), options)
+    seconds = best_of(lambda: bootstrap(fit, 0, lambda fraction, stage: None), 3)
+    what = f"{RESAMPLES} bootstrap refits of the Katana, 118 poses, {len(fit.names)} parameters"
+    return Line(what, f"{seconds:.2f} s", f"<= {MOST_BOOTSTRAP_S:.0f} s", seconds <= MOST_BOOTSTRAP_S)
+
+
+def _growth() -> list[Line]:
+    """Time of one fit per pose and iteration, from a hundred poses to a hundred thousand."""
+    robot = robot_from_document(preset_document("ur10"))
+    model = RobotModel(robot)
+    each, out = {}, []
+    for count in SIZES:
+        start = Calibration(model, model.values0())
+        problem, values = prepared(start, Measurement.of(campaign(model, count)), IdentifyOptions(noise_mm=0.02))
+        shortest, iterations = float("inf"), 1
+        for _ in range(max(2, 20_000 // count)):
+            began = time.perf_counter()
+            iterations = solve(problem, values).iterations
+            shortest = min(shortest, time.perf_counter() - began)
+        each[count] = shortest / count / iterations
+        per = f"{1e6 * each[count]:.1f} us per pose and iteration"
+        out.append(Line(f"fit of {count} poses, {len(problem.free)} parameters", f"{shortest * 1e3:.0f} ms, {per}"))
+    growth = each[SIZES[-1]] / each[1_000]
+    most = f"<= {MOST_GROWTH} x"
+    out.append(Line("  a pose of 100 000 costs against one of 1000", f"{growth:.2f} x", most, growth <= MOST_GROWTH))
+    return out
