@@ -122,3 +122,20 @@ def test_what_goes_only_with_positions_is_refused() -> None:
         identify(robot, train.select(slice(0, 8)), None, IdentifyOptions(base="removed"))
     with pytest.raises(OptionError, match="removed"):
         IdentifyOptions(base="none")
+
+
+def test_sigmas_tell_the_scatter_of_the_parameters() -> None:
+    rng = np.random.default_rng(4)
+    arm = ur10()
+    actual = arm.moved(table_errors(arm, rng))
+    robot, q = robot_from_document(arm.document()), joints(arm, 60, rng)
+    values, sigmas = [], []
+    for seed in range(12):
+        rows = measured(actual, q, np.random.default_rng(seed), NOISE)
+        found = identify(robot, rows, None, IdentifyOptions(base="removed"))
+        known = [k for k, p in enumerate(found.to_document()["parameters"]) if p["identifiable"]]
+        values.append(found.calibration.values[found.fit.problem.free])
+        sigmas.append(found.fit.sigma)
+    ratio = np.std(values, axis=0, ddof=1)[known] / np.mean(sigmas, axis=0)[known]
+    assert len(known) > 10
+    assert 0.7 < np.sqrt(np.mean(ratio**2)) < 1.4
