@@ -9,6 +9,7 @@ import zlib
 from pathlib import Path
 
 import pytest
+import typer
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.cli.drawing import drawing
@@ -111,3 +112,12 @@ def test_a_robot_from_circles_and_a_frame_from_points(server: Path, tmp_path: Pa
     )
     assert run(["robot", "frame", str(points)]) == 0
     assert '"x_mm": 1.0' in capsys.readouterr().out
+
+
+def test_every_command_that_reads_a_robot_takes_the_same_options() -> None:
+    from kilter_client.cli import app
+
+    group = typer.main.get_command(app).commands["robot"]  # type: ignore[attr-defined]
+    shared = {"file", "preset", "name", "base_link", "tip_link", "convention", "model", "turned", "follows"}
+    own = {name: {parameter.name for parameter in group.commands[name].params} for name in ("add", "check", "convert")}
+    assert all(shared <= found for found in own.values()), own
