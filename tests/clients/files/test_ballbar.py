@@ -107,7 +107,7 @@ def test_what_is_wrong_is_said_with_its_place(head: str, rows: list[str], messag
         read_ballbar(path)
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     at=st.integers(0, 4000),
     junk=st.one_of(

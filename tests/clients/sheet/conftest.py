@@ -32,7 +32,7 @@ def paper(sheet: Sheet) -> tuple[NDArray[np.float64], float]:
 
 @pytest.fixture(scope="session")
 def scan(paper: tuple[NDArray[np.float64], float]) -> Image.Image:
-    """A plain scan at 300 dpi."""
+    """A plain scan at 260 dpi."""
     from paper import View, seen
 
     return seen(*paper, View())

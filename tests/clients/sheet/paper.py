@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Along = Callable[[Floats], Floats]
 
 INCH = 25.4
-FINE_DPI = 400
+FINE_DPI = 300
 
 
 def wobble(turn: Floats) -> Floats:
@@ -123,7 +123,7 @@ def _pencilled(
 class View:
     """How the sheet is seen: ``tilt_deg`` about two axes, turned, bent by a lens; then light, blur, noise, JPEG."""
 
-    dpi: float = 300.0
+    dpi: float = 260.0
     tilt_deg: tuple[float, float] = (0.0, 0.0)
     turn_deg: float = 0.0
     lens: float = 0.0

@@ -19,7 +19,7 @@ Paper = tuple[NDArray[np.float64], float]
 TARGET_MM = 0.1
 
 QUICK = {
-    "photo-jpeg": View(tilt_deg=(15, -10), turn_deg=20, shadow=0.5, noise=0.02, jpeg=70),
+    "photo-jpeg": View(dpi=290, tilt_deg=(15, -10), turn_deg=20, shadow=0.5, noise=0.02, jpeg=70),
     "upside-down-grey": View(turn_deg=180, grey=True, blur_px=1.5),
     "bent-by-a-lens": View(tilt_deg=(4, 3), lens=0.02, skew=0.005),
 }
@@ -82,20 +82,20 @@ def test_a_line_on_top_of_the_print(tmp_path: Path) -> None:
 
 def test_quarter_targets_alone_and_a_pdf(sheet: Sheet, paper: Paper, scan: Image.Image, tmp_path: Path) -> None:
     pixels = np.asarray(scan).copy()
-    middle, scale = np.array(pixels.shape[1::-1]) / 2, 300 / 25.4
+    middle, scale = np.array(pixels.shape[1::-1]) / 2, View().dpi / 25.4
     for x, y in sheet.markers().values():
         low = np.maximum(middle + np.array([x, -y]) * scale - 100, 0).astype(int)
         pixels[low[1] : low[1] + 200, low[0] : low[0] + 200] = 250
     cut = Image.fromarray(pixels)
-    cut.save(tmp_path / "a.pdf", resolution=300)
+    cut.save(tmp_path / "a.pdf", resolution=View().dpi)
     reading = read_sheet(tmp_path / "a.pdf", Options(radius_mm=25))
     assert reading.placing["by"] == "quarter targets"
     assert max(errors(reading)) < 0.05
 
 
 def test_a_print_that_shrank_is_measured_by_its_bars(sheet: Sheet, scan: Image.Image, tmp_path: Path) -> None:
-    """A scanner that says 291 dpi where there are 300 stands for a print at 103 %."""
-    path = save(scan, tmp_path / "a.png", dpi=300 / 1.03)
+    """A scanner that says 3 % less dpi than there are stands for a print at 103 %."""
+    path = save(scan, tmp_path / "a.png", dpi=View().dpi / 1.03)
     plain = read_sheet(path)
     assert any("printed at 103" in warning for warning in plain.warnings)
     measured = read_sheet(path, Options(bars_mm=(sheet.bar_mm * 1.03, sheet.bar_mm * 1.03)))
@@ -107,7 +107,7 @@ def test_a_print_that_shrank_is_measured_by_its_bars(sheet: Sheet, scan: Image.I
 def test_command_shows_tabulates_and_draws(
     scan: Image.Image, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = str(save(scan, tmp_path / "a.png", dpi=300))
+    path = str(save(scan, tmp_path / "a.png", dpi=View().dpi))
     out, plot = tmp_path / "e.csv", tmp_path / "e.svg"
     assert run(["sheet-read", path, "-o", str(out), "--plot", str(plot)]) == 0
     assert "seen in 20 of 20 gaps" in capsys.readouterr().out
@@ -142,7 +142,7 @@ def test_grid_of_views(name: str, tmp_path_factory: pytest.TempPathFactory, reco
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PENCILS)
 def test_pencils(name: str, tmp_path: Path) -> None:
-    paper = drawn(sheet_for(25), pencil=PENCILS[name])
-    reading = read_sheet(save(seen(*paper, View(jpeg=80, tilt_deg=(5, 5))), tmp_path / "a.png"))
+    paper = drawn(sheet_for(25), pencil=PENCILS[name], dpi=600)
+    reading = read_sheet(save(seen(*paper, View(dpi=300, jpeg=80, tilt_deg=(5, 5))), tmp_path / "a.png"))
     print(f"{name}: {errors(reading)}")
     assert max(errors(reading)) < TARGET_MM / 2
