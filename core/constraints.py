@@ -24,6 +24,7 @@ UNKNOWNS = {"socket": 3, "plane": 3, "bar": 3}
 LEAST_ROWS = {"socket": 2, "plane": 4, "bar": 4}
 STEPS = 20
 SETTLED_M = 1e-12
+BLIND = 1e-9
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ class Contacts(Measurement):
         left, slopes, centres = [], [], {}
         for c in self.contacts:
             r, D = _left(c, p[c.rows])
-            Q = np.linalg.qr(D)[0]
+            Q = _span(D)
             left.append(r)
             if c.kind == "socket":
                 centres[c.number] = c
@@ -189,6 +190,12 @@ def _slope(c: Contact, p: Floats, J: Floats) -> Floats:
         return np.asarray(np.einsum("i,kip->kp", place[:3], J))
     ray = p - place
     return np.asarray(np.einsum("ki,kip->kp", ray / np.linalg.norm(ray, axis=1)[:, None], J))
+
+
+def _span(D: Floats) -> Floats:
+    """Orthonormal columns that span those of ``D``; points in one line leave a plane fewer moves than three."""
+    U, s, _ = np.linalg.svd(D, full_matrices=False)
+    return np.asarray(U[:, s > BLIND * s[0]])
 
 
 def _projected(Q: Floats, slope: Floats) -> Floats:
