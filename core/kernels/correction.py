@@ -17,6 +17,7 @@ guess goes on from the last corrections, and one evaluation is mostly enough; el
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from numba import njit
 
@@ -47,9 +48,9 @@ WANTED, COMMAND, SHIFT, LEAN_A, LEAN_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN
     0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 12,
 )  # fmt: skip
 TURN_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW, GUESSED, TWIST, ROOT, END = 18, 19, 20, 21, 22, 28, 34
-# scratch of a task row: factor row, residual, multiplier and its step, then damping, matrix and eigenvector rows,
+# scratch of a task row: factor row, residual, multiplier, right-hand side, then damping, matrix and eigenvector rows,
 # and what the first guess adds to the residual
-ERROR, MULTIPLIER, DELTA, DAMPING, MATRIX, VECTOR, ADDED = 6, 7, 8, 9, 15, 21, 27
+ERROR, MULTIPLIER, RIGHT, DAMPING, MATRIX, VECTOR, ADDED = 6, 7, 8, 9, 15, 21, 27
 # state of a joint, and of the stream (row n)
 LAST_A, LAST_B, LAST_SIDE, LAST_Q, TURN, HEADING = 0, 1, 2, 3, 4, 5
 OFFSET, LAST_DELTA, SMOOTH, SMOOTH_SPEED, GUESS, SLOPE = 6, 7, 8, 9, 10, 11
@@ -69,20 +70,24 @@ BOUND = 0.85
 GUESS_STEP = 10.0
 # A guess looks ahead no further than this.
 LOOK_AHEAD_S, LOOK_AHEAD_RAD = 0.05, 1e-3
-# Sums may be contracted and rearranged; NaN and infinity keep their meaning, for they are refused.
-FAST = {"contract", "reassoc", "nsz", "arcp"}
+# How things are compiled. Arrays are not counted: they outlive every call, and counting takes a third of the time.
+# FAST: sums may be contracted and rearranged; NaN and infinity keep their meaning, for they are refused. ORDERED: sums
+# keep their order, or else short ones over the joints are gathered from all over the memory, which is slower.
+EXACT: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
+FAST: dict[str, Any] = {**EXACT, "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
+ORDERED: dict[str, Any] = {**EXACT, "fastmath": {"contract", "nsz", "arcp"}}
 # pi/2 in two parts, the first short enough that small multiples of it are exact.
 HALF_PI_HIGH, HALF_PI_LOW = 1.57079632673412561417e00, 6.07710050650619224932e-11
 # After this many rounds the signs stand still even if they flip back and forth around zero moment.
 SIGN_ROUNDS = 4
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _cross(a0, a1, a2, b0, b1, b2):
     return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _constant(P, k, c):
     """Constant transform in P[k, c:c + 12] as (R row by row, p)."""
     return (
@@ -91,7 +96,7 @@ def _constant(P, k, c):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _product(A, B):
     """Product of two frames."""
     return (
@@ -110,7 +115,7 @@ def _product(A, B):
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _turned(A, s, c):
     """Frame A turned about its z by the angle of sine s and cosine c."""
     return (
@@ -121,7 +126,7 @@ def _turned(A, s, c):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _moved(A, d):
     """Frame A moved along its z by d."""
     return (
@@ -130,7 +135,7 @@ def _moved(A, d):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _quarter(x):
     """Sine and cosine up to pi/4."""
     z = x * x
@@ -143,7 +148,7 @@ def _quarter(x):
     return s, c
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _sine_cosine(x):
     """Sine and cosine of an angle of some turns, to the last digit or two."""
     k = math.floor(x * (2.0 / math.pi) + 0.5)
@@ -160,7 +165,7 @@ def _sine_cosine(x):
     return -c, s
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _small_turn(s, c, d):
     """Sine and cosine of a + d from those of a: the series is exact to 1e-17 up to 0.03 rad."""
     if abs(d) < 0.03:
@@ -173,7 +178,7 @@ def _small_turn(s, c, d):
     return s * cd + c * sd, c * cd - s * sd
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _angle_series(t2):
     """sin t / t, (1 - cos t) / t² and (t - sin t) / t³ of the square of an angle."""
     if t2 < 1e-3:  # exact here, and the closed forms would lose digits to cancellation
@@ -188,7 +193,7 @@ def _angle_series(t2):
     return a, b, c
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _leaned(T, x, y):
     """Frame T turned about its own x and y by the rotation vector (x, y, 0)."""
     a, b, _ = _angle_series(x * x + y * y)
@@ -202,7 +207,7 @@ def _leaned(T, x, y):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _exponential(v0, v1, v2, w0, w1, w2):
     """exp of the twist (v, w) as a frame."""
     a, b, c = _angle_series(w0 * w0 + w1 * w1 + w2 * w2)
@@ -217,7 +222,7 @@ def _exponential(v0, v1, v2, w0, w1, w2):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _wanted_tool(P, W, m, oj, lines):
     """Tool frame of the nominal chain at the wanted joints; writes nothing but, when told to, the joint lines."""
     T = _constant(P, 0, NOMINAL)
@@ -229,16 +234,12 @@ def _wanted_tool(P, W, m, oj, lines):
         else:
             T = _moved(T, P[k, RATIO] * W[oj + int(P[k, JOINT]), WANTED])
         if lines:
-            W[k, LINE] = T[2]
-            W[k, LINE + 1] = T[5]
-            W[k, LINE + 2] = T[8]
-            W[k, LINE + 3] = T[9]
-            W[k, LINE + 4] = T[10]
-            W[k, LINE + 5] = T[11]
+            W[k, LINE], W[k, LINE + 1], W[k, LINE + 2] = T[2], T[5], T[8]
+            W[k, LINE + 3], W[k, LINE + 4], W[k, LINE + 5] = T[9], T[10], T[11]
     return _product(T, _constant(P, m, NOMINAL))
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _nominal(P, W, m, oj):
     """Frames of the nominal chain at the command into W; returns the tool frame."""
     T = _constant(P, 0, NOMINAL)
@@ -252,12 +253,12 @@ def _nominal(P, W, m, oj):
             T = _turned(T, s, c)
         else:
             T = _moved(T, P[k, RATIO] * W[j, COMMAND])
-        for i in range(12):
-            W[k, i] = T[i]
+        W[k, 0], W[k, 1], W[k, 2], W[k, 3], W[k, 4], W[k, 5] = T[0], T[1], T[2], T[3], T[4], T[5]
+        W[k, 6], W[k, 7], W[k, 8], W[k, 9], W[k, 10], W[k, 11] = T[6], T[7], T[8], T[9], T[10], T[11]
     return _product(T, _constant(P, m, NOMINAL))
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _foot(P, W, m):
     """Start of the identified chain: a pedestal that gives way tilts it by the load on the base."""
     S = P.shape[0] - 1
@@ -268,7 +269,7 @@ def _foot(P, W, m):
     return _product(_leaned(_constant(P, S - 1, FOOT), x, y), _constant(P, S - 1, ABOVE))
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _identified(P, W, m, oj):
     """Tool frame of the identified chain at the command, with the local corrections in W; joint lines into W."""
     T = _foot(P, W, m)
@@ -282,12 +283,8 @@ def _identified(P, W, m, oj):
             T = _turned(T, s, c)
         else:
             T = _moved(T, P[k, RATIO] * (W[j, COMMAND] + W[j, SHIFT]))
-        W[k, LINE] = T[2]
-        W[k, LINE + 1] = T[5]
-        W[k, LINE + 2] = T[8]
-        W[k, LINE + 3] = T[9]
-        W[k, LINE + 4] = T[10]
-        W[k, LINE + 5] = T[11]
+        W[k, LINE], W[k, LINE + 1], W[k, LINE + 2] = T[2], T[5], T[8]
+        W[k, LINE + 3], W[k, LINE + 4], W[k, LINE + 5] = T[9], T[10], T[11]
         if P[k, PRIMARY] >= 0.0:
             if P[j, TWISTED] != 0.0:
                 t = W[j]
@@ -300,7 +297,7 @@ def _identified(P, W, m, oj):
     return _product(T, _constant(P, m, IDENTIFIED))
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _static_moments(P, W, S, m, oj):
     """Load moments in the joint frames from gravity alone: mass and first moment, from the tool inwards."""
     g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
@@ -312,18 +309,14 @@ def _static_moments(P, W, S, m, oj):
         if body != 0.0:
             c0, c1, c2 = _point(W, k, P[k, COM], P[k, COM + 1], P[k, COM + 2])
             mass += body
-            s0 += body * c0
-            s1 += body * c1
-            s2 += body * c2
+            s0, s1, s2 = s0 + body * c0, s1 + body * c1, s2 + body * c2
         if P[k, PRIMARY] >= 0.0:
-            r0 = s0 - mass * W[k, 9]
-            r1 = s1 - mass * W[k, 10]
-            r2 = s2 - mass * W[k, 11]
+            r0, r1, r2 = s0 - mass * W[k, 9], s1 - mass * W[k, 10], s2 - mass * W[k, 11]
             t0, t1, t2 = _cross(r0, r1, r2, g0, g1, g2)
             _to_joint(P, W, k, oj + int(P[k, JOINT]), t0, t1, t2, mass * g0, mass * g1, mass * g2)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _point(W, k, x, y, z):
     """Base coordinates of a point of frame k."""
     return (
@@ -333,7 +326,7 @@ def _point(W, k, x, y, z):
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _to_joint(P, W, k, j, x, y, z, f0, f1, f2):
     """Turn a load in base coordinates into frame k and keep it for joint row j: two moments across, one along the axis.
 
@@ -347,7 +340,7 @@ def _to_joint(P, W, k, j, x, y, z, f0, f1, f2):
         W[j, MOMENT + 2] = W[k, 2] * f0 + W[k, 5] * f1 + W[k, 8] * f2
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _swing(w, dw, r0, r1, r2):
     """Acceleration of a point at r on a body that turns with w and dw: dw x r + w x (w x r)."""
     a0, a1, a2 = _cross(dw[0], dw[1], dw[2], r0, r1, r2)
@@ -356,7 +349,7 @@ def _swing(w, dw, r0, r1, r2):
     return a0 + u0, a1 + u1, a2 + u2
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _inward(W, k, x, y, z):
     """A vector in base coordinates turned into frame k."""
     return (
@@ -366,7 +359,7 @@ def _inward(W, k, x, y, z):
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _body_load(P, row, w, dw, a):
     """Force and moment about the origin of its frame of the body in row ``row``, in the axes of that frame (d'Alembert).
 
@@ -389,7 +382,7 @@ def _body_load(P, row, w, dw, a):
     return f0, f1, f2, m0, m1, m2
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _carry_load(P, W, row, k, w, dw, a):
     """Load of the body in row ``row`` that rides on frame k, about the base origin in base coordinates, into W."""
     if P[row, MASS] == 0.0:
@@ -401,15 +394,13 @@ def _carry_load(P, W, row, k, w, dw, a):
     f1 = W[k, 3] * x0 + W[k, 4] * x1 + W[k, 5] * x2
     f2 = W[k, 6] * x0 + W[k, 7] * x1 + W[k, 8] * x2
     t0, t1, t2 = _cross(W[k, 9], W[k, 10], W[k, 11], f0, f1, f2)
-    W[row, LOAD] = f0
-    W[row, LOAD + 1] = f1
-    W[row, LOAD + 2] = f2
+    W[row, LOAD], W[row, LOAD + 1], W[row, LOAD + 2] = f0, f1, f2
     W[row, LOAD + 3] = t0 + W[k, 0] * y0 + W[k, 1] * y1 + W[k, 2] * y2
     W[row, LOAD + 4] = t1 + W[k, 3] * y0 + W[k, 4] * y1 + W[k, 5] * y2
     W[row, LOAD + 5] = t2 + W[k, 6] * y0 + W[k, 7] * y1 + W[k, 8] * y2
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _moving_bodies(P, W, S, m, oj):
     """Outward pass of Newton and Euler in base coordinates: load of every body into W."""
     g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
@@ -440,7 +431,7 @@ def _moving_bodies(P, W, S, m, oj):
             _carry_load(P, W, m, k, inside, turning, falling)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _dynamic_moments(P, W, S, m, oj):
     """Load moments in the joint frames from gravity and motion (thesis eq. 5.14, with the sign of the load)."""
     _moving_bodies(P, W, S, m, oj)
@@ -459,11 +450,10 @@ def _dynamic_moments(P, W, S, m, oj):
                 _keep_wrench(W, k, j, ROOT, f, t)
                 _keep_wrench(W, k, j, END, beyond, turned)
                 beyond, turned = f, t
-    W[m, ON_BASE] = t[0]
-    W[m, ON_BASE + 1] = t[1]
+    W[m, ON_BASE], W[m, ON_BASE + 1] = t[0], t[1]
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _keep_wrench(W, k, j, column, f, t):
     """A wrench about the base origin as one about the origin and in the axes of frame k, for joint row j."""
     s0, s1, s2 = _cross(W[k, 9], W[k, 10], W[k, 11], f[0], f[1], f[2])
@@ -474,7 +464,7 @@ def _keep_wrench(W, k, j, column, f, t):
         W[j, column + 3 + i] = b[i]
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _soft_sign(x, width):
     """sign(x), or tanh(x / width): beyond 19.1 widths the two are the same number."""
     size = abs(x)
@@ -483,7 +473,7 @@ def _soft_sign(x, width):
     return math.copysign(1.0 - 2.0 / (math.exp(2.0 * size / width) + 1.0), x)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _bounded(a):
     """a / sqrt(1 + a²); the series is exact up to a degree."""
     z = a * a
@@ -492,12 +482,11 @@ def _bounded(a):
     return a / math.sqrt(1.0 + z)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _lean(P, j, x, y):
     """Tilt of a joint in its clearance (thesis eq. 5.16-5.18) towards the transverse load (x, y)."""
     t = P[j, TILT]
-    ax = abs(x)
-    ay = abs(y)
+    ax, ay = abs(x), abs(y)
     total = ax + ay
     if t == 0.0 or total <= NO_MOMENT:
         return 0.0, 0.0
@@ -508,13 +497,12 @@ def _lean(P, j, x, y):
             c, s = _quarter(ay / total * (0.5 * math.pi))
     else:
         h = 1.0 / math.sqrt(x * x + y * y)
-        s = ax * h
-        c = ay * h
+        s, c = ax * h, ay * h
     soft = P[j, TILT_SOFT]
     return _bounded(t * s * _soft_sign(x, soft)), _bounded(t * c * _soft_sign(y, soft))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _towards(last, target, reach):
     """``target``, or as far towards it from ``last`` as ``reach`` allows."""
     change = target - last
@@ -523,7 +511,7 @@ def _towards(last, target, reach):
     return last + math.copysign(reach, change)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _signs(P, W, state, n, oj, dt):
     """Effects with a sign: tilt and backlash of every joint, held to its rate from the last answer; whether one was."""
     limited = False
@@ -541,13 +529,11 @@ def _signs(P, W, state, n, oj, dt):
             W[j, SIDE] = _towards(state[i, LAST_SIDE], side, reach)
             limited |= W[j, LEAN_A] != a or W[j, LEAN_B] != b or W[j, SIDE] != side
         else:
-            W[j, LEAN_A] = a
-            W[j, LEAN_B] = b
-            W[j, SIDE] = side
+            W[j, LEAN_A], W[j, LEAN_B], W[j, SIDE] = a, b, side
     return limited
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _curves(P, W, n, m, oj):
     """Add what the curves of the joints say at the command."""
     first = m + 1 + n
@@ -572,7 +558,7 @@ def _curves(P, W, n, m, oj):
             W[j, SHIFT] -= P[row, AMPLITUDE_A] * s * (1.0 - P[row, EXTRA + 3] / length)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _beams(P, W, n, m, oj):
     """Add the twist by which every bending link gives way to the loads on its joint and on its end."""
     S = P.shape[0] - 1
@@ -582,9 +568,8 @@ def _beams(P, W, n, m, oj):
         j = oj + int(P[row, BEAM_JOINT])
         l0, l1, l2 = P[row, BEAM_LINK], P[row, BEAM_LINK + 1], P[row, BEAM_LINK + 2]
         t0, t1, t2 = _cross(l0, l1, l2, W[j, END], W[j, END + 1], W[j, END + 2])
-        W[j, END + 3] -= t0
-        W[j, END + 4] -= t1
-        W[j, END + 5] -= t2
+        for i, t in enumerate((t0, t1, t2)):
+            W[j, END + 3 + i] -= t
         for r in range(6):
             total = 0.0
             for c in range(6):
@@ -592,7 +577,7 @@ def _beams(P, W, n, m, oj):
             W[j, TWIST + r] += total
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _give_way(P, W, n, m, oj):
     """What every joint adds to its command, and the twist behind it, at the loads and signs now in W."""
     for i in range(n):
@@ -609,7 +594,7 @@ def _give_way(P, W, n, m, oj):
         _beams(P, W, n, m, oj)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _jacobian(P, W, S, T, n, m, oj, rows):
     """Weighted task rows of the identified Jacobian by joint, column r of the joint rows (turns in the tool frame)."""
     for i in range(n):
@@ -626,71 +611,128 @@ def _jacobian(P, W, S, T, n, m, oj, rows):
                 turn = ratio * weight
                 W[j, COLUMN + 3] += turn * (T[0] * z0 + T[3] * z1 + T[6] * z2)
                 W[j, COLUMN + 4] += turn * (T[1] * z0 + T[4] * z1 + T[7] * z2)
-                W[j, COLUMN + 5] += turn * (T[2] * z0 + T[5] * z1 + T[8] * z2)
+                if rows > 5:
+                    W[j, COLUMN + 5] += turn * (T[2] * z0 + T[5] * z1 + T[8] * z2)
         else:
             v0, v1, v2 = z0, z1, z2
-        W[j, COLUMN] += ratio * v0
-        W[j, COLUMN + 1] += ratio * v1
-        W[j, COLUMN + 2] += ratio * v2
+        for r, v in enumerate((v0, v1, v2)):
+            W[j, COLUMN + r] += ratio * v
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**ORDERED)
 def _matrix(W, n, oj, og, rows):
-    """J J' and no damping into the task rows, and what the first guess adds to the residual."""
-    for r in range(rows):
-        for c in range(r + 1):
-            total = 0.0
-            for i in range(n):
-                total += W[oj + i, COLUMN + r] * W[oj + i, COLUMN + c]
-            W[og + r, MATRIX + c] = total
-            W[og + c, MATRIX + r] = total
-            W[og + r, DAMPING + c] = 0.0
-            W[og + c, DAMPING + r] = 0.0
-        total = 0.0
-        for i in range(n):
-            total += W[oj + i, COLUMN + r] * W[oj + i, GUESSED]
-        W[og + r, ADDED] = total
+    """J J' into the lower half of the task rows, and what the first guess adds to the residual.
+
+    All six rows always, written out: rows the task does not hold have no Jacobian and get a one on the diagonal.
+    """
+    a00 = a10 = a11 = a20 = a21 = a22 = a30 = a31 = a32 = a33 = 0.0
+    a40 = a41 = a42 = a43 = a44 = a50 = a51 = a52 = a53 = a54 = a55 = 0.0
+    g0 = g1 = g2 = g3 = g4 = g5 = 0.0
+    for j in range(oj, oj + n):
+        g = W[j, GUESSED]
+        c0, c1, c2 = W[j, COLUMN], W[j, COLUMN + 1], W[j, COLUMN + 2]
+        c3, c4, c5 = W[j, COLUMN + 3], W[j, COLUMN + 4], W[j, COLUMN + 5]
+        a00, a10, a11 = a00 + c0 * c0, a10 + c1 * c0, a11 + c1 * c1
+        a20, a21, a22 = a20 + c2 * c0, a21 + c2 * c1, a22 + c2 * c2
+        a30, a31, a32, a33 = a30 + c3 * c0, a31 + c3 * c1, a32 + c3 * c2, a33 + c3 * c3
+        a40, a41, a42, a43, a44 = a40 + c4 * c0, a41 + c4 * c1, a42 + c4 * c2, a43 + c4 * c3, a44 + c4 * c4
+        a50, a51, a52, a53, a54 = a50 + c5 * c0, a51 + c5 * c1, a52 + c5 * c2, a53 + c5 * c3, a54 + c5 * c4
+        a55 += c5 * c5
+        g0, g1, g2, g3, g4, g5 = g0 + c0 * g, g1 + c1 * g, g2 + c2 * g, g3 + c3 * g, g4 + c4 * g, g5 + c5 * g
+    t = MATRIX
+    W[og, t] = a00
+    W[og + 1, t], W[og + 1, t + 1] = a10, a11
+    W[og + 2, t], W[og + 2, t + 1], W[og + 2, t + 2] = a20, a21, a22
+    W[og + 3, t], W[og + 3, t + 1], W[og + 3, t + 2], W[og + 3, t + 3] = a30, a31, a32, a33
+    W[og + 4, t], W[og + 4, t + 1], W[og + 4, t + 2], W[og + 4, t + 3], W[og + 4, t + 4] = a40, a41, a42, a43, a44
+    W[og + 5, t], W[og + 5, t + 1], W[og + 5, t + 2], W[og + 5, t + 3] = a50, a51, a52, a53
+    W[og + 5, t + 4], W[og + 5, t + 5] = a54, a55
+    for r, g in enumerate((g0, g1, g2, g3, g4, g5)):
+        W[og + r, ADDED] = g
+    for r in range(rows, 6):
+        W[og + r, t + r] = 1.0
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
-def _factor(W, og, rows):
-    """LDL' of J J' + damping in the task rows; returns the smallest pivot, 0 when there is none."""
-    smallest = math.inf
-    for r in range(rows):
+@njit(**FAST)
+def _damped_matrix(W, og):
+    """Add the damping to J J'."""
+    for r in range(6):
         for c in range(r + 1):
-            total = W[og + r, MATRIX + c] + W[og + r, DAMPING + c]
-            for k in range(c):
-                total -= W[og + r, k] * W[og + c, k] * W[og + k, k]
-            W[og + r, c] = total if r == c else total / W[og + c, c]
-        smallest = min(smallest, W[og + r, r])
-        if W[og + r, r] <= 1e-12:
-            return 0.0
+            W[og + r, MATRIX + c] += W[og + r, DAMPING + c]
+
+
+@njit(**FAST)
+def _factor(W, og):
+    """LDL' of J J' into the task rows, 1 / d on the diagonal; returns the smallest pivot, 0 when there is none."""
+    t = MATRIX
+    d0 = W[og, t]
+    i0 = 1.0 / d0
+    u10, u20, u30, u40, u50 = W[og + 1, t], W[og + 2, t], W[og + 3, t], W[og + 4, t], W[og + 5, t]
+    l10, l20, l30, l40, l50 = u10 * i0, u20 * i0, u30 * i0, u40 * i0, u50 * i0
+    d1 = W[og + 1, t + 1] - l10 * u10
+    i1 = 1.0 / d1
+    u21, u31 = W[og + 2, t + 1] - l10 * u20, W[og + 3, t + 1] - l10 * u30
+    u41, u51 = W[og + 4, t + 1] - l10 * u40, W[og + 5, t + 1] - l10 * u50
+    l21, l31, l41, l51 = u21 * i1, u31 * i1, u41 * i1, u51 * i1
+    d2 = W[og + 2, t + 2] - l20 * u20 - l21 * u21
+    i2 = 1.0 / d2
+    u32 = W[og + 3, t + 2] - l20 * u30 - l21 * u31
+    u42 = W[og + 4, t + 2] - l20 * u40 - l21 * u41
+    u52 = W[og + 5, t + 2] - l20 * u50 - l21 * u51
+    l32, l42, l52 = u32 * i2, u42 * i2, u52 * i2
+    d3 = W[og + 3, t + 3] - l30 * u30 - l31 * u31 - l32 * u32
+    i3 = 1.0 / d3
+    u43 = W[og + 4, t + 3] - l30 * u40 - l31 * u41 - l32 * u42
+    u53 = W[og + 5, t + 3] - l30 * u50 - l31 * u51 - l32 * u52
+    l43, l53 = u43 * i3, u53 * i3
+    d4 = W[og + 4, t + 4] - l40 * u40 - l41 * u41 - l42 * u42 - l43 * u43
+    i4 = 1.0 / d4
+    u54 = W[og + 5, t + 4] - l40 * u50 - l41 * u51 - l42 * u52 - l43 * u53
+    l54 = u54 * i4
+    d5 = W[og + 5, t + 5] - l50 * u50 - l51 * u51 - l52 * u52 - l53 * u53 - l54 * u54
+    smallest = min(min(min(d0, d1), min(d2, d3)), min(d4, d5))
+    if not smallest > 1e-12:
+        return 0.0
+    W[og, 0] = i0
+    W[og + 1, 0], W[og + 1, 1] = l10, i1
+    W[og + 2, 0], W[og + 2, 1], W[og + 2, 2] = l20, l21, i2
+    W[og + 3, 0], W[og + 3, 1], W[og + 3, 2], W[og + 3, 3] = l30, l31, l32, i3
+    W[og + 4, 0], W[og + 4, 1], W[og + 4, 2], W[og + 4, 3], W[og + 4, 4] = l40, l41, l42, l43, i4
+    W[og + 5, 0], W[og + 5, 1], W[og + 5, 2], W[og + 5, 3], W[og + 5, 4] = l50, l51, l52, l53, l54
+    W[og + 5, 5] = 1.0 / d5
     return smallest
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
-def _multipliers(W, og, rows, damped, first):
+@njit(**FAST)
+def _multipliers(W, og, damped, first):
     """Step of the multipliers: (J J' + damping) step = error - damping * multipliers; the first one starts from zero."""
-    for r in range(rows):
+    for r in range(6):
         total = W[og + r, ERROR]
         if first:
             total += W[og + r, ADDED]
         if damped:
-            for k in range(rows):
+            for k in range(6):
                 total -= W[og + r, DAMPING + k] * W[og + k, MULTIPLIER]
-        for k in range(r):
-            total -= W[og + r, k] * W[og + k, DELTA]
-        W[og + r, DELTA] = total
-    for r in range(rows - 1, -1, -1):
-        total = W[og + r, DELTA] / W[og + r, r]
-        for k in range(r + 1, rows):
-            total -= W[og + k, r] * W[og + k, DELTA]
-        W[og + r, DELTA] = total
-    for r in range(rows):
-        W[og + r, MULTIPLIER] += W[og + r, DELTA]
+        W[og + r, RIGHT] = total
+    a, b, c, d = og, og + 1, og + 2, og + 3
+    e, f = og + 4, og + 5
+    y0 = W[a, RIGHT]
+    y1 = W[b, RIGHT] - W[b, 0] * y0
+    y2 = W[c, RIGHT] - W[c, 0] * y0 - W[c, 1] * y1
+    y3 = W[d, RIGHT] - W[d, 0] * y0 - W[d, 1] * y1 - W[d, 2] * y2
+    y4 = W[e, RIGHT] - W[e, 0] * y0 - W[e, 1] * y1 - W[e, 2] * y2 - W[e, 3] * y3
+    y5 = W[f, RIGHT] - W[f, 0] * y0 - W[f, 1] * y1 - W[f, 2] * y2 - W[f, 3] * y3 - W[f, 4] * y4
+    y5 = y5 * W[f, 5]
+    y4 = y4 * W[e, 4] - W[f, 4] * y5
+    y3 = y3 * W[d, 3] - W[e, 3] * y4 - W[f, 3] * y5
+    y2 = y2 * W[c, 2] - W[d, 2] * y3 - W[e, 2] * y4 - W[f, 2] * y5
+    y1 = y1 * W[b, 1] - W[c, 1] * y2 - W[d, 1] * y3 - W[e, 1] * y4 - W[f, 1] * y5
+    y0 = y0 * W[a, 0] - W[b, 0] * y1 - W[c, 0] * y2 - W[d, 0] * y3 - W[e, 0] * y4 - W[f, 0] * y5
+    for r, y in enumerate((y0, y1, y2, y3, y4, y5)):
+        W[og + r, MULTIPLIER] += y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _rotate_pair(W, og, rows, a, b):
     """One Jacobi rotation that clears element (a, b) of the factor rows, which hold a symmetric matrix here."""
     off = W[og + a, b]
@@ -701,27 +743,24 @@ def _rotate_pair(W, og, rows, a, b):
     c = 1.0 / math.sqrt(t * t + 1.0)
     s = t * c
     for k in range(rows):
-        x = W[og + k, a]
-        y = W[og + k, b]
+        x, y = W[og + k, a], W[og + k, b]
         W[og + k, a] = c * x - s * y
         W[og + k, b] = s * x + c * y
-        x = W[og + k, VECTOR + a]
-        y = W[og + k, VECTOR + b]
+        x, y = W[og + k, VECTOR + a], W[og + k, VECTOR + b]
         W[og + k, VECTOR + a] = c * x - s * y
         W[og + k, VECTOR + b] = s * x + c * y
     for k in range(rows):
-        x = W[og + a, k]
-        y = W[og + b, k]
+        x, y = W[og + a, k], W[og + b, k]
         W[og + a, k] = c * x - s * y
         W[og + b, k] = s * x + c * y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _eigenvectors(W, og, rows):
     """Eigenvalues of J J' on the diagonal of the factor rows, eigenvectors in the vector columns (cyclic Jacobi)."""
     for r in range(rows):
         for c in range(rows):
-            W[og + r, c] = W[og + r, MATRIX + c]
+            W[og + r, c] = W[og + max(r, c), MATRIX + min(r, c)]
             W[og + r, VECTOR + c] = 1.0 if r == c else 0.0
     for _ in range(8):
         for a in range(rows - 1):
@@ -729,7 +768,7 @@ def _eigenvectors(W, og, rows):
                 _rotate_pair(W, og, rows, a, b)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _damp(P, W, n, oj, og, rows):
     """Damp the directions that a singularity makes weak, and no others; whether there was one.
 
@@ -742,6 +781,9 @@ def _damp(P, W, n, oj, og, rows):
     for i in range(n):
         bound = min(bound, BOUND * P[oj + i, LARGEST])
     _eigenvectors(W, og, rows)
+    for r in range(6):
+        for c in range(6):
+            W[og + r, DAMPING + c] = 0.0
     damped = False
     for v in range(rows):
         square = max(W[og + v, v], 0.0)
@@ -761,43 +803,43 @@ def _damp(P, W, n, oj, og, rows):
     return damped
 
 
-@njit(cache=True, error_model="numpy")
-def _strain(W, n, oj, og, rows):
-    """Length of the joint correction that the undamped first step asks for."""
-    total = 0.0
-    for i in range(n):
-        step = 0.0
-        for r in range(rows):
-            step += W[oj + i, COLUMN + r] * W[og + r, DELTA]
-        total += step * step
-    return math.sqrt(total)
+@njit(**FAST)
+def _shift(W, j, og):
+    """Change of the command of joint row j that the multipliers ask for."""
+    return (
+        W[j, COLUMN] * W[og, MULTIPLIER] + W[j, COLUMN + 1] * W[og + 1, MULTIPLIER]
+        + W[j, COLUMN + 2] * W[og + 2, MULTIPLIER] + W[j, COLUMN + 3] * W[og + 3, MULTIPLIER]
+        + W[j, COLUMN + 4] * W[og + 4, MULTIPLIER] + W[j, COLUMN + 5] * W[og + 5, MULTIPLIER]
+    )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _linearise(P, W, S, actual, n, m, oj, og, rows):
     """Jacobian, its factor and the first multipliers; whether a singularity had to be damped."""
     _jacobian(P, W, S, actual, n, m, oj, rows)
     _matrix(W, n, oj, og, rows)
-    smallest = _factor(W, og, rows)
-    if smallest > P[S, SINGULAR]:
-        _multipliers(W, og, rows, False, True)
-        bound = math.inf
-        for i in range(n):
-            bound = min(bound, BOUND * P[oj + i, LARGEST])
-        if _strain(W, n, oj, og, rows) <= bound:
+    if _factor(W, og) > P[S, SINGULAR]:
+        _multipliers(W, og, False, True)
+        bound, strain = math.inf, 0.0
+        for j in range(oj, oj + n):
+            bound = min(bound, BOUND * P[j, LARGEST])
+            strain += _shift(W, j, og) ** 2
+        if strain <= bound * bound:
             return False
     for r in range(rows):
         W[og + r, MULTIPLIER] = 0.0
     damped = _damp(P, W, n, oj, og, rows)
-    if _factor(W, og, rows) <= 0.0:
+    _damped_matrix(W, og)
+    if _factor(W, og) <= 0.0:
         for r in range(rows):
+            W[og + r, MATRIX + r] += P[S, SINGULAR]
             W[og + r, DAMPING + r] += P[S, SINGULAR]
-        _factor(W, og, rows)
-    _multipliers(W, og, rows, damped, True)
+        _factor(W, og)
+    _multipliers(W, og, damped, True)
     return damped
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _turn_between(A, B):
     """Rotation vector from frame A to frame B, in A."""
     x = 0.5 * (A[2] * B[1] + A[5] * B[4] + A[8] * B[7] - A[1] * B[2] - A[4] * B[5] - A[7] * B[8])
@@ -815,13 +857,11 @@ def _turn_between(A, B):
     return f * x, f * y, f * z
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _residual(P, W, S, og, rows, wanted, actual):
     """Weighted task errors into the task rows; returns the distance of the tool points by axis."""
     d0, d1, d2 = wanted[9] - actual[9], wanted[10] - actual[10], wanted[11] - actual[11]
-    W[og, ERROR] = d0
-    W[og + 1, ERROR] = d1
-    W[og + 2, ERROR] = d2
+    W[og, ERROR], W[og + 1, ERROR], W[og + 2, ERROR] = d0, d1, d2
     if rows > 3:
         t0, t1, t2 = _turn_between(actual, wanted)
         W[og + 3, ERROR] = P[S, WEIGHT + 3] * t0
@@ -831,22 +871,18 @@ def _residual(P, W, S, og, rows, wanted, actual):
     return d0, d1, d2
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
-def _command(W, n, oj, og, rows):
+@njit(**FAST)
+def _command(W, n, oj, og):
     """Commands from the multipliers; returns the largest change of a joint."""
     largest = 0.0
-    for i in range(n):
-        j = oj + i
-        shift = 0.0
-        for r in range(rows):
-            shift += W[j, COLUMN + r] * W[og + r, MULTIPLIER]
-        new = W[j, WANTED] + shift
+    for j in range(oj, oj + n):
+        new = W[j, WANTED] + _shift(W, j, og)
         largest = max(largest, abs(new - W[j, COMMAND]))
         W[j, COMMAND] = new
     return largest
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _loads(P, W, S, m, oj, dynamic):
     """Load moments at the frames now in W; bending and pedestal need whole wrenches, which the general pass has."""
     if dynamic or P[S, BEAMS] != 0.0 or P[S, PEDESTAL] != 0.0:
@@ -855,7 +891,7 @@ def _loads(P, W, S, m, oj, dynamic):
         _static_moments(P, W, S, m, oj)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@njit(**FAST)
 def _prepare(P, W, n, m, oj, og, rows):
     """Start the search at the wanted joints plus the guess."""
     for i in range(n):
@@ -865,13 +901,12 @@ def _prepare(P, W, n, m, oj, og, rows):
     for k in range(m):
         if P[k, KIND] == 0.0:
             s, c = _sine_cosine(P[k, RATIO] * W[oj + int(P[k, JOINT]), WANTED])
-            W[k, SINE] = s
-            W[k, COSINE] = c
+            W[k, SINE], W[k, COSINE] = s, c
     for r in range(rows):
         W[og + r, MULTIPLIER] = 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _solve(P, W, state, info, n, m, dynamic, dt, warm):
     """Find the command whose identified pose is the wanted one; leaves it in W and returns the flags."""
     oj = m + 1
@@ -908,9 +943,9 @@ def _solve(P, W, state, info, n, m, dynamic, dt, warm):
             for i in range(3):
                 info[4 + i] = W[og + i, ERROR] + W[og + i, ADDED]
         else:
-            _multipliers(W, og, rows, damped, False)
+            _multipliers(W, og, damped, False)
         before = largest
-        largest = _command(W, n, oj, og, rows)
+        largest = _command(W, n, oj, og)
         info[7] = it + 1.0
         # Steps shrink by a constant factor: the next one would be largest * largest / before.
         if largest < P[S, STEP] * (GUESS_STEP if warm and it == 0 else 1.0) or (
@@ -923,7 +958,7 @@ def _solve(P, W, state, info, n, m, dynamic, dt, warm):
     return flags | (LIMITED if limited else 0) | (DAMPED if damped else 0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _report(W, info, og, rows, d):
     """Residual of the tool point and of all task rows, as of the last evaluation."""
     total = 0.0
@@ -933,7 +968,7 @@ def _report(W, info, og, rows, d):
     info[3] = math.sqrt(total)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _refused(P, state, info, x, n, m, width, dt):
     """Status of a setpoint before anything is computed: numbers, limits, speed."""
     for i in range(n * width):
@@ -954,22 +989,19 @@ def _refused(P, state, info, x, n, m, width, dt):
     return RATE_LIMIT if mask != 0 else OK
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _heading(state, W, j, i, x, band, started):
     """Direction of the last motion of a joint: it turns when the joint comes back by more than the band."""
     sign = state[i, HEADING] if started else 0.0
     turn = state[i, TURN] if started else x
     if x > turn + band or (sign > 0.0 and x > turn):
-        sign = 1.0
-        turn = x
+        sign, turn = 1.0, x
     elif x < turn - band or (sign < 0.0 and x < turn):
-        sign = -1.0
-        turn = x
-    W[j, SIGN] = sign
-    W[j, TURN_NEW] = turn
+        sign, turn = -1.0, x
+    W[j, SIGN], W[j, TURN_NEW] = sign, turn
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _smooth(state, W, j, i, x, omega, dt, started):
     """Speed and acceleration of a joint by a critically damped filter that looks back only; it lags by 2 / omega."""
     place = state[i, SMOOTH] if started else x
@@ -982,7 +1014,7 @@ def _smooth(state, W, j, i, x, omega, dt, started):
     W[j, SMOOTH_SPEED_NEW] = new
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _motion(P, W, state, x, n, m, width, dt):
     """Wanted joints, speeds, accelerations and directions into W; whether the load is dynamic."""
     S = P.shape[0] - 1
@@ -995,15 +1027,13 @@ def _motion(P, W, state, x, n, m, width, dt):
         if omega > 0.0:
             _smooth(state, W, j, i, x[i], omega, dt, started)
         if width == 3:
-            W[j, SPEED_NOW] = x[n + i]
-            W[j, ACCEL_NOW] = x[2 * n + i]
+            W[j, SPEED_NOW], W[j, ACCEL_NOW] = x[n + i], x[2 * n + i]
         elif omega <= 0.0:
-            W[j, SPEED_NOW] = 0.0
-            W[j, ACCEL_NOW] = 0.0
+            W[j, SPEED_NOW], W[j, ACCEL_NOW] = 0.0, 0.0
     return width == 3 or omega > 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _ramp(P, W, state, n, m, dt):
     """Advance the ramp from the last version, or from no correction; returns the part that remains, and its length."""
     S = P.shape[0] - 1
@@ -1023,7 +1053,7 @@ def _ramp(P, W, state, n, m, dt):
     return max(0.0, state[n, REMAINING] - dt / length), length
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _verdict(P, W, info, out, remaining, n, m):
     """Corrected joints into ``out`` and their status: size of the correction, then limits of the joints."""
     large = 0
@@ -1047,7 +1077,7 @@ def _verdict(P, W, info, out, remaining, n, m):
     return JOINT_LIMIT if outside != 0 else OK
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _look_ahead(W, state, n, m, dt, fresh):
     """Guess the correction from the last ones; whether there was anything to go by."""
     if fresh:
@@ -1061,21 +1091,18 @@ def _look_ahead(W, state, n, m, dt, fresh):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _commit(P, W, state, out, remaining, length, n, m, dt, fresh):
     """Remember what was answered."""
     for i in range(n):
         j = m + 1 + i
-        state[i, LAST_A] = W[j, LEAN_A]
-        state[i, LAST_B] = W[j, LEAN_B]
-        state[i, LAST_SIDE] = W[j, SIDE]
+        state[i, LAST_A], state[i, LAST_B], state[i, LAST_SIDE] = W[j, LEAN_A], W[j, LEAN_B], W[j, SIDE]
         state[i, LAST_Q] = W[j, WANTED]
         state[i, TURN] = W[j, TURN_NEW]
         state[i, HEADING] = W[j, SIGN]
         state[i, OFFSET] = W[j, COLUMN] if remaining > 0.0 else 0.0
         state[i, LAST_DELTA] = out[i] - W[j, WANTED]
-        state[i, SMOOTH] = W[j, SMOOTH_NEW]
-        state[i, SMOOTH_SPEED] = W[j, SMOOTH_SPEED_NEW]
+        state[i, SMOOTH], state[i, SMOOTH_SPEED] = W[j, SMOOTH_NEW], W[j, SMOOTH_SPEED_NEW]
         delta = W[j, COMMAND] - W[j, WANTED]
         state[i, SLOPE] = 0.0 if fresh or dt < 1e-6 else (delta - state[i, GUESS]) / dt
         state[i, GUESS] = delta
@@ -1085,7 +1112,7 @@ def _commit(P, W, state, out, remaining, length, n, m, dt, fresh):
     state[n, LENGTH] = length
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def _one(P, W, state, x, width, dt, out, info):
     """Correct one setpoint of a stream and return its status; only status 0 leaves numbers and changes ``state``."""
     S = P.shape[0] - 1
@@ -1113,7 +1140,7 @@ def _one(P, W, state, x, width, dt, out, info):
     return status
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def step(memory, program_rows, n, x, width, dt):
     """Correct one setpoint of a stream and return its status; only status 0 leaves numbers and changes the memory.
 
@@ -1126,7 +1153,7 @@ def step(memory, program_rows, n, x, width, dt):
     return _one(P, W, memory[rows - n - 3 : rows - 2], x, width, dt, memory[rows - 2], memory[rows - 1])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def follow(memory, program_rows, n, x, width, dt, out, info, status):
     """Correct the points of a chunk or trajectory one after another; returns how many came before the first refusal.
 
@@ -1145,7 +1172,7 @@ def follow(memory, program_rows, n, x, width, dt, out, info, status):
     return x.shape[0]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**EXACT)
 def correct_rows(memory, program_rows, n, x, width, direction, out, info, status):
     """Correct N rows that do not follow one another: no ramp, no rate limits; ``direction (N, n)`` as it was measured.
 
