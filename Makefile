@@ -42,13 +42,19 @@ check: $(KERNELS) ## style, types, import rules
 bench: $(KERNELS) ## measure speed against other tools and print the ratios
 	$(BIN)/python -m benchmarks.core
 
-bench-peers: .venv-peers/.ready ## install the tools that make bench compares with, in an environment of their own
+bench-peers: .venv-peers/.ready .venv-peers-poe/.ready ## install the tools that make bench compares with, apart from Kilter
 
 # pybotics states numpy below 2 and FIGAROH needs 2; pybotics runs with either, so it is installed without its list.
 .venv-peers/.ready: benchmarks/peers-constraints.txt
 	[ -x .venv-peers/bin/python ] || "$(PYTHON)" -m venv .venv-peers
 	.venv-peers/bin/pip install --disable-pip-version-check -q --constraint benchmarks/peers-constraints.txt figaroh attrs scipy
 	.venv-peers/bin/pip install --disable-pip-version-check -q --constraint benchmarks/peers-constraints.txt --no-deps pybotics
+	touch $@
+
+# robotkinecal needs numpy below 2.
+.venv-peers-poe/.ready: benchmarks/peers-poe-constraints.txt
+	[ -x .venv-peers-poe/bin/python ] || "$(PYTHON)" -m venv .venv-peers-poe
+	.venv-peers-poe/bin/pip install --disable-pip-version-check -q --constraint benchmarks/peers-poe-constraints.txt robotkinecal
 	touch $@
 
 bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run

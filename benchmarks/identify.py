@@ -1,6 +1,6 @@
-"""Identify 24 geometric parameters from 118 positions: Kilter beside pybotics and FIGAROH on the same data.
+"""Identify 24 geometric parameters from 118 positions: Kilter beside pybotics, FIGAROH and robotkinecal on the same data.
 
-The peers run in an environment of their own, .venv-peers, made by ``make bench-peers``; without it they are left out.
+The peers run in environments of their own, made by ``make bench-peers``; without them they are left out.
 """
 
 from __future__ import annotations
@@ -25,8 +25,13 @@ from core.robots import robot_from_document
 
 HERE = Path(__file__).resolve().parent
 # Times faster than each that Kilter should be, and which of Kilter's times holds the like work: pybotics' time is its
-# optimiser alone; FIGAROH's also reads the rows, selects parameters and evaluates, so it meets the whole of `identify`.
-PEERS = {"pybotics": (1000, "seconds"), "figaroh": (200, "whole_seconds")}
+# optimiser alone, as is robotkinecal's; FIGAROH's also reads the rows, selects parameters and evaluates, so it meets the
+# whole of `identify`. robotkinecal has no figure to reach.
+PEERS: dict[str, tuple[int | None, str, str]] = {
+    "pybotics": (1000, "seconds", ".venv-peers"),
+    "figaroh": (200, "whole_seconds", ".venv-peers"),
+    "robotkinecal": (None, "seconds", ".venv-peers-poe"),
+}
 ROUNDS = 20
 
 
@@ -58,8 +63,8 @@ def of_kilter(data: Campaign) -> dict[str, Any]:
 
 
 def of_peer(name: str, data: Campaign) -> dict[str, Any] | None:
-    """What a peer's own script prints; None without the peers' environment."""
-    python = HERE.parent / ".venv-peers" / "bin" / "python"
+    """What a peer's own script prints; None without the peer's environment."""
+    python = HERE.parent / PEERS[name][2] / "bin" / "python"
     if not python.exists():
         return None
     with tempfile.TemporaryDirectory() as folder:
@@ -83,7 +88,7 @@ def lines() -> list[Line]:
         Line("identify, 118 positions: kilter, the fit", _text(mine)),
         Line("identify, 118 positions: kilter, with its report", f"{mine['whole_seconds'] * 1e3:.1f} ms"),
     ]
-    for name, (target, like) in PEERS.items():
+    for name, (target, like, _) in PEERS.items():
         theirs = of_peer(name, data)
         if theirs is None:
             out.append(Line(f"identify, 118 positions: {name}", "not installed: make bench-peers"))
@@ -94,8 +99,8 @@ def lines() -> list[Line]:
             Line(
                 f"  kilter is faster than {name} by",
                 f"{ratio:.0f} x",
-                f">= {target} x",
-                ratio >= target,
+                "" if target is None else f">= {target} x",
+                None if target is None else ratio >= target,
             )
         )
         better = theirs["held_out_mm"] / mine["held_out_mm"]
