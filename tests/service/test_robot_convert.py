@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import httpx
 import numpy as np
 import pinocchio
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from core.robots import preset_document
+from core.moments import axial_loads, joint_loads
+from core.robots import preset_document, robot_from_document
+from service.robots.convert import convert as converted
 from service.robots.documents import core_document
+from service.robots.service import DOCUMENT
 from tests.core.conversions.test_documents import poses
-from tests.core.truth import some_arm, ur10
+from tests.core.truth import some_arm, ur10, with_bodies
 
 
 def convert(client: httpx.Client, document: dict[str, Any], to: str) -> dict[str, Any]:
@@ -66,3 +72,21 @@ def test_what_cannot_be_said_is_refused(shared_client: httpx.Client) -> None:
     assert answer.json()["code"] == "robot_invalid"
     assert "one axis per joint" in answer.json()["detail"]
     assert shared_client.post("/v1/robots/convert?to=euler", json=coupled).status_code == 422
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), n=st.integers(1, 7), slides=st.booleans())
+def test_to_urdf_and_back_keeps_any_arm(seed: int, n: int, slides: bool) -> None:
+    rng = np.random.default_rng(seed)
+    arm = with_bodies(some_arm(rng, n, prismatic=slides), rng)
+    urdf = converted(DOCUMENT.validate_python(arm.document()), "urdf")
+    for to in ("poe", "mcpc", "chain"):
+        back = converted(DOCUMENT.validate_python(urdf), to)
+        q = rng.uniform(-2.0, 2.0, (4, n))
+        position, rotation = poses(back, q)
+        np.testing.assert_allclose(position, arm.poses(q)[0], atol=1e-12, rtol=0)
+        np.testing.assert_allclose(rotation, arm.poses(q)[1], atol=1e-12, rtol=0)
+        robot = robot_from_document(back)
+        found = axial_loads(robot, joint_loads(robot, q))
+        root = replace(arm, base=pinocchio.SE3.Identity())
+        np.testing.assert_allclose(found, [-root.reactions(row)[0] for row in q], atol=1e-9, rtol=0)

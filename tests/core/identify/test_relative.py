@@ -12,6 +12,7 @@ from core.model import RobotModel
 from core.observations import Observations
 from core.relative import Distances
 from core.robots import robot_from_document
+from core.twin import thesis_katana
 from tests.core.campaigns import MARKERS, joints, measured, table_errors
 from tests.core.truth import some_pose, ur10
 
@@ -139,3 +140,14 @@ def test_sigmas_tell_the_scatter_of_the_parameters() -> None:
     ratio = np.std(values, axis=0, ddof=1)[known] / np.mean(sigmas, axis=0)[known]
     assert len(known) > 10
     assert 0.7 < np.sqrt(np.mean(ratio**2)) < 1.4
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_every_level_goes_with_distances(level: int) -> None:
+    twin = thesis_katana()
+    low, high = twin.robot.limits.T
+    rng = np.random.default_rng(0)
+    train, held = (twin.observe(rng.uniform(low, high, (n, 5)), noise_m=1e-5, seed=n) for n in (118, 60))
+    found = identify(twin.robot, train, held, IdentifyOptions(base="removed", level=level)).metrics["validation"]
+    best = {1: 0.9, 2: 0.7, 3: 0.1}[level]  # share of the error as drawn, smaller with every level
+    assert found["identified"]["rms_mm"] < best * found["nominal"]["rms_mm"]
