@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from core.correction import Track
 from service.corrector import frames
 from service.corrector.active import Active
-from service.corrector.frames import Flag, Kind, Setpoints, Status
+from service.corrector.frames import Flag, Floats, Kind, Setpoints, Status
 
 NOT_DONE = -1
+LIMITED, DAMPED, OK = int(Flag.LIMITED), int(Flag.DAMPED), int(Status.OK)
+WIDTHS = {0: 1, int(Flag.QD): 2, Flag.QD | Flag.QDD: 3}
+MOST_NS = 0xFFFFFFFF  # of the time that fits into an answer
 
 
 @dataclass(frozen=True)
@@ -67,10 +70,12 @@ class Stream:
         self._active: Active | None = None
         self._track: Track | None = None
         self._settled = False
+        self._shapes: dict[int, tuple[int, int, Floats, memoryview]] = {}
         self._begin()
 
     def _begin(self) -> None:
         """Forget sequence and clocks; the next frame is the first."""
+        self._flows = False
         self._seq = -1
         self._way_ns: int | None = None
         self._seen_ns = 0
@@ -79,6 +84,10 @@ class Stream:
 
     def answer(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool = False) -> bytes | None:
         """Bytes to publish for a frame that arrived at ``arrival_ns`` (monotonic clock), or None without a header."""
+        if self._flows and active is self._active:
+            answer = self._next_point(data, arrival_ns)
+            if answer is not None:
+                return answer
         try:
             request = frames.decode_setpoints(data)
         except frames.FrameError as error:
@@ -128,22 +137,61 @@ class Stream:
         if self._track is None or self._track.program.n_joints != active.program.n_joints:
             self._track = Track(active.program, settled=self._settled)
             self._settled = False
+            self._shapes = _shapes(active.program.n_joints)
         elif active is not self._active:
             self._track.change(active.program)
         self._active = active
         return self._track
 
-    def _elapsed(self, request: Setpoints, arrival_ns: int) -> float:
+    def _elapsed(self, at_ns: int, arrival_ns: int) -> float:
         """Time since the last answered setpoint on the controller's clock, bounded by the time that really passed."""
-        at = request.header.t_apply_ns or request.header.t_send_ns
         passed = (arrival_ns - self._answered_ns) * 1e-9 + self.rules.time_slack_s
-        return min(max((at - self._applied_ns) * 1e-9, 0.0), passed)
+        return min(max((at_ns - self._applied_ns) * 1e-9, 0.0), passed)
+
+    def _next_point(self, data: bytes, arrival_ns: int) -> bytes | None:
+        """Answer to a plain setpoint that is the next in order and good; None for any other, which nothing has touched.
+
+        Nearly all frames of a stream are that. What :meth:`_admit` and :meth:`_correct` do is done here without their
+        objects: cold, as between two setpoints, every line of Python counts (62 µs became 33 on a busy machine).
+        """
+        if len(data) <= frames.HEADER.size:
+            return None
+        magic, kind, joints, flags, seq, sent_ns, apply_ns = frames.HEADER.unpack_from(data)
+        shape = self._shapes.get(flags)
+        track, active = self._track, self._active
+        if shape is None or kind or seq != self._seq + 1 or magic != frames.MAGIC or track is None or active is None:
+            return None
+        size, width, values, raw = shape
+        if len(data) != size or joints != track.program.n_joints or self._way_ns is None:
+            return None
+        way = arrival_ns - sent_ns
+        least = min(way, self._way_ns + int((arrival_ns - self._seen_ns) * self.rules.clock_drift))
+        if way - least > self.rules.max_age_ns:
+            return None
+        raw[:] = data[frames.HEADER.size :]
+        at = apply_ns or sent_ns
+        if track.step(values, width, self._elapsed(at, arrival_ns)) != OK:
+            return None  # a refused setpoint leaves no trace in the track: it is refused once more, and told so
+        self._seq, self._way_ns, self._seen_ns = seq, least, arrival_ns
+        self._applied_ns, self._answered_ns = at, arrival_ns
+        made = int(track.info.item(0))
+        counters = self.counters
+        if made & LIMITED:
+            counters.limited += 1
+        if made & DAMPED:
+            counters.damped += 1
+        spent = self._count(OK, arrival_ns)
+        head = frames.POINT_ANSWER.pack(
+            magic, kind, joints, made, seq, sent_ns, apply_ns, active.number, active.epoch, OK, 0, spent, 0
+        )
+        return head + track.out.tobytes()
 
     def _correct(self, request: Setpoints, arrival_ns: int, active: Active) -> bytes:
         track = self._follow_version(active)
         header = request.header
         width = frames.width(header.flags)
-        dt = self._elapsed(request, arrival_ns)
+        at = header.t_apply_ns or header.t_send_ns
+        dt = self._elapsed(at, arrival_ns)
         if header.kind == Kind.POINT:
             status = track.step(request.values[0], width, dt)
             info, numbers = track.info, track.out
@@ -153,9 +201,9 @@ class Stream:
             self._count(Status(status), arrival_ns)
             return self._refusal(header, Status(status), active, int(info[1]), arrival_ns)
         points = len(request.values)
-        at = header.t_apply_ns or header.t_send_ns
         self._applied_ns = at + (points - 1) * request.step_ns
         self._answered_ns = arrival_ns
+        self._flows = True
         flags = int(info[0])
         self.counters.limited += bool(flags & Flag.LIMITED)
         self.counters.damped += bool(flags & Flag.DAMPED)
@@ -193,15 +241,25 @@ class Stream:
             version=active.number if active else 0,
             epoch=active.epoch if active else 0,
             limit_mask=mask,
-            processing_ns=max(0, min(time.monotonic_ns() - arrival_ns, 0xFFFFFFFF)),
+            processing_ns=max(0, min(time.monotonic_ns() - arrival_ns, MOST_NS)),
         )
 
-    def _count(self, status: Status, arrival_ns: int) -> int:
+    def _count(self, status: int, arrival_ns: int) -> int:
         """Count an answer; returns the time spent on it, ns, as it fits into the frame."""
-        spent = max(0, min(time.monotonic_ns() - arrival_ns, 0xFFFFFFFF))
+        spent = max(0, min(time.monotonic_ns() - arrival_ns, MOST_NS))
         counters = self.counters
         counters.by_status[status] += 1
         counters.processing_ns += spent
-        counters.processing_max_ns = max(counters.processing_max_ns, spent)
+        if spent > counters.processing_max_ns:
+            counters.processing_max_ns = spent
         counters.last = status
         return spent
+
+
+def _shapes(joints: int) -> dict[int, tuple[int, int, Floats, memoryview]]:
+    """By the flags of a plain setpoint: its size, vectors per point, room for its numbers, and that room as bytes."""
+    made = {}
+    for flags, width in WIDTHS.items():
+        values = np.zeros(width * joints)
+        made[flags] = (frames.HEADER.size + values.nbytes, width, values, values.data.cast("B"))
+    return made
