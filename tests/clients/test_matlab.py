@@ -16,6 +16,8 @@ from kilter_client import Kilter
 from kilter_client.files.table import CSV_TYPE, Prepared
 
 from service.exporters.registry import export
+from tests.blind.generator import Case, Hidden, Options, generate
+from tests.clients.test_gap_command import campaign
 from tests.service.exporters.test_exporters import ERRORS, calibrated, poses_of
 
 OCTAVE = shutil.which("octave-cli")
@@ -106,6 +108,36 @@ def test_refusals_are_errors_with_the_servers_code(server: Path, robot: str, tmp
     ]  # fmt: skip
     assert "'nobody here'" in lines[0]
     assert "x_mm" in lines[1]
+
+
+def test_a_gap_hunt_and_what_belongs_to_it(kilter: Kilter, tmp_path: Path) -> None:
+    """Play was put into joint 1; Octave names it, evaluates the version, and plans what to measure next."""
+    case = Case("m", "katana", (Hidden("backlash", (0,)),), (900.0,), 45, Options(temperature="constant"), "named", 5)
+    rows = campaign(kilter, generate(case), "gap-octave", tmp_path)
+    printed = octave(
+        f"""
+        job = kilter.gap('gap-octave', '{rows}', 'validation', 0.25, 'resamples', 20, 'bootstraps', 499, ...
+          'effects', {{'backlash', 'friction_windup', 'eccentricity', 'encoder_scale', 'thermal_growth'}});
+        printf('%s\\n', job.result.verdict);
+        names = '';
+        for k = 1:numel(job.result.effects)
+          if iscell(job.result.effects), e = job.result.effects{{k}}; else, e = job.result.effects(k); end
+          names = [names ' ' e.id];
+        end
+        printf('%s\\n', strtrim(names));
+        printf('%g %g\\n', job.result.gap.validation_before_mm, job.result.gap.validation_after_mm);
+        e = kilter.evaluate('gap-octave', '{rows}', 'version', job.result.version_id);
+        printf('%s\\n', e.state);
+        p = kilter.plan('gap-octave', {{}}, 'purpose', 'identify', 'count', 6);
+        printf('%d\\n', numel(p.result.poses));
+        """,
+        tmp_path,
+    ).splitlines()
+    assert printed[0] == "closed"
+    assert "backlash" in printed[1].split()
+    before, after = map(float, printed[2].split())
+    assert after < 0.8 * before  # what is left is noise
+    assert printed[3:] == ["succeeded", "6"]
 
 
 def test_the_exported_function_builds_the_arm(tmp_path: Path) -> None:
