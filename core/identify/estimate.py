@@ -24,6 +24,7 @@ SMALLEST_SIGMA_M = 1e-7  # below any instrument: keeps noise-free simulations so
 SMALLEST_SIGMA_RAD = 1e-7
 WEIGHT_PASSES = 6
 UNSEEN = 0.05
+PLAIN = 1e12  # square of a singular value up to which normal equations tell UNSEEN from rounding
 
 
 def registration_only(start: Calibration, measurement: Measurement, loss: str = "linear") -> Calibration:
@@ -129,9 +130,13 @@ def blind_directions(fit: Fit) -> Floats:
     alone turned the wrist by degrees.)
     """
     scaled = fit.J * fit.problem.prior_sigma
-    R = np.linalg.qr(scaled, mode="r") if len(scaled) > scaled.shape[1] else scaled
-    _, s, Vt = np.linalg.svd(R, full_matrices=True)
-    s = np.concatenate([s, np.zeros(scaled.shape[1] - len(s))])
+    squares, V = np.linalg.eigh(scaled.T @ scaled)
+    if squares[-1] < PLAIN:
+        s, Vt = np.sqrt(np.maximum(squares, 0.0)), V.T
+    else:
+        R = np.linalg.qr(scaled, mode="r") if len(scaled) > scaled.shape[1] else scaled
+        _, s, Vt = np.linalg.svd(R, full_matrices=True)
+        s = np.concatenate([s, np.zeros(scaled.shape[1] - len(s))])
     return np.asarray(Vt[s < UNSEEN * math.sqrt(fit.problem.measurement.scalars())])
 
 
