@@ -14,7 +14,7 @@ from core.gap.hunt import Hunt
 from core.gap.prepare import Prepared, windowed
 from core.gap.scan import residual_given
 from core.gap.source import LinkSource, Source, ToolSource
-from core.gap.trajectory import is_trajectory, motion_blocks, segments
+from core.gap.trajectory import blocks, is_trajectory, motion_blocks, segments
 from core.gap.world import World, solved
 from core.measurement import Measurement
 from core.model import RobotModel
@@ -109,7 +109,12 @@ class Bench:
         setting = self.hunt.world.setting
         if self.rows is None:
             return setting.group[setting.used]
-        return motion_blocks(self.rows, setting.inflation) if self.moving else self.rows.pose_groups()
+        if self.moving:
+            return motion_blocks(self.rows, setting.inflation)
+        if setting.inflation > 1.0:  # a part of the poses in the order they were measured
+            share = len(self.rows) / (len(self.rows) + len(setting.used))
+            return blocks(len(self.rows), share * setting.inflation)
+        return self.rows.pose_groups()
 
 
 def referenced(residual: Floats, motion: Ints) -> Floats:

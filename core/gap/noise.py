@@ -100,7 +100,8 @@ def repeat_noise(residual: Floats, visit_residual: Floats, visits: Visits, point
         return replace(made, absolute=False, source=WITHIN)
     if k_within < FEWEST:
         total = _spread(between, k_between, at, at)
-        return _noise(total, total.mean(axis=0), k_between, None, total)
+        visit = np.broadcast_to(total, (len(visits), *total.shape[1:])).copy()
+        return _noise(visit, total.mean(axis=0), k_between, None, total)
     known = np.mean(rows_cov * share[:, None, None], axis=0)
     extra = _positive(_shrunk(_second(between[0]) - known, k_between))
     visit = extra + rows_cov * share[:, None, None]

@@ -16,7 +16,15 @@ from core.gap.noise import FIT, Noise, fit_noise, repeat_noise, spikes, stated_n
 from core.gap.options import GapOptions
 from core.gap.outliers import outliers
 from core.gap.source import LinkSource, Source, ToolSource
-from core.gap.trajectory import averaged, correlation_length, is_trajectory, motion_blocks, windows_of
+from core.gap.trajectory import (
+    FEWEST_ROWS,
+    averaged,
+    blocks,
+    correlation_length,
+    is_trajectory,
+    motion_blocks,
+    windows_of,
+)
 from core.gap.visits import Visits, visits_of
 from core.gap.world import Setting, World, refit
 from core.identify.estimate import estimate
@@ -31,6 +39,7 @@ Ints = NDArray[np.int64]
 Tell = Callable[[float, str], None]
 
 CHUNK = 20_000
+LIKE_NEIGHBOURS = 1.5  # correlation length, in poses, from which poses in a row are not independent
 SPARE = 6  # scalars beyond the geometry below which nothing can be tested
 
 
@@ -90,6 +99,8 @@ class Workshop:
         world = self._enough(refit(setting, values, []))
         self.tell(0.6, "looking for outliers")
         world = self._correlated(world, visits) if moving else self._without_outliers(world, visits)
+        if not moving and not world.setting.trusted and len(visits) >= FEWEST_ROWS:
+            world = self._in_order(world, visits)
         outlying = _outlying(kept, visits, world)
         return Prepared(world, library, visits, rows, kept, outlying, moving, windows.width, tuple(self.warnings))
 
@@ -202,15 +213,37 @@ class Workshop:
         rest = _unexplained(world)
         length = correlation_length(rest)
         group = motion_blocks(visits.observations, length)
-        setting = world.setting
-        L = np.linalg.inv(setting.whitener)
-        noise = fit_noise(np.einsum("vij,vj->vi", L, rest), visits, setting.used, 0.0)
         self._warn(
             "correlated",
             f"The rows are samples of a motion; one in {length:.0f} counts as independent, and blocks of "
             f"{int(np.bincount(group).max())} are shuffled and held out together.",
         )
-        return refit(replace(setting, noise=noise, group=group, inflation=length, trusted=True), world.values, [])
+        return self._inflated(world, visits, rest, group, length)
+
+    def _in_order(self, world: World, visits: Visits) -> World:
+        """The same for poses without repeats whose errors resemble those of the poses measured before and after."""
+        rest = _unexplained(world)
+        t = visits.observations.t
+        order = np.arange(len(rest)) if t is None else np.argsort(t, kind="stable")
+        length = correlation_length(rest[order])
+        if length < LIKE_NEIGHBOURS:
+            return world
+        group = np.empty(len(rest), dtype=np.int64)
+        group[order] = blocks(len(rest), length)
+        self._warn(
+            "correlated",
+            f"What no effect explains is alike from one pose to the next; one pose in {length:.1f} counts as "
+            f"independent, and {int(np.bincount(group).max())} poses in a row are shuffled together.",
+        )
+        return self._inflated(world, visits, rest, group, length)
+
+    def _inflated(self, world: World, visits: Visits, rest: Floats, group: Ints, length: float) -> World:
+        """Re-fit with noise from ``rest``, its variance times the correlation ``length``."""
+        setting = world.setting
+        L = np.linalg.inv(setting.whitener)
+        noise = fit_noise(np.einsum("vij,vj->vi", L, rest), visits, setting.used, 0.0)
+        setting = replace(setting, noise=noise, group=group, inflation=length, trusted=True)
+        return refit(setting, world.values, [])
 
     def _warn(self, code: str, message: str) -> None:
         self.warnings.append({"code": code, "message": message})

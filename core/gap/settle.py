@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from core.gap.agreement import contradicted
 from core.gap.hunt import Hunt, step_of
 from core.gap.select import MARGIN
 from core.gap.world import refit
@@ -19,7 +20,8 @@ def settled(found: Hunt, alpha: float) -> Hunt:
     """Drop and replace until every member stands at the final fit; each change is followed by a re-fit."""
     seen = {frozenset(found.chosen)}
     while found.chosen:
-        after = _without_chance(found, alpha)
+        wrong = [k for k in found.chosen if contradicted(found, k)][:1]
+        after = tuple(k for k in found.chosen if k not in wrong) if wrong else _without_chance(found, alpha)
         if after == found.chosen:
             after = _with_causes(found, seen)
         if after == found.chosen:

@@ -39,12 +39,12 @@ class Place:
 def where(world: World, rows: Observations, seed: int = 0, moving: bool = False) -> tuple[Place, ...]:
     """Levels by how far they stand out, most significant first; contrasts before bins at equal p.
 
-    Samples of a motion have no pose in common, so of motions there are no contrasts.
+    Samples of a motion have no pose in common, so of motions (and of poses judged in blocks) there are no contrasts.
     """
     size = world.setting.whitener.shape[-1]
     r = _studentised(world).reshape(-1, size)
     scale = 1.0 if world.setting.trusted else float(np.mean(r[world.setting.used] ** 2))
-    found = [] if moving else list(_contrasts(world, rows, r, scale))
+    found = [] if moving or world.setting.inflation > 1.0 else list(_contrasts(world, rows, r, scale))
     found += _bins(world, rows, r, scale, seed)
     return tuple(sorted(found, key=lambda p: (p.p_value, -p.excess)))
 

@@ -1,0 +1,75 @@
+"""What is judged once more after the hunt: chance, position against orientation, causes before shapes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.effects import make_effect
+from core.gap import GapOptions, find_gap
+from core.gap.select import Selector
+from core.model import RobotModel
+from tests.core.gap.simulated import campaign, katana
+
+EFFECTS = ("backlash", "friction_windup", "eccentricity", "encoder_scale", "axial_compliance")
+QUICK = GapOptions(effects=EFFECTS, resamples=10, permutations=5, bootstraps=499, next_poses=0)
+
+
+def turned(axis, angle):
+    """Rotations (N, 3, 3) by ``angle (N,)`` about ``axis (N, 3)``, small angles."""
+    K = np.zeros((len(angle), 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        K[:, j, k], K[:, k, j] = -axis[:, i], axis[:, i]
+    return np.eye(3) + K * angle[:, None, None] + K @ K * (angle**2 / 2)[:, None, None]
+
+
+def poses(hidden=(), seed=0):
+    """A campaign of full poses with orientation noise, and the model's own orientations."""
+    robot = katana()
+    rows = campaign(robot, hidden, poses=100, revisits=25, seed=seed)
+    effects = tuple(make_effect(i, j).on(robot, rows) for i, j, _ in hidden)
+    model = RobotModel(robot, effects)
+    values = model.values0()
+    if hidden:
+        values[model.n_geometric :] = [v for _, _, amounts in hidden for v in amounts]
+    prediction = model.predict(rows, values)
+    rng = np.random.default_rng(seed + 1)
+    axis = rng.standard_normal((len(rows), 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    R = turned(axis, 1e-4 * rng.standard_normal(len(rows))) @ prediction.rotation
+    position = prediction.position + 2e-5 * rng.standard_normal((len(rows), 3))
+    return robot, replace(rows, position=position, rotation=R), model, values
+
+
+def test_a_reversal_that_only_the_probe_shows_is_no_backlash():
+    robot, rows, model, values = poses()
+    _, J = model.joint_jacobian(model.batch(rows), values)
+    axis = J[:, 3:, 1]
+    seen = replace(rows, rotation=turned(axis, 6e-4 * rows.direction[:, 1]) @ rows.rotation)
+    report = find_gap(robot, seen, QUICK)
+    assert not {j.evidence.candidate.id for j in report.effects} & {"backlash", "friction_windup"}
+    assert report.verdict == "unexplained"
+
+
+def test_a_backlash_that_position_and_orientation_show_is_named():
+    robot, rows, *_ = poses([("backlash", (1,), (6e-4,))])
+    (effect,) = find_gap(robot, rows, QUICK).effects
+    assert effect.evidence.candidate.id == "backlash"
+    assert effect.evidence.amplitudes[0].value == pytest.approx(6e-4, rel=0.05)
+
+
+def test_no_name_is_left_that_chance_could_have_given(monkeypatch):
+    better = Selector.better
+
+    def with_a_guess(self, gram, chosen, critical, most, seen=()):
+        found = better(self, gram, chosen, critical, most, seen)
+        guess = next(k for k, c in enumerate(self.scorer.candidates) if c.label == "eccentricity j3")
+        return (*found, guess) if guess not in found else found
+
+    monkeypatch.setattr(Selector, "better", with_a_guess)
+    report = find_gap(katana(), campaign(katana(), [("backlash", (1,), (3e-4,))]), QUICK)
+    (effect,) = report.effects  # the same thing under either name
+    assert effect.evidence.candidate.id in {"backlash", "friction_windup"}
+    assert all(j.evidence.p_value <= QUICK.alpha for j in report.effects)
