@@ -109,10 +109,21 @@ class Scorer:
         return Scores(S[0], d, T, self.tail(T[None], d)[0])
 
     def scaled(self, S: Floats, d: Ints, yy: Floats, nu: float, noise: Floats) -> Floats:
-        """S over the noise variance: that of repeats (``noise``, about 1) or of what is left, whichever is larger."""
-        left = np.maximum(yy[:, None] - S, 0.0) / np.maximum(nu - d, 1.0)
-        floor = noise[:, None] if self.absolute else np.full((len(S), 1), 1e-12)
-        return np.asarray(S / np.maximum(left, floor))
+        """S over the noise variance: that of what is left, or pooled with that of the repeats (``noise``, about 1)."""
+        free = np.maximum(nu - d, 1.0)
+        left = np.maximum(yy[:, None] - S, 0.0) / free
+        return np.asarray(S / self.variance(left, free, noise[:, None]))
+
+    def variance(self, left: Floats, free: Floats | float, noise: Floats | float = 1.0) -> Floats:
+        """Noise variance from what is left (``free`` degrees) and from the repeats (about 1).
+
+        More left than the repeats scatter is structure, and counts in full. Less says that the few repeats were wild:
+        then both are estimates of one variance, and are pooled.
+        """
+        if not self.absolute:
+            return np.maximum(left, 1e-12)
+        share = free / (free + self.freedom) if np.isfinite(self.freedom) else 0.0
+        return np.asarray(np.maximum(left, share * left + (1.0 - share) * noise))
 
     def tail(self, T: Floats, d: Ints) -> Floats:
         """Tail probability of chi-square (B, K), half of it where the sign is known, 1 where nothing is left."""

@@ -59,8 +59,8 @@ class Selector:
     def variance(self, gram: Gram, chosen: Sequence[int]) -> float:
         """Noise variance for comparisons at a set: 1 for repeats, more when structure is left."""
         columns = self.columns(chosen)
-        ratio = (gram.yy - gram.reduction(columns)) / max(gram.nu - gram.rank(columns), 1.0)
-        return max(1.0, ratio) if self.scorer.absolute else max(ratio, 1e-12)
+        free = max(gram.nu - gram.rank(columns), 1.0)
+        return float(self.scorer.variance(np.asarray((gram.yy - gram.reduction(columns)) / free), free))
 
     def entry(
         self, gram: Gram, chosen: Sequence[int], critical: float, banned: Sequence[int] = ()
@@ -93,9 +93,8 @@ class Selector:
 
     def ranked(self, given: Gram, scores: Scores) -> Floats:
         """S over the noise left, less the price (K,), to a tenth: equal explanations keep the library's order."""
-        left = (given.yy - scores.S) / np.maximum(given.nu - scores.d, 1.0)
-        best = float(np.min(left))
-        variance = max(1.0, best) if self.scorer.absolute else max(best, 1e-12)
+        free = np.maximum(given.nu - scores.d, 1.0)
+        variance = float(np.min(self.scorer.variance((given.yy - scores.S) / free, free)))
         return np.asarray(
             np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical, 1)
         )

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from core.effects import make_effect
 from core.model import RobotModel
 from core.observations import Observations
 from core.robot import Robot
 from core.robots import preset_document, robot_from_document
+
+MARKERS = np.array([[0.03, 0.0, 0.0], [-0.02, 0.03, 0.01], [-0.02, -0.03, -0.01]])
 
 Hidden = tuple[str, tuple[int, ...] | None, tuple[float, ...]]
 
@@ -31,8 +34,12 @@ def campaign(
     one_sided: bool = False,
     loads: tuple[float, ...] = (0.0, 1.0),
     orders: tuple[int, ...] = (3,),
+    measured: str = "position",
 ) -> Observations:
-    """Random poses, the first ``revisits`` of them three times, with ``hidden`` effects (id, joints from 0, values)."""
+    """Random poses, the first ``revisits`` of them three times, with ``hidden`` effects (id, joints from 0, values).
+
+    ``measured`` is "position", "pose" (orientation too) or "markers" (three of them, one in thirty unseen).
+    """
     rng = np.random.default_rng(seed)
     low, high = np.clip(robot.limits, -2.9, 2.9).T
     pose = np.concatenate([np.arange(poses), np.tile(np.arange(revisits), 2)])
@@ -48,5 +55,14 @@ def campaign(
     for k, p in enumerate(model.parameters[: model.n_geometric]):
         values[k] += rng.normal() * (3e-4 if p.unit == "m" else 1e-3)
     values[model.n_geometric :] = [v for _, _, amounts in hidden for v in amounts]
-    position = model.predict(rows, values).position + noise_m * rng.standard_normal((len(q), 3))
-    return Observations(**{**rows._present(), "position": position})
+    exact = model.predict(rows, values)
+    position = exact.position + noise_m * rng.standard_normal((len(q), 3))
+    if measured == "position":
+        return Observations(**{**rows._present(), "position": position})
+    if measured == "pose":
+        turns = Rotation.from_rotvec(noise_m / 0.2 * rng.standard_normal((len(q), 3))).as_matrix()
+        return Observations(**{**rows._present(), "position": position, "rotation": exact.rotation @ turns})
+    markers = exact.position[:, None] + np.einsum("nij,mj->nmi", exact.rotation, MARKERS)
+    markers += noise_m * rng.standard_normal(markers.shape)
+    markers[rng.random(markers.shape[:2]) < 1 / 30] = np.nan
+    return Observations(**{k: v for k, v in rows._present().items() if k != "position"}, markers=markers)

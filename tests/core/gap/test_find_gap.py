@@ -49,6 +49,12 @@ def test_backlash_is_named_with_its_twin_and_its_size(backlash):
     assert backlash.verdict == "closed"
 
 
+@pytest.mark.parametrize("measured", ["pose", "markers"])
+def test_poses_and_markers_say_the_same(robot, measured):
+    (effect,) = find_gap(robot, campaign(robot, [BACKLASH], seed=1, measured=measured), QUICK).effects
+    assert (effect.evidence.candidate.label, effect.verdict) == ("backlash j2", "class_confirmed")
+
+
 def test_the_gap_shrinks_on_held_out_poses(backlash):
     gap = backlash.gap
     assert gap["held_out"] == "validation observations"
