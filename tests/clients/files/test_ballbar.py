@@ -128,3 +128,21 @@ def test_damaged_logs_are_refused_or_read_never_worse(tmp_path: Path, at: int, j
         assert np.isfinite(found.radius_mm).all()
         json.dumps(analysed(found), allow_nan=False)
     assert str(path) in said
+
+
+def test_joined_with_a_joint_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bar, log, rows = tmp_path / "bar.txt", tmp_path / "joints.csv", tmp_path / "rows.csv"
+    angles = ANGLES[:-1]
+    bar.write_text("\n".join(["angle_deg,radius_mm", *(f"{a},{100 + deviation(a) / 1000:.5f}" for a in angles)]))
+    t = np.radians(angles)
+    body = [f"{a},{100 * c:.5f},{100 * s:.5f},0" for a, c, s in zip(angles / 4, np.cos(t), np.sin(t), strict=True)]
+    log.write_text("\n".join(["q1_deg,x_mm,y_mm,z_mm", *body]))
+    command = ["sheet-join", str(bar), str(log), "-o", str(rows), "--radius-mm", "100"]
+    assert run(command) == 1
+    assert "--take-command 1" in capsys.readouterr().err
+    assert run([*command, "--take-command", "0.5", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["rows"] == len(angles)
+    table = np.genfromtxt(rows, delimiter=",", names=True)
+    assert np.hypot(table["x_mm"], table["y_mm"]) == pytest.approx(100 + deviation(angles) / 1000, abs=2e-5)
+    assert (table["sx_mm"][0], table["sy_mm"][0], table["sz_mm"][0]) == pytest.approx((0.005, 0.5, 0.5))

@@ -134,6 +134,7 @@ class View:
     grey: bool = False
     mirrored: bool = False
     skew: float = 0.0
+    bulge_mm: float = 0.0
     seed: int = 0
 
 
@@ -172,7 +173,10 @@ def _on_sheet(flat: Floats, view: View) -> Floats:
     rays = np.stack([x, -flat[..., 1], np.full(x.shape, -far)], axis=-1) @ R
     eye = R.T @ np.array([0.0, 0.0, far])
     t = -eye[2] / rays[..., 2]
-    return np.asarray((eye + t[..., None] * rays)[..., :2])
+    flat = (eye + t[..., None] * rays)[..., :2]
+    # Paper that stands up along a ridge is met by the ray before it meets the plate.
+    rise = view.bulge_mm * np.exp(-((flat[..., :1] / 50.0) ** 2))
+    return np.asarray(flat - rise * (flat - eye[:2]) / eye[2])
 
 
 def _taken(light: Floats, view: View) -> Image.Image:

@@ -140,6 +140,21 @@ def test_grid_of_views(name: str, tmp_path_factory: pytest.TempPathFactory, reco
 
 
 @pytest.mark.slow
+def test_paper_that_is_not_flat(tmp_path: Path) -> None:
+    """A ridge of half a millimetre under a camera half a metre away; the stated sigma must grow with it."""
+    paper = drawn(sheet_for(60), dpi=400)
+    found = {}
+    for bulge in (0.0, 0.5, 1.0):
+        view = View(dpi=300, tilt_deg=(10, 5), bulge_mm=bulge)
+        reading = read_sheet(save(seen(*paper, view), tmp_path / "a.png"))
+        found[bulge] = (*errors(reading), float(np.mean(reading.out_sigma_mm)))
+    print(found)
+    assert max(found[0.5][:2]) < TARGET_MM / 2
+    assert max(found[1.0][:2]) < TARGET_MM
+    assert found[1.0][2] > 1.5 * found[0.0][2]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PENCILS)
 def test_pencils(name: str, tmp_path: Path) -> None:
     paper = drawn(sheet_for(25), pencil=PENCILS[name], dpi=600)

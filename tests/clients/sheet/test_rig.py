@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.errors import FileError
@@ -244,3 +246,20 @@ def test_heights_of_text_and_what_is_wrong_with_them(tmp_path: Path) -> None:
     path.write_text("a_mm,h_mm\n0,1\n1,2\n1,3\n2,4\n")
     with pytest.raises(FileError, match="no time among"):
         read_heights(path)
+
+
+@settings(max_examples=60, deadline=None, database=None, suppress_health_check=list(HealthCheck))
+@given(at=st.integers(0, 900), junk=st.binary(max_size=12), cut=st.integers(0, 900))
+def test_damaged_heights_are_refused_or_read_never_worse(tmp_path: Path, at: int, junk: bytes, cut: int) -> None:
+    text = b"t_s;poti [V]\n" + b"".join(b"%d,25;1,%d\n" % (k, k) for k in range(80))
+    path = tmp_path / "h.csv"
+    path.write_bytes((text[:at] + junk + text[at + len(junk) :])[: max(1, len(text) - cut)])
+    try:
+        found = read_heights(path, None, read_calibration("0:-10,5:35"))
+    except FileError as error:
+        said = str(error)
+    else:
+        said = str(found.path)
+        assert np.isfinite(found.mm).all()
+        assert np.all(np.diff(found.t_s) > 0)
+    assert str(path) in said

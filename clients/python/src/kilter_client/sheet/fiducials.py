@@ -195,7 +195,7 @@ def place_sheet(picture: Picture, marks: Marks) -> tuple[Camera, Marks, list[str
     try:
         camera, _ = fit_camera(size, marks.mm, marks.pixels)
         marks = with_targets(picture, marks, camera)
-        left_out = []
+        left_out: list[str] = []
         while True:
             camera, off = fit_camera(size, marks.mm, marks.pixels)
             worst = int(np.argmax(off))
