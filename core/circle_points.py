@@ -27,7 +27,8 @@ LEAST_ROWS = 5
 LEAST_ARC = math.radians(30.0)
 LEAST_STROKE_M = 0.01
 STILL = 2e-4  # rad or m: others that move less are taken to stand
-ROUND = 0.05  # share of the radius by which readings and circle may disagree
+ROUND = 0.005  # share of the radius by which points may be off the circle, beside three times their noise
+SCALE = 0.05  # share by which a slide's readings and way may disagree
 PARALLEL = 1e-3
 
 
@@ -222,7 +223,7 @@ def _slide(shift: Floats, points: Floats, others: Floats, j: int) -> AxisFit:
     size, left = float(np.linalg.norm(mean)), flat - A @ np.vstack([start, slope])
     rms = float(np.sqrt(np.mean(left**2) * 3.0))
     stroke = float(np.ptp(shift))
-    if abs(size - 1.0) > ROUND or rms > ROUND * stroke:
+    if abs(size - 1.0) > SCALE or rms > SCALE * stroke:
         _refuse_not_round(j, stroke, max(rms, abs(size - 1.0) * stroke))
     spread = float(np.sqrt(np.sum((shift - shift.mean()) ** 2) * points.shape[1]))
     sigma = rms / math.sqrt(3.0) / spread * math.sqrt(2.0)

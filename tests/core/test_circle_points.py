@@ -16,7 +16,7 @@ from core.model import RobotModel
 from core.observations import Observations
 from core.robots import robot_from_document
 from tests.core.campaigns import MARKERS, joints, measured, table_errors
-from tests.core.truth import Arm, some_arm, some_pose, ur10
+from tests.core.truth import Arm, Step, some_arm, some_pose, ur10
 
 Floats = NDArray[np.float64]
 NOISE = 2e-5
@@ -154,3 +154,22 @@ def test_what_shows_no_axis_is_refused_by_joint() -> None:
     wrong[75:100, 3] = HOME[3] + 2 * (q[75:100, 3] - HOME[3])
     code, message = refused(wrong, points, arm)
     assert (code, "joint 4" in message, "another unit" in message) == ("circle_not_round", True, True)
+
+
+def test_a_joint_that_carries_another_along_is_noticed_by_markers() -> None:
+    """FANUC's third joint is read against the horizontal: moving the second keeps the forearm's direction."""
+    steps = (
+        Step("rz", 0.0, 0), Step("tz", 0.5), Step("ry", 0.0, 1), Step("tz", 0.6), Step("ry", 0.0, 1, -1.0),
+        Step("ry", 0.0, 2, -1.0), Step("tx", 0.7),
+    )  # fmt: skip
+    arm, rng = Arm(steps, 3), np.random.default_rng(0)
+    q = []
+    for j in range(3):
+        block = np.tile([0.2, 0.3, 0.4], (20, 1))
+        block[:, j] += np.linspace(-0.6, 0.6, 20)
+        q.append(block)
+    position, rotation = arm.poses(np.concatenate(q))
+    points = position[:, None] + np.einsum("nij,mj->nmi", rotation, 2 * MARKERS) + rng.normal(0, NOISE, (60, 3, 3))
+    with pytest.raises(CoreError, match="another joint moved along") as refused:
+        robot_from_circles(np.concatenate(q), np.zeros(3, dtype=bool), points, name="f")
+    assert (refused.value.code, refused.value.context["joint"]) == ("circle_not_round", 2)
