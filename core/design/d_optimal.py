@@ -17,6 +17,7 @@ from core.robot import Robot
 Floats = NDArray[np.float64]
 
 POOL = 600
+BATCH, BATCHES = 20_000, 30  # random poses tried to fill a box
 MARGIN_SHARE = 0.03  # of each joint's range kept free at both ends: room for a correction
 
 
@@ -27,16 +28,19 @@ def d_optimal_poses(
     noise: float = 5e-5,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
+    box: Floats | None = None,
 ) -> Floats:
     """Joints (count, n) that maximise the determinant of the information, within the priors, of position measurements.
 
-    ``effects`` are looked for beside those of ``start``; ``noise`` is the standard deviation of a coordinate in m.
+    ``effects`` are looked for beside those of ``start``; ``noise`` is the standard deviation of a coordinate in m. With a
+    ``box (2, 3)`` m, lowest and highest corner in the frame of the measurements, the tool stays in it.
 
     Raises:
-        RobotError: joint limits are missing.
+        RobotError: joint limits are missing, or hardly a pose has its tool in the box.
 
     """
-    pool = random_poses(start.robot, max(POOL, 3 * count), np.random.default_rng(seed))
+    rng, wanted = np.random.default_rng(seed), max(POOL, 3 * count)
+    pool = random_poses(start.robot, wanted, rng) if box is None else poses_within(start, box, wanted, rng)
     X = _information_roots(start, pool, effects, noise)
     C = np.eye(X.shape[2])
     picked: list[int] = []
@@ -65,6 +69,27 @@ def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Floats:
         raise RobotError("Planning poses needs the limits of every joint: give limits_deg.", field="joints")
     margin = MARGIN_SHARE * (high - low)
     return np.asarray(rng.uniform(low + margin, high - margin, (count, robot.n_joints)))
+
+
+def poses_within(start: Calibration, box: Floats, count: int, rng: np.random.Generator) -> Floats:
+    """Joints (count, n) at random within the limits, the tool within the ``box (2, 3)`` m.
+
+    Raises:
+        RobotError: joint limits are missing, or fewer than one pose in a thousand has its tool there.
+
+    """
+    found: list[Floats] = []
+    for _ in range(BATCHES):
+        q = random_poses(start.robot, BATCH, rng)
+        p = start.predict(Observations(q)).position
+        found.append(q[((p >= box[0]) & (p <= box[1])).all(axis=1)])
+        if sum(map(len, found)) >= count:
+            return np.concatenate(found)[:count]
+    raise RobotError(
+        f"Of {BATCHES * BATCH} random poses only {sum(map(len, found))} have the tool in the box, {count} are needed: "
+        "give a larger box, in the frame of the measurements, or fewer poses.",
+        field="box_mm",
+    )
 
 
 def _information_roots(start: Calibration, pool: Floats, effects: Sequence[Effect], noise: float) -> Floats:

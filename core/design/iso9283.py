@@ -18,6 +18,9 @@ Floats = NDArray[np.float64]
 
 SAMPLES = 20_000
 GRID = 9
+PLANES = ((0, 1, 1), (0, 1, -1), (1, 0, 1), (1, 0, -1))  # directions in the diagonal planes, beside the axis left out
+INWARD = 0.4  # of the side: from the centre to a tenth of the diagonal from its end
+SMALLER, TRIES = 0.9, 8  # of a cube whose five poses cannot all be reached
 CANDIDATES = 6  # configurations tried per point; the one whose least-moved joint moves most follows the last pose
 
 
@@ -31,10 +34,21 @@ class Cube:
     def on_diagonals(self, count: int, rng: np.random.Generator) -> Floats:
         """Points (count, 3) spread over the four diagonal planes in turn."""
         u, v = rng.uniform(-0.5, 0.5, (2, count))
-        planes = np.array([[0, 1, 1], [0, 1, -1], [1, 0, 1], [1, 0, -1]])[np.arange(count) % 4]
+        planes = np.array(PLANES)[np.arange(count) % 4]
         along = planes * v[:, None]
         across = np.where(planes == 0, u[:, None], 0.0)
         return np.asarray(self.centre + self.side * (along + across))
+
+    def five(self, plane: int = 0) -> Floats:
+        """Points P1 to P5 (5, 3) of 6.8.2 on one of the four diagonal planes.
+
+        P1 is the centre, the others lie a tenth of the plane's diagonals from their ends; P2 and P4 are opposite.
+        """
+        u = np.array([0.0, 1.0, -1.0, -1.0, 1.0])[:, None]
+        v = np.array([0.0, 1.0, 1.0, -1.0, -1.0])[:, None]
+        along = np.array(PLANES[plane]) * v
+        across = np.where(np.array(PLANES[plane]) == 0, u, 0.0)
+        return np.asarray(self.centre + INWARD * self.side * (along + across))
 
 
 def iso_poses(robot: Robot, count: int = 118, seed: int = 0) -> Floats:
@@ -60,6 +74,31 @@ def iso_poses(robot: Robot, count: int = 118, seed: int = 0) -> Floats:
         if len(poses) == found:
             raise RobotError(f"No pose in the cube of {cube.side * 1e3:.0f} mm can be reached: check the joint limits.")
     return np.array(poses)
+
+
+def five_poses(robot: Robot, plane: int = 0, seed: int = 0) -> Floats:
+    """Joints (5, n) of P1 to P5 on a diagonal plane of the largest cube, in which all five can be reached.
+
+    Visited from P5 down to P1, every joint moves between them where the arm allows it.
+
+    Raises:
+        RobotError: joint limits are missing, or no cube has five poses that can be reached.
+
+    """
+    samples, points = _workspace(robot, seed)
+    cube, tree = largest_cube(points), KDTree(points)
+    for _ in range(TRIES):
+        near = tree.query(cube.five(plane), k=4 * CANDIDATES)[1]
+        targets = np.repeat(cube.five(plane), 4 * CANDIDATES, axis=0)
+        q, arrived = reach(robot, targets, samples[near.reshape(-1)])
+        tried, ok = q.reshape(5, -1, robot.n_joints), arrived.reshape(5, -1)
+        if ok.any(axis=1).all():
+            visited: list[Floats] = []
+            for k in (4, 3, 2, 1, 0):
+                visited.append(_moving_most(tried[k][ok[k]], visited, robot))
+            return np.array(visited[::-1])
+        cube = Cube(cube.centre, SMALLER * cube.side)
+    raise RobotError("No cube of this robot has five poses that can be reached: check lengths and joint limits.")
 
 
 def largest_cube(points: Floats) -> Cube:

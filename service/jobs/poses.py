@@ -27,6 +27,8 @@ class Pose:
     payload_kg: float | None = None
     direction: tuple[int, ...] | None = None
     information_factor: float | None = None
+    pose_id: int | None = None
+    session: int | None = None
 
 
 def document_of(robot: Robot, poses: Sequence[Pose]) -> dict[str, Any]:
@@ -41,11 +43,13 @@ def _row(robot: Robot, pose: Pose) -> dict[str, Any]:
     row: dict[str, Any] = {
         name: _wire(joint.kind, v) for name, joint, v in zip(_names(robot), robot.joints, q, strict=True)
     }
-    return row | {
+    row |= {
         "kind": pose.kind, "change": pose.change, "payload_kg": pose.payload_kg,
         "direction": None if pose.direction is None else list(pose.direction),
         "information_factor": pose.information_factor,
     }  # fmt: skip
+    numbers = {"pose_id": pose.pose_id, "session": pose.session}
+    return row | {name: number for name, number in numbers.items() if number is not None}
 
 
 def _names(robot: Robot) -> list[str]:
@@ -63,6 +67,9 @@ def _csv(robot: Robot, rows: Sequence[dict[str, Any]]) -> str:
         columns["payload_kg"] = [row["payload_kg"] for row in rows]
     if all(row["direction"] is not None for row in rows):
         columns |= {f"dir{j}": [row["direction"][j - 1] for row in rows] for j in range(1, len(names) + 1)}
+    for name in ("pose_id", "session"):
+        if all(name in row for row in rows):
+            columns[name] = [row[name] for row in rows]
     lines = [
         ",".join(columns),
         *(",".join(f"{cell:.10g}" for cell in cells) for cells in zip(*columns.values(), strict=True)),

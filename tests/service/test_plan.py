@@ -38,6 +38,17 @@ def test_poses_for_every_purpose(client: httpx.Client, katana: Any, worker: Any,
     assert planned(client, until, [], purpose="iso9283", count=20)["count"] == 20
     best = planned(client, until, [], purpose="identify", count=15, effects=["eccentricity"])
     assert best == planned(client, until, [], purpose="identify", count=15, effects=["eccentricity"])
+    cycles = planned(client, until, [], purpose="iso9283", method="five_poses", count=3)
+    assert [p["pose_id"] for p in cycles["poses"]] == 3 * [5, 4, 3, 2, 1]
+    assert [p["session"] for p in cycles["poses"]] == [1] * 5 + [2] * 5 + [3] * 5
+    assert cycles["csv"].splitlines()[0].endswith(",pose_id,session")
+    assert (cycles["cycles"], cycles["cycles_demanded"]) == (3, 30)
+    assert [p["pose_id"] for p in planned(client, until, [], purpose="iso9283", method="two_poses")["poses"]] == 30 * [
+        2,
+        4,
+    ]
+    boxed = planned(client, until, [], purpose="identify", count=8, box_mm=[[-400, -200, 100], [400, 200, 700]])
+    assert boxed["count"] == 8
     assert _determines(best) > _determines(planned(client, until, [], purpose="identify", count=15, method="iso9283"))
 
     pair = [{"id": "axial_compliance", "joints": [3]}, {"id": "link_bending", "joints": [2]}]
@@ -78,6 +89,9 @@ def _determines(plan: dict[str, Any]) -> float:
         {"purpose": "identify", "method": "best"},
         {"purpose": "identify", "effects": ["ghost"]},
         {"purpose": "identify", "noise_mm": 0},
+        {"purpose": "identify", "method": "five_poses"},
+        {"purpose": "identify", "box_mm": [[0, 0, 0], [0, 1, 1]]},
+        {"purpose": "iso9283", "box_mm": [[0, 0, 0], [1, 1, 1]]},
         {"purpose": "separate"},
         {"purpose": "separate", "effects": ["backlash"]},
         {"purpose": "separate", "effects": ["backlash", {"id": "eccentricity", "joints": [0]}]},

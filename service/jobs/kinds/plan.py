@@ -11,13 +11,20 @@ from service.jobs.poses import Pose, document_of
 from service.jobs.wire import plain
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from core.effects import Effect
 
+    Floats = NDArray[np.float64]
+
 PURPOSES = ("iso9283", "identify", "separate")
-METHODS = ("d_optimal", "iso9283")
+METHODS = ("d_optimal", "iso9283", "five_poses", "two_poses")
+CYCLES = {"five_poses": (5, 4, 3, 2, 1), "two_poses": (2, 4)}  # P5 to P1 for AP, RP and vAP; P2 and P4 for AD and RD
+CYCLES_DEMANDED = 30
 COUNTS = {"iso9283": 118, "identify": 60, "separate": 12}
 MOST_POSES = 2000
-OPTIONS = {"purpose", "method", "count", "effects", "seed", "noise_mm", "version"}
+OPTIONS = {"purpose", "method", "count", "effects", "seed", "noise_mm", "version", "box_mm"}
 NOISE_MM = 0.05  # of a coordinate, where neither repeats nor the request say it
 
 
@@ -40,6 +47,10 @@ def check(options: dict[str, Any]) -> None:
     noise = options.get("noise_mm", NOISE_MM)
     if not isinstance(noise, int | float) or not noise > 0:
         raise OptionError("noise_mm must be above 0: it is a standard deviation.", option="noise_mm")
+    _box(options)
+    method, purpose = options.get("method"), options["purpose"]
+    if method in CYCLES and purpose != "iso9283":
+        raise OptionError(f"{method} is a cycle of ISO 9283: give purpose iso9283.", option="method")
     wanted = named_effects(options)
     if options["purpose"] == "separate" and len(wanted) != 2:
         raise OptionError(
@@ -88,8 +99,20 @@ def _joints(joints: Any) -> tuple[int, ...] | None:
 def _iso(job: JobInput, progress: Progress) -> dict[str, Any]:
     from core.design.iso9283 import iso_poses
 
+    if job.options.get("method") in CYCLES:
+        return _cycles(job, CYCLES[job.options["method"]])
     q = iso_poses(job.robot, _count(job), int(job.options.get("seed", 0)))
     return document_of(job.robot, [Pose(row) for row in q])
+
+
+def _cycles(job: JobInput, order: tuple[int, ...]) -> dict[str, Any]:
+    """The same poses again and again; ``count`` cycles, pose_id the standard's number, session the cycle."""
+    from core.design.iso9283 import five_poses
+
+    q = five_poses(job.robot, seed=int(job.options.get("seed", 0)))
+    cycles = range(1, int(job.options.get("count", CYCLES_DEMANDED)) + 1)
+    poses = [Pose(q[number - 1], pose_id=number, session=cycle) for cycle in cycles for number in order]
+    return {**document_of(job.robot, poses), "cycles": len(cycles), "cycles_demanded": CYCLES_DEMANDED}
 
 
 def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
@@ -105,8 +128,29 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
         float(job.options.get("noise_mm", NOISE_MM)) * 1e-3,
         int(job.options.get("seed", 0)),
         lambda fraction: progress(fraction, "choosing poses"),
+        _box(job.options),
     )
     return document_of(job.robot, [Pose(row) for row in q])
+
+
+def _box(options: dict[str, Any]) -> Floats | None:
+    """Lowest and highest corner (2, 3) m of the option ``box_mm``."""
+    import numpy as np
+
+    given = options.get("box_mm")
+    if given is None:
+        return None
+    if options.get("purpose") != "identify" or options.get("method", METHODS[0]) != METHODS[0]:
+        raise OptionError("box_mm goes with purpose identify and method d_optimal.", option="box_mm")
+    try:
+        box = np.array(given, dtype=np.float64) * 1e-3
+    except (TypeError, ValueError):
+        box = np.empty(0)
+    if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
+        raise OptionError(
+            "box_mm holds the lowest and the highest corner, as [[-200, 100, 0], [200, 400, 300]].", option="box_mm"
+        )
+    return box
 
 
 def _made(job: JobInput) -> list[Effect]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.design.iso9283 import Cube, iso_poses, largest_cube
+from core.design.iso9283 import Cube, five_poses, iso_poses, largest_cube
 from core.errors import RobotError
 from core.robots import preset_document, robot_from_document
 from tests.core.truth import Arm, Step, ur10
@@ -59,6 +59,35 @@ def test_points_lie_on_the_four_planes_within_the_cube() -> None:
     on = np.stack([np.isclose(y, z), np.isclose(y, -z), np.isclose(x, z), np.isclose(x, -z)])
     assert on.any(axis=0).all()
     assert (on.sum(axis=1) >= 100).all()
+
+
+@pytest.mark.parametrize("plane", range(4))
+def test_the_five_poses_lie_as_the_standard_says(plane: int) -> None:
+    """Centre, and a tenth of the diagonal's length from the ends of both diagonals of one plane."""
+    side = 0.3
+    cube = Cube(np.array([0.1, 0.2, 0.3]), side)
+    p1, p2, p3, p4, p5 = cube.five(plane)
+    assert p1 == pytest.approx(cube.centre)
+    diagonal = np.sqrt(3.0) * side
+    for one, other in ((p2, p4), (p3, p5)):
+        assert np.linalg.norm(one - other) == pytest.approx(0.8 * diagonal)
+        assert (one + other) / 2 == pytest.approx(cube.centre)
+        assert np.abs(one - cube.centre) == pytest.approx(np.full(3, 0.4 * side))
+    normal = np.cross(p2 - p1, p3 - p1)
+    assert np.dot(normal, p4 - p1) == pytest.approx(0.0, abs=1e-12)
+    assert sorted(np.abs(normal / np.linalg.norm(normal))) == pytest.approx([0.0, np.sqrt(0.5), np.sqrt(0.5)])
+
+
+def test_the_katana_reaches_its_five_poses_and_moves_every_joint_between_them() -> None:
+    robot = robot_from_document(preset_document("katana450-chapter5"))
+    q = five_poses(robot)
+    p = KATANA.poses(q)[0] + BASE
+    assert np.linalg.norm(p[1] - p[3]) == pytest.approx(np.linalg.norm(p[2] - p[4]), abs=1e-6)
+    assert (p[1] + p[3]) / 2 == pytest.approx(p[0], abs=1e-6)
+    assert np.linalg.norm(p[1] - p[3]) > 0.15
+    lower, upper = robot.limits.T
+    assert ((q > lower) & (q < upper)).all()
+    assert (np.abs(np.diff(q[::-1], axis=0)) > np.radians(0.05)).all()
 
 
 def test_the_largest_cube_of_a_full_box_is_most_of_it() -> None:
