@@ -22,6 +22,7 @@ from core.parameters import Parameter, indices, refuse_collisions
 from core.robot import Robot
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 THE_ROBOTS_OWN = np.empty((0, 0))
 
@@ -38,13 +39,13 @@ class Prediction:
 class Program:
     """The model's elements (base increments, chain, tool increments) as kernel arrays, parameters aside."""
 
-    axis: NDArray[np.int64]
-    joint: NDArray[np.int64]
+    axis: Ints
+    joint: Ints
     ratio: Floats
     value: Floats
-    slot: NDArray[np.int64]
+    slot: Ints
     tool_at: int
-    element_of: NDArray[np.int64]  # element of each geometric parameter
+    element_of: Ints  # element of each geometric parameter
 
 
 @dataclass(frozen=True)
@@ -175,16 +176,11 @@ class RobotModel:
         return Prediction(position if total.stretch is None else position * total.stretch, rotation)
 
     def jacobian(
-        self,
-        observations: Observations | Batch,
-        values: Floats,
-        free: NDArray[np.int64] | None = None,
-        turns: bool = True,
+        self, observations: Observations | Batch, values: Floats, free: Ints | None = None, turns: bool = True
     ) -> tuple[Prediction, Floats]:
         """Poses and their exact derivative (N, 6, F) by the parameters ``free`` (ascending indices; all when None).
 
-        Rows 0-2 are the position (m per unit), rows 3-5 the rotation vector in the frame of the measurements (rad per
-        unit), left out (N, 3, F) without ``turns``.
+        Rows 0-2 are the position (m per unit), 3-5, with ``turns``, the rotation vector in the measurements' frame (rad).
         """
         batch = self._as_batch(observations)
         free = np.arange(len(self.names)) if free is None else free
@@ -274,7 +270,7 @@ class RobotModel:
         return np.asarray(np.einsum("jab,njkb->njka", frames, split).reshape(xi.shape))
 
     def _screws(
-        self, batch: Batch, values: Floats, total: _Total, geometric: NDArray[np.int64]
+        self, batch: Batch, values: Floats, total: _Total, geometric: Ints
     ) -> tuple[Prediction, Floats, Floats, Floats]:
         rows, n = batch.q.shape
         p = self.program
@@ -289,9 +285,7 @@ class RobotModel:
         )  # fmt: skip
         return Prediction(position, rotation), JE, JQ, JX
 
-    def _effect_columns(
-        self, total: _Total, free: NDArray[np.int64], JQ: Floats, JX: Floats, position: Floats
-    ) -> Floats:
+    def _effect_columns(self, total: _Total, free: Ints, JQ: Floats, JX: Floats, position: Floats) -> Floats:
         """Chain rule: tool columns of the free effect parameters from the local derivatives."""
         wanted = [int(k) for k in free if k >= self.n_geometric]
         out = np.zeros((*JQ.shape[:2], len(wanted)))
