@@ -7,7 +7,10 @@ of the adaptor is compared with itself.
 from __future__ import annotations
 
 import json
+import os
 import struct
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,8 +25,10 @@ from rosbags.typesys import Stores, get_typestore
 from core.correction import Track, compile_program
 from core.model import Calibration
 from service.corrector.session import config, with_free_port
+from service.db import Database, revision
+from service.errors import ServiceError
 from service.ros2 import names
-from service.ros2.process import follow
+from service.ros2.process import follow, run
 from service.settings import Settings
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -49,7 +54,7 @@ def header(sec: int = 0) -> object:
     return made("std_msgs/msg/Header", stamp=stamp, frame_id="world")
 
 
-def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "waited too long"
@@ -283,3 +288,34 @@ def test_settings_reach_a_child_process(tmp_path: Path, monkeypatch: pytest.Monk
     for name, value in given.environment().items():
         monkeypatch.setenv(name, value)
     assert Settings() == given
+
+
+def test_the_command_runs_on_a_new_database_and_stops_when_told(router: str, ros: RosPeer, tmp_path: Path) -> None:
+    settings = Settings(data=tmp_path, site="cmd", ros2={ROBOT: TOPICS}, ros2_domain=7, ros2_connect=router)  # type: ignore[dict-item]
+    environment = {**os.environ, **settings.environment()}
+    database = Database(settings.database)
+    revision.migrate(database)
+    database.close()
+    heard: list[dict[str, object]] = []
+
+    def take(sample: zenoh.Sample) -> None:
+        heard.append(json.loads(sample.payload.to_bytes()))
+
+    status = f"kilter/@v1/cmd/{ROBOT}/stream/ros2_joint_state/status"
+    ros.session.declare_subscriber(status, zenoh.handlers.Callback(take, indirect=False))
+    command = [sys.executable, "-m", "service", "ros2"]
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            ros.publish(key("/arm/wanted", STATE), STATE, state(Q))
+            until(lambda: bool(heard))
+        finally:
+            process.terminate()
+            _, said = process.communicate(timeout=20)
+    assert process.returncode == 0, said
+    assert heard[0]["counters"] == {"NO_VERSION": 1}
+    assert "/arm/wanted of katana450-chapter4 is corrected to /arm/commands" in said
+
+
+def test_without_topics_the_command_names_the_setting(tmp_path: Path) -> None:
+    with pytest.raises(ServiceError, match="KILTER_ROS2"):
+        run(Settings(data=tmp_path))
