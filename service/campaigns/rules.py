@@ -91,6 +91,8 @@ class RowRules:
         outside = (q < joint.lower - LIMIT_TOLERANCE) | (q > joint.upper + LIMIT_TOLERANCE)
         low, high = joint.lower / column.factor, joint.upper / column.factor
         what = f"is outside the limits {low:.6g} to {high:.6g} of joint {joint.name!r}: correct the row or the robot"
+        if column.name.endswith("_rad"):
+            what += f", or name the column {column.name[:-3]}deg if these are degrees"
         self._refuse(outside, column.name, what, cells)
 
     def _check_markers(self, cells: dict[str, Floats]) -> None:

@@ -28,6 +28,11 @@ MOST_TERMS = 800
 MOST_FRAMES = 6000
 FRAMES_PER_TERM = 5
 BLOCK_S = 1.0
+SHORTEST_HALF_S = 3.0
+SURE_CORRELATION = 0.6
+LEAST_SHARE = 0.8
+MOST_STEP_S = 0.15
+MOST_DRIFT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,7 @@ def match_clocks(path: Path, thinned: Thinned, log: JointLog) -> Clocks:
     if correlation < LEAST_CORRELATION:
         what = f"its motion is not that of {log.path.name}: the speeds correlate by {correlation:.2f} at best"
         raise fault(path, what, "Is it the log of this recording? Do both hold the same motion?")
+    _refuse_step(path, thinned, log, coarse)
     t, p = _in_sight(thinned, log, coarse)
     if len(t) < 60 or float(np.ptp(p, axis=0).max()) < 5.0:
         what = f"only {len(t)} frames with motion and markers in sight lie within {log.path.name}"
@@ -71,7 +77,30 @@ def match_clocks(path: Path, thinned: Thinned, log: JointLog) -> Clocks:
     return _refined(t, p, log, coarse, correlation)
 
 
-def _coarse(thinned: Thinned, log: JointLog) -> tuple[float, float]:
+def _refuse_step(path: Path, thinned: Thinned, log: JointLog, coarse: float) -> None:
+    """Refuse clocks that do not stay together: a half of the recording that lies clearly elsewhere in the log.
+
+    A motion that repeats itself fits at several lags; the common one is believed while it fits about as well.
+    """
+    half = len(thinned.t_s) // 2
+    if thinned.t_s[-1] - thinned.t_s[0] < 4 * SHORTEST_HALF_S:
+        return
+    for part in (slice(None, half), slice(half, None)):
+        own = Thinned(thinned.t_s[part], thinned.points_mm[part], thinned.step_s)
+        lag, likeness = _coarse(own, log)
+        near = MOST_STEP_S + MOST_DRIFT * float(thinned.t_s[-1])
+        if abs(lag - coarse) < near or likeness < SURE_CORRELATION:
+            continue
+        if _coarse(own, log, (coarse - near, coarse + near))[1] < LEAST_SHARE * likeness:
+            what = f"its clock and that of {log.path.name} jump by {abs(lag - coarse):.1f} s against each other"
+            remedy = (
+                "Was a clock set while recording, or is one of the files two? Match the parts before and after alone."
+            )
+            raise fault(path, f"{what}, somewhere about {thinned.t_s[half]:.1f} s", remedy)
+
+
+def _coarse(thinned: Thinned, log: JointLog, within: tuple[float, float] | None = None) -> tuple[float, float]:
+    """Return the lag at which the speeds are most alike, and their correlation there."""
     assert log.t_s is not None
     seen, moved = _marker_speed(thinned)
     turned = np.linalg.norm(np.gradient(log.q_even(), log.t_s, axis=0), axis=1)
@@ -84,6 +113,9 @@ def _coarse(thinned: Thinned, log: JointLog) -> tuple[float, float]:
     lags[lags >= len(b)] -= size
     overlap = np.minimum(len(b), lags + len(a)) - np.maximum(0, lags)
     score = np.where(overlap >= min(len(a), len(b)) / 4, together / np.sqrt(len(a) * len(b)), -np.inf)
+    if within is not None:
+        seconds = theirs[0] - ours[0] + lags / GRID_HZ
+        score = np.where((seconds >= within[0]) & (seconds <= within[1]), score, -np.inf)
     best = int(np.argmax(score))
     first, second = max(0, lags[best]), max(0, -lags[best])
     n = int(overlap[best])

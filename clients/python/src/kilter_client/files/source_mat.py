@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_client.errors import FileError, MissingPackageError
+from kilter_client.files.mat_check import check_mat
 
 EXPRESSION = re.compile(
     r"(?P<name>[A-Za-z]\w*(?:\.\w+)*)\s*(?:(?P<kind>[\[(])\s*(?P<row>:|\d+)\s*,\s*(?P<col>:|\d+)\s*[\])])?"
@@ -100,15 +101,15 @@ def read_mat(path: Path, missing: tuple[float, ...] = ()) -> MatSource:
     """
     try:
         from scipy.io import loadmat
-        from scipy.io.matlab import MatReadError
     except ImportError as error:
         raise MissingPackageError(
             f"{path}: .mat files need scipy. Install it with: pip install 'kilter-client[files]'", package="scipy"
         ) from error
+    check_mat(path)
     try:
         content = loadmat(path, simplify_cells=True)
     except NotImplementedError as error:
         raise FileError(f"{path}: a .mat file of version 7.3. Save it in MATLAB with '-v7'.", file=str(path)) from error
-    except (OSError, ValueError, TypeError, MatReadError) as error:
+    except Exception as error:  # of a damaged file scipy lets zlib.error, KeyError, IndexError and more through
         raise FileError(f"{path}: is no .mat file that scipy can read ({error}).", file=str(path)) from error
     return MatSource(path, {name: value for name, value in content.items() if not name.startswith("__")}, missing)

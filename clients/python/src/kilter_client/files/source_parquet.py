@@ -10,6 +10,9 @@ from typing import Any
 from kilter_client.errors import FileError, MissingPackageError
 from kilter_client.files.names import did_you_mean
 
+MOST_CELLS = 30_000_000
+MOST_BYTES = 1 << 30
+
 
 @dataclass
 class ParquetSource:
@@ -64,6 +67,17 @@ class ParquetSource:
         return list(self.table.column(name).to_pylist())
 
 
+def _refuse_large(path: Path, stated: Any) -> None:
+    cells = stated.num_rows * stated.num_columns
+    unpacked = sum(stated.row_group(k).total_byte_size for k in range(stated.num_row_groups))
+    if cells > MOST_CELLS or unpacked > MOST_BYTES:
+        raise FileError(
+            f"{path}: unpacks to {stated.num_rows} rows of {stated.num_columns} columns ({unpacked / 1e6:.0f} MB). "
+            "Split it, or give contract columns, which are sent as they are.",
+            file=str(path),
+        )
+
+
 def read_parquet(path: Path, missing: tuple[float, ...] = ()) -> ParquetSource:
     """Read a Parquet file with pyarrow.
 
@@ -81,6 +95,7 @@ def read_parquet(path: Path, missing: tuple[float, ...] = ()) -> ParquetSource:
             package="pyarrow",
         ) from error
     try:
+        _refuse_large(path, pyarrow.parquet.read_metadata(path))
         return ParquetSource(path, pyarrow.parquet.read_table(path), missing)
     except (OSError, pyarrow.ArrowException) as error:
         raise FileError(f"{path}: is no Parquet file ({error}).", file=str(path)) from error

@@ -73,6 +73,9 @@ def jumps(points: Floats, rows: NDArray[np.int64], names: tuple[str, ...]) -> li
     found: list[tuple[int, str]] = []
     for k in np.flatnonzero(moved.any(axis=1)):
         what = _shifted(points[k], points[k + 1]) or _swapped(points[k], points[k + 1], moved[k], names)
+        if not what and k:
+            # in fast motion a marker is nearer to where it was going than to where it was
+            what = _swapped(2 * points[k] - points[k - 1], points[k + 1], moved[k], names)
         if what:
             found.append((int(rows[k + 1]), what))
     return found
