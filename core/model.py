@@ -287,9 +287,8 @@ class RobotModel:
 
     def _effect_columns(self, total: _Total, free: Ints, JQ: Floats, JX: Floats, position: Floats) -> Floats:
         """Chain rule: tool columns of the free effect parameters from the local derivatives."""
-        wanted = [int(k) for k in free if k >= self.n_geometric]
-        out = np.zeros((*JQ.shape[:2], len(wanted)))
-        place = {k: c for c, k in enumerate(wanted)}
+        place = {int(k): c for c, k in enumerate(free[free >= self.n_geometric])}
+        out = np.zeros((*JQ.shape[:2], len(place)))
         for start, local in total.parts:
             for d in local.derivatives:
                 c = place.get(start + d.parameter)
