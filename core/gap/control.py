@@ -58,7 +58,7 @@ def controls(hunt: Hunt, shuffles: int, seed: int, tell: Callable[[float], None]
         hits = 0
         for k in range(count):
             tell((n + k / count) / len(hunt.chosen))
-            order = _order(hunt.world.setting.group, rng)
+            order = _order(hunt.world.setting.group, rng, label is not None and hunt.world.setting.inflation <= 1.0)
             hits += _poses_named(hunt, place, order) if label is None else _label_named(hunt, place, label, order)
         out.append(Control(place, "poses" if label is None else WORDS.get(label, label), count, hits / count))
     return tuple(out)
@@ -81,11 +81,16 @@ def false_names(hunt: Hunt, shuffles: int, seed: int) -> float:
     return hits / shuffles
 
 
-def _order(group: Ints, rng: np.random.Generator) -> Ints:
-    """Shuffle of the visits that keeps the visits of a pose together as far as their numbers allow."""
+def _order(group: Ints, rng: np.random.Generator, inside: bool = False) -> Ints:
+    """Shuffle of the visits that keeps the visits of a pose together as far as their numbers allow.
+
+    ``inside`` shuffles the visits of each pose too: where every pose was approached from below and then from above, any
+    order of whole poses has the labels that it had before.
+    """
     poses = rng.permutation(int(group.max()) + 1)
     rank = np.argsort(poses)
-    return np.argsort(rank[group], kind="stable").astype(np.int64)
+    ties = rng.permutation(len(group)) if inside else np.arange(len(group))
+    return np.lexsort((ties, rank[group])).astype(np.int64)
 
 
 def _label_named(hunt: Hunt, place: int, label: str, order: Ints) -> bool:

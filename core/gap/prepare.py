@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from core.errors import ObservationError, TooFewPosesError
+from core.errors import NotConvergedError, ObservationError, TooFewPosesError
 from core.gap.candidates import Library, library_of
 from core.gap.noise import FIT, Noise, fit_noise, repeat_noise, spikes, stated_noise
 from core.gap.options import GapOptions
@@ -28,6 +28,8 @@ from core.gap.trajectory import (
 from core.gap.visits import Visits, visits_of
 from core.gap.world import Setting, World, refit
 from core.identify.estimate import estimate
+from core.identify.estimate import prepared as start_of
+from core.identify.least_squares import Fit, fit_at
 from core.identify.options import IdentifyOptions
 from core.measurement import Measurement
 from core.model import Calibration, RobotModel
@@ -39,6 +41,7 @@ Ints = NDArray[np.int64]
 Tell = Callable[[float, str], None]
 
 CHUNK = 20_000
+NOT_FITTED = "geometry_not_fitted"
 LIKE_NEIGHBOURS = 1.5  # correlation length, in poses, from which poses in a row are not independent
 SPARE = 6  # scalars beyond the geometry below which nothing can be tested
 
@@ -128,12 +131,27 @@ class Workshop:
             loss="huber", free=options.free, fix=options.fix, base=options.base, tool=options.tool
         )
         measurement = Measurement.of(rows, self.start.marker_points)
-        fit = estimate(self.start, measurement, identify)
+        fit = self._geometry(measurement, identify)
         model = fit.problem.model
         library = library_of(self.start.robot, rows, model.names, options.effects)
         whole = RobotModel(model.robot, (*model.effects, *library.effects), model.T_base, model.T_tool)
         source = ToolSource.of(whole, measurement, fit.problem.free, len(library.parameters))
         return source, np.concatenate([fit.values, np.zeros(len(library.parameters))]), library
+
+    def _geometry(self, measurement: Measurement, options: IdentifyOptions) -> Fit:
+        """Robust fit of the geometry, a plain one where that has no end; of a foreign robot base and tool registered."""
+        for loss in ("huber", "linear"):
+            try:
+                return estimate(self.start, measurement, replace(options, loss=loss))
+            except NotConvergedError as error:
+                why = error.message
+        self._warn(
+            NOT_FITTED, f"The geometry could not be fitted ({why}) Base and tool were registered only, nothing else."
+        )
+        model = self.start.model
+        held = (*model.names[6 : model.n_geometric - 6], *model.names[model.n_geometric :])
+        problem, values = start_of(self.start, measurement, replace(options, free=(), fix=held))
+        return fit_at(problem, values, problem.linearised(values, None), 0)
 
     def _link_source(self, rows: Observations) -> tuple[Source, Floats, Library]:
         model = self.start.model

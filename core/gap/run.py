@@ -20,7 +20,7 @@ from core.gap.hunt import Hunt, hunt
 from core.gap.intervals import Amplitude, amplitudes
 from core.gap.next_poses import rows_of, separate
 from core.gap.options import GapOptions
-from core.gap.prepare import Prepared, Workshop
+from core.gap.prepare import NOT_FITTED, Prepared, Workshop
 from core.gap.report import GapReport
 from core.gap.scan import Scorer
 from core.gap.settle import chance, settled
@@ -179,7 +179,7 @@ class _Run:
                 size > STRANGE_SHARE * spread,
                 f"{size * 1e3:.1f} mm over a workspace of {spread * 1e3:.0f} mm",
             )
-        if not strange:
+        if not strange and NOT_FITTED not in {w["code"] for w in self.prepared.warnings}:
             return ""
         return (
             f"After fitting the geometry {words} are left. This is not a missing effect: the observations belong to "

@@ -122,11 +122,9 @@ def test_another_robots_campaign_is_no_missing_effect(
     worker.start()
     until(lambda: client.get(address).json()["state"] in FINAL)
     done = client.get(address).json()
-    said = done["result"]["sentence"] if done["result"] else done["error"]["message"]
-    assert "not a missing effect" in said
-    if done["result"]:
-        found = done["result"]
-        assert (found["verdict"], found["effects"], found["version_id"]) == ("unexplained", [], None)
+    found = done["result"]
+    assert "not a missing effect" in found["sentence"]
+    assert (found["verdict"], found["effects"], found["version_id"]) == ("unexplained", [], None)
     assert client.get(f"/v1/robots/{arm.name}/versions").json()["versions"] == []
 
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.errors import CancelledError, OptionError, TooFewPosesError
-from core.gap import GapOptions, find_gap
+from core.errors import CancelledError, NotConvergedError, OptionError, TooFewPosesError
+from core.gap import GapOptions, find_gap, prepare
 from core.gap.options import GapOptions as Options
 from core.model import Calibration
 from core.observations import Observations
@@ -149,13 +149,45 @@ def test_repeats_without_leaving_the_pose_confirm_only_what_leaves_no_more_than_
     assert (effect.evidence.candidate.id, effect.verdict) == ("backlash", verdict)
 
 
-def test_the_wrong_robot_is_not_a_missing_effect(robot):
-    rows = campaign(robot, seed=1)
-    swapped = replace(rows, q=rows.q[:, [0, 2, 1, 3, 4]])
-    report = find_gap(robot, swapped, QUICK)
+def _mistaken(rows, mistake):
+    half = np.arange(len(rows)) > len(rows) // 2
+    return {
+        "order of joints": lambda: replace(rows, q=rows.q[:, [0, 2, 1, 3, 4]]),
+        "sign of a joint": lambda: replace(rows, q=rows.q * [-1, 1, 1, 1, 1]),
+        "degrees for radians": lambda: replace(rows, q=np.degrees(rows.q)),
+        "tool changed half-way": lambda: replace(rows, position=rows.position + np.outer(half, [0.1, 0.0, 0.0])),
+        "another row's joints": lambda: replace(rows, q=np.roll(rows.q, 1, axis=0), pose_id=None),
+        "millimetres for metres": lambda: replace(rows, position=rows.position * 1e3),
+    }[mistake]()
+
+
+MISTAKES = (
+    "order of joints", "sign of a joint", "degrees for radians", "tool changed half-way", "another row's joints",
+    "millimetres for metres",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_the_wrong_robot_or_tool_is_not_a_missing_effect(robot, mistake):
+    report = find_gap(robot, _mistaken(campaign(robot, seed=1), mistake), QUICK)
     assert "not_a_missing_effect" in codes(report)
     assert (report.effects, report.verdict) == ((), "unexplained")
     assert "not a missing effect" in report.sentence
+    json.dumps(report.to_document(), allow_nan=False)
+
+
+def test_where_the_geometry_cannot_be_fitted_the_report_still_comes(robot, monkeypatch):
+    real = prepare.estimate
+
+    def endless(start, measurement, options):
+        if not options.fix:
+            raise NotConvergedError("no minimum")
+        return real(start, measurement, options)
+
+    monkeypatch.setattr(prepare, "estimate", endless)
+    report = find_gap(robot, campaign(robot, seed=1), QUICK)
+    assert {"not_a_missing_effect", "geometry_not_fitted"} <= codes(report)
+    assert report.effects == ()
 
 
 def test_fewer_poses_than_geometry_needs(robot):

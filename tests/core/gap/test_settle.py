@@ -73,3 +73,21 @@ def test_no_name_is_left_that_chance_could_have_given(monkeypatch):
     (effect,) = report.effects  # the same thing under either name
     assert effect.evidence.candidate.id in {"backlash", "friction_windup"}
     assert all(j.evidence.p_value <= QUICK.alpha for j in report.effects)
+
+
+def test_the_name_of_a_strong_backlash_vanishes_where_every_pose_was_approached_from_both_sides():
+    robot = katana()
+    rows = campaign(robot, poses=60, revisits=0, seed=5)
+    pose = np.repeat(np.arange(60), 2)
+    side = np.tile([-1.0, 1.0], 60)[:, None] * np.ones(robot.n_joints)
+    both = replace(rows.select(pose), direction=side, pose_id=pose, t=np.arange(120.0))
+    rng = np.random.default_rng(5)
+    model = RobotModel(robot, (make_effect("backlash", (1,)),))
+    values = model.values0()
+    values[-1] = 3e-3
+    position = model.predict(both, values).position + 2e-5 * rng.standard_normal((120, 3))
+    report = find_gap(robot, replace(both, position=position), replace(QUICK, noise_mm=0.02, permutations=20))
+    (effect,) = report.effects
+    assert effect.evidence.candidate.joints == (1,)
+    assert effect.evidence.control.label == "direction"
+    assert effect.gates["negative_control"], effect.evidence.control.survived
