@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, t
+from scipy.stats import t
 
 from core.gap.hunt import Hunt
 from core.gap.world import fitted, solved
@@ -39,7 +39,10 @@ def amplitudes(hunt: Hunt, tell: Callable[[float], None]) -> dict[int, Amplitude
     ratio = left.yy / max(left.nu, 1.0)
     absolute = world.setting.trusted
     inflation = float(np.sqrt(max(1.0, ratio) if absolute else ratio))
-    width = float(norm.isf((1 - LEVEL) / 2) if absolute else t.isf((1 - LEVEL) / 2, max(left.nu, 1.0)))
+    # The scale is known as well as the repeats know it, or as what is left does when there are none.
+    noise = world.setting.noise
+    known = (noise.freedom if noise.absolute else np.inf) if absolute else left.nu
+    width = float(t.isf((1 - LEVEL) / 2, max(known, 1.0)))
     values, covariance = fitted(world, columns)
     out = {}
     for n, k in enumerate(columns):
