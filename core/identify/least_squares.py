@@ -194,7 +194,7 @@ def solve(problem: Problem, start: Floats, progress: Progress | None = None, kno
     for iteration in range(1, MAX_ITERATIONS + 1):
         if not np.isfinite(here.loss):
             raise NotConvergedError("The residuals are not finite: check the observations for impossible values.")
-        H, g = _holding(problem, values, *_normal_equations(problem, values, here))
+        H, g = _holding(problem, values, *normal_equations(problem, values, here))
         taken = _damped_step(problem, values, H, g, here, damping)
         if progress is not None:
             progress(iteration, here.loss)
@@ -236,7 +236,8 @@ def _damped_step(
     return None
 
 
-def _normal_equations(problem: Problem, values: Floats, here: Linearised) -> tuple[Floats, Floats]:
+def normal_equations(problem: Problem, values: Floats, here: Linearised) -> tuple[Floats, Floats]:
+    """Matrix (F, F) and slope (F,) in prior sigmas, the priors included."""
     scale = problem.prior_sigma
     H = (here.J.T @ here.J) * np.outer(scale, scale)
     H.flat[:: len(H) + 1] += 1.0
@@ -276,7 +277,7 @@ def _weight_root(size: Floats) -> Floats:
 
 def fit_at(problem: Problem, values: Floats, here: Linearised, iterations: int) -> Fit:
     """Fit that ends at ``values (P,)``, with the covariance of the problem linearised there."""
-    H, _ = _normal_equations(problem, values, here)
+    H, _ = normal_equations(problem, values, here)
     inverse = np.linalg.inv(H)
     scale = problem.prior_sigma
     return Fit(

@@ -12,6 +12,7 @@ from core.identify.estimate import Progress, estimate
 from core.identify.global_search import global_search
 from core.identify.kalman import Prior, kalman
 from core.identify.least_squares import Fit
+from core.identify.linear import linear_least_squares
 from core.identify.options import IdentifyOptions
 from core.identify.per_pose import influence, pose_pseudo_inverse
 from core.measurement import Measurement
@@ -21,6 +22,7 @@ Method = Callable[[Calibration, Measurement, IdentifyOptions, Progress | None], 
 
 ESTIMATORS: Mapping[str, Method] = MappingProxyType({
     "least_squares": estimate,
+    "linear_least_squares": linear_least_squares,
     "pose_pseudo_inverse": pose_pseudo_inverse,
     "influence": influence,
     "kalman": kalman,

@@ -15,8 +15,8 @@ from core.errors import OptionError
 from core.model import RobotModel
 
 FULL_TILTING = ("clearance_tilt", "backlash_load", "axial_compliance")
-BY_POSE = ("pose_pseudo_inverse", "influence")
-METHODS = ("least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search")
+NO_MINIMUM = ("linear_least_squares", "pose_pseudo_inverse", "influence")
+METHODS = ("least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search", "linear_least_squares")
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ class IdentifyOptions:
                     f'socket_distances_mm has {pair!r}: {value!r}. Give two socket ids and a length, {{"1-2": 400.0}}.',
                     option="socket_distances_mm",
                 )
-        if self.intervals is not None and self.method in BY_POSE:
+        if self.intervals is not None and self.method in NO_MINIMUM:
             raise OptionError(
-                f"Intervals are those of a least-squares minimum, which {self.method} does not end at: its sigmas hold the "
-                "disagreement of the poses. Leave intervals out, or take method least_squares.",
+                f"Intervals are those of a least-squares minimum, which {self.method} does not end at. Leave intervals "
+                "out, or take method least_squares.",
                 option="intervals",
             )
         if self.level in (1, 2) and self.effects:

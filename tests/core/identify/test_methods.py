@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,8 +41,14 @@ def rms(found: Identification) -> float:
     return float(found.metrics["validation"]["identified"]["rms_mm"] * 1e-3 / np.sqrt(3.0))
 
 
-def test_every_method_has_an_estimator() -> None:
+def test_every_method_has_an_estimator_and_a_page() -> None:
     assert set(ESTIMATORS) == set(METHODS)
+    pages = Path(__file__).resolve().parents[3] / "docs/how-to"
+    for method in METHODS:
+        page = (pages / f"method-{method.replace('_', '-')}.md").read_text(encoding="utf-8")
+        assert f"`{method}`" in page or f"--method {method}`" in page
+        assert "**Take it**" in page
+        assert "**Do not take it**" in page
 
 
 @pytest.mark.parametrize("method", ["pose_pseudo_inverse", "influence"])
@@ -56,6 +63,42 @@ def test_exact_offsets_are_found_one_pose_at_a_time(method: str) -> None:
     found = identify(robot_from_document(nominal.document()), train, held, options)
     assert rms(found) < 1e-6
     assert found.to_document()["method"]["name"] == method
+
+
+def test_one_stacked_solve_is_numpy_s_on_a_jacobian_by_differences() -> None:
+    """The stacked linear problem written here from the Pinocchio arm alone, priors as rows."""
+    rng = np.random.default_rng(5)
+    nominal = ur10(tool=small_pose(rng, 0.1, 0.3))
+    names = [f"theta_offset_{j}" for j in range(2, 7)] + ["a_2", "a_3", "alpha_1", "beta_2"]
+    errors = {name: float(rng.normal(0.0, 3e-4)) for name in names}
+    q = joints(nominal, 40, rng)
+    rows = measured(nominal.moved(errors), q, rng, NOISE)
+    assert rows.position is not None
+    robot = robot_from_document(nominal.document())
+    options = replace(FIXED, method="linear_least_squares", free=tuple(names), noise_mm=NOISE * 1e3)
+    found = identify(robot, rows, options=options)
+    h = 1e-6
+    J = np.stack([
+        (nominal.moved({n: h}).poses(q)[0] - nominal.moved({n: -h}).poses(q)[0]).reshape(-1) / (2 * h)
+        for n in found.free_names
+    ], axis=1)  # fmt: skip
+    r = (rows.position - nominal.poses(q)[0]).reshape(-1)
+    prior = np.array([found.calibration.model.parameter(n).prior_sigma for n in found.free_names])
+    A = np.concatenate([J / NOISE, np.diag(1.0 / prior)])
+    by_hand = np.linalg.lstsq(A, np.concatenate([r / NOISE, np.zeros(len(prior))]), rcond=None)[0]
+    nominal_values = found.calibration.model.values0()
+    place = [found.calibration.names.index(n) for n in found.free_names]
+    np.testing.assert_allclose((found.calibration.values - nominal_values)[place], by_hand, rtol=2e-5, atol=1e-9)
+    assert found.to_document()["method"]["linear_error"] < 0.2
+
+
+def test_a_linear_solve_says_how_far_it_was_from_linear() -> None:
+    robot, true, rng = arms(2, metres=5e-3, radians=2e-2)
+    train, held = (measured(true, joints(true, n, rng), rng, NOISE) for n in (120, 60))
+    linear = identify(robot, train, held, replace(FIXED, method="linear_least_squares", noise_mm=NOISE * 1e3))
+    settled = identify(robot, train, held, replace(FIXED, noise_mm=NOISE * 1e3))
+    assert linear.to_document()["method"]["linear_error"] > 10.0
+    assert rms(linear) > 2.0 * rms(settled)
 
 
 def test_a_pose_is_solved_as_the_weighted_pseudo_inverse() -> None:
