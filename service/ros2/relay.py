@@ -17,7 +17,7 @@ from core.correction import Track
 from service.corrector import frames
 from service.corrector.active import Active
 from service.corrector.frames import Flag, Floats, Status
-from service.corrector.stream import Rules, Stream
+from service.corrector.stream import Stream
 from service.ros2 import cdr
 from service.ros2.names import Attachment
 
@@ -55,10 +55,10 @@ def joint_columns(names: Sequence[str], joints: Sequence[str]) -> list[int]:
 class StateRelay:
     """Setpoints as ``JointState``, one by one; other joints in the message, a gripper's say, pass unchanged."""
 
-    def __init__(self, joints: Sequence[str] = (), rules: Rules | None = None) -> None:
+    def __init__(self, joints: Sequence[str] = ()) -> None:
         self.counts: Counter[str] = Counter()
         self._joints = tuple(joints)
-        self._stream = Stream(rules)
+        self._stream = Stream()
         self._gid: bytes | None = None
         self._heard_ns = 0
         self._seq = 0
