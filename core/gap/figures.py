@@ -137,18 +137,23 @@ def _by_label(hunt: Hunt, rows: Observations, name: str) -> list[dict[str, Any]]
 
 
 def _gap_bar(hunt: Hunt, gap: dict[str, Any]) -> list[dict[str, Any]]:
+    """The error before, after each effect in the order of what it takes off, and the noise; no label twice."""
     unit = "deg" if "before_deg" in gap else "mm"
     bars = [{"label": "before", "value": gap[f"before_{unit}"]}]
-    for n in range(1, len(hunt.chosen)):
-        columns = hunt.selector.columns(hunt.chosen[:n])
-        r = _residuals(hunt.world, columns)[hunt.world.setting.used]
-        bars.append(
-            {
-                "label": "+ " + hunt.selector.scorer.candidates[hunt.chosen[n - 1]].label,
-                "value": rms(r, np.eye(r.shape[1]), _joint_data(hunt)) * _unit(hunt),
-            }
-        )
-    if hunt.chosen:
-        label = "+ " + hunt.selector.scorer.candidates[hunt.chosen[-1]].label
-        bars.append({"label": label, "value": gap[f"after_{unit}"]})
+    taken: list[int] = []
+    seen: dict[str, int] = {}
+    while len(taken) < len(hunt.chosen):
+        sizes = {k: _left(hunt, [*taken, k]) for k in hunt.chosen if k not in taken}
+        best = min(sizes, key=lambda k: sizes[k])
+        taken.append(best)
+        label = "+ " + hunt.selector.scorer.candidates[best].label
+        seen[label] = seen.get(label, 0) + 1
+        value = gap[f"after_{unit}"] if len(taken) == len(hunt.chosen) else sizes[best]
+        bars.append({"label": label if seen[label] == 1 else f"{label} ({seen[label]})", "value": value})
     return [*bars, {"label": "noise", "value": gap[f"noise_{unit}"]}]
+
+
+def _left(hunt: Hunt, chosen: Sequence[int]) -> float:
+    """Rms error with some of the chosen candidates, mm or deg."""
+    r = _residuals(hunt.world, hunt.selector.columns(chosen))[hunt.world.setting.used]
+    return rms(r, np.eye(r.shape[1]), _joint_data(hunt)) * _unit(hunt)

@@ -19,6 +19,7 @@ from core.gap.source import ToolSource
 from core.gap.world import World
 from core.measurement import Measurement
 from core.observations import Observations
+from core.robot import Robot
 
 Floats = NDArray[np.float64]
 
@@ -61,15 +62,21 @@ def separate(
     return (best, new) if best.after[-1] >= CHANGE_FIRST * new.after[-1] else (new, best)
 
 
-def rows_of(proposals: Sequence[Proposal], names: tuple[str, str]) -> list[dict[str, Any]]:
-    """Proposals as documents: joint angles in degrees, load, directions, and how much more they would tell."""
-    return [_row(p, k, names) for p in proposals for k in range(len(p.rows))]
+def rows_of(proposals: Sequence[Proposal], names: tuple[str, str], robot: Robot) -> list[dict[str, Any]]:
+    """Proposals as documents: joint angles in degrees (slides in mm), load, directions, how much more they would tell."""
+    scale = wire_scale(robot)
+    return [_row(p, k, names, scale) for p in proposals for k in range(len(p.rows))]
 
 
-def _row(p: Proposal, k: int, names: tuple[str, str]) -> dict[str, Any]:
+def wire_scale(robot: Robot) -> Floats:
+    """What a joint value (n,) in SI is multiplied by for ``q_deg``: to degrees, a slide's to mm."""
+    return np.array([1e3 if joint.kind == "prismatic" else 180.0 / np.pi for joint in robot.joints])
+
+
+def _row(p: Proposal, k: int, names: tuple[str, str], scale: Floats) -> dict[str, Any]:
     return {
         "kind": p.kind, "change": p.change or None,
-        "q_deg": [round(float(v), 3) for v in np.degrees(p.rows.q[k])],
+        "q_deg": [round(float(v), 3) for v in p.rows.q[k] * scale],
         "payload_kg": None if p.rows.payload_kg is None else float(p.rows.payload_kg[k]),
         "direction": None if p.rows.direction is None else [int(s) for s in p.rows.direction[k]],
         "separates": list(names), "information_factor": round(float(p.after[k] / max(p.before, 1e-12)), 3),

@@ -48,7 +48,7 @@ def plan_separation(
     amplitudes = np.where(np.isfinite(judged.smallest), 3.0 * judged.smallest, sizes)[list(target.columns)]
     rows = prepared.visits.observations
     return rows_of(
-        separate(world, rows, target, [rival], (), amplitudes, count, options.seed), (target.label, rival.label)
+        separate(world, rows, target, [rival], (), amplitudes, count, options.seed), (target.label, rival.label), robot
     )
 
 

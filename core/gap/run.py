@@ -223,7 +223,7 @@ class _Run:
             found.world, self.prepared.visits.observations, target, [a.candidate for a in rivals[:1]], others, values,
             self.options.next_poses, self.options.seed,
         )  # fmt: skip
-        return rows_of(proposals, (target.label, rivals[0].candidate.label if rivals else "geometry"))
+        return rows_of(proposals, (target.label, rivals[0].candidate.label if rivals else "geometry"), self.robot)
 
     def _noise(self, found: Hunt) -> dict[str, Any]:
         noise = found.world.setting.noise

@@ -126,6 +126,8 @@ def _reason(c: Candidate, judged: Testability, world: World, rows: Observations,
         return f"The geometric parameters absorb it completely{why}."
     worst = int(columns[int(np.argmax(judged.smallest[columns]))])
     p = library.parameters[worst]
+    if not np.isfinite(judged.smallest[worst]):
+        return f"{p.name} would show at no size: the geometric parameters absorb it, or nothing measured moves with it."
     unit, scale = WIRE.get(p.unit, (p.unit, 1.0))
     return (
         f"Only {p.name} above {judged.smallest[worst] * scale:.3g} {unit} would show, more than the plausible "

@@ -77,9 +77,12 @@ def _hunt(job: JobInput, progress: Progress) -> JobOutput:
 
 def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
     """The poses to measure next as a file, None without any."""
+    from core.gap.next_poses import wire_scale
+
+    scale = wire_scale(job.robot)
     made = [
         Pose(
-            q=np.radians(row["q_deg"]),
+            q=np.array(row["q_deg"]) / scale,
             payload_kg=row["payload_kg"],
             direction=None if row["direction"] is None else tuple(row["direction"]),
         )

@@ -81,6 +81,30 @@ def test_the_name_vanishes_when_labels_are_shuffled(backlash):
     assert control["effects"][0]["shuffled"] == "direction"
 
 
+def test_the_gap_bar_falls_step_by_step_and_no_label_comes_twice(robot):
+    hidden = [
+        ("second_harmonic", (4,), (8e-4, 5e-4)),
+        ("backlash", (1,), (9e-4,)),
+        ("eccentricity", (2,), (9e-4, 4e-4)),
+    ]
+    report = find_gap(robot, campaign(robot, hidden, poses=100), QUICK)
+    bars = report.figures["gap_bar"]
+    steps = [b["value"] for b in bars[:-1]]
+    drops = -np.diff(steps)
+    assert len(steps) == 4
+    assert (drops > 0).all()
+    assert len({b["label"] for b in bars}) == len(bars)
+
+
+def test_constant_temperature_and_what_nothing_shows_are_said_in_words(robot):
+    rows = campaign(robot, seed=7)
+    report = find_gap(robot, replace(rows, temperature_c=np.full(len(rows), 21.0)), QUICK)
+    (why,) = [u for u in report.not_testable if u.id == "thermal_growth"]
+    assert "constant" in why.reason
+    assert why.remedy
+    assert not [u for u in report.not_testable if "inf" in u.reason.split()]
+
+
 def test_the_document_is_plain_json(backlash):
     document = json.loads(json.dumps(backlash.to_document(), allow_nan=False))
     wanted = {

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from core.errors import OptionError
 from core.gap import plan_separation
 from core.gap.candidates import with_testable
-from core.gap.next_poses import _Question, rows_of, separate
+from core.gap.next_poses import Proposal, _Question, rows_of, separate
 from core.gap.options import GapOptions
 from core.gap.prepare import Workshop
 from core.gap.testability import testability as judged
@@ -52,7 +54,7 @@ def test_proposed_poses_stay_within_the_limits(asked):
     p, target, rival = asked
     proposals = separate(p.world, p.visits.observations, target, [rival], (), np.array([1e-4]), 5, 0)
     limits = np.degrees(katana().limits)
-    for row in rows_of(proposals, ("a", "b")):
+    for row in rows_of(proposals, ("a", "b"), katana()):
         assert np.all(np.array(row["q_deg"]) >= limits[:, 0])
         assert np.all(np.array(row["q_deg"]) <= limits[:, 1])
         assert row["separates"] == ["a", "b"]
@@ -66,3 +68,13 @@ def test_a_plan_for_two_named_effects():
     assert planned[3]["information_factor"] > planned[0]["information_factor"] > 1.0
     with pytest.raises(OptionError, match="cannot show axial_compliance"):
         plan_separation(robot, rows, ("axial_compliance", (0,)), ("link_bending", (1,)))
+
+
+def test_a_slide_is_given_in_mm():
+    robot = katana()
+    slide = replace(robot, joints=(replace(robot.joints[0], kind="prismatic"), *robot.joints[1:]))
+    rows = campaign(robot, poses=2, revisits=0)
+    proposal = Proposal(rows, "new", "", 1.0, (2.0, 3.0))
+    first = rows_of([proposal], ("a", "b"), slide)[0]["q_deg"]
+    assert first[0] == pytest.approx(1e3 * rows.q[0, 0], abs=1e-3)
+    assert first[1] == pytest.approx(np.degrees(rows.q[0, 1]), abs=1e-3)
