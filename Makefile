@@ -8,7 +8,7 @@ IMAGE ?= kilter
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check bench bench-peers bench-stream fuzz-stream blind thesis image fmt clean
+.PHONY: help setup demo serve test check bench bench-peers bench-stream fuzz-stream test-faults blind thesis image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -62,6 +62,9 @@ bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo,
 
 fuzz-stream: $(KERNELS) ## send a million damaged frames through the corrector
 	$(BIN)/python -m pytest -m slow -q tests/corrector/test_stream.py
+
+test-faults: $(KERNELS) ## kill, stop and cut off everything around the stream, slow cases too
+	$(BIN)/python -m pytest -m "slow or not slow" -q tests/corrector/test_faults.py tests/corrector/test_process.py
 
 blind: $(READY) ## find hidden physics in N simulated campaigns and write docs/reference/gap-finder-benchmark.md (N=1000)
 	$(BIN)/python -m tests.blind.run --n $(or $(N),1000)

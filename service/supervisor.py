@@ -22,7 +22,7 @@ from service.auth.token import admin_token, check_binding
 from service.errors import ServiceError
 from service.server_file import ServerFile
 from service.serving import listener, url_of
-from service.settings import DATABASE_FILE, Settings
+from service.settings import Settings
 
 log = logging.getLogger("kilter.serve")
 
@@ -122,7 +122,7 @@ def serve(settings: Settings) -> None:
         if settings.ros2:
             children.append(Child("ros2", settings))
         try:
-            _start(settings, children)
+            _start(settings, children, stop)
             if _wait_until_ready(settings, children, url_of(opened), stop):
                 document = {
                     "url": url_of(opened),
@@ -143,16 +143,14 @@ def _document(settings: Settings, url: str) -> dict[str, Any]:
     return {"url": url, "pid": os.getpid(), "zenoh": _zenoh(settings), "data": str(settings.data)}
 
 
-def _start(settings: Settings, children: list[Child]) -> None:
-    # They import for a second or two, so they start first; API and worker wait for the migration themselves, the
-    # corrector would complain about the missing tables of a new data folder.
-    new = settings.database_url is None and not (settings.data / DATABASE_FILE).exists()
-    early, late = (children[:2], children[2:]) if new else (children, [])
-    for child in early:
+def _start(settings: Settings, children: list[Child], stop: threading.Event) -> None:
+    # They import for a second or two, so they start first, the corrector with its two processes before the others; all
+    # wait for the migration themselves.
+    for child in reversed(children):
+        if stop.is_set():
+            return
         child.start()
     _migrate(settings)
-    for child in late:
-        child.start()
 
 
 def _migrate(settings: Settings) -> None:

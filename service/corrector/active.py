@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from core.correction import CorrectionProgram
+if TYPE_CHECKING:
+    from core.correction import CorrectionProgram
 
 
 @dataclass(frozen=True)

@@ -5,31 +5,51 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Hashable, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING
 
-from core.correction import CorrectionOptions, compile_program
 from core.errors import CoreError
 from service.corrector.active import Active, version_number
-from service.db import Database
-from service.versions import store
+
+if TYPE_CHECKING:
+    from service.db import Database
+    from service.versions import store
 
 log = logging.getLogger("kilter.corrector")
 
 
 class DatabaseSource:
-    """Reads what is active; a version is compiled once."""
+    """Reads what is active; a version is compiled once. Its libraries are imported at the first look, not before."""
 
     def __init__(self, url: str, temperature_c: float | None = None) -> None:
         self._temperature_c = temperature_c
-        self._database = Database(url)
+        self._url = url
+        self._migrated = False
         self._compiled: dict[tuple[str, int], Active] = {}
 
+    @cached_property
+    def _database(self) -> Database:
+        from service.db import Database
+
+        return Database(self._url)
+
     def stamp(self) -> Hashable:
-        """Number that changes with every activation."""
+        """Number that changes with every activation; None while a new database is still without its tables."""
+        from service.db import revision
+        from service.versions import store
+
+        self._migrated = self._migrated or revision.current(self._database) == revision.HEAD
+        if not self._migrated:
+            return None
         with self._database.transaction() as session:
             return store.active_stamp(session)
 
     def load(self) -> Mapping[str, Active]:
         """Every robot's active version. One that cannot be compiled is logged and leaves the others alone."""
+        from service.versions import store
+
+        if not self._migrated:
+            return {}
         with self._database.transaction() as session:
             found = [store.active_version(session, name) for name in store.robots_with_active(session)]
         out = {}
@@ -46,11 +66,14 @@ class DatabaseSource:
         return out
 
     def close(self) -> None:
-        """Close the database."""
-        self._database.close()
+        """Close the database, if it was opened."""
+        if "_database" in self.__dict__:
+            self._database.close()
 
 
 def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Active:
+    from core.correction import CorrectionOptions, compile_program
+
     options = CorrectionOptions(
         largest_rad=version.max_joint,
         largest_m=version.max_position,

@@ -13,9 +13,8 @@ import signal
 import sys
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -24,7 +23,8 @@ from core.correction import warm_up
 from service.corrector import keys
 from service.corrector.active import Active, nothing_active
 from service.corrector.session import ENCODING, close, open_listening
-from service.corrector.stream import Rules, Stream
+from service.corrector.specs import StreamSpec
+from service.corrector.stream import Stream
 
 log = logging.getLogger("kilter.corrector.stream")
 
@@ -32,17 +32,6 @@ MOST_STREAMS = 256
 STATUS_PERIOD_S = 0.5
 TICK_S = 0.05
 REAL_TIME_PRIORITY = 40
-
-
-@dataclass(frozen=True)
-class StreamSpec:
-    """What the stream process is told when it is spawned."""
-
-    site: str
-    instance: str
-    listen: str
-    zenoh_config: Path | None = None
-    rules: Rules = field(default_factory=Rules)
 
 
 @dataclass

@@ -24,10 +24,8 @@ from typing import Any
 
 from service.corrector.active import Active, Source
 from service.corrector.database_source import DatabaseSource
-from service.corrector.loop import StreamSpec, stream_main
-from service.corrector.queries import QuerySpec, query_main
 from service.corrector.session import with_port_zero
-from service.corrector.stream import Rules
+from service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec, enter
 from service.settings import Settings
 
 log = logging.getLogger("kilter.corrector")
@@ -45,7 +43,7 @@ class StoppedError(Exception):
 class Child:
     """A spawned process at the other end of a pipe. Spawned, not forked: a fork of a zenoh process hangs."""
 
-    def __init__(self, name: str, entry: Callable[[Any, Connection], None], spec: Any) -> None:
+    def __init__(self, name: str, entry: str, spec: StreamSpec | QuerySpec) -> None:
         self.name = name
         self._entry = entry
         self._spec = spec
@@ -58,7 +56,8 @@ class Child:
         context = multiprocessing.get_context("spawn")
         self._listens = False
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=self._entry, args=(self._spec, theirs), name=f"kilter-{self.name}")
+        arguments = (self._entry, self._spec, theirs)
+        self._process = context.Process(target=enter, args=arguments, name=f"kilter-{self.name}")
         self._process.start()
         theirs.close()
 
@@ -93,6 +92,11 @@ class Child:
     def pid(self) -> int | None:
         """Process id, for the corrector file."""
         return self._process.pid if self._process else None
+
+    @property
+    def listens(self) -> bool:
+        """Whether the process has said that it listens."""
+        return self._listens
 
     @property
     def alive(self) -> bool:
@@ -158,14 +162,14 @@ class Corrector:
         stream = StreamSpec(site, self.instance, listen, config, self._rules)
         queries = QuerySpec(site, with_port_zero(listen), config)
         self._children = {
-            "stream": Child("stream", stream_main, stream),
-            "query": Child("query", query_main, queries),
+            "stream": Child("stream", STREAM, stream),
+            "query": Child("query", QUERY, queries),
         }
         for child in self._children.values():
             child.launch()
+        self._look()  # while they import; what it finds they are told when they listen
         for name in self._children:
             self._take_child(name)
-        self.poll()
 
     def _take_child(self, name: str) -> None:
         endpoint, real_time = self._children[name].listening(self._stopped)
@@ -196,6 +200,10 @@ class Corrector:
                 child.stop()
                 child.launch()
                 self._take_child(name)
+        self._look()
+
+    def _look(self) -> None:
+        """Take over what was activated."""
         try:
             stamp = self._source.stamp()
             if stamp != self._stamp:
@@ -224,7 +232,8 @@ class Corrector:
 
     def _tell(self, *message: Any) -> None:
         for child in self._children.values():
-            child.send(*message)
+            if child.listens:
+                child.send(*message)
 
     def stop(self) -> None:
         """Stop both processes and remove the corrector file."""

@@ -10,7 +10,6 @@ import threading
 import time
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 import numpy as np
 import zenoh
@@ -20,18 +19,9 @@ from service.corrector import frames, keys
 from service.corrector.active import Active
 from service.corrector.frames import Flag, Floats, FrameError, Header, Kind, Status
 from service.corrector.session import ENCODING, close, open_listening
-from service.corrector.stream import Rules
+from service.corrector.specs import QuerySpec, Rules
 
 log = logging.getLogger("kilter.corrector.queries")
-
-
-@dataclass(frozen=True)
-class QuerySpec:
-    """What the query process is told when it is spawned."""
-
-    site: str
-    listen: str
-    zenoh_config: Path | None = None
 
 
 @dataclass(frozen=True)

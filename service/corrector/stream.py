@@ -13,25 +13,12 @@ from core.correction import Track
 from service.corrector import frames
 from service.corrector.active import Active
 from service.corrector.frames import Flag, Floats, Kind, Setpoints, Status
+from service.corrector.specs import Rules
 
 NOT_DONE = -1
 LIMITED, DAMPED, OK = int(Flag.LIMITED), int(Flag.DAMPED), int(Status.OK)
 WIDTHS = {0: 1, int(Flag.QD): 2, Flag.QD | Flag.QDD: 3}
 MOST_NS = 0xFFFFFFFF  # of the time that fits into an answer
-
-
-@dataclass(frozen=True)
-class Rules:
-    """Bounds that do not belong to a version.
-
-    Clocks of two machines are never compared. The smallest difference of arrival and sending seen so far is taken as
-    the way; a frame is as old as it exceeds that. ``clock_drift`` lets that smallest difference grow again.
-    """
-
-    max_age_ns: int = 50_000_000
-    clock_drift: float = 200e-6
-    time_slack_s: float = 0.1
-    ring: int = 256
 
 
 @dataclass

@@ -14,7 +14,8 @@ from core.model import Calibration
 from service.corrector import frames
 from service.corrector.active import Active
 from service.corrector.frames import Answer, Flag, Kind, Status
-from service.corrector.stream import Rules, Stream
+from service.corrector.specs import Rules
+from service.corrector.stream import Stream
 
 Q = [0.1, 0.6, 0.4, 0.3, 0.2]
 MS = 1_000_000

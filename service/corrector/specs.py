@@ -1,0 +1,53 @@
+"""What the processes of the corrector are told when they are spawned, and where each of them begins.
+
+Light on purpose: the supervisor of both starts them before it imports anything heavy itself.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+STREAM, QUERY = "service.corrector.loop:stream_main", "service.corrector.queries:query_main"
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Bounds that do not belong to a version.
+
+    Clocks of two machines are never compared. The smallest difference of arrival and sending seen so far is taken as
+    the way; a frame is as old as it exceeds that. ``clock_drift`` lets that smallest difference grow again.
+    """
+
+    max_age_ns: int = 50_000_000
+    clock_drift: float = 200e-6
+    time_slack_s: float = 0.1
+    ring: int = 256
+
+
+@dataclass(frozen=True)
+class StreamSpec:
+    """What the stream process is told when it is spawned."""
+
+    site: str
+    instance: str
+    listen: str
+    zenoh_config: Path | None = None
+    rules: Rules = field(default_factory=Rules)
+
+
+@dataclass(frozen=True)
+class QuerySpec:
+    """What the query process is told when it is spawned."""
+
+    site: str
+    listen: str
+    zenoh_config: Path | None = None
+
+
+def enter(entry: str, spec: StreamSpec | QuerySpec, pipe: Connection) -> None:
+    """Run ``entry`` ("module:function") in the spawned process, which imports it; its parent did not have to."""
+    module, _, function = entry.partition(":")
+    getattr(importlib.import_module(module), function)(spec, pipe)

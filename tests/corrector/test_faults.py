@@ -1,0 +1,336 @@
+"""What breaks while an arm moves: processes killed or stopped, the router, the network, the database, the start itself."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+from kilter_client.stream import CorrectedStream
+
+from core.model import Calibration
+from service.corrector import frames
+from service.corrector.active import Active
+from service.corrector.frames import Flag, Status
+from service.corrector.process import Corrector
+from service.corrector.session import config
+from service.settings import Settings
+
+ROBOT = "katana450-chapter4"
+ROOT = f"kilter/@v1/test/{ROBOT}"
+Q = (0.1, 0.6, 0.4, 0.3, 0.2)
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    """Wait until the condition holds; fail when it does not in time."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.01)
+
+
+def open_stream(corrector: Corrector, name: str, **options: object) -> CorrectedStream:
+    given = {"deadline_s": 2.0, "data": corrector.file.parent, "stream": name, "settled": True, **options}
+    return CorrectedStream(ROBOT, **given)  # type: ignore[arg-type]
+
+
+def point(seq: int, flags: int = 0, q: tuple[float, ...] = Q) -> bytes:
+    """A setpoint sent now."""
+    return frames.encode_setpoints(
+        np.array([q]), joints=len(q), seq=seq, t_send_ns=time.monotonic_ns(), t_apply_ns=0, flags=flags
+    )
+
+
+class Line:
+    """A controller that speaks raw frames on a stream."""
+
+    def __init__(self, endpoints: tuple[str, ...], name: str) -> None:
+        self.session = zenoh.open(config("tcp/127.0.0.1:0", endpoints))
+        self.answers = self.session.declare_subscriber(f"{ROOT}/stream/{name}/out", zenoh.handlers.FifoChannel(10_000))
+        self._way = self.session.declare_publisher(f"{ROOT}/stream/{name}/in", priority=zenoh.Priority.REAL_TIME)
+        until(lambda: self._way.matching_status.matching)
+
+    def send(self, data: bytes) -> None:
+        self._way.put(data)
+
+    def ask(self, data: bytes) -> frames.Answer:
+        """The answer to a frame, which is sent once."""
+        self.send(data)
+        return self.take(1)[0]
+
+    def take(self, count: int) -> list[frames.Answer]:
+        """The next answers."""
+        taken: list[frames.Answer] = []
+
+        def enough() -> bool:
+            while len(taken) < count and (sample := self.answers.handler.try_recv()) is not None:
+                taken.append(frames.decode_answer(sample.payload.to_bytes()))
+            return len(taken) == count
+
+        until(enough)
+        return taken
+
+    def __enter__(self) -> Line:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.session.close()  # type: ignore[no-untyped-call]
+
+
+def test_killed_in_motion_it_is_noticed_before_the_deadline_and_comes_back(corrector: Corrector) -> None:
+    """Notice, hold, bypass, back: in that order. The deadline of a minute shows that liveliness ends the wait."""
+    sources: list[str] = []
+    with open_stream(corrector, "killed", deadline_s=60.0, hold_cycles=3) as stream:
+        for k in itertools.count():
+            if k == 20:
+                os.kill(corrector._children["stream"].pid or 0, signal.SIGKILL)
+                until(lambda: not stream.alive)
+                supervisor = threading.Thread(target=corrector.poll)
+                until(lambda: not corrector._children["stream"].alive)
+            sources.append(stream.correct([x + 1e-4 * k for x in Q]).source)
+            if k == 26:
+                supervisor.start()
+                supervisor.join()
+                until(lambda: stream.alive)
+            if k > 26 and sources[-1] == "corrected":
+                break
+            assert k < 2000
+    order = [source for source, _ in itertools.groupby(sources)]
+    assert order == ["corrected", "held", "bypass", "corrected"]
+    assert sources.count("held") == 3
+
+
+def test_a_burst_after_the_corrector_was_stopped_is_stale(corrector: Corrector) -> None:
+    """SIGSTOP of the peer for longer than a setpoint may live; what waited meanwhile comes back without numbers."""
+    pid = corrector._children["stream"].pid
+    assert pid is not None
+    with Line(tuple(corrector.endpoints.values()), "stopped") as line:
+        assert line.ask(point(1, Flag.RESET | Flag.SETTLED)).status == Status.OK
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            for seq in range(2, 40):
+                line.send(point(seq))
+            time.sleep(0.4)  # shorter than the lease, so the link stays; eight times as long as a setpoint lives
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        late = line.take(38)
+        assert {answer.status for answer in late} == {Status.STALE}
+        assert all(answer.values.size == 0 for answer in late)
+        assert line.ask(point(40)).status == Status.OK
+
+
+def test_two_controllers_on_one_key_never_both_get_numbers(corrector: Corrector) -> None:
+    endpoints = tuple(corrector.endpoints.values())
+    with Line(endpoints, "shared") as one, Line(endpoints, "shared") as other:
+        assert one.ask(point(1, Flag.RESET | Flag.SETTLED)).status == Status.OK
+        other.take(1)
+        for k in range(5):
+            seen = []
+            for line, seq in ((one, 2 + k), (other, 1000 + k)):
+                seen.append(line.ask(point(seq)).status)
+                (other if line is one else one).take(1)  # both hear every answer
+            assert seen.count(Status.OK) <= 1
+            assert set(seen) <= {Status.OK, Status.SEQ_GAP, Status.SEQ_BACK}
+
+
+def test_a_reset_starts_the_sequence_anew(corrector: Corrector) -> None:
+    with Line(tuple(corrector.endpoints.values()), "reset") as line:
+        assert line.ask(point(500, Flag.RESET | Flag.SETTLED)).status == Status.OK
+        assert line.ask(point(1)).status == Status.SEQ_BACK
+        assert line.ask(point(1, Flag.RESET)).status == Status.OK
+        assert line.ask(point(2)).status == Status.OK
+
+
+def test_no_numbers_and_an_unknown_version_get_none_back(corrector: Corrector) -> None:
+    with Line(tuple(corrector.endpoints.values()), "none") as line:
+        line.ask(point(1, Flag.RESET | Flag.SETTLED))
+        refused = line.ask(point(2, q=(*Q[:4], float("nan"))))
+        assert (refused.status, refused.values.size) == (Status.NOT_FINITE, 0)
+        unknown = frames.encode_setpoints(
+            np.array([Q]), joints=5, seq=3, t_send_ns=time.monotonic_ns(), t_apply_ns=0, version=12345
+        )
+        assert line.ask(unknown).status == Status.VERSION_MISMATCH
+        assert line.ask(point(4)).status == Status.OK
+
+
+def test_a_version_changes_in_motion_without_a_step(
+    corrector: Corrector,
+    source: object,
+    calibration_of: Callable[..., Calibration],
+    active_of: Callable[..., Active],
+) -> None:
+    old = source.versions[ROBOT]  # type: ignore[attr-defined]
+    with open_stream(corrector, "motion") as stream:
+        before = [stream.correct([x + 1e-4 * k for x in Q]) for k in range(20)]
+        source.use(active_of(calibration_of(ROBOT, seed=8), epoch=old.epoch + 1, ramp_s=0.5))  # type: ignore[attr-defined]
+        corrector.poll()
+        until(lambda: stream.active is not None and stream.active["epoch"] == old.epoch + 1)
+        after = [stream.correct([x + 1e-4 * k for x in Q]) for k in range(20, 60)]
+    path = np.array([setpoint.delta for setpoint in before + after])
+    assert {setpoint.source for setpoint in after} == {"corrected"}
+    assert any(setpoint.flags & Flag.RAMPING for setpoint in after)
+    assert np.abs(np.diff(path, axis=0)).max() < np.radians(0.01)
+
+
+@pytest.fixture
+def router() -> Iterator[Callable[[], str]]:
+    """Starts a zenoh router in a process of its own, on the same port each time; the one before is killed."""
+    running: list[subprocess.Popen[str]] = []
+    endpoint = ["tcp/127.0.0.1:0"]
+    script = (
+        "import sys, zenoh\n"
+        "from service.corrector.session import config, with_free_port\n"
+        "endpoint = with_free_port(sys.argv[1])\n"
+        "made = config(endpoint)\n"
+        "made.insert_json5('mode', '\"router\"')\n"
+        "with zenoh.open(made):\n"
+        "    print(endpoint, flush=True)\n"
+        "    sys.stdin.read()\n"
+    )
+
+    def start() -> str:
+        for old in running:
+            old.kill()
+            old.wait()
+        process = subprocess.Popen(
+            [sys.executable, "-c", script, endpoint[0]],
+            cwd=REPOSITORY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        running.append(process)
+        assert process.stdout is not None
+        endpoint[0] = process.stdout.readline().strip()
+        return endpoint[0]
+
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                pipe.close()
+
+
+@pytest.mark.slow
+def test_the_stream_comes_back_after_the_router_was_restarted(
+    router: Callable[[], str], source: object, tmp_path: Path
+) -> None:
+    """The controller knows the router only: it must hear that the corrector is out of reach, and find it again."""
+    endpoint = router()
+    file = tmp_path / "zenoh.json5"
+    file.write_text(f'{{mode: "client", connect: {{endpoints: ["{endpoint}"]}}}}')
+    settings = Settings(data=tmp_path, zenoh_listen="tcp/127.0.0.1:0", zenoh_config=file, site="test")
+    behind = Corrector(settings, source)  # type: ignore[arg-type]
+    behind.start()
+    try:
+        options = {"endpoints": [endpoint], "site": "test", "stream": "router", "deadline_s": 2.0, "settled": True}
+        with CorrectedStream(ROBOT, connect_timeout_s=20.0, **options) as stream:  # type: ignore[arg-type]
+            assert stream.correct(Q).source == "corrected"
+            router()
+            until(lambda: stream.alive and stream.correct(Q).source == "corrected", 60)
+    finally:
+        behind.stop()
+
+
+def descendants(pid: int) -> set[int]:
+    """Process ids below a process."""
+    try:
+        below = {int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()}
+    except OSError:
+        return set()
+    return below.union(*(descendants(child) for child in below))
+
+
+@pytest.mark.parametrize("ready", [pytest.param(1, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow), 5])
+def test_sigterm_during_the_start_leaves_nothing_behind(tmp_path: Path, ready: int) -> None:
+    """Told to stop as soon as so many processes exist: with one of them, with all, with those of the corrector."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
+    environment |= {"KILTER_DATA": str(tmp_path), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
+    with subprocess.Popen(
+        [sys.executable, "-m", "service", "serve"], cwd=REPOSITORY, env=environment, stderr=subprocess.DEVNULL
+    ) as server:
+        until(lambda: len(descendants(server.pid)) >= ready, 60)
+        started = descendants(server.pid)
+        server.send_signal(signal.SIGTERM)
+        assert server.wait(60) == 0
+    until(lambda: not any(Path(f"/proc/{pid}/exe").exists() for pid in started))
+    assert not (tmp_path / "corrector.json").exists()
+    assert not (tmp_path / "server.json").exists()
+
+
+def ip(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def cable() -> Iterator[tuple[str, str]]:
+    """A network namespace behind a virtual cable: its name, and that of the cable's near end."""
+    tag = f"{os.getpid() % 10_000}"
+    name, near, far = f"kilter{tag}", f"kn{tag}", f"kf{tag}"
+    if shutil.which("ip") is None or ip("netns", "add", name).returncode != 0:
+        pytest.skip("network namespaces need root and iproute2")
+    try:
+        for arguments in (
+            ("link", "add", near, "type", "veth", "peer", "name", far, "netns", name),
+            ("address", "add", "10.213.7.1/30", "dev", near),
+            ("link", "set", near, "up"),
+            ("-n", name, "address", "add", "10.213.7.2/30", "dev", far),
+            ("-n", name, "link", "set", far, "up"),
+        ):
+            if ip(*arguments).returncode != 0:
+                pytest.skip("this system does not allow virtual network cables")
+        yield name, near
+    finally:
+        ip("link", "delete", near)
+        ip("netns", "delete", name)
+
+
+FAR_CONTROLLER = """
+import sys, time
+from kilter_client.stream import CorrectedStream
+with CorrectedStream(sys.argv[1], endpoints=[sys.argv[2]], site="test", stream="cable", deadline_s=0.2,
+                     hold_cycles=2, settled=True, connect_timeout_s=30.0) as stream:
+    last = None
+    while True:
+        source = stream.correct([0.1, 0.6, 0.4, 0.3, 0.2]).source
+        if source != last:
+            print(source, flush=True)
+            last = source
+        time.sleep(0.01)
+"""
+
+
+@pytest.mark.slow
+def test_a_cut_cable_is_bypassed_and_found_again(cable: tuple[str, str], source: object, tmp_path: Path) -> None:
+    """Two network namespaces; the cable between them is cut, without any process noticing but by silence."""
+    name, near = cable
+    settings = Settings(data=tmp_path, zenoh_listen="tcp/10.213.7.1:0", site="test")
+    here = Corrector(settings, source)  # type: ignore[arg-type]
+    here.start()
+    try:
+        with subprocess.Popen(
+            ["ip", "netns", "exec", name, sys.executable, "-c", FAR_CONTROLLER, ROBOT, here.endpoints["stream"]],
+            cwd=REPOSITORY, stdout=subprocess.PIPE, text=True,
+        ) as controller:  # fmt: skip
+            try:
+                assert controller.stdout is not None
+                assert controller.stdout.readline() == "corrected\n"
+                ip("link", "set", near, "down")
+                heard = [controller.stdout.readline() for _ in range(2)]
+                ip("link", "set", near, "up")
+                heard.append(controller.stdout.readline())
+            finally:
+                controller.kill()
+    finally:
+        here.stop()
+    assert heard == ["held\n", "bypass\n", "corrected\n"]
