@@ -46,7 +46,7 @@ def test_every_method_has_an_estimator_and_a_page() -> None:
     pages = Path(__file__).resolve().parents[3] / "docs/how-to"
     for method in METHODS:
         page = (pages / f"method-{method.replace('_', '-')}.md").read_text(encoding="utf-8")
-        assert f"`{method}`" in page or f"--method {method}`" in page
+        assert f"`{method}`" in page or f"--method {method}" in page
         assert "**Take it**" in page
         assert "**Do not take it**" in page
 
