@@ -8,7 +8,7 @@ IMAGE ?= kilter
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check bench bench-peers bench-stream fuzz-stream test-faults blind thesis image fmt clean
+.PHONY: help setup demo serve test check bench bench-gap bench-peers bench-stream fuzz-stream test-faults blind thesis image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -41,6 +41,10 @@ check: $(KERNELS) ## style, types, import rules
 
 bench: $(KERNELS) ## measure speed against other tools and print the ratios
 	$(BIN)/python -m benchmarks.core
+	$(BIN)/python -m benchmarks.gap --quick
+
+bench-gap: $(KERNELS) ## time gap hunts: 118 and 10 000 poses, and a motion at 4600 Hz
+	$(BIN)/python -m benchmarks.gap
 
 bench-peers: .venv-peers/.ready .venv-peers-poe/.ready ## install the tools that make bench compares with, apart from Kilter
 
