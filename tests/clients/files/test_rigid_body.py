@@ -180,3 +180,19 @@ def test_frames_as_poses_and_the_command(tmp_path: Path, capsys: pytest.CaptureF
         run(["match", str(recording), str(plain), "--tcp", "mean", "--out", str(tmp_path / "rows.csv"), "--json"]) == 0
     )
     assert "qw" in json.loads(capsys.readouterr().out)["columns"]
+
+
+def test_a_real_auroras_tools_as_poses(shared_data: Path) -> None:
+    recording = open_recording(shared_data / "ndi-formats/aurora_csv/NDIdata_snakeravenTest_2_2_21.csv")
+    for name in recording.markers[:2]:
+        block, k = recording.whole(), recording.markers.index(name)
+        assert block.quaternions is not None
+        tool = tool_as_markers(recording, name)
+        found = poses(find_body(tool, "mean"), tool.whole().points_mm)
+        seen = ~np.isnan(block.points_mm[:, k, 0])
+        assert (np.isnan(found.rms_mm) == ~seen).all()
+        np.testing.assert_allclose(found.position_mm[seen], block.points_mm[seen, k], atol=1e-9)
+        got, wanted = (
+            Rotation.from_quat(q[seen][:, [1, 2, 3, 0]]) for q in (found.quaternion, block.quaternions[:, k])
+        )
+        assert (got * wanted.inv()).magnitude().max() < 1e-9
