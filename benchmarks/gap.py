@@ -1,6 +1,7 @@
-"""Speed of the gap finder: ``python -m benchmarks.gap`` (``--quick``: the 118 poses only). Full library, all gates and controls, seconds and memory.
+"""Speed of the gap finder: ``python -m benchmarks.gap``, seconds and memory with full library, all gates and controls.
 
 Targets on two cores: 118 poses in 20 s, 10 000 poses in 60 s, 60 s of a motion at 4600 Hz in 120 s and 2 GB.
+``--quick`` runs the 118 poses only.
 """
 
 from __future__ import annotations
