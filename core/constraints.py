@@ -24,7 +24,8 @@ UNKNOWNS = {"socket": 3, "plane": 3, "bar": 3}
 LEAST_ROWS = {"socket": 2, "plane": 4, "bar": 4}
 STEPS = 20
 SETTLED_M = 1e-12
-BLIND = 1e-9
+LEVEL = 1e-3  # share of the best seen move of a place below which lengths leave it where it is, smoothly
+CLEARLY = 4.0  # a foot off the plane must fit so many times better
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,11 @@ class Contacts(Measurement):
         return False
 
     @property
+    def settled(self) -> float:
+        """Where a bar's foot is hardly seen a fit creeps along for ever; a ten-thousandth is far below what noise tells."""
+        return 1e-4 if any(c.kind == "bar" for c in self.contacts) else super().settled
+
+    @property
     def each(self) -> int:
         """Three numbers in a socket, one on a plane or a bar."""
         return 3 if all(c.kind == "socket" for c in self.contacts) else 1
@@ -114,13 +120,13 @@ class Contacts(Measurement):
         p = prediction.position
         left, slopes, centres = [], [], {}
         for c in self.contacts:
-            r, D = _left(c, p[c.rows])
-            Q = _span(D)
+            place = _place(c, p[c.rows])
+            r, D = _left(c, p[c.rows], place)
             left.append(r)
             if c.kind == "socket":
                 centres[c.number] = c
             if J is not None:
-                slopes.append(_projected(Q, _slope(c, p[c.rows], J[c.rows, :3])))
+                slopes.append(_projected(D, _slope(c, p[c.rows], place, J[c.rows, :3])))
         for (a, b), known in self.distances.items():
             r, slope = _between(centres[a].rows, centres[b].rows, known, p, J)
             left.append(r)
@@ -134,7 +140,7 @@ class Contacts(Measurement):
         places = {} if self.anchor is None else _places(self.anchor, calibration)
         out = []
         for c in self.contacts:
-            r = _left(c, p[c.rows], places.get(c.name))[0]
+            r = _left(c, p[c.rows], places[c.name] if self.anchor else _place(c, p[c.rows]))[0]
             out.append(np.linalg.norm(r.reshape(-1, 3), axis=1) if c.kind == "socket" else r)
         return np.concatenate(out)[:, None], None
 
@@ -166,9 +172,8 @@ def _refuse_small(contacts: tuple[Contact, ...], anchor: Contacts | None) -> Non
             )
 
 
-def _left(c: Contact, p: Floats, place: Floats | None = None) -> tuple[Floats, Floats]:
-    """Residuals (S,) of a contact's rows ``p (K, 3)`` and the derivative (S, U) by its place, fitted when None."""
-    place = _place(c, p) if place is None else place
+def _left(c: Contact, p: Floats, place: Floats) -> tuple[Floats, Floats]:
+    """Residuals (S,) of a contact's rows ``p (K, 3)`` and the derivative (S, U) by its place."""
     if c.kind == "socket":
         return (place - p).reshape(-1), np.tile(np.eye(3), (len(p), 1))
     if c.kind == "plane":
@@ -181,25 +186,21 @@ def _left(c: Contact, p: Floats, place: Floats | None = None) -> tuple[Floats, F
     return c.length - size, ray / size[:, None]
 
 
-def _slope(c: Contact, p: Floats, J: Floats) -> Floats:
+def _slope(c: Contact, p: Floats, place: Floats, J: Floats) -> Floats:
     """Derivative (S, P) of what the rows' residuals compare, from the points' ``J (K, 3, P)``."""
     if c.kind == "socket":
         return J.reshape(-1, J.shape[2])
-    place = _place(c, p)
     if c.kind == "plane":
         return np.asarray(np.einsum("i,kip->kp", place[:3], J))
     ray = p - place
     return np.asarray(np.einsum("ki,kip->kp", ray / np.linalg.norm(ray, axis=1)[:, None], J))
 
 
-def _span(D: Floats) -> Floats:
-    """Orthonormal columns that span those of ``D``; points in one line leave a plane fewer moves than three."""
+def _projected(D: Floats, slope: Floats) -> Floats:
+    """The slope without what moves ``D`` of the place take up; moves that hardly show take up nothing."""
     U, s, _ = np.linalg.svd(D, full_matrices=False)
-    return np.asarray(U[:, s > BLIND * s[0]])
-
-
-def _projected(Q: Floats, slope: Floats) -> Floats:
-    return np.asarray(slope - Q @ (Q.T @ slope))
+    share = s**2 / (s**2 + (LEVEL * s[0]) ** 2)
+    return np.asarray(slope - (U * share) @ (U.T @ slope))
 
 
 def _place(c: Contact, p: Floats) -> Floats:
@@ -218,19 +219,24 @@ def _foot(p: Floats, length: Floats) -> Floats:
     middle = p.mean(axis=0)
     local = p - middle
     A = np.column_stack([2.0 * local, -np.ones(len(p))])
-    foot = np.linalg.lstsq(A, np.sum(local**2, axis=1) - length**2, rcond=1e-9)[0][:3]
-    best = foot
-    for start in (foot, *_mirrored(local, foot)):
-        foot = start
-        for _ in range(STEPS):
-            ray = local - foot
-            size = np.maximum(np.linalg.norm(ray, axis=1), SETTLED_M)
-            step = np.linalg.lstsq(-ray / size[:, None], length - size, rcond=1e-9)[0]
-            foot = foot + step
-            if np.linalg.norm(step) < SETTLED_M:
-                break
-        best = min(best, foot, key=lambda f: float(np.sum((np.linalg.norm(local - f, axis=1) - length) ** 2)))
-    return np.asarray(best + middle)
+    foot = np.linalg.lstsq(A, np.sum(local**2, axis=1) - length**2, rcond=0.03)[0][:3]
+    flat, *others = [_settled(local, length, start) for start in (foot, *_mirrored(local, foot))]
+    best = min(others, key=lambda found: found[1], default=flat)
+    return np.asarray((best if CLEARLY * best[1] < flat[1] else flat)[0] + middle)
+
+
+def _settled(local: Floats, length: Floats, foot: Floats) -> tuple[Floats, float]:
+    """Foot by damped Gauss-Newton steps, and its sum of squares. What lengths hardly see hardly moves."""
+    for _ in range(STEPS):
+        ray = local - foot
+        size = np.maximum(np.linalg.norm(ray, axis=1), SETTLED_M)
+        D = ray / size[:, None]
+        H = D.T @ D
+        step = np.linalg.solve(H + LEVEL**2 * np.trace(H) * np.eye(3), D.T @ (size - length))
+        foot = foot + step
+        if np.linalg.norm(step) < SETTLED_M:
+            break
+    return foot, float(np.sum((np.linalg.norm(local - foot, axis=1) - length) ** 2))
 
 
 def _mirrored(local: Floats, foot: Floats) -> Iterator[Floats]:

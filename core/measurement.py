@@ -73,6 +73,11 @@ class Measurement:
         return 1.0
 
     @property
+    def settled(self) -> float:
+        """Share of the loss that a step of a fit must promise to be worth taking, beside rounding."""
+        return 0.0
+
+    @property
     def each(self) -> int:
         """Numbers that one more pose brings."""
         return 6 if self.sees_orientation else 3

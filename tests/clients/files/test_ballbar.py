@@ -69,10 +69,10 @@ def test_inspect_and_upload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     path.write_text("\n".join(["angle_deg,radius_mm,q1_deg,q2_deg", *rows]))
     prepared = prepare(path, "ballbar")
     table = np.genfromtxt(prepared.content.decode().splitlines(), delimiter=",", names=True)
-    assert np.hypot(table["x_mm"], table["y_mm"]) == pytest.approx(100 + deviation(ANGLES) / 1000, abs=1e-5)
-    assert (table["sx_mm"][0], table["sy_mm"][0]) == pytest.approx((0.001, 1.0))
+    assert table["bar_mm"] == pytest.approx(100 + deviation(ANGLES) / 1000, abs=1e-5)
+    assert set(table["bar_id"]) == {1}
     assert (table["q1_deg"][10], table["q2_deg"][10]) == (2.0, 5.0)
-    assert any("radius only" in text for text in prepared.warnings)
+    assert any("runs about one foot" in text for text in prepared.notes)
 
 
 def test_an_inclinometer_makes_no_campaign(tmp_path: Path) -> None:

@@ -141,6 +141,29 @@ def test_a_telescoping_ball_bar_about_two_feet_calibrates_the_arm_scale_and_all(
     assert held_out["identified"]["rms_mm"] < 1.5 * PLAY * 1e3 < held_out["nominal"]["rms_mm"] / 20
 
 
+def test_circles_of_a_double_ball_bar_calibrate_what_they_see() -> None:
+    """The bar's foot in the plane of the circle: a length says nothing of its height, and the fit must not go looking."""
+    rng = np.random.default_rng(6)
+    drawn, actual = pair()
+    angles, q, number = np.radians(np.arange(0, 360, 12)), [], []
+    for k, (centre, normal) in enumerate((
+        ([0.6, 0.1, 0.3], 2), ([0.5, -0.25, 0.45], 2), ([0.55, 0.2, 0.5], 0), ([0.7, 0.0, 0.4], 1), ([0.4, 0.3, 0.35], 1),
+    ), 1):  # fmt: skip
+        u, v = np.delete(np.eye(3), normal, axis=0)
+        for a in angles:
+            place = np.array(centre) + 0.15 * (np.cos(a) * u + np.sin(a) * v)
+            found = held(drawn, HOME[None] + 0.1 * k, lambda p, c=place: (p - c, np.eye(3)))
+            q.append(found)
+            number += [k] * len(found)
+    q, number = np.concatenate(q), np.array(number)
+    centres = np.array([[0.6, 0.1, 0.3], [0.5, -0.25, 0.45], [0.55, 0.2, 0.5], [0.7, 0.0, 0.4], [0.4, 0.3, 0.35]])
+    length = np.linalg.norm(actual.poses(q)[0] - centres[number - 1], axis=1) + rng.normal(0.0, 1e-6, len(q))
+    rows = Observations(q, bar=number, bar_length=length)
+    found = identify(robot_from_document(drawn.document()), rows, 0.25).metrics
+    assert found["validation"]["nominal"]["rms_mm"] > 0.05
+    assert found["validation"]["identified"]["rms_mm"] < 0.004
+
+
 def test_contacts_may_be_mixed_and_pose_the_same_slopes_as_differences() -> None:
     rng = np.random.default_rng(5)
     drawn, actual = pair()

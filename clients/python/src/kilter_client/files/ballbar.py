@@ -38,7 +38,6 @@ LONGEST_MM = 10_000.0
 MOST_OFF = 0.1  # of the nominal radius
 ROWS_NEEDED = 8
 BAR_SIGMA_MM = 0.001
-TAKEN_MM = 1.0
 REMEDY = "Name columns angle_deg and radius_mm, or angle_deg and deviation_um with a line 'Nominal radius (mm): 100'."
 
 
@@ -225,7 +224,7 @@ def analysed(found: BallBar) -> list[dict[str, Any]]:
 
 
 def ballbar_table(path: Path) -> Table:
-    """Read a ball bar log with joints as rows in the bar's own frame: its radius measured, the rest as commanded.
+    """Read a ball bar log with joints as lengths of a bar (``bar_id``, ``bar_mm``): each run about a foot of its own.
 
     Raises:
         FileError: no joints in the file, or whatever ``read_ballbar`` refuses.
@@ -238,20 +237,11 @@ def ballbar_table(path: Path) -> Table:
             "it with the joint log (kilter sheet-join).",
             file=str(path),
         )
-    turn = np.radians(found.angle_deg)
-    c, s = np.cos(turn), np.sin(turn)
     columns = {name: [float(v) for v in values] for name, values in found.joints.items()}
-    measured = {
-        "x_mm": found.radius_mm * c,
-        "y_mm": found.radius_mm * s,
-        "z_mm": np.zeros(len(turn)),
-        "sx_mm": np.hypot(BAR_SIGMA_MM * c, TAKEN_MM * s),
-        "sy_mm": np.hypot(BAR_SIGMA_MM * s, TAKEN_MM * c),
-        "sz_mm": np.full(len(turn), TAKEN_MM),
-    }
-    columns |= {name: [round(float(v), 6) for v in values] for name, values in measured.items()}
+    columns["bar_id"] = [float(run) for run in found.run]
+    columns["bar_mm"] = [round(float(v), 6) for v in found.radius_mm]
     table = Table(columns, [int(line) for line in found.line], list(found.notes))
-    table.warnings.append(
-        f"a ball bar measures its radius only: along the circle and out of its plane the command stands in, as {TAKEN_MM:g} mm"
+    table.notes.append(
+        "bar_id counts the runs: give runs about one foot the same number, and the arm's size is seen better"
     )
     return table
