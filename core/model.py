@@ -185,9 +185,7 @@ class RobotModel:
         batch = self._as_batch(observations)
         free = np.arange(len(self.names)) if free is None else free
         total = self._local(batch, values)
-        prediction, J, JQ, JX = self._screws(batch, values, total, free[free < self.n_geometric])
-        if not turns:
-            J, JQ, JX = J[:, :3], JQ[:, :3], JX[:, :3]
+        prediction, J, JQ, JX = self._screws(batch, values, total, free[free < self.n_geometric], 6 if turns else 3)
         if np.any(free >= self.n_geometric):
             J = np.concatenate([J, self._effect_columns(total, free, JQ, JX, prediction.position)], axis=2)
         if total.stretch is None:
@@ -270,15 +268,15 @@ class RobotModel:
         return np.asarray(np.einsum("jab,njkb->njka", frames, split).reshape(xi.shape))
 
     def _screws(
-        self, batch: Batch, values: Floats, total: _Total, geometric: Ints
+        self, batch: Batch, values: Floats, total: _Total, geometric: Ints, each: int = 6
     ) -> tuple[Prediction, Floats, Floats, Floats]:
         rows, n = batch.q.shape
         p = self.program
         column = np.full(len(p.axis), -1, dtype=np.int64)
         column[p.element_of[geometric]] = np.arange(len(geometric))
         position, rotation = np.empty((rows, 3)), np.empty((rows, 3, 3))
-        JE, JQ = np.empty((rows, 6, len(geometric))), np.empty((rows, 6, n))
-        JX = np.empty((rows, 6, 6 * n + 12)) if len(total.xi) else np.empty((0, 6, 6 * n + 12))
+        JE, JQ = np.empty((rows, each, len(geometric))), np.empty((rows, each, n))
+        JX = np.empty((rows if len(total.xi) else 0, each, 6 * n + 12))
         kinematics.screws(
             p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
             batch.q, total.dq, total.xi, column, position, rotation, JE, JQ, JX,

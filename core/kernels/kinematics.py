@@ -194,11 +194,13 @@ def screws(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, colu
     """As :func:`poses`, with the screw columns.
 
     ``column (E,)`` places element e in ``JE (N, 6, C)`` or leaves it out (-1); ``JQ (N, 6, n)`` is the derivative for
-    the joints, ``JX (N, 6, 6 S)`` for the twists (left out when empty). Rows 0-2 move the tool point, 3-5 turn it.
+    the joints, ``JX (N, 6, 6 S)`` for the twists (left out when empty). Rows 0-2 move the tool point, 3-5 turn it and
+    are left out where the three have three rows.
     """
     elements = axis.shape[0]
     slots = xi.shape[1]
     twists = xi.shape[0] > 0 and JX.shape[0] > 0
+    turns = JQ.shape[1] == 6
     R = np.empty((3, 3))
     p = np.empty(3)
     R2 = np.empty((3, 3))
@@ -263,17 +265,19 @@ def screws(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, colu
                 JE[row, 0, c] = v0
                 JE[row, 1, c] = v1
                 JE[row, 2, c] = v2
-                JE[row, 3, c] = w * a0
-                JE[row, 4, c] = w * a1
-                JE[row, 5, c] = w * a2
+                if turns:
+                    JE[row, 3, c] = w * a0
+                    JE[row, 4, c] = w * a1
+                    JE[row, 5, c] = w * a2
             if j >= 0:
                 g = ratio[e]
                 JQ[row, 0, j] += g * v0
                 JQ[row, 1, j] += g * v1
                 JQ[row, 2, j] += g * v2
-                JQ[row, 3, j] += g * w * a0
-                JQ[row, 4, j] += g * w * a1
-                JQ[row, 5, j] += g * w * a2
+                if turns:
+                    JQ[row, 3, j] += g * w * a0
+                    JQ[row, 4, j] += g * w * a1
+                    JQ[row, 5, j] += g * w * a2
         if not twists:
             continue
         for s in range(slots):
@@ -300,6 +304,7 @@ def screws(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, colu
                 JX[row, 0, c] = v0 + w1 * r2 - w2 * r1
                 JX[row, 1, c] = v1 + w2 * r0 - w0 * r2
                 JX[row, 2, c] = v2 + w0 * r1 - w1 * r0
-                JX[row, 3, c] = w0
-                JX[row, 4, c] = w1
-                JX[row, 5, c] = w2
+                if turns:
+                    JX[row, 3, c] = w0
+                    JX[row, 4, c] = w1
+                    JX[row, 5, c] = w2
