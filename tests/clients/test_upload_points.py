@@ -15,7 +15,7 @@ from kilter_client.files.joint_log import read_joint_log
 from kilter_client.files.points import prepare_points
 from nptdms import ChannelObject, TdmsWriter
 
-from tests.clients.files.test_joint_logs import RAPID
+from tests.clients.files.test_joint_logs import RAPID, write_bag
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]
@@ -111,6 +111,21 @@ def test_a_row_that_is_left_out_takes_its_joints_with_it(tmp_path: Path) -> None
     two = read_joint_log(tmp_path / "p.mod")
     with pytest.raises(FileError, match="3 points, but 2 poses"):
         prepare_points(tmp_path / "p.csv", "generic", None, two)
+
+
+def test_joints_of_a_bag_in_the_order_that_is_named(
+    robot: str, write_campaign: Write, tmp_path: Path, capsys: Capture
+) -> None:
+    export, joints = split(write_campaign(6), tmp_path, "faro")
+    table = np.radians(np.genfromtxt(joints, delimiter=",", skip_header=1))
+    names = ["waist", "shoulder", "elbow", "pitch", "roll"]
+    messages = [("/js", float(k), dict(sorted(zip(names, row.tolist(), strict=True)))) for k, row in enumerate(table)]
+    bag = write_bag(tmp_path / "bag", messages)
+    arguments = ("upload", robot, export, "--preset", "faro", "--joints", bag, "--dry-run")
+    assert "which of its joints is the first" in document(capsys, *arguments, code=1)["detail"]
+    found = document(capsys, *arguments, "--joint-order", ",".join(names))
+    assert found["rows"] == 6
+    assert "q1 to q5 are waist, shoulder, elbow, pitch, roll" in found["notes"]
 
 
 def test_tdms_through_a_map(robot: str, tmp_path: Path, capsys: Capture) -> None:

@@ -11,7 +11,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import File, Json, Robot
-from kilter_client.cli.inspect import check_numpy
+from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
 from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
 from kilter_client.cli.progress import upload_bar
@@ -53,6 +53,8 @@ def upload(
     preset: PresetName = None,
     euler: Euler = None,
     joints: Joints = None,
+    topic: Topic = None,
+    joint_order: JointOrder = None,
     role: Annotated[Role, typer.Option(help="What the measurements are for.")] = "train",
     column_map: Annotated[
         Path | None,
@@ -82,7 +84,7 @@ def upload(
     }
     if campaign and (name or notes or any(value is not None for value in conditions.values())):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
-    prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints))
+    prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints, topic, joint_order))
     _understood(file, prepared, as_json)
     if dry_run:
         emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256}), as_json, lambda _: None)
@@ -110,6 +112,8 @@ class _Points:
     preset: str | None
     euler: str | None
     joints: Path | None
+    topic: str | None = None
+    joint_order: str | None = None
 
 
 def _prepared(robot: str, file: Path, device: str | None, column_map: Path | None, points: _Points) -> Prepared:
@@ -119,7 +123,9 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
     )
     if preset is None or column_map is not None:
         if points != _Points(None, None, None):
-            raise UsageError("--preset, --euler and --joints belong to a text export of points, without --map.")
+            raise UsageError(
+                "--preset, --euler, --joints, --topic and --joint-order belong to a text export of points, without --map."
+            )
         return prepare(file, device, column_map)
     if preset not in PRESETS:
         raise UsageError(f"--preset {preset}: is none of {', '.join(PRESETS)}.")
@@ -133,7 +139,9 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
         return prepare(file)
     log = None
     if points.joints is not None:
-        log = read_joint_log(points.joints, hints=LogHints(likely=joints_of(robot) if is_bag(points.joints) else ()))
+        order = arguments.split_names([points.joint_order or ""])
+        likely = joints_of(robot) if is_bag(points.joints) and not order else ()
+        log = read_joint_log(points.joints, hints=LogHints(points.topic, order, likely))
     return prepare_points(file, preset, points.euler, log)
 
 
