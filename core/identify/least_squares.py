@@ -222,7 +222,8 @@ def _damped_step(
         damped.flat[:: len(H) + 1] += damping * diagonal
         step = np.asarray(np.linalg.solve(damped, g), dtype=np.float64)
         promised = float(step @ g)
-        if promised < max(ROUNDING, problem.measurement.settled) * (1.0 + loss) or np.max(np.abs(step), initial=0.0) < STEP_TOLERANCE:
+        worth = max(ROUNDING, problem.measurement.settled) * (1.0 + loss)
+        if promised < worth or np.max(np.abs(step), initial=0.0) < STEP_TOLERANCE:
             return None
         trial = values.copy()
         trial[problem.free] += step * problem.prior_sigma
