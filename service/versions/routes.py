@@ -5,9 +5,9 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 
 from service.auth.access import Admin
-from service.state import DatabaseOfApp
+from service.state import DatabaseOfApp, SettingsOfApp
 from service.versions import service
-from service.versions.schemas import ActivationList, Version, VersionDiff, VersionList, VersionSummary
+from service.versions.schemas import ActivatedVersion, ActivationList, Version, VersionDiff, VersionList
 
 router = APIRouter(prefix="/v1", tags=["versions"])
 
@@ -25,9 +25,9 @@ def activations(robot: str, database: DatabaseOfApp) -> ActivationList:
 
 
 @router.post("/robots/{robot}/rollback")
-def rollback(robot: str, database: DatabaseOfApp, actor: Admin) -> VersionSummary:
-    """Return to the version that was active before."""
-    return service.rollback(database, robot, actor)
+def rollback(robot: str, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin) -> ActivatedVersion:
+    """Return to the version that was active before; says which of its effects are not corrected at run time."""
+    return service.rollback(database, robot, actor, settings.temperature_c)
 
 
 @router.get("/versions/{version}")
@@ -37,9 +37,9 @@ def get(version: str, database: DatabaseOfApp) -> Version:
 
 
 @router.post("/versions/{version}/activate")
-def activate(version: str, database: DatabaseOfApp, actor: Admin) -> VersionSummary:
-    """Correct the robot with this version from now on."""
-    return service.activate(database, version, actor)
+def activate(version: str, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin) -> ActivatedVersion:
+    """Correct the robot with this version from now on; says which of its effects are not corrected at run time."""
+    return service.activate(database, version, actor, settings.temperature_c)
 
 
 @router.get("/versions/{a}/diff/{b}")

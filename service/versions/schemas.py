@@ -46,6 +46,12 @@ class VersionSummary(Strict):
     metrics: dict[str, Any]
 
 
+class ActivatedVersion(VersionSummary):
+    """A version that corrects from now on; ``unsupported_effects`` are those it does not correct at run time."""
+
+    unsupported_effects: list[str]
+
+
 class Version(VersionSummary):
     """A version with all it holds; the covariance is SI, everything else in mm and degrees.
 

@@ -9,6 +9,7 @@ from service.exporters.registry import Exported, export
 from service.robots import store as robots
 from service.versions import store
 from service.versions.schemas import (
+    ActivatedVersion,
     ActivationList,
     ParameterChange,
     Version,
@@ -40,17 +41,35 @@ def get(database: Database, version_id: str) -> Version:
         return store.get(session, version_id)
 
 
-def activate(database: Database, version_id: str, actor: str) -> VersionSummary:
-    """Make a version the one its robot is corrected with; the active one again changes nothing."""
+def activate(database: Database, version_id: str, actor: str, temperature_c: float | None = None) -> ActivatedVersion:
+    """Make a version the one its robot is corrected with; the active one again changes nothing.
+
+    ``temperature_c`` is that of the arm as the corrector knows it: without it thermal growth stays uncorrected.
+    """
+    left_out = _left_out(database, version_id, temperature_c)  # first: what cannot be corrected is not activated
     with database.transaction() as session:
         row = store.row_of(session, version_id)
         last = store.active_row(session, row.robot_id)
         if last is None or last.version_id != version_id:
             store.activate(session, row.robot_id, version_id, ACTIVATE, actor)
-        return store.get(session, version_id)
+        return _activated(session, version_id, left_out)
 
 
-def rollback(database: Database, robot: str, actor: str) -> VersionSummary:
+def _left_out(database: Database, version_id: str, temperature_c: float | None) -> list[str]:
+    """Effects of a version that setpoints are not corrected for."""
+    from core.correction import CorrectionOptions, compile_program  # compiled kernels: not at the start of the API
+
+    with database.transaction() as session:
+        calibration = store.calibration(session, version_id)
+    return list(compile_program(calibration, CorrectionOptions(temperature_c=temperature_c)).unsupported)
+
+
+def _activated(session: Session, version_id: str, left_out: list[str]) -> ActivatedVersion:
+    found = store.get(session, version_id).model_dump(include=set(VersionSummary.model_fields))
+    return ActivatedVersion(**found, unsupported_effects=left_out)
+
+
+def rollback(database: Database, robot: str, actor: str, temperature_c: float | None = None) -> ActivatedVersion:
     """Return to the version that was active before the present one; again, to the one before that.
 
     Raises:
@@ -67,7 +86,9 @@ def rollback(database: Database, robot: str, actor: str) -> VersionSummary:
                 robot=robot,
             )
         store.activate(session, robot_id, before, ROLLBACK, actor)
-        return store.get(session, before)
+    left_out = _left_out(database, before, temperature_c)
+    with database.transaction() as session:
+        return _activated(session, before, left_out)
 
 
 def _before(session: Session, robot_id: int) -> str | None:

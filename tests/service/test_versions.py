@@ -16,6 +16,7 @@ from pyarrow import parquet
 
 from core.compensate import CorrectOptions, correct
 from core.correction import CorrectionOptions, Track, compile_program
+from core.effects import make_effect
 from core.model import Calibration
 from core.twin import Twin, thesis_katana
 from service.correction.follow import last_motion
@@ -94,6 +95,16 @@ def test_activation_rollback_and_their_log(client: httpx.Client, versions: Versi
     assert {e["actor"] for e in log} == {"admin"}
     flags = {v["id"]: v["active"] for v in client.get("/v1/robots/katana/versions").json()["versions"]}
     assert flags == {a: True, b: False, c: False}
+
+
+def test_activation_names_what_is_not_corrected_at_run_time(
+    client: httpx.Client, versions: Versions, twin: Twin
+) -> None:
+    model = twin.truth.with_effects([*twin.truth.model.effects, make_effect("thermal_growth")])
+    warm, plain = versions.add("warm", model), versions.add("plain", twin.truth)
+    assert client.post(f"/v1/versions/{plain}/activate").json()["unsupported_effects"] == []
+    assert client.post(f"/v1/versions/{warm}/activate").json()["unsupported_effects"] == ["thermal_growth"]
+    assert client.post("/v1/robots/katana/rollback").json()["unsupported_effects"] == []
 
 
 def test_the_active_version_comes_back_as_core_knows_it(client: httpx.Client, versions: Versions, twin: Twin) -> None:

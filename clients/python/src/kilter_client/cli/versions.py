@@ -42,14 +42,20 @@ def activate(version: VersionId, as_json: Json = False) -> None:
     """Make a version the one that corrects."""
     with Kilter() as kilter:
         document = kilter.versions.activate(version)
-    emit(document, as_json, lambda _: say(f"{version} is active."))
+    emit(document, as_json, lambda _: _say_active(document, "active"))
 
 
 def rollback(robot: Robot, as_json: Json = False) -> None:
     """Return to the version that was active before."""
     with Kilter() as kilter:
         document = kilter.versions.rollback(robot)
-    emit(document, as_json, lambda _: say(f"{document['id']} is active again."))
+    emit(document, as_json, lambda _: _say_active(document, "active again"))
+
+
+def _say_active(document: dict[str, Any], state: str) -> None:
+    say(f"{document['id']} is {state}.")
+    if document["unsupported_effects"]:
+        say(f"Not corrected at run time: {', '.join(document['unsupported_effects'])}.")
 
 
 def diff(
