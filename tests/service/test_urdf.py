@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 import pinocchio
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from core.errors import RobotError
@@ -144,3 +147,26 @@ def bad() -> Iterator[tuple[str, str, str, str]]:
 def test_what_is_no_arm_is_refused_with_the_cause(text: str, base: str, tip: str, message: str) -> None:
     with pytest.raises(RobotError, match=message):
         chain_document(text, base, tip, "random")
+
+
+@settings(max_examples=120, deadline=5000, derandomize=True, database=None)
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["set", "cut", "insert", "double"]), st.integers(0, 1 << 16), st.text(max_size=8)),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_a_damaged_urdf_is_refused_or_an_arm(edits: list[tuple[str, int, str]]) -> None:
+    """Whatever is in the text: a RobotError or a chain, and no other exception."""
+    text = random_urdf(3, mimic=True)
+    for kind, place, piece in edits:
+        at = place % max(1, len(text))
+        if kind == "cut":
+            text = text[:at]
+        elif kind == "double":
+            text += text[at:]
+        else:
+            text = text[:at] + piece + text[at + (len(piece) if kind == "set" else 0) :]
+    with suppress(RobotError):
+        robot_from_document(chain_document(text, "base", "tip", "arm").document)
