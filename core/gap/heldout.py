@@ -175,6 +175,11 @@ def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any
     noise = rms(_root(np.mean(world.setting.noise.visit, axis=0)).T * np.sqrt(size), np.eye(size), joint)
     r0, r1 = rms(held.before, held.lower, joint), rms(held.after, held.lower, joint)
     sigma = rms(np.eye(size) * np.sqrt(size * held.floor), held.lower / np.sqrt(held.inflation), joint)
+    if not world.setting.trusted:
+        # The scatter of the first fit holds the gap itself: the floor is that of the last fit.
+        last = world.gram.given(hunt.columns)
+        share = np.sqrt(last.yy / max(last.nu, 1.0))
+        noise, sigma = noise * share, sigma * share
     # Against a noise that was read from the fit itself, a closed gap means nothing.
     known = world.setting.noise.absolute and r0**2 > sigma**2 and bool(hunt.chosen)
     closure = (r0**2 - r1**2) / (r0**2 - sigma**2) if known else None

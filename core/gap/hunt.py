@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,10 +45,20 @@ class Hunt:
 def hunt(setting: Setting, world: World, scorer: Scorer, limits: Floats, options: GapOptions, tell: Tell) -> Hunt:
     """Run from the geometry-only ``world``; every change of the set is followed by a nonlinear re-fit of everything.
 
-    ``limits (Q,)`` are the largest plausible amplitudes of the library's parameters, SI.
+    ``limits (Q,)`` are the largest plausible amplitudes of the library's parameters, SI. A shape without a cause that
+    entered early can keep out the causes that together explain more: if one is left, causes are hunted alone as well.
     """
     selector = Selector(scorer, world.rows, limits * world.size)
+    found = _climbed(world, selector, options, tell)
+    if not selector.shapes(found.chosen):
+        return found
+    causes = _climbed(world, selector.causes, options, tell)
+    return replace(causes, selector=selector) if _explains_more(causes, found) else found
+
+
+def _climbed(world: World, selector: Selector, options: GapOptions, tell: Tell) -> Hunt:
     chosen: tuple[int, ...] = ()
+    scorer = selector.scorer
     first: Null | None = None
     steps = [step_of(world, selector, chosen)]
     seen = {frozenset(chosen)}
@@ -63,10 +73,21 @@ def hunt(setting: Setting, world: World, scorer: Scorer, limits: Floats, options
         chosen = after
         seen.add(frozenset(chosen))
         tell(min(0.9, (round_ + 0.5) / 6.0), "re-fitting with " + ", ".join(scorer.candidates[m].label for m in chosen))
-        world = refit(setting, world.values, selector.columns(chosen))
+        world = refit(world.setting, world.values, selector.columns(chosen))
         steps.append(step_of(world, selector, chosen))
     assert first is not None
     return Hunt(world, selector, chosen, first, first.critical(options.alpha), tuple(steps))
+
+
+def _explains_more(one: Hunt, other: Hunt) -> bool:
+    """Whether what one hunt leaves, with the price of its names, is less than the other's, at the smaller noise."""
+    variance = min(h.selector.variance(h.world.gram, h.chosen) for h in (one, other))
+    cost = [
+        (h.world.gram.yy - h.world.gram.reduction(h.columns)) / variance
+        + h.selector.price(h.chosen, [h.world.gram.rank(h.columns)])
+        for h in (one, other)
+    ]
+    return bool(one.chosen) and cost[0] < cost[1]
 
 
 def step_of(world: World, selector: Selector, chosen: tuple[int, ...]) -> Step:

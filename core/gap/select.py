@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,16 @@ class Selector:
     scorer: Scorer
     rows: int
     limits: Floats
+    closed: frozenset[int] = frozenset()  # candidates that may not enter
+
+    @property
+    def causes(self) -> Selector:
+        """The same search among physical candidates only."""
+        return replace(self, closed=frozenset(np.flatnonzero(self.scorer.empirical).tolist()))
+
+    def shapes(self, chosen: Sequence[int]) -> bool:
+        """Whether a set holds an empirical term."""
+        return any(self.scorer.candidates[k].empirical for k in chosen)
 
     def columns(self, chosen: Sequence[int]) -> list[int]:
         """Library columns of a set, each once."""
@@ -86,7 +96,7 @@ class Selector:
         for k in map(int, np.argsort(-np.where(able, value, -np.inf), kind="stable")):
             if not able[k] or value[k] <= worth:
                 break
-            if self.signed(gram, (*chosen, k), k):
+            if k not in self.closed and self.signed(gram, (*chosen, k), k):
                 its = float(value[k]) - (0.0 if self.within(gram, (*chosen, k), k) else MARGIN)
                 best, worth = (k, its) if its > worth else (best, worth)
         return best, worth
@@ -194,7 +204,18 @@ class Selector:
         return out
 
     def searched(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
-        """Whole selection on one linear world, for resamples."""
+        """Whole selection on one linear world, for resamples.
+
+        A shape that enters first can keep the causes out that together explain more: then they are tried alone.
+        """
+        chosen = self._climbed(gram, critical, most)
+        if self.shapes(chosen):
+            causes = self.causes._climbed(gram, critical, most)
+            if causes and self.beats(gram, causes, chosen):
+                return causes
+        return chosen
+
+    def _climbed(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
         chosen: tuple[int, ...] = ()
         for _ in range(2 * most):
             after = self.better(gram, chosen, critical, most)
@@ -247,7 +268,7 @@ class Selector:
         best, most = None, -np.inf
         for k in map(int, np.argsort(-worth, kind="stable")[:PAIRED]):
             m, _ = self.entry(gram, (*chosen, k), critical)
-            if m is None or m in (*chosen, k):
+            if m is None or m in (*chosen, k) or k in self.closed:
                 continue
             both = (*chosen, k, m)
             value = self.criterion(gram, both, self.variance(gram, both))

@@ -151,11 +151,12 @@ def test_a_scale_of_the_tracker_is_untestable(robot):
 
 
 def test_without_repeats_every_verdict_is_relative(robot):
-    report = find_gap(robot, campaign(robot, [BACKLASH], revisits=0, poses=100), QUICK)
+    report = find_gap(robot, campaign(robot, [("backlash", (1,), (2e-3,))], revisits=0, poses=100), QUICK)
     assert "no_repeats" in codes(report)
     assert "relative" in report.sentence
     assert [j.verdict for j in report.effects] == ["provisional"]
     assert report.effects[0].evidence.candidate.id == "backlash"
+    assert report.gap["noise_mm"] == pytest.approx(2e-2 * np.sqrt(3), rel=0.2)  # the gap itself is no noise
 
 
 @pytest.mark.parametrize(("approach_m", "verdict"), [(0.0, "class_confirmed"), (6e-5, "provisional")])
