@@ -228,6 +228,19 @@ def report(name: str, trips: np.ndarray, sent: int) -> tuple[float, float]:
     return float(p50), float(p99)
 
 
+def quiet() -> None:
+    """Say when something else keeps the machine busy: half a second in which this program does nothing."""
+
+    def ticks() -> tuple[int, int]:
+        fields = [int(x) for x in Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()[1:]]
+        return fields[3] + fields[4], sum(fields[:8])
+
+    idle, total = ticks()
+    time.sleep(0.5)
+    busy = 1.0 - (ticks()[0] - idle) / max(1, ticks()[1] - total)
+    print(f"other programs use {busy:.0%} of the machine" + (": these figures are not worth keeping" * (busy > 0.1)))
+
+
 def main() -> None:
     """Run everything once."""
     parser = argparse.ArgumentParser(description="Corrected round trip against a bare zenoh echo.")
@@ -235,6 +248,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1000.0, help="setpoints per second")
     parser.add_argument("--save", type=Path, help="file for the samples, as benchmarks.latency_page reads them (.npz)")
     arguments = parser.parse_args()
+    quiet()
     program = compile_program(calibration(), CorrectionOptions())
     kernel_times(program)
     active = Active(ROBOT, "ver_bench", version_number(program.digest), 1, program)
