@@ -81,6 +81,8 @@ def _gap(result: Mapping[str, Any], unit: str) -> None:
         _bar(bars[0]["x"], bars[0]["y"])
     closure = gap.get("closure")
     how = gap.get("held_out")
+    if closure is None and how:
+        say(f"held-out rows: {how}")
     if closure is not None:
         say(f"closed on held-out rows ({how}): {100 * closure:.1f} % of what is above the noise")
 
