@@ -24,7 +24,13 @@ from service.corrector.active import Active
 from service.corrector.frames import Flag, Status
 from service.corrector.process import Corrector
 from service.corrector.session import config
-from service.settings import Settings
+from service.db import Database, revision
+from service.db.tables import JobRow
+from service.robots import service as robots
+from service.settings import DATABASE_FILE, Settings
+from service.versions import service as versions
+from service.versions import store
+from service.versions.store import NewVersion
 
 ROBOT = "katana450-chapter4"
 ROOT = f"kilter/@v1/test/{ROBOT}"
@@ -266,6 +272,56 @@ def test_sigterm_during_the_start_leaves_nothing_behind(tmp_path: Path, ready: i
     until(lambda: not any(Path(f"/proc/{pid}/exe").exists() for pid in started))
     assert not (tmp_path / "corrector.json").exists()
     assert not (tmp_path / "server.json").exists()
+
+
+def store_active(settings: Settings, calibration: Calibration) -> None:
+    """A database with one robot and its active version, as job and routes write them."""
+    document = {"name": ROBOT, "convention": "preset", "preset": ROBOT}
+    report: dict[str, object] = {"parameters": [], "metrics": {}, "noise_mm": 0.01}
+    limits = {"max_joint_deg": 1.0, "max_position_mm": 5.0}
+    version = NewVersion(calibration.to_document(), report, {}, [], limits, None, "test")
+    database = Database(settings.database)
+    try:
+        revision.migrate(database)
+        robots.add(database, robots.DOCUMENT.validate_python(document))
+        with database.transaction() as session:
+            session.add(JobRow(id="job_1", kind="identify", robot_id=1, request={}, state="succeeded"))
+            session.flush()
+            added = store.add(session, 1, "job_1", version)
+        versions.activate(database, added, "admin")
+    finally:
+        database.close()
+
+
+def test_the_stream_outlives_the_api_and_the_database(tmp_path: Path, katana: Calibration) -> None:
+    """A server as users run it: its API is killed, then its database removed. The version in use stays in use."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
+    environment |= {"KILTER_DATA": str(tmp_path), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
+    settings = Settings(data=tmp_path, site="kilter")
+    store_active(settings, katana)
+    with subprocess.Popen(
+        [sys.executable, "-m", "service", "serve"],
+        cwd=REPOSITORY, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+    ) as server:  # fmt: skip
+        try:
+            assert server.stdout is not None
+            assert server.stdout.readline()
+            with CorrectedStream(ROBOT, data=tmp_path, deadline_s=5.0, settled=True, connect_timeout_s=30.0) as stream:
+                used = [stream.correct(Q)]
+                api = next(p for p in descendants(server.pid) if b"\0api\0" in Path(f"/proc/{p}/cmdline").read_bytes())
+                os.kill(api, signal.SIGKILL)
+                used += [stream.correct(Q) for _ in range(20)]
+                for file in tmp_path.glob(f"{DATABASE_FILE}*"):
+                    file.unlink()
+                for _ in range(40):  # half a second and more: the corrector looks four times a second
+                    used.append(stream.correct(Q))
+                    time.sleep(0.02)
+                epochs = {stream.active["epoch"] if stream.active else None}
+        finally:
+            server.send_signal(signal.SIGTERM)
+            server.wait(60)
+    assert {setpoint.source for setpoint in used} == {"corrected"}
+    assert epochs == {1}
 
 
 def ip(*arguments: str) -> subprocess.CompletedProcess[str]:
