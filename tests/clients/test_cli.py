@@ -155,6 +155,22 @@ def _correct(robot: str, command: Command, tmp_path: Path) -> None:
     assert "JOINT_LIMIT 1" in command("correct", robot, path, "-o", output)
 
 
+def test_what_a_correction_leaves_out_is_said(
+    robot: str, command: Command, write_campaign: Write, tmp_path: Path
+) -> None:
+    measured, path = write_campaign(60), tmp_path / "path.csv"
+    head, *rows = measured.read_text().splitlines()
+    warm = [f"{row},{20 + k % 7}" for k, row in enumerate(rows)]
+    measured.write_text("\n".join([f"{head},temperature_c", *warm, ""]))
+    campaign = command.json("upload", robot, measured)["campaign_id"]
+    job = command.json("identify", robot, "-c", campaign, "--level", "1", "--effects", "thermal_growth")
+    command("activate", job["result"]["version_id"])
+    path.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg\n0,20,30,10,5\n")
+    said = ("correct", robot, path, "-o", tmp_path / "out.csv")
+    assert command.json(*said)["not_corrected"] == ["thermal_growth"]  # no thermometer: KILTER_TEMPERATURE_C is unset
+    assert "not corrected is what thermal_growth does" in command(*said)
+
+
 def _columns(path: Path) -> list[tuple[str, ...]]:
     return list(zip(*csv.reader(path.read_text().splitlines()), strict=True))
 

@@ -18,6 +18,12 @@ if TYPE_CHECKING:
 CORRECT_TIMEOUT_S = 600.0
 
 
+class Corrected(bytes):
+    """A corrected trajectory, as bytes of a file; ``left_out`` are effects of the version that it does not cover."""
+
+    left_out: tuple[str, ...] = ()
+
+
 class Kilter:
     """A Kilter server: ``robots``, ``campaigns``, ``jobs``, ``versions``, and ``correct`` for trajectories.
 
@@ -54,10 +60,11 @@ class Kilter:
 
     def correct(
         self, robot: str, trajectory: Prepared, *, version: str | None = None, form: str | None = None
-    ) -> bytes:
+    ) -> Corrected:
         """Correct a trajectory with the active version (or ``version``).
 
-        The answer has the format that was sent; ``form`` "ros2-yaml" asks for a ROS 2 JointTrajectory instead.
+        The answer has the format that was sent; ``form`` "ros2-yaml" asks for a ROS 2 JointTrajectory instead. Its
+        ``left_out`` names effects of the version that a correction does not cover.
         """
         response = self._connection.request(
             "POST",
@@ -67,7 +74,9 @@ class Kilter:
             params={name: value for name, value in (("version", version), ("format", form)) if value},
             timeout=CORRECT_TIMEOUT_S,
         )
-        return response.content
+        corrected = Corrected(response.content)
+        corrected.left_out = tuple(filter(None, response.headers.get("Kilter-Not-Corrected", "").split(", ")))
+        return corrected
 
     def close(self) -> None:
         """Close the connections."""

@@ -49,11 +49,19 @@ def correct(
     if left:
         counts = ", ".join(f"{name} {count}" for name, count in left.items())
         note(f"Warning: {sum(left.values())} rows are not corrected and have empty cells ({counts}).", as_json)
+    if content.left_out:
+        note(f"Warning: not corrected is what {', '.join(content.left_out)} does.", as_json)
     if output is None:
         typer.get_binary_stream("stdout").write(content)
         return
     write(output, content)
-    document = {"robot": robot, "output": str(output), "bytes": len(content), "status": status}
+    document = {
+        "robot": robot,
+        "output": str(output),
+        "bytes": len(content),
+        "status": status,
+        "not_corrected": list(content.left_out),
+    }
     emit(
         document,
         as_json,
