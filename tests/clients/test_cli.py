@@ -163,7 +163,7 @@ def test_what_a_correction_leaves_out_is_said(
     warm = [f"{row},{20 + k % 7}" for k, row in enumerate(rows)]
     measured.write_text("\n".join([f"{head},temperature_c", *warm, ""]))
     campaign = command.json("upload", robot, measured)["campaign_id"]
-    job = command.json("identify", robot, "-c", campaign, "--level", "1", "--effects", "thermal_growth")
+    job = command.json("identify", robot, "-c", campaign, "--effects", "thermal_growth")
     command("activate", job["result"]["version_id"])
     path.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg\n0,20,30,10,5\n")
     said = ("correct", robot, path, "-o", tmp_path / "out.csv")
