@@ -14,7 +14,8 @@ from kilter_client.files.inspection import inspect
 from kilter_client.files.joint_log import read_joint_log
 from kilter_client.files.matching import frame_rows, match_dwells
 from kilter_client.files.recordings import open_recording
-from kilter_client.files.rigid_body import Body, find_body, poses, quaternions_of, tool_as_markers
+from kilter_client.files.rigid_body import Body, find_body, poses, tool_as_markers
+from kilter_client.files.turns import quaternions_of
 from scipy.spatial.transform import Rotation
 
 from tests.clients.files.simulated import BODY, arm, stops, write_csv, write_log, write_n3d

@@ -13,11 +13,11 @@ from kilter_client.files.faults import fault
 from kilter_client.files.gaps import unit_quaternions, without_gaps
 from kilter_client.files.marker_header import unit_above
 from kilter_client.files.recording import Block, Floats, Recording
-from kilter_client.files.rigid_body import quaternions_of
 from kilter_client.files.source_text import parse_number
 from kilter_client.files.text_blocks import MISSING, lines_of
 from kilter_client.files.text_layout import TextLayout
 from kilter_client.files.tracker_header import plain
+from kilter_client.files.turns import quaternions_of
 from kilter_client.files.units import SIZES
 
 Whole = np.ndarray[tuple[int, ...], np.dtype[np.int64]]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from kilter_client.files.dwells import mean_seen, thin
 from kilter_client.files.faults import fault
 from kilter_client.files.recording import Block, Floats, Recording
+from kilter_client.files.turns import matrices_of, quaternions_of
 
 LEAST_WIDTH_MM = 1.0  # markers in a line, or in one place, fix no orientation
 LEVER_MM = 100.0
@@ -150,35 +151,11 @@ def tool_as_markers(recording: Recording, name: str | None = None) -> Recording:
         for block in recording.blocks():
             if block.quaternions is None:
                 raise fault(recording.path, "its tools have no orientation", "Leave out --tool.")
-            turned = _matrices(block.quaternions[:, k])
+            turned = matrices_of(block.quaternions[:, k])
             points = block.points_mm[:, k, None] + np.einsum("nij,mj->nmi", turned, LEVERS)
             yield replace(block, points_mm=points, quaternions=None)
 
     return replace(recording, kind=VIRTUAL, markers=("origin", "x", "y"), blocks=blocks)
-
-
-def _matrices(quaternions: Floats) -> Floats:
-    w, x, y, z = quaternions.T
-    rows = [
-        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    ]
-    return np.stack(rows, axis=1).reshape(-1, 3, 3)
-
-
-def quaternions_of(turned: Floats) -> Floats:
-    """Return quaternions (n, 4; w first) of rotations, by the largest of their four squares: exact near any angle."""
-    m = turned.reshape(-1, 9).T
-    squares = np.stack([1 + m[0] + m[4] + m[8], 1 + m[0] - m[4] - m[8], 1 - m[0] + m[4] - m[8], 1 - m[0] - m[4] + m[8]])
-    w, x, y, z = squares
-    a, b, c = m[7] - m[5], m[2] - m[6], m[3] - m[1]
-    d, e, f = m[1] + m[3], m[2] + m[6], m[5] + m[7]
-    sets = np.stack([np.stack([w, a, b, c]), np.stack([a, x, d, e]), np.stack([b, d, y, f]), np.stack([c, e, f, z])])
-    best = np.argmax(np.nan_to_num(squares), axis=0)
-    q = sets[best, :, np.arange(len(turned))]
-    q = q / np.linalg.norm(q, axis=1)[:, None]
-    return np.asarray(np.where(q[:, :1] < 0, -q, q))
 
 
 def seen_enough(found: Poses) -> NDArray[np.bool_]:
