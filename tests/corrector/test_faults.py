@@ -31,24 +31,9 @@ from service.settings import DATABASE_FILE, Settings
 from service.versions import service as versions
 from service.versions import store
 from service.versions.store import NewVersion
+from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
 
-ROBOT = "katana450-chapter4"
-ROOT = f"kilter/@v1/test/{ROBOT}"
-Q = (0.1, 0.6, 0.4, 0.3, 0.2)
 REPOSITORY = Path(__file__).resolve().parents[2]
-
-
-def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
-    """Wait until the condition holds; fail when it does not in time."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited too long"
-        time.sleep(0.01)
-
-
-def open_stream(corrector: Corrector, name: str, **options: object) -> CorrectedStream:
-    given = {"deadline_s": 2.0, "data": corrector.file.parent, "stream": name, "settled": True, **options}
-    return CorrectedStream(ROBOT, **given)  # type: ignore[arg-type]
 
 
 def point(seq: int, flags: int = 0, q: tuple[float, ...] = Q) -> bytes:

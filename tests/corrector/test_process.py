@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,24 +22,7 @@ from service.corrector import frames
 from service.corrector.process import Corrector
 from service.corrector.queries import encode_trajectory
 from service.corrector.session import config
-
-ROBOT = "katana450-chapter4"
-ROOT = f"kilter/@v1/test/{ROBOT}"
-Q = (0.1, 0.6, 0.4, 0.3, 0.2)
-
-
-def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
-    """Wait until the condition holds; fail when it does not in time."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited too long"
-        time.sleep(0.01)
-
-
-def open_stream(corrector: Corrector, name: str, **options: object) -> CorrectedStream:
-    # A loaded test machine may take its time: nothing here depends on being fast.
-    given = {"deadline_s": 2.0, "data": corrector.file.parent, "stream": name, "settled": True, **options}
-    return CorrectedStream(ROBOT, **given)  # type: ignore[arg-type]
+from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
 
 
 def peer(corrector: Corrector) -> zenoh.Session:
