@@ -20,7 +20,8 @@ readings, repeats. Three arms: the Katana 450, a six-axis elbow arm, a seven-axi
 λ is the non-centrality of an effect: the square of its signature in units of the noise, after everything that geometry
 can imitate has been taken away. ρ is the part of it that the nearest other name can imitate.
 
-`make blind N={n}` measured this ({runs} runs, seed {seed}). Bounds are exact 95 % bounds (Clopper and Pearson).
+`make blind N={n}` measured this ({runs} runs, seed {seed}). Bounds are exact 95 % bounds (Clopper and Pearson). Times are
+those of a machine that did other work as well: `make bench-gap` measures them alone.
 
 | figure | aim | found | of | bounds |
 |---|---|---|---|---|
