@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,8 +73,11 @@ def _climbed(world: World, selector: Selector, options: GapOptions, tell: Tell) 
             break
         chosen = after
         seen.add(frozenset(chosen))
-        tell(min(0.9, (round_ + 0.5) / 6.0), "re-fitting with " + ", ".join(scorer.candidates[m].label for m in chosen))
-        world = refit(world.setting, world.values, selector.columns(chosen))
+        now = (
+            min(0.9, (round_ + 0.5) / 6.0),
+            "re-fitting with " + ", ".join(scorer.candidates[m].label for m in chosen),
+        )
+        world = refit(world.setting, world.values, selector.columns(chosen), partial(tell, *now))
         steps.append(step_of(world, selector, chosen))
     assert first is not None
     return Hunt(world, selector, chosen, first, first.critical(options.alpha), tuple(steps))

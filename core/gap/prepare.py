@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -99,7 +100,7 @@ class Workshop:
         self.tell(0.3, "noise from repeats")
         noise = self._noise(source, values, rows, visits)
         setting = Setting(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
-        world = self._enough(refit(setting, values, []))
+        world = self._enough(refit(setting, values, [], partial(self.tell, 0.45, "fitting the geometry again")))
         self.tell(0.6, "looking for outliers")
         world = self._correlated(world, visits) if moving else self._without_outliers(world, visits)
         if not moving and not world.setting.trusted and len(visits) >= FEWEST_ROWS:
@@ -224,7 +225,7 @@ class Workshop:
             lost = len(setting.source.prior_mean) / max(world.nu, 1.0)
             noise = fit_noise(setting.source.residual(world.values), visits, ~far, min(0.9, lost))
             setting = replace(setting, noise=noise)
-        return refit(setting, world.values, [])
+        return refit(setting, world.values, [], partial(self.tell, 0.8, "fitting without outliers"))
 
     def _correlated(self, world: World, visits: Visits) -> World:
         """Noise and its correlation from what the whole library could not explain; blocks instead of poses."""
@@ -261,7 +262,7 @@ class Workshop:
         L = np.linalg.inv(setting.whitener)
         noise = fit_noise(np.einsum("vij,vj->vi", L, rest), visits, setting.used, 0.0)
         setting = replace(setting, noise=noise, group=group, inflation=length, trusted=True)
-        return refit(setting, world.values, [])
+        return refit(setting, world.values, [], partial(self.tell, 0.8, "fitting with the noise of correlated rows"))
 
     def _warn(self, code: str, message: str) -> None:
         self.warnings.append({"code": code, "message": message})

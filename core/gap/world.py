@@ -7,7 +7,7 @@ takes c_I' A_II^-1 c_I off chi-square, and conditioning on a set is a Schur comp
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -22,6 +22,7 @@ from core.gap.source import Source
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Tick = Callable[[], None]
 
 SEEN = 0.5  # data sigmas that one prior sigma of a geometric direction moves; below, the prior knows it better than the data
 VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
@@ -175,17 +176,28 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     return World(setting, values, yp, Wp, U, np.where(norm > 0.0, 1.0 / unit, 0.0), nu, Wp.T @ Wp, Wp.T @ yp, r, G, W)
 
 
-def refit(setting: Setting, values: Floats, columns: Sequence[int]) -> World:
+def _go_on() -> None:
+    """Nobody asks to be told of a step."""
+
+
+def refit(setting: Setting, values: Floats, columns: Sequence[int], tick: Tick = _go_on) -> World:
     """Nonlinear re-fit of geometry (with its priors) and the library ``columns`` (free), from ``values``."""
-    return world_at(setting, solved(setting, values, columns)[0])
+    values = solved(setting, values, columns, tick=tick)[0]
+    tick()
+    return world_at(setting, values)
 
 
 def solved(
-    setting: Setting, values: Floats, columns: Sequence[int], held: tuple[int, float] | None = None
+    setting: Setting,
+    values: Floats,
+    columns: Sequence[int],
+    held: tuple[int, float] | None = None,
+    tick: Tick = _go_on,
 ) -> tuple[Floats, float]:
     """Values of the nonlinear fit and its chi-square; the rest of the library is zero.
 
-    ``held`` keeps one more library parameter at a value, as a profile does.
+    ``held`` keeps one more library parameter at a value, as a profile does. ``tick`` is called at every step, and may
+    raise: on ten thousand poses a fit takes seconds, and who cancels should not wait for its end.
     """
     free = [k for k in columns if held is None or k != held[0]]
     library = np.zeros(len(setting.source.library(values)))
@@ -194,6 +206,7 @@ def solved(
         library[held[0]] = held[1]
     values = setting.source.moved(values, np.zeros(len(setting.source.prior_mean)), library)
     for _ in range(REFITS):
+        tick()
         world = world_at(setting, values, only=free)
         values, change = _step(world, free)
         if change < STILL:
