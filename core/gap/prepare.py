@@ -27,7 +27,7 @@ from core.gap.trajectory import (
     windows_of,
 )
 from core.gap.visits import Visits, visits_of
-from core.gap.world import Setting, World, refit
+from core.gap.world import Setting, Tick, World, refit
 from core.identify.estimate import estimate
 from core.identify.estimate import prepared as start_of
 from core.identify.least_squares import Fit, fit_at
@@ -170,8 +170,9 @@ class Workshop:
         return source, values, library
 
     def _windowed(self, rows: Observations, source: Source, values: Floats) -> Observations:
-        self.tell(0.15, f"averaging {len(rows)} samples of a motion")
-        return windowed(rows, source, values)
+        now = partial(self.tell, 0.15, f"averaging {len(rows)} samples of a motion")
+        now()
+        return windowed(rows, source, values, tick=now)
 
     def _noise(self, source: Source, values: Floats, rows: Observations, visits: Visits) -> Noise:
         visit_residual = source.residual(values)
@@ -268,10 +269,12 @@ class Workshop:
         self.warnings.append({"code": code, "message": message})
 
 
-def windowed(rows: Observations, source: Source, values: Floats, width: int | None = None) -> Observations:
+def windowed(
+    rows: Observations, source: Source, values: Floats, width: int | None = None, tick: Tick | None = None
+) -> Observations:
     """Rows of motions averaged over windows, by the residuals they have at ``values``."""
     live = source.live if isinstance(source, LinkSource) else np.ones(rows.q.shape[1], dtype=bool)
-    return averaged(rows, _row_residual(source, values, rows), windows_of(rows, width), live)
+    return averaged(rows, _row_residual(source, values, rows, tick), windows_of(rows, width), live)
 
 
 def _on(source: Source, rows: Observations) -> Source:
@@ -281,11 +284,15 @@ def _on(source: Source, rows: Observations) -> Source:
     return source.on(rows)
 
 
-def _row_residual(source: Source, values: Floats, rows: Observations) -> Floats:
-    """Residuals (N, m) of single rows, in chunks."""
+def _row_residual(source: Source, values: Floats, rows: Observations, tick: Tick | None = None) -> Floats:
+    """Residuals (N, m) of single rows, in chunks; ``tick`` is called after each."""
     if isinstance(source, LinkSource):
         return source.on(rows).residual(values)
-    parts = [_on(source, rows.select(slice(k, k + CHUNK))).residual(values) for k in range(0, len(rows), CHUNK)]
+    parts = []
+    for k in range(0, len(rows), CHUNK):
+        parts.append(_on(source, rows.select(slice(k, k + CHUNK))).residual(values))
+        if tick is not None:
+            tick()
     return np.concatenate(parts)
 
 
