@@ -33,9 +33,8 @@ def outliers(world: World) -> Bools:
     """
     setting = world.setting
     size = setting.whitener.shape[-1]
-    G = world.G * setting.source.prior_sigma
-    whole = np.hstack([G, world.W_raw * (setting.source.library_sigma * world.size)])
-    y = world.raw + world.W_raw @ (setting.source.library(world.values) * world.size)
+    y, whole = world.within_priors()
+    G = whole[:, : world.G.shape[1]]
     limit = float(chi2.isf(CHANCE / len(setting.used), size))
     found = _far(whole, y, setting.used, limit)
     if whole.shape[1] > SUPPLE * setting.used.sum() * size:

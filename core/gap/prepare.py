@@ -299,8 +299,7 @@ def _row_residual(source: Source, values: Floats, rows: Observations, tick: Tick
 def _unexplained(world: World) -> Floats:
     """Whitened residual (V, m) off geometry and the whole library, every parameter within its prior."""
     setting = world.setting
-    X = np.hstack([world.G * setting.source.prior_sigma, world.W_raw * (setting.source.library_sigma * world.size)])
-    y = world.raw + world.W_raw @ (setting.source.library(world.values) * world.size)
+    y, X = world.within_priors()
     H = X.T @ X
     H[np.diag_indices_from(H)] += 1.0
     r = y - X @ scipy.linalg.solve(H, X.T @ y, assume_a="pos")

@@ -77,6 +77,12 @@ class World:
         """Raw whitened norm (Q,) of one unit of each parameter, the inverse of ``scale``."""
         return np.where(self.scale > 0.0, 1.0 / np.where(self.scale > 0.0, self.scale, 1.0), 0.0)
 
+    def within_priors(self) -> tuple[Floats, Floats]:
+        """Whitened data (R,) without any library effect, and the columns (R, P + Q) of one prior sigma each."""
+        source = self.setting.source
+        columns = np.hstack([self.G * source.prior_sigma, self.W_raw * (source.library_sigma * self.size)])
+        return self.raw + self.W_raw @ (source.library(self.values) * self.size), columns
+
     @cached_property
     def gram(self) -> Gram:
         """Everything selection needs."""
