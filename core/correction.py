@@ -161,11 +161,11 @@ class Track:
         """Fresh memory for a program, and the rows of it that the outside looks at."""
         self.program = program
         n = program.n_joints
-        self._memory = program.memory()
+        self.memory = program.memory()
         self._rows = len(program.array)
-        self.state = self._memory[-(n + 3) : -2]
-        self.out = self._memory[-2, :n]
-        self.info = self._memory[-1, : kernel.INFO]
+        self.state = self.memory[-(n + 3) : -2]
+        self.out = self.memory[-2, :n]
+        self.info = self.memory[-1, : kernel.INFO]
 
     def restart(self, *, settled: bool = False) -> None:
         """Forget the past."""
@@ -191,7 +191,7 @@ class Track:
 
         ``x (width * n,)`` holds q, then qd and qdd; ``dt`` s since the last answer.
         """
-        return int(kernel.step(self._memory, self._rows, self.program.n_joints, x, width, dt))
+        return int(kernel.step(self.memory, self._rows, self.program.n_joints, x, width, dt))
 
     def follow(self, x: Floats, width: int, dt: Floats, *, atomic: bool = False) -> tuple[int, Floats, Floats, Ints]:
         """Correct points ``x (K, width * n)`` in turn, ``dt (K,)`` s each after the one before.
@@ -203,7 +203,7 @@ class Track:
         out, info = np.empty((len(x), n)), np.empty((len(x), kernel.INFO))
         status = np.empty(len(x), dtype=np.int64)
         before = self.state.copy() if atomic else self.state
-        done = int(kernel.follow(self._memory, self._rows, n, x, width, dt, out, info, status))
+        done = int(kernel.follow(self.memory, self._rows, n, x, width, dt, out, info, status))
         if atomic and done < len(x):
             self.state[:] = before
         return done, out, info, status

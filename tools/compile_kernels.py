@@ -8,6 +8,7 @@ from core.correction import warm_up
 from core.design.iso9283 import iso_poses
 from core.identify import IdentifyOptions, identify
 from core.twin import thesis_katana
+from service.corrector import short_way
 
 POSES = 30
 
@@ -17,6 +18,7 @@ def main() -> None:
     start = time.monotonic()
     print("Compiling the kernels: a minute or two, once after each change of them.", flush=True)
     warm_up()
+    short_way.warm_up()
     twin = thesis_katana()
     seen = twin.observe(iso_poses(twin.robot, POSES), noise_m=1e-5)
     identify(twin.robot, seen, None, IdentifyOptions(level=3, base="fixed", tool="fixed"))

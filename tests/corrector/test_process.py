@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -72,6 +73,35 @@ def test_a_chunk_comes_back_in_one_frame(corrector: Corrector) -> None:
         answer = stream.correct_chunk([Q] * 100, 0.002)
     assert answer is not None
     assert (answer.status, answer.joints, len(answer.q)) == ("OK", 5, 500)
+
+
+def test_streams_in_any_order_get_their_own_answers(corrector: Corrector) -> None:
+    rng = np.random.default_rng(5)
+    names, heard = ["a", "b", "c", "d"], list[tuple[str, bytes]]()
+    rests = {name: np.array(Q) + 0.05 * k for k, name in enumerate(names)}
+    seq = dict.fromkeys(names, 0)
+    with peer(corrector) as session:
+        session.declare_subscriber(
+            f"{ROOT}/stream/*/out", lambda sample: heard.append((str(sample.key_expr), sample.payload.to_bytes()))
+        )
+        publishers = {name: session.declare_publisher(f"{ROOT}/stream/{name}/in") for name in names}
+        until(lambda: all(publisher.matching_status.matching for publisher in publishers.values()))
+        # in turn, so that each follows another, then as it comes
+        order = names * 30 + [names[k] for k in rng.integers(0, 4, 200)]
+        for sent, name in enumerate(order, 1):
+            seq[name] += 1
+            flags = frames.Flag.RESET | frames.Flag.SETTLED if seq[name] == 1 else 0
+            now = time.monotonic_ns()
+            publishers[name].put(frames.encode_setpoints(
+                rests[name][None], joints=5, seq=seq[name], t_send_ns=now, t_apply_ns=0, flags=flags,
+            ))  # fmt: skip
+            until(lambda sent=sent: len(heard) == sent)  # type: ignore[misc]
+    for key, data in heard:
+        name, answer = key.split("/")[-2], frames.decode_answer(data)
+        assert answer.status in (frames.Status.OK, frames.Status.STALE)  # a loaded machine may be late
+        if answer.status == frames.Status.OK:
+            assert np.abs(answer.values[0] - rests[name]).max() < 0.02
+    assert [key.split("/")[-2] for key, _ in heard] == order
 
 
 def test_a_refused_setpoint_holds_the_last_correction_then_bypasses(corrector: Corrector) -> None:
