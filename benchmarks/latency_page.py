@@ -1,10 +1,11 @@
 """The page on the stream's latency, docs/explanation/stream-latency.md, from the samples of a run.
 
-    python -m benchmarks.stream --samples 100000 --save samples.npz
+    python -m benchmarks.stream --samples 100000 --rounds 10 --save samples.npz
     python -m benchmarks.latency_page samples.npz
 
 The samples hold ``echo_us`` and ``corrected_us`` (round trips, in order), ``inside_us`` (time inside the corrector),
-``lost`` (2,), ``rate_hz``, ``load`` of the machine, ``chunks_per_s`` (setpoints per second in chunks).
+``lost`` (2,), ``rate_hz``, ``load`` of the machine, ``chunks_per_s`` (setpoints per second in chunks), ``medians_us``
+(rounds, 2) of both lines.
 """
 
 from __future__ import annotations
@@ -40,13 +41,14 @@ PAGE = """# How late a corrected setpoint is
 
 A controller sends a setpoint over zenoh and waits for the corrected one. Most of that time is the way there and back;
 this page says what the correction adds to it. An echo that only sends back what it gets is measured beside it, in the
-same run and in turns, so that whatever else the machine does meets both.
+same run and in turns, so that whatever else the machine does meets both, and both are started anew in every of
+{rounds} rounds: two processes of the same program differ by several per cent, by where their memory happens to lie.
 
 {table}
 
 Corrected to bare: **{p50:.3f} at the median, {p99:.3f} at 99 %**; {lost} of {sent} were lost. Setpoints of 6 joints,
 {rate:.0f} a second on each line, one at a time, over TCP on one machine with {cores} cores ({system}, load {load:.1f}; the
-run itself makes about 0.5).
+run itself makes about 0.5). Round by round the ratio of the medians was {ratios}.
 
 {picture}
 
@@ -75,7 +77,7 @@ make bench-stream
 prints the figures, with `ratio p50=… p99=… lost=…` as its last line. This page and its picture come from
 
 ```
-python -m benchmarks.stream --samples 100000 --save samples.npz
+python -m benchmarks.stream --samples 100000 --rounds 10 --save samples.npz
 python -m benchmarks.latency_page samples.npz
 ```
 
@@ -133,7 +135,9 @@ def page(samples: Mapping[str, Floats]) -> str:
     (e50, e99), (p50, p99) = (np.percentile(x, [50, 99]) for x in (echo, ours))
     inside50, inside99 = np.percentile(samples["inside_us"], [50, 99])
     sent = len(samples["inside_us"]) + int(samples["lost"][1])
+    medians = samples["medians_us"]
     return PAGE.format(
+        rounds=len(medians), ratios=", ".join(f"{ratio:.3f}" for ratio in medians[:, 1] / medians[:, 0]),
         table=table(samples), picture=PICTURE, p50=p50 / e50, p99=p99 / e99, lost=int(samples["lost"][1]), sent=grouped(sent),
         rate=float(samples["rate_hz"]), load=float(samples["load"]), cores=os.cpu_count(),
         system=f"{platform.system()} {platform.machine()}", inside50=inside50, inside99=inside99,

@@ -1,9 +1,11 @@
 """What the correction costs: corrected round trip against a bare zenoh echo, interleaved in one run.
 
-    python -m benchmarks.stream [--samples 20000] [--rate 1000] [--save samples.npz]
+    python -m benchmarks.stream [--samples 20000] [--rounds 4] [--rate 1000] [--save samples.npz]
 
 Echo and corrector have the same session settings, ring, thread and priority, and take turns in blocks of a quarter of a
-second, so that whatever else the machine does meets both. The last line is ``ratio p50=... p99=... lost=...``.
+second, so that whatever else the machine does meets both. Two processes of the same program differ by several per cent,
+by where their memory happens to lie; so both are started anew in every round, and the samples of all rounds are put
+together. The last line is ``ratio p50=... p99=... lost=...``.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -241,10 +245,81 @@ def quiet() -> None:
     print(f"other programs use {busy:.0%} of the machine" + (": these figures are not worth keeping" * (busy > 0.1)))
 
 
+@contextmanager
+def beside_an_echo(
+    active: Active, entry: Callable[[Connection], None], door: str, wake: Callable[[zenoh.Session], object]
+) -> Iterator[zenoh.Session]:
+    """A session with a corrector (its ``door``, "stream" or "query") and an echo in a process of its own.
+
+    The echo's ``entry`` sends its endpoint and ends when the pipe has something for it, which ``wake`` makes it look at.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    echo = context.Process(target=entry, args=(theirs,))
+    echo.start()
+    endpoint = ours.recv()
+    with tempfile.TemporaryDirectory() as folder:
+        corrector = Corrector(Settings(data=Path(folder), zenoh_listen="tcp/127.0.0.1:0", site=SITE), Fixed(active))
+        corrector.start()
+        try:
+            with zenoh.open(config("tcp/127.0.0.1:0", (endpoint, corrector.endpoints[door]))) as session:
+                time.sleep(0.5)
+                yield session
+                ours.send("stop")
+                wake(session)
+                echo.join(5)
+        finally:
+            corrector.stop()
+            if echo.is_alive():
+                echo.kill()
+
+
+@dataclass
+class Round:
+    """What one pair of processes did."""
+
+    echo_us: np.ndarray
+    corrected_us: np.ndarray
+    inside_us: np.ndarray
+    lost: tuple[int, int]
+    verdicts: Counter[str]
+    chunks_per_s: float
+
+
+def run_round(active: Active, samples: int, rate: float) -> Round:
+    """Start both, send ``samples`` setpoints to each, then chunks to the corrector."""
+    with beside_an_echo(active, echo_main, "stream", lambda session: session.put(f"{ECHO}/in", b"")) as session:
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        lines = [Line(session, ECHO), Line(session, f"{STREAMS}/corrected")]
+        take_turns(lines, samples, rate)
+        for line in lines:
+            line.wait()
+        answers = [frames.decode_answer(data) for _, data in lines[1].arrived]
+        done = Round(
+            lines[0].round_trips_us(),
+            lines[1].round_trips_us(),
+            np.array([answer.processing_ns for answer in answers]) / 1000.0,
+            (lines[0].seq - len(lines[0].arrived), lines[1].seq - len(lines[1].arrived)),
+            Counter(answer.status.name for answer in answers),
+            throughput(Line(session, f"{STREAMS}/chunks")),
+        )
+        gc.enable()
+    p50, p99 = (np.percentile(done.corrected_us, q) / np.percentile(done.echo_us, q) for q in (50, 99))
+    print(
+        f"round: echo p50={np.median(done.echo_us):.1f} µs, corrected / echo p50={p50:.3f} p99={p99:.3f}, inside the "
+        f"corrector p50={np.median(done.inside_us):.1f} µs, {done.chunks_per_s:,.0f} setpoints/s in chunks of 200",
+        flush=True,
+    )
+    return done
+
+
 def main() -> None:
     """Run everything once."""
     parser = argparse.ArgumentParser(description="Corrected round trip against a bare zenoh echo.")
     parser.add_argument("--samples", type=int, default=20_000, help="setpoints per line")
+    parser.add_argument("--rounds", type=int, default=4, help="pairs of processes that share them")
     parser.add_argument("--rate", type=float, default=1000.0, help="setpoints per second")
     parser.add_argument("--save", type=Path, help="file for the samples, as benchmarks.latency_page reads them (.npz)")
     arguments = parser.parse_args()
@@ -252,47 +327,27 @@ def main() -> None:
     program = compile_program(calibration(), CorrectionOptions())
     kernel_times(program)
     active = Active(ROBOT, "ver_bench", version_number(program.digest), 1, program)
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe()
-    echo = context.Process(target=echo_main, args=(theirs,))
-    echo.start()
-    echo_endpoint = ours.recv()
-    with tempfile.TemporaryDirectory() as folder:
-        settings = Settings(data=Path(folder), zenoh_listen="tcp/127.0.0.1:0", site=SITE)
-        corrector = Corrector(settings, Fixed(active))
-        corrector.start()
-        try:
-            with zenoh.open(config("tcp/127.0.0.1:0", (echo_endpoint, corrector.endpoints["stream"]))) as session:
-                time.sleep(0.5)
-                gc.freeze()
-                gc.disable()
-                lines = [Line(session, ECHO), Line(session, f"{STREAMS}/corrected")]
-                take_turns(lines, arguments.samples, arguments.rate)
-                for line in lines:
-                    line.wait()
-                lost = [line.seq - len(line.arrived) for line in lines]
-                verdicts = Counter(frames.decode_answer(data).status.name for _, data in lines[1].arrived)
-                inside = np.array([frames.decode_answer(data).processing_ns for _, data in lines[1].arrived]) / 1000.0
-                echo_p50, echo_p99 = report("echo", lines[0].round_trips_us(), lines[0].seq)
-                our_p50, our_p99 = report("corrected", lines[1].round_trips_us(), lines[1].seq)
-                quantiles = np.percentile(inside, [50, 99])
-                print(f"inside the corrector p50={quantiles[0]:.1f} p99={quantiles[1]:.1f} µs; {dict(verdicts)}")
-                rate = throughput(Line(session, f"{STREAMS}/chunks"))
-                print(f"throughput in chunks of 200: {rate:,.0f} setpoints/s")
-                if arguments.save:
-                    np.savez_compressed(
-                        arguments.save, echo_us=lines[0].round_trips_us(), corrected_us=lines[1].round_trips_us(),
-                        inside_us=inside, lost=lost, rate_hz=arguments.rate, chunks_per_s=rate,
-                        load=os.getloadavg()[0],
-                    )  # fmt: skip
-                ours.send("stop")
-                session.put(f"{ECHO}/in", b"")  # wakes the echo, which then sees that it is told to stop
-                echo.join(5)
-        finally:
-            corrector.stop()
-            if echo.is_alive():
-                echo.kill()
-    print(f"cores {os.cpu_count()}, load {os.getloadavg()[0]:.1f}")
+    share = math.ceil(arguments.samples / arguments.rounds)
+    rounds = [run_round(active, share, arguments.rate) for _ in range(arguments.rounds)]
+    echo_us, corrected_us, inside_us = (
+        np.concatenate([getattr(done, name) for done in rounds]) for name in ("echo_us", "corrected_us", "inside_us")
+    )
+    lost = np.sum([done.lost for done in rounds], axis=0)
+    echo_p50, echo_p99 = report("echo", echo_us, share * len(rounds))
+    our_p50, our_p99 = report("corrected", corrected_us, share * len(rounds))
+    quantiles = np.percentile(inside_us, [50, 99])
+    verdicts = sum((done.verdicts for done in rounds), Counter[str]())
+    print(f"inside the corrector p50={quantiles[0]:.1f} p99={quantiles[1]:.1f} µs; {dict(verdicts)}")
+    chunks = float(np.median([done.chunks_per_s for done in rounds]))
+    print(f"throughput in chunks of 200: {chunks:,.0f} setpoints/s, the median of the rounds")
+    load = os.getloadavg()[0]
+    if arguments.save:
+        medians = [[np.median(done.echo_us), np.median(done.corrected_us)] for done in rounds]
+        np.savez_compressed(
+            arguments.save, echo_us=echo_us, corrected_us=corrected_us, inside_us=inside_us, lost=lost,
+            rate_hz=arguments.rate, chunks_per_s=chunks, load=load, medians_us=medians,
+        )  # fmt: skip
+    print(f"cores {os.cpu_count()}, load {load:.1f}")
     print(f"ratio p50={our_p50 / echo_p50:.3f} p99={our_p99 / echo_p99:.3f} lost={lost[1]}")
 
 

@@ -9,24 +9,19 @@ Allowed are 1.5 bare round trips and 3 µs for every point. The last line is
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-import tempfile
 import time
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 import numpy as np
 import zenoh
 
-from benchmarks.stream import POSTURE, ROBOT, SITE, Fixed, calibration
+from benchmarks.stream import POSTURE, ROBOT, SITE, beside_an_echo, calibration
 from core.correction import CorrectionOptions, Track, compile_program
 from service.corrector import frames
 from service.corrector.active import Active, version_number
 from service.corrector.keys import RobotKeys
-from service.corrector.process import Corrector
 from service.corrector.queries import encode_trajectory
-from service.corrector.session import config, open_listening
-from service.settings import Settings
+from service.corrector.session import open_listening
 
 POINTS, JOINTS = 10_000, 6
 ECHO = "bench/echo"
@@ -89,26 +84,8 @@ def main() -> None:
     rounds = parser.parse_args().rounds
     program = compile_program(calibration(), CorrectionOptions())
     active = Active(ROBOT, "ver_bench", version_number(program.digest), 1, program)
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe()
-    echo = context.Process(target=echo_main, args=(theirs,))
-    echo.start()
-    endpoint = ours.recv()
-    with tempfile.TemporaryDirectory() as folder:
-        settings = Settings(data=Path(folder), zenoh_listen="tcp/127.0.0.1:0", site=SITE)
-        corrector = Corrector(settings, Fixed(active))
-        corrector.start()
-        try:
-            with zenoh.open(config("tcp/127.0.0.1:0", (endpoint, corrector.endpoints["query"]))) as session:
-                time.sleep(0.5)
-                measure(session, active, rounds)
-                ours.send("stop")
-                ask(session, ECHO, b"")  # wakes the echo, which then sees that it is told to stop
-                echo.join(5)
-        finally:
-            corrector.stop()
-            if echo.is_alive():
-                echo.kill()
+    with beside_an_echo(active, echo_main, "query", lambda session: ask(session, ECHO, b"")) as session:
+        measure(session, active, rounds)
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ class StreamLoop:
 
     def run(self) -> None:
         """Correct until the session is closed by the house-keeping thread."""
-        ring, most, active = self._subscriber.handler, self.spec.rules.ring, self.active
+        ring, most, active, now = self._subscriber.handler, self.spec.rules.ring, self.active, time.monotonic_ns
         backlog = 0
         last: Served | None = None
         while True:
@@ -97,7 +97,7 @@ class StreamLoop:
                     return
             else:
                 backlog += 1
-            arrival_ns, key = time.monotonic_ns(), sample.key_expr
+            arrival_ns, key = now(), sample.key_expr
             # Streams come in turn. To compare two keys takes a quarter of the time to make a string and look it up.
             served = last.follower if last is not None else None
             if served is None or served.key != key:

@@ -17,6 +17,7 @@ def test_the_page_has_the_figures_of_the_run(tmp_path: Path, monkeypatch: pytest
     trips = np.random.default_rng(0).permutation(np.linspace(100.0, 300.0, 2001))
     np.savez(
         tmp_path / "samples.npz", echo_us=trips, corrected_us=1.05 * trips, inside_us=np.linspace(5.0, 15.0, 2003),
+        medians_us=[[200.0, 210.0], [220.0, 231.0]],
         lost=[0, 2], rate_hz=1000.0, chunks_per_s=250_000.4, load=0.5,
     )  # fmt: skip
     monkeypatch.setattr(sys, "argv", ["page", str(tmp_path / "samples.npz"), "--docs", str(tmp_path)])
