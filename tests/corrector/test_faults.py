@@ -121,6 +121,85 @@ def test_a_burst_after_the_corrector_was_stopped_is_stale(corrector: Corrector) 
         assert line.ask(point(40)).status == Status.OK
 
 
+STOPPED_S = 8.0  # eight leases: the link is given up and made anew
+
+
+@pytest.mark.slow
+def test_a_corrector_stopped_for_eight_seconds_is_bypassed_and_found_again(corrector: Corrector) -> None:
+    """What it was sent before it hung may come back in a burst; the arm is never told to go where it was."""
+    pid = corrector._children["stream"].pid or 0
+    sources: list[str] = []
+    with open_stream(corrector, "hung", deadline_s=0.05, hold_cycles=3) as stream:
+        begin = time.monotonic()
+        stopped = False
+        while time.monotonic() - begin < STOPPED_S + 22.0:
+            now = time.monotonic() - begin
+            if not stopped and now > 1.0:
+                os.kill(pid, signal.SIGSTOP)
+                stopped = True
+            if stopped and now > 1.0 + STOPPED_S:
+                os.kill(pid, signal.SIGCONT)
+            wanted = [x + 0.04 * now for x in Q[:1]] + list(Q[1:])
+            answer = stream.correct(wanted)
+            sources.append(answer.source)
+            # 0.02 rad are half a second of this motion, and more than twice the largest correction of this robot
+            assert max(abs(a - b) for a, b in zip(answer, wanted, strict=True)) < 0.02
+            if now > 1.0 + STOPPED_S and answer.source == "corrected":
+                break
+            time.sleep(0.005)
+    order = [source for source, _ in itertools.groupby(sources)]
+    assert order[:3] == ["corrected", "held", "bypass"]
+    assert order[-1] == "corrected"
+
+
+MOVING_CONTROLLER = """
+import sys, time
+from kilter_client.stream import CorrectedStream
+with CorrectedStream(sys.argv[1], endpoints=[sys.argv[2]], site="test", stream="sleeper", deadline_s=0.2,
+                     hold_cycles=2, settled=True, connect_timeout_s=30.0) as stream:
+    begin = time.monotonic()
+    while True:
+        wanted = [float(x) for x in sys.argv[3:]]
+        wanted[0] += 0.04 * (time.monotonic() - begin)
+        answer = stream.correct(wanted)
+        print(answer.source, max(abs(a - b) for a, b in zip(answer, wanted)), flush=True)
+        time.sleep(0.002)
+"""
+
+
+@pytest.mark.slow
+def test_a_controller_stopped_for_eight_seconds_gets_no_old_numbers(corrector: Corrector) -> None:
+    """The peer hangs, comes back, and goes on: what the corrector answers with numbers was sent just before."""
+    ages: list[float] = []
+
+    def heard(sample: zenoh.Sample) -> None:
+        answer = frames.decode_answer(sample.payload.to_bytes())
+        if answer.status == Status.OK:
+            ages.append((time.monotonic_ns() - answer.header.t_send_ns) * 1e-9)
+
+    endpoint = corrector.endpoints["stream"]
+    with (
+        zenoh.open(config("tcp/127.0.0.1:0", (endpoint,))) as session,
+        subprocess.Popen(
+            [sys.executable, "-c", MOVING_CONTROLLER, ROBOT, endpoint, *map(str, Q)], stdout=subprocess.PIPE, text=True
+        ) as controller,
+    ):
+        session.declare_subscriber(f"{ROOT}/stream/sleeper/out", heard)
+        try:
+            until(lambda: len(ages) > 200)
+            controller.send_signal(signal.SIGSTOP)
+            time.sleep(STOPPED_S)
+            before = len(ages)
+            controller.send_signal(signal.SIGCONT)
+            until(lambda: len(ages) > before + 200)
+        finally:
+            controller.kill()
+        said = [line.split() for line in controller.stdout or ()]
+    assert max(ages) < 0.5
+    assert max(float(away) for _, away in said) < 0.02
+    assert said[-1][0] == "corrected"
+
+
 def test_two_controllers_on_one_key_never_both_get_numbers(corrector: Corrector) -> None:
     endpoints = tuple(corrector.endpoints.values())
     with Line(endpoints, "shared") as one, Line(endpoints, "shared") as other:
