@@ -32,6 +32,7 @@ log = logging.getLogger("kilter.corrector.stream")
 
 MOST_STREAMS = 256
 STATUS_PERIOD_S = 0.5
+BETWEEN_RINGS_NS = 50_000_000  # a verdict that flips at every setpoint must not keep the house-keeping awake
 REAL_TIME_PRIORITY = 40
 
 
@@ -85,7 +86,7 @@ class StreamLoop:
     def run(self) -> None:
         """Correct until the session is closed by the house-keeping thread."""
         ring, most, active, now = self._subscriber.handler, self.spec.rules.ring, self.active, time.monotonic_ns
-        backlog = 0
+        backlog, rung_ns = 0, 0
         last: Served | None = None
         while True:
             sample = ring.try_recv()
@@ -101,21 +102,28 @@ class StreamLoop:
             # Streams come in turn. To compare two keys takes a quarter of the time to make a string and look it up.
             served = last.follower if last is not None else None
             if served is None or served.key != key:
-                served = self.served.get(str(key)) or self._serve(str(key))
+                served = self._find(str(key), last)
                 if served is None:
-                    self.unserved += 1
                     continue
-                if last is not None:
-                    last.follower = served
-                served.follower = served.follower or served
             data = sample.payload.to_bytes()
             answer = served.stream.answer(data, arrival_ns, active.get(served.robot), backlog >= most)
             if answer is not None:
                 served.publisher.put(answer)
             last, verdict = served, served.stream.counters.last
-            if verdict != served.verdict:
-                served.verdict = verdict
+            if verdict != served.verdict and arrival_ns - rung_ns > BETWEEN_RINGS_NS:
+                served.verdict, rung_ns = verdict, arrival_ns
                 self._bell.ring()
+
+    def _find(self, key: str, last: Served | None) -> Served | None:
+        """The stream of a key, remembered as the one that follows ``last``."""
+        served = self.served.get(key) or self._serve(key)
+        if served is None:
+            self.unserved += 1
+            return None
+        if last is not None:
+            last.follower = served
+        served.follower = served.follower or served
+        return served
 
     def _serve(self, key: str) -> Served | None:
         """Start a stream the first time its key is heard; None when the name is not one or there are too many."""

@@ -15,6 +15,7 @@ import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +116,15 @@ def _compiled() -> Any:
 
 
 _answer = _compiled()
+
+
+@cache
+def _entry() -> Callable[[Any, Any, bytes, int], int]:
+    # numba looks at the types of the arguments before every call; here they never change, and the call behind that
+    # look saves 0.25 µs warm and 3 µs cold.
+    assert _answer(np.zeros((8, correction.COLUMNS)), np.ones(WORDS, dtype=np.int64), b"", 0) != 0
+    entry: Callable[[Any, Any, bytes, int], int] = _answer.compile(_answer.signatures[0])
+    return entry
 
 
 class Counters:
@@ -220,7 +230,7 @@ class ShortWay:
 
     def _bind(self, memory: Any, joints: int) -> Callable[[bytes, int], bytes | None]:
         # A function with everything at hand: each look into an object costs a tenth of a microsecond, cold.
-        words, compiled, now = self._words, _answer, time.monotonic_ns
+        words, compiled, now = self._words, _entry(), time.monotonic_ns
         out, spent = self._bytes[8 * OUT : 8 * (OUT + 7 + joints)], self._bytes[8 * (OUT + 6) :][:4].cast("I")
 
         def answer(data: bytes, arrival_ns: int) -> bytes | None:
@@ -235,5 +245,4 @@ class ShortWay:
 
 def warm_up() -> None:
     """Compile the short way, or load it from the cache."""
-    words = np.ones(WORDS, dtype=np.int64)
-    assert _answer(np.zeros((8, correction.COLUMNS)), words, b"", 0) != 0
+    _entry()
