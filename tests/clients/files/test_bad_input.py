@@ -149,7 +149,11 @@ def mat_bomb(path: Path, claim: int, packed: bool) -> None:
     head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x100) + b"IM"
     if packed:
         press = zlib.compressobj()
-        content = press.compress(matrix) + b"".join(press.compress(bytes(1 << 24)) for _ in range(129)) + press.flush()
+        start = press.compress(matrix) + press.flush(zlib.Z_FULL_FLUSH)
+        zeros = press.compress(bytes(1 << 24)) + press.flush(
+            zlib.Z_FULL_FLUSH
+        )  # needs nothing before it: may be repeated
+        content = start + 129 * zeros + press.flush()
         matrix = struct.pack("<II", 15, len(content)) + content
     path.write_bytes(head + matrix)
 
