@@ -14,7 +14,7 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 
-from kilter_client.stream import Setpoint, Statistics, corrected
+from kilter_client.stream import Setpoint, Statistics, StreamError, corrected
 
 RATE_HZ = 1000.0
 STOP_S = 0.3  # from full speed to rest
@@ -81,7 +81,10 @@ def main() -> None:
     given = parser.parse_args()
     start, end = ([math.radians(x) for x in values] for values in (given.start, given.end))
     arm = Arm()
-    statistics = run(given.robot, Motion(start, end, given.seconds), arm)
+    try:
+        statistics = run(given.robot, Motion(start, end, given.seconds), arm)
+    except StreamError as error:
+        parser.exit(1, f"{error}\n")
     said = {"commands": arm.commands, "largest_step_deg": round(math.degrees(arm.largest_step_rad), 5)}
     print(json.dumps({**said, **statistics.document()}))
 

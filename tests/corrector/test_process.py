@@ -135,8 +135,8 @@ def test_the_version_is_announced_followed_and_withdrawn(
         corrector.poll()
         until(lambda: stream.active is None)
         assert stream.correct(Q).status == "NO_VERSION"
-        with pytest.raises(StreamError, match=r"active version|does not answer"):
-            open_stream(corrector, "early", connect_timeout_s=0.3).__enter__()
+        with pytest.raises(StreamError, match="knows no active version of a robot 'katana450-chapter4'"):
+            open_stream(corrector, "early", connect_timeout_s=3.0).__enter__()
         source.use(active_of(calibration_of(ROBOT), epoch=old.epoch + 2, ramp_s=0.05))  # type: ignore[attr-defined]
         corrector.poll()
         until(lambda: stream.active is not None)
@@ -267,6 +267,22 @@ def test_a_stream_left_open_does_not_keep_its_process(corrector: Corrector, tmp_
 def test_without_a_corrector_the_remedy_is_named(tmp_path: Path) -> None:
     with pytest.raises(StreamError, match="kilterd serve"):
         CorrectedStream(ROBOT, data=tmp_path)
+
+
+def test_a_robot_without_a_version_is_told_from_a_corrector_out_of_reach(corrector: Corrector) -> None:
+    given = {"stream": "nobody", "connect_timeout_s": 3.0, "site": "test"}
+    endpoints = list(corrector.endpoints.values())
+    with (
+        pytest.raises(StreamError, match="knows no active version of a robot 'nobody': activate one with `kilter"),
+        CorrectedStream("nobody", endpoints=endpoints, **given),  # type: ignore[arg-type]
+    ):
+        pass
+    given |= {"site": "elsewhere", "connect_timeout_s": 1.0}
+    with (
+        pytest.raises(StreamError, match="does not answer: is `kilterd serve` up, and its site 'elsewhere'"),
+        CorrectedStream(ROBOT, endpoints=endpoints, **given),  # type: ignore[arg-type]
+    ):
+        pass
 
 
 def test_stopping_removes_the_file_and_ends_both_processes(

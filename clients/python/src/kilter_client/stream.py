@@ -118,6 +118,7 @@ class CorrectedStream:
         self.statistics = statistics or Statistics()
         self.active: dict[str, Any] | None = None
         self._endpoints = endpoints
+        self._site = site
         self._root = f"kilter/@v1/{site}/{robot}"
         self._stream = stream
         self._version = version
@@ -226,8 +227,13 @@ class CorrectedStream:
             if time.monotonic() > end:
                 break
             time.sleep(0.02)
-        reached = "has no active version: activate one" if self.alive else "does not answer: is `kilterd serve` up?"
-        raise StreamError(f"The corrector of robot {self.robot!r} at {', '.join(self._endpoints)} {reached}")
+        where = f"The corrector at {', '.join(self._endpoints)}"
+        if self._publisher.matching_status.matching:
+            raise StreamError(
+                f"{where} knows no active version of a robot {self.robot!r}: activate one with `kilter activate`, or mend "
+                "the robot's name."
+            )
+        raise StreamError(f"{where} does not answer: is `kilterd serve` up, and its site {self._site!r}?")
 
     def correct(
         self,
