@@ -71,21 +71,33 @@ def calibration() -> Calibration:
 
 
 class Fixed:
-    """A source of one version."""
+    """A source of robots whose versions never change."""
 
-    def __init__(self, active: Active) -> None:
-        self._active = active
+    def __init__(self, *actives: Active) -> None:
+        self._active = {active.robot: active for active in actives}
 
     def stamp(self) -> Hashable:
         """Never changes."""
         return 0
 
     def load(self) -> Mapping[str, Active]:
-        """The version."""
-        return {self._active.robot: self._active}
+        """The versions."""
+        return self._active
 
     def close(self) -> None:
         """Nothing is open."""
+
+
+@contextmanager
+def running(source: Fixed) -> Iterator[Corrector]:
+    """A corrector in a folder of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        corrector = Corrector(Settings(data=Path(folder), zenoh_listen="tcp/127.0.0.1:0", site=SITE), source)
+        corrector.start()
+        try:
+            yield corrector
+        finally:
+            corrector.stop()
 
 
 def echo_main(pipe: Connection) -> None:
@@ -258,20 +270,19 @@ def beside_an_echo(
     echo = context.Process(target=entry, args=(theirs,))
     echo.start()
     endpoint = ours.recv()
-    with tempfile.TemporaryDirectory() as folder:
-        corrector = Corrector(Settings(data=Path(folder), zenoh_listen="tcp/127.0.0.1:0", site=SITE), Fixed(active))
-        corrector.start()
-        try:
-            with zenoh.open(config("tcp/127.0.0.1:0", (endpoint, corrector.endpoints[door]))) as session:
-                time.sleep(0.5)
-                yield session
-                ours.send("stop")
-                wake(session)
-                echo.join(5)
-        finally:
-            corrector.stop()
-            if echo.is_alive():
-                echo.kill()
+    try:
+        with (
+            running(Fixed(active)) as corrector,
+            zenoh.open(config("tcp/127.0.0.1:0", (endpoint, corrector.endpoints[door]))) as session,
+        ):
+            time.sleep(0.5)
+            yield session
+            ours.send("stop")
+            wake(session)
+            echo.join(5)
+    finally:
+        if echo.is_alive():
+            echo.kill()
 
 
 @dataclass

@@ -14,12 +14,9 @@ import argparse
 import os
 import signal
 import sys
-import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Hashable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,51 +24,23 @@ import numpy as np
 import zenoh
 from kilter_client.stream import CorrectedStream
 
-from benchmarks.stream import POSTURE, ROBOT, SITE, Line, calibration, path
+from benchmarks.stream import POSTURE, ROBOT, SITE, Fixed, Line, calibration, path, running
 from core.correction import CorrectionOptions, compile_program
 from service.corrector import frames
 from service.corrector.active import Active, version_number
 from service.corrector.process import Corrector
 from service.corrector.queries import encode_trajectory
 from service.corrector.session import config
-from service.settings import Settings
 
 GROWTH_MB = 5.0
 TICK = os.sysconf("SC_CLK_TCK")
 
 
-class Robots:
-    """A source of several robots with one version."""
-
-    def __init__(self, count: int) -> None:
-        program = compile_program(calibration(), CorrectionOptions())
-        first = Active(ROBOT, "ver_bench", version_number(program.digest), 1, program)
-        self._active = {first.robot: first} | {
-            name: replace(first, robot=name) for name in (f"arm{k}" for k in range(1, count))
-        }
-
-    def stamp(self) -> Hashable:
-        """Never changes."""
-        return 0
-
-    def load(self) -> Mapping[str, Active]:
-        """The versions."""
-        return self._active
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-
-@contextmanager
-def running(source: Robots) -> Iterator[Corrector]:
-    """A corrector in a folder of its own."""
-    with tempfile.TemporaryDirectory() as folder:
-        corrector = Corrector(Settings(data=Path(folder), zenoh_listen="tcp/127.0.0.1:0", site=SITE), source)
-        corrector.start()
-        try:
-            yield corrector
-        finally:
-            corrector.stop()
+def robots_with_one_version(count: int) -> Fixed:
+    """A source of several robots."""
+    program = compile_program(calibration(), CorrectionOptions())
+    first = Active(ROBOT, "ver_bench", version_number(program.digest), 1, program)
+    return Fixed(first, *(replace(first, robot=f"arm{k}") for k in range(1, count)))
 
 
 def processor_s(pid: int) -> float:
@@ -95,7 +64,7 @@ def stream_pid(corrector: Corrector) -> int:
 
 def robots(count: int, rate: float, seconds: float) -> None:
     """Several robots at once, the stream process held to one core."""
-    source = Robots(count)
+    source = robots_with_one_version(count)
     with (
         running(source) as corrector,
         zenoh.open(config("tcp/127.0.0.1:0", (corrector.endpoints["stream"],))) as session,
@@ -140,7 +109,7 @@ def soak(minutes: float) -> bool:
     t = np.arange(1000) * 0.002
     request = encode_trajectory(t, POSTURE + 0.1 * np.sin(t)[:, None], joints=6)
     with (
-        running(Robots(1)) as corrector,
+        running(robots_with_one_version(1)) as corrector,
         zenoh.open(config("tcp/127.0.0.1:0", tuple(corrector.endpoints.values()))) as session,
     ):
         line = Line(session, f"kilter/@v1/{SITE}/{ROBOT}/stream/soak")
@@ -173,7 +142,7 @@ def soak(minutes: float) -> bool:
 def restart(times: int) -> None:
     """Kill the stream process in motion: until the controller library notices, and until it streams again."""
     noticed, back = [], []
-    with running(Robots(1)) as corrector:
+    with running(robots_with_one_version(1)) as corrector:
         stop = threading.Event()
 
         def supervise() -> None:

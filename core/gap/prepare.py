@@ -27,7 +27,7 @@ from core.gap.trajectory import (
     windows_of,
 )
 from core.gap.visits import Visits, visits_of
-from core.gap.world import Setting, Tick, World, refit
+from core.gap.world import Setting, Tick, World, go_on, refit
 from core.identify.estimate import estimate
 from core.identify.estimate import prepared as start_of
 from core.identify.least_squares import Fit, fit_at
@@ -270,7 +270,7 @@ class Workshop:
 
 
 def windowed(
-    rows: Observations, source: Source, values: Floats, width: int | None = None, tick: Tick | None = None
+    rows: Observations, source: Source, values: Floats, width: int | None = None, tick: Tick = go_on
 ) -> Observations:
     """Rows of motions averaged over windows, by the residuals they have at ``values``."""
     live = source.live if isinstance(source, LinkSource) else np.ones(rows.q.shape[1], dtype=bool)
@@ -284,15 +284,14 @@ def _on(source: Source, rows: Observations) -> Source:
     return source.on(rows)
 
 
-def _row_residual(source: Source, values: Floats, rows: Observations, tick: Tick | None = None) -> Floats:
+def _row_residual(source: Source, values: Floats, rows: Observations, tick: Tick = go_on) -> Floats:
     """Residuals (N, m) of single rows, in chunks; ``tick`` is called after each."""
     if isinstance(source, LinkSource):
         return source.on(rows).residual(values)
     parts = []
     for k in range(0, len(rows), CHUNK):
         parts.append(_on(source, rows.select(slice(k, k + CHUNK))).residual(values))
-        if tick is not None:
-            tick()
+        tick()
     return np.concatenate(parts)
 
 

@@ -182,11 +182,11 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     return World(setting, values, yp, Wp, U, np.where(norm > 0.0, 1.0 / unit, 0.0), nu, Wp.T @ Wp, Wp.T @ yp, r, G, W)
 
 
-def _go_on() -> None:
+def go_on() -> None:
     """Nobody asks to be told of a step."""
 
 
-def refit(setting: Setting, values: Floats, columns: Sequence[int], tick: Tick = _go_on) -> World:
+def refit(setting: Setting, values: Floats, columns: Sequence[int], tick: Tick = go_on) -> World:
     """Nonlinear re-fit of geometry (with its priors) and the library ``columns`` (free), from ``values``."""
     values = solved(setting, values, columns, tick=tick)[0]
     tick()
@@ -198,7 +198,7 @@ def solved(
     values: Floats,
     columns: Sequence[int],
     held: tuple[int, float] | None = None,
-    tick: Tick = _go_on,
+    tick: Tick = go_on,
 ) -> tuple[Floats, float]:
     """Values of the nonlinear fit and its chi-square; the rest of the library is zero.
 

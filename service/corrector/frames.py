@@ -17,7 +17,6 @@ Floats = NDArray[np.float64]
 
 MAGIC = b"KLT1"
 HEADER = struct.Struct("<4sBBHQQQ")  # magic, kind, joints, flags, seq, t_send_ns, t_apply_ns
-POINT_ANSWER = struct.Struct("<4sBBHQQQQIHHIi")  # header and verdict at once
 VERDICT = struct.Struct("<QIHHIi")  # version, epoch, status, limit mask, processing ns, reserved
 BLOCK = struct.Struct("<II")  # points, step_ns of a chunk; points, joints of a trajectory
 VERSION = struct.Struct("<Q")

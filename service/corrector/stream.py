@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +9,7 @@ from core.correction import Track
 from service.corrector import frames
 from service.corrector.active import Active
 from service.corrector.frames import Flag, Kind, Setpoints, Status
-from service.corrector.short_way import MOST_NS, Clock, ShortWay
+from service.corrector.short_way import Clock, ShortWay
 from service.corrector.specs import Rules
 
 
@@ -44,14 +42,10 @@ class Stream:
         try:
             request = frames.decode_setpoints(data)
         except frames.FrameError as error:
-            self.counters.count(Status.BAD_FRAME, arrival_ns)
-            return (
-                None if error.header is None else self._refusal(error.header, Status.BAD_FRAME, active, 0, arrival_ns)
-            )
+            return self._refused(error.header, Status.BAD_FRAME, active, 0, arrival_ns)
         status = self._admit(request, arrival_ns, active, overloaded)
         if status != Status.OK or active is None:
-            self.counters.count(status, arrival_ns)
-            return self._refusal(request.header, status, active, 0, arrival_ns)
+            return self._refused(request.header, status, active, 0, arrival_ns)
         return self._correct(request, arrival_ns, active)
 
     def _admit(self, request: Setpoints, arrival_ns: int, active: Active | None, overloaded: bool) -> Status:
@@ -104,7 +98,7 @@ class Stream:
         passed = (arrival_ns - self._clock.answered_ns) * 1e-9 + self.rules.time_slack_s
         return min(max((at_ns - self._clock.applied_ns) * 1e-9, 0.0), passed)
 
-    def _correct(self, request: Setpoints, arrival_ns: int, active: Active) -> bytes:
+    def _correct(self, request: Setpoints, arrival_ns: int, active: Active) -> bytes | None:
         track = self._follow_version(active)
         header = request.header
         width = frames.width(header.flags)
@@ -116,8 +110,7 @@ class Stream:
         else:
             status, info, numbers = self._chunk(track, request, width, dt)
         if status != Status.OK:
-            self.counters.count(status, arrival_ns)
-            return self._refusal(header, Status(status), active, int(info[1]), arrival_ns)
+            return self._refused(header, Status(status), active, int(info[1]), arrival_ns)
         points = len(request.values)
         self._clock.applied_ns = at + (points - 1) * request.step_ns
         self._clock.answered_ns = arrival_ns
@@ -148,14 +141,18 @@ class Stream:
         whole[0] = np.bitwise_or.reduce(info[:, 0].astype(np.int64))
         return 0, whole, out
 
-    def _refusal(
-        self, header: frames.Header, status: Status, active: Active | None, mask: int, arrival_ns: int
-    ) -> bytes:
+    def _refused(
+        self, header: frames.Header | None, status: Status, active: Active | None, mask: int, arrival_ns: int
+    ) -> bytes | None:
+        """Count a refusal and answer with it, if there is a header to answer to."""
+        spent = self.counters.count(status, arrival_ns)
+        if header is None:
+            return None
         return frames.encode_refusal(
             header,
             status,
             version=active.number if active else 0,
             epoch=active.epoch if active else 0,
             limit_mask=mask,
-            processing_ns=max(0, min(time.monotonic_ns() - arrival_ns, MOST_NS)),
+            processing_ns=spent,
         )

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -129,7 +130,7 @@ def test_a_corrector_stopped_for_eight_seconds_is_bypassed_and_found_again(corre
     """What it was sent before it hung may come back in a burst; the arm is never told to go where it was."""
     pid = corrector._children["stream"].pid or 0
     sources: list[str] = []
-    with open_stream(corrector, "hung", deadline_s=0.05, hold_cycles=3) as stream:
+    with ExitStack() as stack, open_stream(corrector, "hung", deadline_s=0.05, hold_cycles=3) as stream:
         begin = time.monotonic()
         stopped = False
         while time.monotonic() - begin < STOPPED_S + 22.0:
@@ -137,7 +138,8 @@ def test_a_corrector_stopped_for_eight_seconds_is_bypassed_and_found_again(corre
             if not stopped and now > 1.0:
                 os.kill(pid, signal.SIGSTOP)
                 stopped = True
-            if stopped and now > 1.0 + STOPPED_S:
+                stack.callback(os.kill, pid, signal.SIGCONT)
+            if now > 1.0 + STOPPED_S:
                 os.kill(pid, signal.SIGCONT)
             wanted = [x + 0.04 * now for x in Q[:1]] + list(Q[1:])
             answer = stream.correct(wanted)
