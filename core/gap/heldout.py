@@ -66,9 +66,11 @@ class Bench:
 
     def _errors(self, columns: Sequence[int]) -> Floats:
         if self.rows is None:
-            return left_out_errors(self.hunt.world, columns)[self.hunt.world.setting.used]
+            world = self.hunt.world if len(columns) else self.prepared.world
+            return left_out_errors(world, columns)[world.setting.used]
         world = self.hunt.world
-        source = on_rows(world.setting.source, self.rows, self.hunt, solved(world.setting, world.values, columns)[0])
+        begin = world if len(columns) else self.prepared.world
+        source = on_rows(world.setting.source, self.rows, self.hunt, solved(world.setting, begin.values, columns)[0])
         r = np.nan_to_num(source[0].residual(source[1]))
         if self.moving and isinstance(source[0], LinkSource):
             r = referenced(r, segments(self.rows))
@@ -167,6 +169,14 @@ def train_rms(world: World, columns: Sequence[int]) -> float:
     return rms(e, np.eye(e.shape[1]), isinstance(setting.source, LinkSource))
 
 
+def fit_rms(world: World) -> float:
+    """Rms error (m or rad) of the visits at the world's own values."""
+    setting = world.setting
+    r = world.raw.reshape(-1, setting.whitener.shape[-1])
+    e = np.einsum("vij,vj->vi", np.linalg.inv(setting.whitener), r)[setting.used]
+    return rms(e, np.eye(e.shape[1]), isinstance(setting.source, LinkSource))
+
+
 def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any]:
     """The gap before and after in mm (rms of the 3-D error), on training and held-out poses, beside the noise."""
     world = hunt.world
@@ -184,7 +194,7 @@ def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any
     known = world.setting.noise.absolute and r0**2 > sigma**2 and bool(hunt.chosen)
     closure = (r0**2 - r1**2) / (r0**2 - sigma**2) if known else None
     numbers = {
-        "before": train_rms(world, []), "after": train_rms(world, hunt.columns), "noise": noise,
+        "before": fit_rms(prepared.world), "after": fit_rms(world), "noise": noise,
         "validation_before": r0, "validation_after": r1, "validation_noise": sigma,
     }  # fmt: skip
     unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)

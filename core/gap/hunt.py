@@ -71,16 +71,28 @@ def _climbed(world: World, selector: Selector, options: GapOptions, tell: Tell) 
         after = selector.better(world.gram, chosen, critical, options.max_effects, seen)
         if set(after) == set(chosen):
             break
-        chosen = after
-        seen.add(frozenset(chosen))
+        seen.add(frozenset(after))
         now = (
             min(0.9, (round_ + 0.5) / 6.0),
-            "re-fitting with " + ", ".join(scorer.candidates[m].label for m in chosen),
+            "re-fitting with " + ", ".join(scorer.candidates[m].label for m in after),
         )
-        world = refit(world.setting, world.values, selector.columns(chosen), partial(tell, *now))
+        other = refit(world.setting, world.values, selector.columns(after), partial(tell, *now))
+        if worse(selector, (other, after), (world, chosen)):
+            continue  # the set does not do what the linear world promised
+        world, chosen = other, after
         steps.append(step_of(world, selector, chosen))
     assert first is not None
     return Hunt(world, selector, chosen, first, first.critical(options.alpha), tuple(steps))
+
+
+def worse(selector: Selector, one: tuple[World, tuple[int, ...]], other: tuple[World, tuple[int, ...]]) -> bool:
+    """Whether a set, at its own fit, explains less than another: more of it leaves more, or all of it at its price."""
+    (world, chosen), (before, known) = one, other
+    if set(chosen) >= set(known):
+        return world.chi2 > before.chi2
+    variance = min(selector.variance(w.gram, c) for w, c in (one, other))
+    price = [selector.price(c, [w.gram.rank(selector.columns(c))]) for w, c in (one, other)]
+    return world.chi2 / variance + price[0] > before.chi2 / variance + price[1] + selector.slack(chosen)
 
 
 def _explains_more(one: Hunt, other: Hunt) -> bool:

@@ -183,7 +183,7 @@ class Selector:
             chosen = tuple(m for m in chosen if m != chosen[worst])
         return chosen
 
-    def _slack(self, chosen: Sequence[int]) -> float:
+    def slack(self, chosen: Sequence[int]) -> float:
         """Criterion points that a family in the set may have cost against naming some of its joints."""
         families = [k for k in chosen if self.scorer.candidates[k].level == FAMILY]
         return SMALLEST_GAIN + sum(MARGIN * len(self.scorer.candidates[k].joints or ()) / 2 for k in families)
@@ -279,7 +279,7 @@ class Selector:
     def beats(self, gram: Gram, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
         """Whether a set's criterion is larger than another's, at the smaller noise of the two."""
         variance = min(self.variance(gram, one), self.variance(gram, other))
-        return self.criterion(gram, one, variance) > self.criterion(gram, other, variance) - self._slack(one)
+        return self.criterion(gram, one, variance) > self.criterion(gram, other, variance) - self.slack(one)
 
     def _best_instead(
         self, gram: Gram, rest: tuple[int, ...], variance: float, critical: float, taken: set[int]

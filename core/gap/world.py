@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from core.effects import Batch
 from core.gap.noise import Noise
 from core.gap.source import Source
+from core.identify.solver import BEND, minimise
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -26,7 +27,6 @@ Tick = Callable[[], None]
 
 SEEN = 0.5  # data sigmas that one prior sigma of a geometric direction moves; below, the prior knows it better than the data
 VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
-REFITS = 6
 STILL = 1e-2  # change of the fit, in sigmas over all data, that counts as converged
 
 
@@ -82,6 +82,11 @@ class World:
         source = self.setting.source
         columns = np.hstack([self.G * source.prior_sigma, self.W_raw * (source.library_sigma * self.size)])
         return self.raw + self.W_raw @ (source.library(self.values) * self.size), columns
+
+    @property
+    def chi2(self) -> float:
+        """Chi-square of the residual at ``values``, nothing taken out."""
+        return float(self.raw @ self.raw)
 
     @cached_property
     def gram(self) -> Gram:
@@ -187,7 +192,7 @@ def go_on() -> None:
 
 
 def refit(setting: Setting, values: Floats, columns: Sequence[int], tick: Tick = go_on) -> World:
-    """Nonlinear re-fit of geometry (with its priors) and the library ``columns`` (free), from ``values``."""
+    """Nonlinear re-fit of geometry and the library ``columns``, each with its prior, from ``values``."""
     values = solved(setting, values, columns, tick=tick)[0]
     tick()
     return world_at(setting, values)
@@ -211,13 +216,88 @@ def solved(
     if held is not None:
         library[held[0]] = held[1]
     values = setting.source.moved(values, np.zeros(len(setting.source.prior_mean)), library)
-    for _ in range(REFITS):
-        tick()
-        world = world_at(setting, values, only=free)
-        values, change = _step(world, free)
-        if change < STILL:
-            break
-    return values, world.gram.given(range(len(free))).yy
+    descent = Descent(setting, free)
+    found = minimise(descent, values, descent.at(values), lambda *_: tick())
+    world = world_at(setting, found.values, only=free)
+    return found.values, world.gram.given(range(len(free))).yy
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fit at some values: whitened residual ``r (R,)``, columns ``J (R, F)`` of one prior sigma each, and the loss."""
+
+    r: Floats
+    J: Floats
+    loss: float
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Geometry and the library columns ``free`` as the solver of an identification walks them; every one has its prior.
+
+    Without the effects' own priors a candidate that imitates geometry to seven digits ran away with it.
+    """
+
+    setting: Setting
+    free: list[int]
+
+    @property
+    def rows(self) -> float:
+        """Whitened residuals."""
+        return float(max(1, self.setting.used.sum() * self.setting.whitener.shape[-1]))
+
+    def worth(self, loss: float) -> float:
+        """What a step must promise: less moves nothing that a statistic would show."""
+        return 0.5 * STILL**2
+
+    def at(self, values: Floats) -> Fitted:
+        """Linearise there."""
+        source = self.setting.source
+        linear = source.linear(values, None, self.free)
+        white = np.einsum("vij,vj->vi", self.setting.whitener, np.nan_to_num(linear.r))
+        r = (white * self.setting.used[:, None]).reshape(-1)
+        J = np.hstack([_white(self.setting, linear.G), _white(self.setting, linear.W)]) * self._sigma
+        away = self._away(values)
+        return Fitted(r, J, 0.5 * float(r @ r + away @ away))
+
+    def derivatives(self, values: Floats, here: Fitted) -> tuple[Floats, Floats]:
+        """Gauss-Newton matrix and slope."""
+        H = here.J.T @ here.J
+        H[np.diag_indices_from(H)] += 1.0
+        return H, self.slope(values, here)
+
+    def slope(self, values: Floats, here: Fitted) -> Floats:
+        """Downhill slope."""
+        return np.asarray(here.J.T @ here.r - self._away(values))
+
+    def moved(self, values: Floats, step: Floats) -> Floats:
+        """Take a step."""
+        source = self.setting.source
+        library = source.library(values).copy()
+        moved = step * self._sigma
+        split = len(source.prior_mean)
+        library[self.free] += moved[split:]
+        return source.moved(values, moved[:split], library)
+
+    def bend(self, values: Floats, here: Fitted, step: Floats) -> Floats:
+        """How the prediction bends along a step."""
+        r = self.setting.whitened(self.moved(values, BEND * step)).reshape(-1)
+        return np.asarray(here.J.T @ (here.r - r - here.J @ (BEND * step)) * (2.0 / BEND**2))
+
+    def beyond(self, here: Fitted, values: Floats, step: Floats) -> Fitted:
+        """What a tiny step leads to."""
+        r, away = here.r - here.J @ step, self._away(values)
+        return Fitted(r, here.J, 0.5 * float(r @ r + away @ away))
+
+    @property
+    def _sigma(self) -> Floats:
+        return np.concatenate([self.setting.source.prior_sigma, self.setting.source.library_sigma[self.free]])
+
+    def _away(self, values: Floats) -> Floats:
+        """How far (F,) the parameters are from their priors, in prior sigmas."""
+        source = self.setting.source
+        away = np.concatenate([source.geometry(values) - source.prior_mean, source.library(values)[self.free]])
+        return np.asarray(away / self._sigma)
 
 
 def fitted(world: World, columns: Sequence[int]) -> tuple[Floats, Floats]:
@@ -226,23 +306,6 @@ def fitted(world: World, columns: Sequence[int]) -> tuple[Floats, Floats]:
     scale = world.scale[index]
     covariance = _pinv(world.A[np.ix_(index, index)])
     return world.gram.solve(index) * scale, covariance * np.outer(scale, scale)
-
-
-def _step(world: World, free: list[int]) -> tuple[Floats, float]:
-    """Gauss-Newton step in the library columns ``free``, which are the world's; also its size, in sigmas."""
-    source = world.setting.source
-    library = source.library(world.values).copy()
-    now = library[free]
-    beta = world.gram.solve(range(len(free))) * world.scale if free else np.zeros(0)
-    library[free] = beta
-    moved = world.W_raw @ ((beta - now) * world.size)
-    pull = (source.prior_mean - source.geometry(world.values)) / source.prior_sigma
-    scaled = world.G * source.prior_sigma
-    # Priors as extra rows: the normal equations would square a condition number of 1e9.
-    with_prior = np.vstack([scaled, np.eye(scaled.shape[1])])
-    step = np.linalg.lstsq(with_prior, np.concatenate([world.raw - moved, pull]), rcond=None)[0]
-    change = float(np.linalg.norm(moved + scaled @ step))
-    return source.moved(world.values, step * source.prior_sigma, library), change
 
 
 def _white(setting: Setting, columns: Floats) -> Floats:

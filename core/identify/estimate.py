@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import TooFewPosesError
-from core.identify.least_squares import Fit, Problem, Weights, solve
+from core.identify.least_squares import Fit, Problem, Weights, fit_at, normal_equations, solve
 from core.identify.options import IdentifyOptions
 from core.measurement import Measurement, Residual
 from core.model import Calibration, RobotModel
@@ -22,7 +23,9 @@ START_SIGMA_M = 1e-4
 START_SIGMA_RAD = 1e-3
 SMALLEST_SIGMA_M = 1e-7  # below any instrument: keeps noise-free simulations solvable
 SMALLEST_SIGMA_RAD = 1e-7
-WEIGHT_PASSES = 6
+WEIGHT_PASSES = 8
+HOLDING_PASSES = 2  # passes after which directions are only released: one at the limit would come and go for ever
+ROUGH = 0.01  # share of the loss below which a step no longer changes weights that hold to 5 %
 UNSEEN = 0.05
 PLAIN = 1e12  # square of a singular value up to which normal equations tell UNSEEN from rounding
 
@@ -55,24 +58,51 @@ def estimate(
     """
     problem, values = prepared(start, measurement, options, anchor=anchor)
     stated = None if options.noise_mm is None else options.noise_mm * 1e-3
-    point_sigma, turn_sigma = stated or START_SIGMA_M, START_SIGMA_RAD
-    held: Floats | None = None
     still = problem.anchor if problem.anchor is not None else values[problem.free]
-    known: Residual | None = None
+    first = fit_at(problem, values, problem.linearised(values))
+    (point_sigma, turn_sigma), held = _promised(first, stated)
+    known: Residual | None = first.residual
+    walked, rough = 0, True
     for step in range(WEIGHT_PASSES):
-        problem = problem.reweighted(Weights(_row_sigmas(measurement, point_sigma), turn_sigma), held)
-        fit = solve(problem, values, _iterations(progress, step), known)
-        points, turns = scatter(fit)
-        blind = blind_directions(fit)
-        settled = (
-            near(points, point_sigma) and near(turns, turn_sigma) and len(blind) == (0 if held is None else len(held))
+        problem = problem.reweighted(
+            Weights(_row_sigmas(measurement, point_sigma), turn_sigma), held if len(held) else None
         )
-        point_sigma, turn_sigma = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
-        if settled:
+        fit = solve(problem, values, _iterations(progress, step), known, ROUGH if rough else 0.0)
+        walked += fit.iterations
+        values, known = fit.values, fit.residual
+        points, turns = scatter(fit)
+        blind = _promised(fit, stated)[1]
+        if len(blind) > len(held) and step >= HOLDING_PASSES:
+            blind = held
+        settled = near(points, point_sigma) and near(turns, turn_sigma) and len(blind) == len(held)
+        if settled and not rough:
             break
-        values, held = _returned(fit, blind, still), blind if len(blind) else None
-        known = None if len(blind) else fit.residual  # only weights change: the Jacobian there is known
-    return fit
+        rough = not settled and step < WEIGHT_PASSES - 2
+        if settled:  # weights and directions stay: only the end of the walk is missing
+            continue
+        point_sigma, turn_sigma = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
+        if len(blind) != len(held):
+            values, known, held = _returned(fit, blind, still), None if len(blind) else known, blind
+    return replace(fit, iterations=walked)
+
+
+def _promised(fit: Fit, stated: float | None) -> tuple[tuple[float, float], Floats]:
+    """Sigmas of points and turns that a step with nothing held promises, and the directions blind at that scatter.
+
+    Directions are held from the start: along them base, tool and chain trade the same motion on a curved path that no
+    step follows far. What counts is the scatter that would be left without holding any: by the scatter of the fit itself
+    what is held would decide what is held.
+    """
+    problem, values = fit.problem, fit.values
+    here = problem.linearised(values, fit.residual)
+    H, g = normal_equations(problem, values, here)
+    step = np.linalg.solve(H, g)
+    moved = values.copy()
+    moved[problem.free] += step * problem.prior_sigma
+    points, turns = scatter(fit_at(problem, moved, problem.beyond(here, moved, step * problem.prior_sigma)))
+    points, turns = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
+    problem = problem.reweighted(Weights(_row_sigmas(problem.measurement, points), turns), None)
+    return (points, turns), blind_directions(fit_at(problem, values, problem.linearised(values, fit.residual)))
 
 
 def prepared(

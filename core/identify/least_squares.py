@@ -16,19 +16,16 @@ from numpy.typing import NDArray
 
 from core.effects import Batch
 from core.errors import NotConvergedError
+from core.identify.solver import BEND, Minimum, Progress, minimise
 from core.measurement import Measurement, Residual
 from core.model import RobotModel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Progress = Callable[[int, float], None]
 
 HUBER_SIGMAS = 3.0
-MAX_ITERATIONS = 60
+STILL_MOVING = 3
 HOLD = 1e8  # stiffness of a held direction against a prior of 1
-ROUNDING = 1e-13  # share of the loss that a step must promise to be worth taking
-LAST = 1e-9  # share below which the step is taken and the model not asked again: it is linear that near
-STEP_TOLERANCE = 1e-9  # largest step, in prior sigmas and relative to the posterior, that counts as converged
 
 
 @dataclass(frozen=True)
@@ -182,59 +179,76 @@ class Fit:
         return np.sqrt(np.diag(self.covariance))
 
 
-def solve(problem: Problem, start: Floats, progress: Progress | None = None, known: Residual | None = None) -> Fit:
+def solve(
+    problem: Problem,
+    start: Floats,
+    progress: Progress | None = None,
+    known: Residual | None = None,
+    enough: float = 0.0,
+) -> Fit:
     """Fit the free parameters from ``start (P,)``, where ``known`` is the raw residual if it was computed before.
+
+    ``enough`` ends the fit early, once a step takes less than this share off the loss.
 
     Raises:
         NotConvergedError: no minimum within the iteration limit, or numbers that are not finite.
 
     """
-    values, damping = start.copy(), 1e-6
-    here = problem.linearised(values, known)
-    for iteration in range(1, MAX_ITERATIONS + 1):
-        if not np.isfinite(here.loss):
-            raise NotConvergedError("The residuals are not finite: check the observations for impossible values.")
-        H, g = _holding(problem, values, *normal_equations(problem, values, here))
-        taken = _damped_step(problem, values, H, g, here, damping)
-        if progress is not None:
-            progress(iteration, here.loss)
-        if taken is None:
-            return fit_at(problem, values, here, iteration)
-        last, damping, values, here = taken
-        if last:
-            return fit_at(problem, values, here, iteration)
-    raise NotConvergedError(
-        f"No minimum after {MAX_ITERATIONS} iterations: fix some parameters, or start from a better version.",
-        iterations=MAX_ITERATIONS,
+    found = minimise(_Descent(problem), start, problem.linearised(start, known), progress, enough)
+    if not found.converged:
+        raise _endless(problem, found)
+    return fit_at(problem, found.values, found.point, found.iterations)
+
+
+def _endless(problem: Problem, found: Minimum[Linearised]) -> NotConvergedError:
+    """Say what still moved: held at their values, these let the others come to rest."""
+    order = np.argsort(-np.abs(found.step), kind="stable")[:STILL_MOVING]
+    names = [problem.model.names[problem.free[k]] for k in order]
+    return NotConvergedError(
+        f"No minimum after {found.iterations} iterations: {', '.join(names)} still move together, since these poses "
+        f"hardly tell them apart. Fix them (--fix {','.join(names)}), or measure poses that differ in more joints.",
+        iterations=found.iterations,
+        moving=names,
     )
 
 
-def _damped_step(
-    problem: Problem, values: Floats, H: Floats, g: Floats, here: Linearised, damping: float
-) -> tuple[bool, float, Floats, Linearised] | None:
-    """Raise the damping until a step lowers the loss: whether it was the last, the next damping, the values, what is there.
+@dataclass(frozen=True)
+class _Descent:
+    """A problem as the solver walks it."""
 
-    None where no step does: a minimum to rounding.
-    """
-    diagonal, loss = np.diag(H), here.loss
-    for _ in range(25):
-        damped = H.copy()
-        damped.flat[:: len(H) + 1] += damping * diagonal
-        step = np.asarray(np.linalg.solve(damped, g), dtype=np.float64)
-        promised = float(step @ g)
-        worth = max(ROUNDING, problem.measurement.settled) * (1.0 + loss)
-        if promised < worth or np.max(np.abs(step), initial=0.0) < STEP_TOLERANCE:
-            return None
-        trial = values.copy()
-        trial[problem.free] += step * problem.prior_sigma
-        if promised < LAST * (1.0 + loss) and damping < 1e-3:
-            return True, damping, trial, problem.beyond(here, trial, step * problem.prior_sigma)
-        # Nearly every step is good, so its Jacobian is taken at once instead of after its loss.
-        there = problem.linearised(trial)
-        if there.loss < loss:
-            return False, damping * 0.1, trial, there
-        damping = max(damping * 10.0, 1e-9)
-    return None
+    problem: Problem
+
+    @property
+    def rows(self) -> float:
+        return float(self.problem.measurement.scalars())
+
+    def worth(self, loss: float) -> float:
+        return self.problem.measurement.settled * (1.0 + loss)
+
+    def at(self, values: Floats) -> Linearised:
+        return self.problem.linearised(values)
+
+    def derivatives(self, values: Floats, here: Linearised) -> tuple[Floats, Floats]:
+        H, g = normal_equations(self.problem, values, here)
+        if self.problem.held is not None:
+            H += HOLD * self.problem.held.T @ self.problem.held
+        return H, g - _pull_back(self.problem, values)
+
+    def slope(self, values: Floats, here: Linearised) -> Floats:
+        return _slope(self.problem, values, here) - _pull_back(self.problem, values)
+
+    def moved(self, values: Floats, step: Floats) -> Floats:
+        out = values.copy()
+        out[self.problem.free] += step * self.problem.prior_sigma
+        return out
+
+    def bend(self, values: Floats, here: Linearised, step: Floats) -> Floats:
+        there = self.problem.linearised(self.moved(values, BEND * step))
+        scaled = here.J * self.problem.prior_sigma
+        return np.asarray(scaled.T @ (here.r - there.r - scaled @ (BEND * step)) * (2.0 / BEND**2))
+
+    def beyond(self, here: Linearised, values: Floats, step: Floats) -> Linearised:
+        return self.problem.beyond(here, values, step * self.problem.prior_sigma)
 
 
 def normal_equations(problem: Problem, values: Floats, here: Linearised) -> tuple[Floats, Floats]:
@@ -242,7 +256,12 @@ def normal_equations(problem: Problem, values: Floats, here: Linearised) -> tupl
     scale = problem.prior_sigma
     H = (here.J.T @ here.J) * np.outer(scale, scale)
     H.flat[:: len(H) + 1] += 1.0
-    return H, scale * (here.J.T @ here.r) - (values[problem.free] - problem.prior_mean) / problem.prior_sigma
+    return H, _slope(problem, values, here)
+
+
+def _slope(problem: Problem, values: Floats, here: Linearised) -> Floats:
+    prior = (values[problem.free] - problem.prior_mean) / problem.prior_sigma
+    return np.asarray(problem.prior_sigma * (here.J.T @ here.r) - prior)
 
 
 def _strayed(problem: Problem, values: Floats) -> Floats:
@@ -252,10 +271,9 @@ def _strayed(problem: Problem, values: Floats) -> Floats:
     return np.asarray(problem.held @ ((values[problem.free] - problem.anchor) / problem.prior_sigma))
 
 
-def _holding(problem: Problem, values: Floats, H: Floats, g: Floats) -> tuple[Floats, Floats]:
-    if problem.held is None:
-        return H, g
-    return H + HOLD * problem.held.T @ problem.held, g - HOLD * problem.held.T @ _strayed(problem, values)
+def _pull_back(problem: Problem, values: Floats) -> Floats:
+    """Slope (F,) by which held directions are pulled back."""
+    return np.asarray(0.0 if problem.held is None else HOLD * problem.held.T @ _strayed(problem, values))
 
 
 def _times(root: Floats | None, array: Floats, more_axes: int = 0) -> Floats:
@@ -276,7 +294,7 @@ def _weight_root(size: Floats) -> Floats:
     return np.asarray(np.sqrt(HUBER_SIGMAS / np.maximum(size, HUBER_SIGMAS)))
 
 
-def fit_at(problem: Problem, values: Floats, here: Linearised, iterations: int) -> Fit:
+def fit_at(problem: Problem, values: Floats, here: Linearised, iterations: int = 0) -> Fit:
     """Fit that ends at ``values (P,)``, with the covariance of the problem linearised there."""
     H, _ = normal_equations(problem, values, here)
     inverse = np.linalg.inv(H)
