@@ -31,7 +31,7 @@ from service.db import Database
 from service.importers.urdf import chain_document
 from service.robots.documents import core_document
 from service.settings import Settings
-from tests.core.soft_arm import TOOL, Scene, scene
+from tests.core.soft_arm import NOISE_M, TOOL, Scene, scene
 from tests.core.truth import Arm
 
 Floats = NDArray[np.float64]
@@ -129,6 +129,9 @@ def test_a_path_is_corrected_wherever_the_tracker_stood(
 ) -> None:  # fmt: skip
     version = fitted(client, worker, until, far, kind)
     assert version["effects"] == ["axial_compliance"]
+    assert {"base_x", "d_1", "a_2", "compliance_2", "compliance_3"} <= set(version["covariance"]["names"])
+    assert np.shape(version["covariance"]["matrix"]) == (len(version["covariance"]["names"]),) * 2
+    assert 0.5 < version["noise_mm"] / (1e3 * NOISE_M) < 1.5
     assert version["details"]["reference"] == {"base": "registration", "tool": "registration"}
     client.post(f"/v1/versions/{version['id']}/activate").raise_for_status()
 
@@ -170,6 +173,14 @@ def test_a_path_is_corrected_wherever_the_tracker_stood(
     table = Calibration.nominal(robot_from_document(files["dh-csv"][0])).model
     assert abs(table.parameter("d_1").value - 0.1273) < 0.005  # the arm's, and not the tracker's place
     assert np.abs(table.T_base[:3, 3]).max() < 0.005
+    whole = client.get(f"/v1/versions/{version['id']}/export").raise_for_status().json()
+    assert np.linalg.norm(np.array(whole["calibration_si"]["wanted_base"])[:3, 3] - wanted.shift) < 1e-4
+    assert whole["version"]["covariance"]["names"] == [row["name"] for row in version["parameters"]]
+    program = client.get(f"/v1/versions/{version['id']}/export", params={"format": "matlab"}).raise_for_status().text
+    origin = re.search(r"setFixedTransform\(joint, \[(.+?)\]\)", program)
+    assert origin is not None
+    shoulder = np.array([[float(x) for x in line.split()] for line in origin.group(1).split(";")])
+    assert np.linalg.norm(shoulder[:3, 3]) < 0.15  # on the first axis, not two metres away
 
 
 def exported(client: httpx.Client, version: str, form: str, folder: Path) -> tuple[dict[str, Any], str]:

@@ -9,7 +9,7 @@ import pytest
 
 from core.gap import GapOptions, find_gap
 from core.gap.visits import visits_of
-from core.identify import IdentifyOptions, identify
+from core.identify import IdentifyOptions, Prior, identify
 from core.measurement import Measurement
 from core.model import Calibration
 from core.observations import Observations
@@ -112,6 +112,21 @@ def test_the_covariance_is_that_of_everything_that_was_fitted(far, fitted):
     assert np.all(np.abs(np.sqrt(np.diag(one))[known] / scale[known] - 1.0) < 0.35)
     k, m = both.index("a_2"), both.index("a_3")
     assert one[k, m] != 0.0
+
+
+def test_a_filter_goes_on_from_a_hunt_with_a_few_more_poses(far, ur10):
+    known = far.stored.covariance()
+    prior = Prior(tuple(known["names"]), np.array(known["matrix"]))
+    on = IdentifyOptions(method="kalman", noise_mm=1e3 * NOISE_M)
+    found = identify(ur10, far_rows(seed=9, poses=4, again=1), options=on, start=far.calibration, prior=prior)
+    assert found.free_names == far.stored.posterior.names
+    assert np.array_equal(found.calibration.wanted_base, far.calibration.wanted_base)
+    smaller = np.diag(found.covariance) / np.diag(far.stored.posterior.covariance)
+    assert smaller.max() < 1.0 + 1e-9
+    assert smaller.min() > 0.1
+    unseen = far_rows(seed=10)
+    errors = unseen.position - found.calibration.predict(unseen).position
+    assert np.sqrt(np.mean(errors**2)) < 1.3 * NOISE_M
 
 
 def test_the_sigmas_of_effects_are_those_of_their_amplitudes(far):
