@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,3 +50,13 @@ class Errors:
         if self.turns is not None:
             out["orientation_deg"] = np.degrees(self.turns).mean()
         return {key: float(value) for key, value in out.items()}
+
+
+def metrics_document(train: dict[str, Errors], held: dict[str, Errors]) -> dict[str, Any]:
+    """The ``metrics`` of the contract: each stage's errors on the rows fitted and, unless empty, on those held out."""
+
+    def block(errors: dict[str, Errors]) -> dict[str, Any]:
+        n = len(next(iter(errors.values())).points)
+        return {"n": n, **{name: e.to_document() for name, e in errors.items()}}
+
+    return {"train": block(train), "validation": block(held) if held else None}

@@ -150,7 +150,7 @@ def _gap_bar(hunt: Hunt, gap: dict[str, Any]) -> list[dict[str, Any]]:
         seen[label] = seen.get(label, 0) + 1
         value = gap[f"after_{unit}"] if len(taken) == len(hunt.chosen) else sizes[best]
         bars.append({"label": label if seen[label] == 1 else f"{label} ({seen[label]})", "value": value})
-    return [*bars, {"label": "noise", "value": gap[f"noise_{unit}"]}]
+    return [*bars, {"label": "noise", "value": gap[f"noise_rms_{unit}"]}]
 
 
 def _left(hunt: Hunt, chosen: Sequence[int]) -> float:

@@ -15,7 +15,7 @@ from core.gap.prepare import Prepared, windowed
 from core.gap.scan import residual_given
 from core.gap.source import LinkSource, Source, ToolSource
 from core.gap.trajectory import blocks, is_trajectory, motion_blocks, segments
-from core.gap.world import World, solved
+from core.gap.world import Setting, World, solved
 from core.measurement import Measurement
 from core.model import RobotModel
 from core.observations import Observations
@@ -170,18 +170,39 @@ def train_rms(world: World, columns: Sequence[int]) -> float:
 
 
 def fit_rms(world: World) -> float:
-    """Rms error (m or rad) of the visits at the world's own values."""
+    """Rms error (m or rad) of the visits at the values of the fit itself: what a version that holds them leaves."""
     setting = world.setting
     r = world.raw.reshape(-1, setting.whitener.shape[-1])
     e = np.einsum("vij,vj->vi", np.linalg.inv(setting.whitener), r)[setting.used]
     return rms(e, np.eye(e.shape[1]), isinstance(setting.source, LinkSource))
 
 
+def noise_document(setting: Setting) -> dict[str, Any]:
+    """The noise: standard deviations of a coordinate, and the covariance of a single row (of poses mm, then deg)."""
+    noise, joint = setting.noise, isinstance(setting.source, LinkSource)
+    unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
+    scales = np.full(len(noise.row), scale)
+    scales[noise.lengths or len(scales) :] = 180.0 / np.pi
+    return {
+        "source": noise.source, "absolute": noise.absolute,
+        "freedom": float(noise.freedom) if np.isfinite(noise.freedom) else None,
+        f"within_visit_{unit}": None if noise.within is None else noise.within * scale,
+        f"re_approach_{unit}": None if noise.between is None else noise.between * scale,
+        "covariance": (noise.row * np.outer(scales, scales)).tolist(),
+        "correlated_samples": setting.inflation,
+    }  # fmt: skip
+
+
 def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any]:
-    """The gap before and after in mm (rms of the 3-D error), on training and held-out poses, beside the noise."""
+    """The gap before and after in mm (rms of the 3-D error), on training and held-out poses, beside the noise.
+
+    ``noise_mm`` is the standard deviation of one coordinate of a row, as everywhere. ``noise_rms_mm`` and
+    ``validation_noise_rms_mm`` are what the noise alone would give where before and after stand: lengths in space.
+    """
     world = hunt.world
     size = world.setting.whitener.shape[-1]
     joint = isinstance(world.setting.source, LinkSource)
+    coordinate = world.setting.noise.coordinate
     noise = rms(_root(np.mean(world.setting.noise.visit, axis=0)).T * np.sqrt(size), np.eye(size), joint)
     r0, r1 = rms(held.before, held.lower, joint), rms(held.after, held.lower, joint)
     sigma = rms(np.eye(size) * np.sqrt(size * held.floor), held.lower / np.sqrt(held.inflation), joint)
@@ -189,13 +210,13 @@ def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any
         # The scatter of the first fit holds the gap itself: the floor is that of the last fit.
         last = world.gram.given(hunt.columns)
         share = np.sqrt(last.yy / max(last.nu, 1.0))
-        noise, sigma = noise * share, sigma * share
+        coordinate, noise, sigma = coordinate * share, noise * share, sigma * share
     # Against a noise that was read from the fit itself, a closed gap means nothing.
     known = world.setting.noise.absolute and r0**2 > sigma**2 and bool(hunt.chosen)
     closure = (r0**2 - r1**2) / (r0**2 - sigma**2) if known else None
     numbers = {
-        "before": fit_rms(prepared.world), "after": fit_rms(world), "noise": noise,
-        "validation_before": r0, "validation_after": r1, "validation_noise": sigma,
+        "before": fit_rms(prepared.world), "after": fit_rms(world), "noise": coordinate, "noise_rms": noise,
+        "validation_before": r0, "validation_after": r1, "validation_noise_rms": sigma,
     }  # fmt: skip
     unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
     out: dict[str, Any] = {f"{k}_{unit}": v * scale for k, v in numbers.items()}

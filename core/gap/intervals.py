@@ -36,9 +36,7 @@ def amplitudes(hunt: Hunt, tell: Callable[[float], None]) -> dict[int, Amplitude
     if not columns:
         return {}
     left = world.gram.given(columns)
-    ratio = left.yy / max(left.nu, 1.0)
-    absolute = world.setting.trusted
-    inflation = float(np.sqrt(max(1.0, ratio) if absolute else ratio))
+    absolute, grown = world.setting.trusted, inflation(hunt)
     # The scale is known as well as the repeats know it, or as what is left does when there are none.
     noise = world.setting.noise
     known = (noise.freedom if noise.absolute else np.inf) if absolute else left.nu
@@ -47,12 +45,19 @@ def amplitudes(hunt: Hunt, tell: Callable[[float], None]) -> dict[int, Amplitude
     out = {}
     for n, k in enumerate(columns):
         tell(n / len(columns))
-        sigma = float(np.sqrt(covariance[n, n])) * inflation
+        sigma = float(np.sqrt(covariance[n, n])) * grown
         low, high = (values[n] + side * width * sigma for side in (-1.0, 1.0))
         if world.rows <= MOST_ROWS and n < MOST_PROFILES and sigma > 0.0:
-            low, high = (_end(hunt, k, float(values[n]), float(end), left.yy, width * inflation) for end in (low, high))
+            low, high = (_end(hunt, k, float(values[n]), float(end), left.yy, width * grown) for end in (low, high))
         out[k] = Amplitude(k, float(values[n]), sigma, float(low), float(high))
     return out
+
+
+def inflation(hunt: Hunt) -> float:
+    """Factor on standard deviations for what noise leaves unexplained; without a scale of its own, the scale of the fit."""
+    left = hunt.world.gram.given(hunt.columns)
+    ratio = left.yy / max(left.nu, 1.0)
+    return float(np.sqrt(max(1.0, ratio) if hunt.world.setting.trusted else ratio))
 
 
 def _end(hunt: Hunt, k: int, best: float, end: float, least: float, target: float) -> float:

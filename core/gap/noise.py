@@ -22,6 +22,7 @@ FEWEST = 3  # independent deviations below which repeats say too little
 SPIKE = 6.0  # robust standard deviations from its own repeats at which a row is a spike
 SPIKE_PASSES = 4
 SPHERICAL = 0.001  # chance of calling equal variances unequal
+LENGTHS = 3  # leading scalars of a full pose that are lengths; the others are angles
 FIT = "residuals of the fit"
 WITHIN = "repeats within visits"
 SMALLEST = 1e-9  # m or rad: keeps noise-free simulations solvable
@@ -32,7 +33,8 @@ class Noise:
     """Covariance (V, m, m) of each visit's mean, and of a single row on average, ``row (m, m)``.
 
     ``freedom`` is the number of independent scalars behind it; ``absolute`` says it does not come from the fit.
-    ``within`` and ``between`` are standard deviations of a coordinate (m, or rad for joint data), None when unknown.
+    ``within`` and ``between`` are standard deviations of a coordinate (m, or rad for joint data), None when unknown;
+    of poses ``lengths`` says how many of the m scalars are lengths, None for all of them.
     """
 
     visit: Floats
@@ -42,6 +44,12 @@ class Noise:
     source: str
     within: float | None = None
     between: float | None = None
+    lengths: int | None = None
+
+    @property
+    def coordinate(self) -> float:
+        """Standard deviation of one coordinate (m, or rad for joint data) of a single row."""
+        return _deviation(self.row, self.lengths)
 
     def whiteners(self) -> Floats:
         """Inverse Cholesky factors (V, m, m)."""
@@ -91,22 +99,22 @@ def repeat_noise(residual: Floats, visit_residual: Floats, visits: Visits, point
     between, k_between = _pooled(visit_residual, visits.condition)
     if k_within + k_between < FEWEST:
         return None
-    share = 1.0 / visits.count
+    share, lengths = 1.0 / visits.count, _lengths(residual.shape[1], visits)
     at = None if points is None else points
     rows_cov = _spread(within, k_within, None if at is None else at[visits.visit], at)
     if k_between < FEWEST:
         # Rows of one visit say nothing of the next approach: their shape is used, their scale cannot be relied on.
-        made = _noise(rows_cov * share[:, None, None], rows_cov.mean(axis=0), k_within, rows_cov, None)
+        made = _noise(rows_cov * share[:, None, None], rows_cov.mean(axis=0), k_within, lengths, rows_cov, None)
         return replace(made, absolute=False, source=WITHIN)
     if k_within < FEWEST:
         total = _spread(between, k_between, at, at)
         visit = np.broadcast_to(total, (len(visits), *total.shape[1:])).copy()
-        return _noise(visit, total.mean(axis=0), k_between, None, total)
+        return _noise(visit, total.mean(axis=0), k_between, lengths, None, total)
     known = np.mean(rows_cov * share[:, None, None], axis=0)
     extra = _positive(_shrunk(_second(between[0]) - known, k_between))
     visit = extra + rows_cov * share[:, None, None]
     # The scale of the sum is that of the repeated approaches, however well the rows within a visit are known.
-    return _noise(visit, extra + rows_cov.mean(axis=0), k_between, rows_cov, extra)
+    return _noise(visit, extra + rows_cov.mean(axis=0), k_between, lengths, rows_cov, extra)
 
 
 def stated_noise(sigma: Floats | float, visits: Visits, size: int) -> Noise:
@@ -127,18 +135,27 @@ def fit_noise(visit_residual: Floats, visits: Visits, used: Bools, lost: float) 
     robust = np.median(size, axis=0) / 0.6745 + SMALLEST
     inside = kept[(size / robust).max(axis=1) < SPIKE]
     cov = _shrunk(inside.T @ inside / max(len(inside) * (1.0 - lost), 1.0), len(inside))
-    return Noise(np.broadcast_to(cov, (len(visits), *cov.shape)).copy(), cov, 0.0, False, FIT)
+    each = np.broadcast_to(cov, (len(visits), *cov.shape)).copy()
+    return Noise(each, cov, 0.0, False, FIT, lengths=_lengths(len(cov), visits))
 
 
-def _noise(visit: Floats, row: Floats, vectors: float, within: Floats | None, between: Floats | None) -> Noise:
+def _noise(
+    visit: Floats, row: Floats, vectors: float, lengths: int | None, within: Floats | None, between: Floats | None
+) -> Noise:
     def size(cov: Floats | None) -> float | None:
-        return (
-            None
-            if cov is None
-            else float(np.sqrt(np.trace(cov.mean(axis=0) if cov.ndim == 3 else cov) / cov.shape[-1]))
-        )
+        return None if cov is None else _deviation(cov.mean(axis=0) if cov.ndim == 3 else cov, lengths)
 
-    return Noise(visit, row, vectors * visit.shape[-1], True, "repeats", size(within), size(between))
+    return Noise(visit, row, vectors * visit.shape[-1], True, "repeats", size(within), size(between), lengths)
+
+
+def _lengths(size: int, visits: Visits) -> int | None:
+    """How many of a visit's scalars are lengths where the others are angles: a pose was measured. None otherwise."""
+    o = visits.observations
+    return LENGTHS if o.rotation is not None and o.position is not None and size == 2 * LENGTHS else None
+
+
+def _deviation(cov: Floats, lengths: int | None) -> float:
+    return float(np.sqrt(np.mean(np.diag(cov)[:lengths])))
 
 
 def _pooled(values: Floats, group: Ints) -> tuple[tuple[Floats, Ints], int]:

@@ -8,6 +8,9 @@ from typing import Any
 
 from core.errors import OptionError
 
+FRAME = ("free", "fixed")
+CHOICES = {"base": FRAME, "tool": FRAME, "reference": ("auto", "robot", "registration")}
+
 
 @dataclass(frozen=True)
 class GapOptions:
@@ -15,7 +18,8 @@ class GapOptions:
 
     ``alpha`` is the family-wise chance of any false name. ``effects`` restricts the library to these ids (all when
     empty). ``noise_mm`` states the standard deviation of one coordinate when the data have no repeats. ``free`` and
-    ``fix`` choose the geometric parameters as in an identification, ``base`` and ``tool`` are "free" or "fixed".
+    ``fix`` choose the geometric parameters as in an identification, ``base`` and ``tool`` are "free" or "fixed",
+    and ``reference`` says in which frames a correction works, as there ("auto", "robot", "registration").
     ``next_poses`` is how many poses to propose.
     """
 
@@ -26,6 +30,7 @@ class GapOptions:
     fix: tuple[str, ...] = ()
     base: str = "free"
     tool: str = "free"
+    reference: str = "auto"
     max_effects: int = 8
     bootstraps: int = 1999
     resamples: int = 100
@@ -38,6 +43,9 @@ class GapOptions:
             raise OptionError(f"alpha is {self.alpha}: give a chance between 0 and 0.5, as 0.01.", option="alpha")
         if self.noise_mm is not None and not self.noise_mm > 0:
             raise OptionError("noise_mm must be above 0: it is a standard deviation.", option="noise_mm")
+        for name, allowed in CHOICES.items():
+            if getattr(self, name) not in allowed:
+                raise OptionError(f"{name} is {getattr(self, name)!r}: give {', '.join(allowed)}.", option=name)
         for name in ("bootstraps", "resamples", "permutations", "max_effects"):
             if getattr(self, name) < 1:
                 raise OptionError(f"{name} must be at least 1.", option=name)

@@ -8,6 +8,7 @@ from typing import Any
 from core.gap.adequacy import Adequacy
 from core.gap.aliases import Alias
 from core.gap.candidates import Library, Untestable
+from core.gap.stored import Stored
 from core.gap.verdict import Judged
 from core.gap.where import Place
 from core.identify.report import WIRE
@@ -19,9 +20,9 @@ SURE = 0.05
 
 @dataclass(frozen=True)
 class GapReport:
-    """What the hunt found. ``calibration`` holds the named effects; ``to_document()`` is the job's result."""
+    """What the hunt found. ``stored`` holds the named effects; ``to_document()`` is the job's result."""
 
-    calibration: Calibration
+    stored: Stored
     verdict: str
     sentence: str
     effects: tuple[Judged, ...]
@@ -37,6 +38,11 @@ class GapReport:
     warnings: tuple[dict[str, Any], ...]
     figures: dict[str, Any]
     library: Library
+
+    @property
+    def calibration(self) -> Calibration:
+        """The final fit: geometry and named effects."""
+        return self.stored.calibration
 
     def to_document(self) -> dict[str, Any]:
         """The gap result of the contract."""
@@ -55,6 +61,7 @@ class GapReport:
             "alias_matrix": self.alias_matrix,
             "warnings": list(self.warnings),
             "figures": self.figures,
+            "reference": self.stored.reference(),
         }
 
 

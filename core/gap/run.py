@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.effects import Effect
 from core.gap.adequacy import Adequacy, adequacy
 from core.gap.aliases import SAME, Alias, aliases_of
-from core.gap.candidates import Candidate, Library, with_testable
+from core.gap.candidates import Library, with_testable
 from core.gap.control import Control, controls, false_names
 from core.gap.figures import figures
-from core.gap.heldout import Bench, gap_document, train_rms
+from core.gap.heldout import Bench, gap_document, noise_document, train_rms
 from core.gap.hunt import Hunt, hunt
 from core.gap.intervals import Amplitude, amplitudes
 from core.gap.next_poses import rows_of, separate
@@ -25,13 +24,14 @@ from core.gap.report import GapReport
 from core.gap.scan import Scorer
 from core.gap.settle import chance, settled
 from core.gap.shadow import bumped
-from core.gap.source import LinkSource, ToolSource, calibrated
+from core.gap.source import LinkSource, ToolSource
 from core.gap.stability import inclusion
+from core.gap.stored import stored
 from core.gap.testability import Testability, alias_matrix, smallest_rows, testability, untestable
 from core.gap.trajectory import hold_out
 from core.gap.verdict import Evidence, Judged, judge, run_verdict, sentence
 from core.gap.where import where
-from core.model import Calibration, RobotModel
+from core.model import Calibration
 from core.observations import Observations
 from core.robot import Robot
 
@@ -107,11 +107,12 @@ class _Run:
         gap = gap_document(prepared, found, held.report())
         self.tell(0.95, "next poses and pictures")
         return GapReport(
-            calibration=self._calibration(found), verdict=verdict, sentence=said, effects=effects, where=places,
+            stored=stored(found, self.begin, prepared.rows, self.options, referenced=not strange),
+            verdict=verdict, sentence=said, effects=effects, where=places,
             gap=gap, adequacy=fit, not_testable=untestable(prepared.library, judged, world, rows),
             smallest_detectable=smallest_rows(prepared.library, judged),
             next_poses=self._next_poses(found, effects), negative_control=control,
-            alias_matrix=alias_matrix(world, candidates, found.chosen), noise=self._noise(found),
+            alias_matrix=alias_matrix(world, candidates, found.chosen), noise=noise_document(found.world.setting),
             warnings=warnings, figures=figures(found, rows, gap), library=prepared.library,
         )  # fmt: skip
 
@@ -194,16 +195,6 @@ class _Run:
         )
         return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
 
-    def _calibration(self, found: Hunt) -> Calibration:
-        world, source = found.world, found.world.setting.source
-        effects = _merged([found.selector.scorer.candidates[k] for k in found.chosen], self.robot, self.prepared.rows)
-        if isinstance(source, ToolSource):
-            whole = source.model
-            model = RobotModel(whole.robot, (*self.begin.model.effects, *effects), whole.T_base, whole.T_tool)
-            return calibrated(source, world.values, model, source.measurement.marker_points)
-        model = replace(self.begin.model, effects=(*self.begin.model.effects, *effects))
-        return calibrated(source, world.values, model, self.begin.marker_points)
-
     def _next_poses(self, found: Hunt, effects: tuple[Judged, ...]) -> list[dict[str, Any]]:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
         if not effects:
@@ -224,36 +215,6 @@ class _Run:
             self.options.next_poses, self.options.seed,
         )  # fmt: skip
         return rows_of(proposals, (target.label, rivals[0].candidate.label if rivals else "geometry"), self.robot)
-
-    def _noise(self, found: Hunt) -> dict[str, Any]:
-        noise = found.world.setting.noise
-        scale = 180.0 / np.pi if isinstance(found.world.setting.source, LinkSource) else 1e3
-        unit = "deg" if isinstance(found.world.setting.source, LinkSource) else "mm"
-        return {
-            "source": noise.source, "absolute": noise.absolute,
-            "freedom": float(noise.freedom) if np.isfinite(noise.freedom) else None,
-            f"within_visit_{unit}": None if noise.within is None else noise.within * scale,
-            f"re_approach_{unit}": None if noise.between is None else noise.between * scale,
-            "covariance": (noise.row * scale**2).tolist(),
-            "correlated_samples": found.world.setting.inflation,
-        }  # fmt: skip
-
-
-def _merged(chosen: list[Candidate], robot: Robot, rows: Observations) -> tuple[Effect, ...]:
-    """Effects of the chosen candidates, one per effect where one configuration can hold them all."""
-    out: list[Effect] = []
-    for effect_id in dict.fromkeys(c.id for c in chosen):
-        parts = [e for c in chosen if c.id == effect_id for e in c.effects]
-        wanted = {p.name for e in parts for p in e.parameters(robot)}
-        kind = type(parts[0])
-        if kind.at_joints and "drivers" not in kind.counted and "partner" not in kind.counted:
-            joints = tuple(sorted({j for e in parts for j in e.joints or ()}))
-            whole = kind(joints=joints).on(robot, rows)
-            if {p.name for p in whole.parameters(robot)} == wanted:
-                out.append(whole)
-                continue
-        out += list(dict.fromkeys(parts))
-    return tuple(out)
 
 
 __all__ = ["GapReport", "Library", "Testability", "find_gap"]

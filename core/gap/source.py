@@ -229,21 +229,36 @@ def with_torque(batch: Batch, observations: Observations) -> Batch:
     return replace(batch, axial=-observations.tau, wrench=wrench)
 
 
-def calibrated(source: Source, values: Floats, model: RobotModel, shape: Floats | None) -> Calibration:
-    """The fitted state as a calibration of ``model``, which holds the effects to keep; values go by name."""
+def calibrated(source: Source, values: Floats, model: RobotModel, begin: Calibration) -> Calibration:
+    """The fitted state as a calibration of ``model``, which holds the effects to keep; values go by name.
+
+    Joint data say nothing of the chain, the base or the tool: those stay as ``begin`` has them, with its wanted frames.
+    """
     if isinstance(source, ToolSource):
         known = dict(zip(source.model.names, values, strict=True))
-    else:
-        assert isinstance(source, LinkSource)
-        offsets = values[: source.n_offsets].reshape(-1, source.model.robot.n_joints).mean(axis=0)
-        known = dict(zip(source.model.names[source.model.n_geometric :], values[source.n_offsets :], strict=True))
-        chain = model.robot.chain
-        for j, k in enumerate(chain.primary):
-            element = chain.elements[k]
-            if element.name is not None:
-                known[element.name] = element.value + element.ratio * float(offsets[j])
-    made = np.array([known.get(p.name, p.value) for p in model.parameters])
-    return Calibration(*model.folded(made), shape)
+        made = np.array([known.get(p.name, p.value) for p in model.parameters])
+        return Calibration(*model.folded(made), source.measurement.marker_points)
+    assert isinstance(source, LinkSource)
+    offsets = values[: source.n_offsets].reshape(-1, source.model.robot.n_joints).mean(axis=0)
+    known = dict(zip(begin.names, begin.values, strict=True))
+    known |= dict(zip(source.model.names[source.model.n_geometric :], values[source.n_offsets :], strict=True))
+    known |= {
+        name: model.parameter(name).value + ratio * float(offsets[j]) for name, (j, ratio) in zeros(begin).items()
+    }
+    return replace(begin, model=model, values=np.array([known.get(p.name, p.value) for p in model.parameters]))
+
+
+def zeros(begin: Calibration) -> dict[str, tuple[int, float]]:
+    """Joint and ratio of the constants that hold the joints' zeros, by name, where link-side encoders may set them.
+
+    They may while the chain is as drawn. Zeros that an instrument found of the tool are worth more: encoders are
+    referenced anew from motion to motion.
+    """
+    n, chain = begin.model.n_geometric, begin.robot.chain
+    if not np.array_equal(begin.values[6 : n - 6], begin.model.values0()[6 : n - 6]):
+        return {}
+    elements = ((j, chain.elements[k]) for j, k in enumerate(chain.primary))
+    return {e.name: (j, e.ratio) for j, e in elements if e.name is not None}
 
 
 def _stacked(residual: Residual) -> Floats:

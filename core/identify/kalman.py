@@ -80,7 +80,7 @@ def kalman(
         values[problem.free], P, innovation = filtered(problem, values, x0, P0)
         if not np.isfinite(values).all():
             raise NotConvergedError("The filter lost its way: begin with least_squares, or a better start.")
-        fit = _finished(problem, values, P, P0, innovation)
+        fit = _finished(problem, values, P, P0, innovation, fresh=prior is None)
         wanted = weights_of(fit, options)
         blind = blind_directions(fit) if prior is None and step == 1 else np.zeros((0, len(names)))
         moved = float(np.max(np.abs(values[problem.free] - before) / fit.sigma, initial=0.0))
@@ -114,13 +114,16 @@ def filtered(problem: Problem, values: Floats, x0: Floats, P0: Floats) -> tuple[
     return x * scale, P, total / max(count, 1)
 
 
-def _finished(problem: Problem, values: Floats, P: Floats, P0: Floats, innovation: float) -> Fit:
-    """The fit; its Jacobian also carries what was known before, so that it is not reported as unseen."""
+def _finished(problem: Problem, values: Floats, P: Floats, P0: Floats, innovation: float, fresh: bool) -> Fit:
+    """The fit; its Jacobian also carries what was known before, so that it is not reported as unseen.
+
+    Only a ``fresh`` filter holds directions; one that continues may know some of them that well.
+    """
     rows = len(problem.measurement.observations)
     fit = fit_at(problem, values.copy(), problem.linearised(values), rows)
     size, turn = np.linalg.eigh(P0)
     before = np.sqrt(np.maximum(1.0 / np.maximum(size, 1e-12) - 1.0, 0.0))
-    held = size < 1e-9  # blind directions were held, not learned
+    held = (size < 1e-9) & fresh  # blind directions were held, not learned
     known = (turn * np.where(held, 0.0, before)).T / problem.prior_sigma
     known = known[np.linalg.norm(known * problem.prior_sigma, axis=1) > 1e-6]
     scale = np.outer(problem.prior_sigma, problem.prior_sigma)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.identifiability import identifiable
+from core.identifiability import NullDirection, identifiable
 from core.identify.intervals import Intervals
 from core.identify.least_squares import Fit
 from core.identify.spread import spread_of
 from core.marker_checks import bending
-from core.model import Calibration
+from core.model import Calibration, RobotModel
 from core.observations import Observations
 from core.transforms import xyz_rpy_from_pose
 
@@ -36,21 +36,9 @@ def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | No
     of small increments along the frame's own axes. ``intervals`` add lower and upper.
     """
     model = calibration.model
-    known = identifiable(fit.sigma, fit.problem.prior_sigma) & ~np.isin(fit.names, list(_blind_names(fit)))
-    values = _absolute(calibration)
-    rows: list[dict[str, Any]] = []
-    for name, sigma, seen in zip(fit.names, fit.sigma, known, strict=True):
-        parameter = model.parameter(name)
-        unit, scale = WIRE.get(parameter.unit, (parameter.unit, 1.0))
-        rows.append({
-            "name": name,
-            "value": values[name] * scale,
-            "nominal": _nominal(calibration)[name] * scale,
-            "unit": unit,
-            "sigma": float(sigma) * scale,
-            "identifiable": bool(seen),
-            "plausible": parameter.plausible(values[name]),
-        })  # fmt: skip
+    blind = blind_names(fit.problem.model, fit.problem.measurement.observations)
+    known = identifiable(fit.sigma, fit.problem.prior_sigma) & ~np.isin(fit.names, list(blind))
+    rows = rows_of(calibration, fit.names, fit.sigma, known)
     if intervals is not None:
         ends = zip(rows, intervals.lower, intervals.upper, intervals.stands_in, strict=True)
         for row, below, above, stands_in in ends:
@@ -58,6 +46,39 @@ def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | No
             row["lower"], row["upper"] = row["value"] + float(below) * scale, row["value"] + float(above) * scale
             row["interval_from"] = "sigma" if stands_in else intervals.kind
     return rows
+
+
+def rows_of(
+    calibration: Calibration, names: Sequence[str], sigma: Floats, known: NDArray[np.bool_]
+) -> list[dict[str, Any]]:
+    """One row for each of the parameters ``names``, with its ``sigma (F,)`` SI and whether it is ``known (F,)``."""
+    values, nominal = _absolute(calibration), _nominal(calibration)
+    rows: list[dict[str, Any]] = []
+    for name, spread, seen in zip(names, sigma, known, strict=True):
+        parameter = calibration.model.parameter(name)
+        unit, scale = WIRE.get(parameter.unit, (parameter.unit, 1.0))
+        rows.append({
+            "name": name,
+            "value": values[name] * scale,
+            "nominal": nominal[name] * scale,
+            "unit": unit,
+            "sigma": float(spread) * scale,
+            "identifiable": bool(seen),
+            "plausible": parameter.plausible(values[name]),
+        })  # fmt: skip
+    return rows
+
+
+def null_rows(directions: Sequence[NullDirection]) -> list[dict[str, Any]]:
+    """Directions that the data cannot tell, in words and by their members."""
+    return [
+        {
+            "parameters": [{"name": name, "weight": weight} for name, weight in d.weights],
+            "structural": d.structural,
+            "sentence": d.sentence(),
+        }
+        for d in directions
+    ]
 
 
 def warnings_of(fit: Fit, train: Observations, repeats: float | None) -> Iterator[dict[str, Any]]:
@@ -108,10 +129,9 @@ def still_joints(observations: Observations) -> list[int]:
     return [int(j) for j in np.flatnonzero(np.ptp(observations.q, axis=0) < STILL_RAD)]
 
 
-def _blind_names(fit: Fit) -> Iterator[str]:
+def blind_names(model: RobotModel, observations: Observations) -> Iterator[str]:
     """Parameters of the joint elements that never move: their columns alias their neighbours'."""
-    model = fit.problem.model
-    still = set(still_joints(fit.problem.measurement.observations))
+    still = set(still_joints(observations))
     for e in model.robot.chain.elements:
         if e.joint in still and e.name:
             yield e.name

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from core.errors import ObservationError
 from core.identifiability import NullDirection, null_directions
-from core.identify.estimate import registration_only
 from core.identify.holdout import Folds, fold_splits, split
 from core.identify.influence import influence_of
 from core.identify.intervals import Intervals, bootstrap, profile
@@ -22,22 +21,19 @@ from core.identify.marker_turns import refuse_feigned_turns
 from core.identify.methods import fit_by_method
 from core.identify.noise import repeat_sigma
 from core.identify.options import IdentifyOptions
-from core.identify.report import parameter_rows, warnings_of
+from core.identify.reference import named, registered, wanted_frames
+from core.identify.report import null_rows, parameter_rows, warnings_of
 from core.identify.seeing import seen
 from core.measurement import Measurement
-from core.metrics import Errors
+from core.metrics import Errors, metrics_document
 from core.model import Calibration
 from core.observability import correlated_groups, observability
 from core.observations import Observations
 from core.robot import Robot
-from core.transforms import rotation_log
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 Validation = Observations | float | Folds | None
-
-NEAR_M = 0.010  # frames nearer than this to the robot's own are taken to be the robot's own
-NEAR_RAD = np.radians(1.0)
 
 
 @dataclass(frozen=True)
@@ -66,22 +62,11 @@ class Identification:
         """Names of the free parameters, in the order of the covariance."""
         return self.fit.names
 
-    def _reference(self, which: str) -> str:
-        own = getattr(self.calibration.robot, f"T_{which}")
-        return "robot" if np.array_equal(getattr(self.calibration, f"wanted_{which}"), own) else "registration"
-
     def to_document(self) -> dict[str, Any]:
         """The identify result of the contract: mm, degrees, names, units."""
         return {
             "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
-            "null_directions": [
-                {
-                    "parameters": [{"name": name, "weight": weight} for name, weight in d.weights],
-                    "structural": d.structural,
-                    "sentence": d.sentence(),
-                }
-                for d in self.null_directions
-            ],
+            "null_directions": null_rows(self.null_directions),
             "metrics": self.metrics,
             "noise_mm": self.noise_m * 1e3,
             "noise_source": self.noise_source,
@@ -92,7 +77,7 @@ class Identification:
             "intervals": None if self.intervals is None else self.intervals.kind,
             "learned": None if self.learned is None else self.learned.to_document(),
             **_together(self.fit),
-            "reference": {"base": self._reference("base"), "tool": self._reference("tool")},
+            "reference": named(self.calibration),
         }
 
 
@@ -130,18 +115,17 @@ def identify(
         train, validation = train.select(inside), train.select(outside)
     measurement = seen(train, options, begin.marker_points)
     refuse_feigned_turns(begin, measurement)
-    registered = _registered(begin, measurement, options, prior)
+    found = _registered(begin, measurement, options, prior)
+    wanted = wanted_frames(begin, found, measurement, options, _continues(options, prior))
     begin, learned = gated(begin, train, options, prior)
     fit = fit_by_method(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s), prior)
-    calibration = Calibration(
-        *fit.problem.model.folded(fit.values), measurement.marker_points, *_wanted_frames(registered, options)
-    )
-    stages = {"nominal": nominal, "registration_only": registered, "identified": calibration}
+    calibration = Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points, *wanted)
+    stages = {"nominal": nominal, "registration_only": found, "identified": calibration}
     if isinstance(validation, Observations):
         other = seen(validation, options, measurement.marker_points, measurement)
         held = {name: Errors.of(stage, other) for name, stage in stages.items()}
     tell(0.95, "identifiability")
-    metrics = _metrics({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held)
+    metrics = metrics_document({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held)
     return _reported(calibration, fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned)
 
 
@@ -198,26 +182,11 @@ def _begin(robot: Robot, train: Observations, options: IdentifyOptions, start: C
 
 def _registered(begin: Calibration, shown: Measurement, options: IdentifyOptions, prior: Prior | None) -> Calibration:
     """The nominal robot in fitted frames; where a filter continues, in those of its start: two poses cannot fit any."""
-    if options.method == "kalman" and prior is not None:
-        return begin.wanted()
-    return registration_only(Calibration.nominal(begin.robot), shown, options.loss)
+    return begin.wanted() if _continues(options, prior) else registered(begin, shown, options.loss)
 
 
-def _wanted_frames(registered: Calibration, options: IdentifyOptions) -> tuple[Floats, Floats]:
-    """Base and tool frames (4, 4) a correction should work in, as ``reference`` asks."""
-    robot, found = registered.robot, registered.model
-    turns = registered.marker_points is not None
-    base_is_own = _own(robot.T_base, found.T_base, options.base, True, options.reference)
-    tool_is_own = _own(robot.T_tool, found.T_tool, options.tool, turns, options.reference)
-    return robot.T_base if base_is_own else found.T_base, robot.T_tool if tool_is_own else found.T_tool
-
-
-def _own(own: Floats, fitted: Floats, state: str, turns: bool, reference: str) -> bool:
-    if reference != "auto" or state != "free":
-        return reference != "registration"
-    apart = np.linalg.norm(own[:3, 3] - fitted[:3, 3])
-    angle = float(np.linalg.norm(rotation_log((own[:3, :3].T @ fitted[:3, :3])[None])))
-    return bool(apart < NEAR_M and (not turns or angle < NEAR_RAD))
+def _continues(options: IdentifyOptions, prior: Prior | None) -> bool:
+    return options.method == "kalman" and prior is not None
 
 
 def _refuse_missing_columns(begin: Calibration, train: Observations) -> None:
@@ -260,11 +229,3 @@ def _cross_validated(
 def _within(tell: Progress, fold: int, folds: int) -> Progress:
     """Progress of one fold as part of the whole."""
     return lambda fraction, stage: tell(0.05 + 0.45 * (fold + fraction) / folds, f"fold {fold + 1} of {folds}, {stage}")
-
-
-def _metrics(train: dict[str, Errors], held: dict[str, Errors]) -> dict[str, Any]:
-    def block(errors: dict[str, Errors]) -> dict[str, Any]:
-        n = len(next(iter(errors.values())).points)
-        return {"n": n, **{name: e.to_document() for name, e in errors.items()}}
-
-    return {"train": block(train), "validation": block(held) if held else None}

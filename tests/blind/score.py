@@ -212,9 +212,9 @@ def rho_of(hidden: Mapping[str, Any]) -> float:
 def closure(records: Sequence[Record]) -> float:
     """(R0² − R1²) / (R0² − σ²) on held-out poses, sums over the runs."""
     gaps = [r["report"]["gap"] for r in records]
-    kept = [g for g in gaps if g.get("validation_before_mm") is not None and g.get("noise_mm")]
+    kept = [g for g in gaps if g.get("validation_before_mm") is not None and g.get("noise_rms_mm")]
     won = sum(g["validation_before_mm"] ** 2 - g["validation_after_mm"] ** 2 for g in kept)
-    there = sum(g["validation_before_mm"] ** 2 - g["noise_mm"] ** 2 for g in kept)
+    there = sum(g["validation_before_mm"] ** 2 - g["noise_rms_mm"] ** 2 for g in kept)
     return won / there if there > 0 else math.nan
 
 

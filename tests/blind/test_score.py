@@ -30,7 +30,7 @@ def said(
 
 
 def record(effects: list[dict[str, Any]], truth: list[dict[str, Any]], expectation: str) -> dict[str, Any]:
-    gap = {"validation_before_mm": 0.05, "validation_after_mm": 0.03, "noise_mm": 0.03}
+    gap = {"validation_before_mm": 0.05, "validation_after_mm": 0.03, "noise_rms_mm": 0.03}
     report = {"verdict": "closed", "effects": effects, "gap": gap, "not_testable": []}
     kept = {"effects": truth, "expectation": expectation, "undecidable": [], "wrong_masses": False}
     return {"name": "x", "truth": kept, "report": report, "error": None, "seconds": 1.0}

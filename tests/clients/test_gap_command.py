@@ -49,7 +49,8 @@ def test_the_whole_loop_in_one_command(
     said = " ".join(printed.out.split())
     for words in (
         "verdict: closed", "Where the model is wrong", "excess chi2", "What is missing", "backlash",
-        "friction_windup", "amplitude", "interval", "The gap", "held out", "noise floor", "closed on held-out rows",
+        "friction_windup", "amplitude", "interval", "The gap", "held out", "noise floor", "noise of a coordinate:",
+        "corrections work in the base frame of the registration", "closed on held-out rows",
         "negative control passed", "What these data cannot test", "how to test it", "kilter activate ver_",
     ):  # fmt: skip
         assert words in said, words

@@ -77,7 +77,14 @@ def test_a_hidden_effect_is_named_stored_and_gone_afterwards(client: httpx.Clien
     assert (version["parent_id"], version["effects"], version["active"]) == (None, ["backlash"], False)
     metrics = version["metrics"]
     assert metrics["validation"]["identified"]["rms_mm"] < metrics["validation"]["registration_only"]["rms_mm"]
-    amount = next(p for p in version["parameters"] if p["name"] in version["covariance"]["names"])
+    named, matrix = version["covariance"]["names"], np.array(version["covariance"]["matrix"])
+    assert [row["name"] for row in version["parameters"]] == named
+    assert {"base_x", "tool_z", "a_2", "backlash_1"} <= set(named)
+    assert np.linalg.eigvalsh(matrix / np.sqrt(np.outer(*[np.diag(matrix)] * 2))).min() > 0
+    assert version["details"]["reference"] == found["reference"] == {"base": "registration", "tool": "robot"}
+    assert version["noise_mm"] == gap["noise_mm"]
+    assert version["null_directions"]
+    amount = next(p for p in version["parameters"] if p["name"] == "backlash_1")
     assert amount["sigma"] > 0
     reported = found["effects"][0]["parameters"][0]
     assert reported["interval_low"] < amount["value"] < reported["interval_high"]
@@ -158,6 +165,8 @@ def test_a_hunt_is_cancelled(client: httpx.Client, worker: Any, until: Until) ->
         ({"options": {"effects": ["ghost"]}}, 400, "option_invalid"),
         ({"options": {"effects": "backlash"}}, 400, "option_invalid"),
         ({"options": {"base": "loose"}}, 400, "option_invalid"),
+        ({"options": {"base": "removed"}}, 400, "option_invalid"),
+        ({"options": {"reference": "moon"}}, 400, "option_invalid"),
         ({"options": {"limits": {"max_joint_deg": -1}}}, 400, "option_invalid"),
         ({"validation": {"folds": 5}}, 400, "option_invalid"),
         ({"campaigns": []}, 400, "campaigns_invalid"),

@@ -33,10 +33,8 @@ def check(options: dict[str, Any]) -> None:
 
     """
     from core.effects import EFFECTS
-    from core.identify import IdentifyOptions
 
     chosen = _options(options)
-    IdentifyOptions(free=chosen.free, fix=chosen.fix, base=chosen.base, tool=chosen.tool)
     unknown = [effect for effect in chosen.effects if effect not in EFFECTS]
     if unknown:
         raise OptionError(f"There is no effect {unknown[0]!r}. There are: {', '.join(EFFECTS)}.", option="effects")
@@ -108,52 +106,19 @@ def _rows(job: JobInput, seed: int) -> tuple[Observations, Observations | None]:
 
 
 def _version(job: JobInput, report: GapReport, train: Observations, held: Observations | None) -> VersionContent:
-    covariance = _covariance(report)
+    """What an identification stores of its fit, of the hunt's last one."""
+    stored = report.stored
     document = {
-        "metrics": _metrics(report, train, held),
-        "parameters": _parameters(report, covariance),
-        "null_directions": [],
+        "metrics": stored.metrics(train, held),
+        "parameters": stored.parameters(),
+        "null_directions": stored.null_directions(),
         "noise_mm": report.gap.get("noise_mm"),
+        "noise_source": report.noise["source"],
         "warnings": list(report.warnings),
+        "reference": stored.reference(),
     }
-    content = report.calibration.to_document()
-    return VersionContent(content, plain(document), covariance, version_limits(job.options.get(LIMITS)))
-
-
-def _metrics(report: GapReport, train: Observations, held: Observations | None) -> dict[str, Any]:
-    """Metrics block of identify; joint encoders have none, for the tool was not measured."""
-    from core.evaluate import evaluate
-
-    blocks = {"train": train} | ({} if held is None else {"validation": held})
-    seen = {name: rows for name, rows in blocks.items() if rows.position is not None or rows.markers is not None}
-    return {name: evaluate(report.calibration, rows) for name, rows in seen.items()}
-
-
-def _covariance(report: GapReport) -> dict[str, Any]:
-    """Variances of the named effects' parameters; the geometry's are those of an identification."""
-    amounts = [a for judged in report.effects for a in judged.evidence.amplitudes]
-    names = [report.library.parameters[a.column].name for a in amounts]
-    return {"names": names, "matrix": np.diag([a.sigma**2 for a in amounts]).tolist(), "units": "SI"}
-
-
-def _parameters(report: GapReport, covariance: dict[str, Any]) -> list[dict[str, Any]]:
-    from core.identify.report import WIRE
-
-    calibration = report.calibration
-    sigma = {name: float(np.sqrt(row[k])) for k, (name, row) in enumerate(_rows_of(covariance))}
-    out = []
-    for parameter, value in zip(calibration.model.parameters, calibration.values, strict=True):
-        unit, scale = WIRE.get(parameter.unit, (parameter.unit, 1.0))
-        spread = sigma.get(parameter.name)
-        out.append({
-            "name": parameter.name, "value": float(value) * scale, "unit": unit,
-            "sigma": None if spread is None else spread * scale, "identifiable": True,
-        })  # fmt: skip
-    return out
-
-
-def _rows_of(covariance: dict[str, Any]) -> list[tuple[str, list[float]]]:
-    return list(zip(covariance["names"], covariance["matrix"], strict=True))
+    limits = version_limits(job.options.get(LIMITS))
+    return VersionContent(stored.calibration.to_document(), plain(document), plain(stored.covariance()), limits)
 
 
 def _options(options: dict[str, Any]) -> GapOptions:

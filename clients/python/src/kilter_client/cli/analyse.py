@@ -19,6 +19,9 @@ from kilter_client.errors import UsageError
 from kilter_client.plots import can_draw, save_figures
 
 Frame = Literal["free", "fixed"]
+Reference = Annotated[
+    Literal["auto", "robot", "registration"] | None, typer.Option(help="Frames that corrections work in.")
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -53,6 +56,7 @@ def identify(
     ] = None,
     tool: Annotated[Frame | None, typer.Option(help="Tool point.")] = None,
     loss: Annotated[Literal["linear", "huber"] | None, typer.Option(help="huber forgives outliers.")] = None,
+    reference: Reference = None,
     intervals: Annotated[
         Literal["bootstrap", "profile"] | None, typer.Option(help="95 % intervals that do not rest on the sigmas.")
     ] = None,
@@ -75,6 +79,7 @@ def identify(
         base=base,
         tool=tool,
         loss=loss,
+        reference=reference,
         intervals=intervals,
         tilt_first=tilt_first,
         noise_mm=noise_mm,
@@ -101,6 +106,7 @@ def gap(
     fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Hold these parameters.")] = None,
     base: Annotated[Frame | None, typer.Option(help="Frame of the measuring device.")] = None,
     tool: Annotated[Frame | None, typer.Option(help="Tool point.")] = None,
+    reference: Reference = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the split and of every resample.")] = None,
     figures: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the figures there: Plotly JSON, PNG and SVG.")
@@ -124,6 +130,7 @@ def gap(
         fix=arguments.split_names(fix),
         base=base,
         tool=tool,
+        reference=reference,
         seed=seed,
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from kilter_client.cli.identify_report import corrected_in
 from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
 
@@ -13,10 +14,10 @@ BAR = 40  # characters of the longest bar
 GAP_ROWS = (
     ("before", "train", "before"),
     ("after", "train", "after"),
-    ("noise", "train", "noise floor"),
+    ("noise_rms", "train", "noise floor"),
     ("validation_before", "held out", "before"),
     ("validation_after", "held out", "after"),
-    ("validation_noise", "held out", "noise floor"),
+    ("validation_noise_rms", "held out", "noise floor"),
 )
 
 
@@ -30,6 +31,8 @@ def show_gap(result: Mapping[str, Any]) -> None:
     _control(result)
     _not_testable(result.get("not_testable") or [])
     _next_poses(result.get("next_poses") or [])
+    if result.get("version_id") and result.get("reference"):
+        say(corrected_in(result["reference"]))
     for warning in result.get("warnings") or ():
         say(f"warning: {warning['message']}")
 
@@ -76,6 +79,8 @@ def _gap(result: Mapping[str, Any], unit: str) -> None:
     gap = result["gap"]
     rows = [(rows, name, number(gap.get(f"{key}_{unit}"), 4)) for key, rows, name in GAP_ROWS]
     show_rows(("rows", "", f"rms {unit}"), rows, title="The gap", numbers=False)
+    if gap.get(f"noise_{unit}") is not None:
+        say(f"noise of {'a joint' if unit == 'deg' else 'a coordinate'}: {number(gap[f'noise_{unit}'])} {unit}")
     bars = (result.get("figures") or {}).get("gap_bar", {}).get("data") or []
     if bars:
         _bar(bars[0]["x"], bars[0]["y"])

@@ -49,6 +49,9 @@ def _lines(result: Mapping[str, Any]) -> Iterator[str]:
             f"{number(learned['held_out_without_mm'])} mm without, {number(learned['held_out_with_mm'])} mm with it, "
             f"p = {number(learned['p_value'], 2)}"
         )
+    frames = result.get("reference") or {}
+    if frames:
+        yield corrected_in(frames)
     seen = result.get("observability") or {}
     if seen:
         values = ", ".join(f"{name} {number(seen.get(name), 3)}" for name in INDICES)
@@ -58,6 +61,11 @@ def _lines(result: Mapping[str, Any]) -> Iterator[str]:
         yield "parameters that go together (correlation):"
     for group in groups:
         yield f"  {number(group['correlation'], 3)}  {', '.join(group['parameters'])}"
+
+
+def corrected_in(frames: Mapping[str, str]) -> str:
+    """Say in which frames corrections work."""
+    return f"corrections work in the base frame of the {frames['base']} and the tool frame of the {frames['tool']}"
 
 
 def _influence(rows: list[Mapping[str, Any]]) -> None:
