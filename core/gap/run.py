@@ -22,7 +22,7 @@ from core.gap.options import GapOptions
 from core.gap.prepare import NOT_FITTED, Prepared, Workshop
 from core.gap.report import GapReport
 from core.gap.scan import Scorer
-from core.gap.settle import chance, settled
+from core.gap.settle import chance, settled, shrunk
 from core.gap.shadow import bumped
 from core.gap.source import LinkSource, ToolSource
 from core.gap.stability import inclusion
@@ -98,7 +98,7 @@ class _Run:
         scorer = Scorer.of(candidates, trusted, freedom)
         limits = np.array([max(abs(p.lower), abs(p.upper)) for p in prepared.library.parameters])
         found = hunt(world.setting, world, scorer, limits, self.options, _part(self.tell, 0.2, 0.5))
-        found = settled(found, self.options.alpha)
+        found = shrunk(settled(found, self.options.alpha), world)
         fit = adequacy(found.world, prepared.visits.condition, found.columns)
         effects, control, held = self._judged(found, fit)
         verdict = "unexplained" if strange else run_verdict(effects, fit)

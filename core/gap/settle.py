@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from core.gap.agreement import contradicted
+from core.gap.heldout import fit_rms
 from core.gap.hunt import Hunt, step_of
 from core.gap.select import MARGIN
-from core.gap.world import refit
+from core.gap.world import World, refit
 
 
 def settled(found: Hunt, alpha: float) -> Hunt:
@@ -31,6 +32,15 @@ def settled(found: Hunt, alpha: float) -> Hunt:
         step = step_of(world, found.selector, after)
         found = replace(found, world=world, chosen=after, steps=(*found.steps, step))
     return found
+
+
+def shrunk(found: Hunt, geometry: World) -> Hunt:
+    """The hunt if what it found leaves a smaller error than the ``geometry`` alone; else nothing is named."""
+    better = found.world.chi2 <= geometry.chi2 and fit_rms(found.world) <= fit_rms(geometry)
+    if found.chosen and better:
+        return found
+    steps = (found.steps[0],) if not found.chosen else (*found.steps, step_of(geometry, found.selector, ()))
+    return replace(found, world=geometry, chosen=(), steps=steps)
 
 
 def chance(found: Hunt, place: int) -> float:
