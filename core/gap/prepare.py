@@ -140,18 +140,18 @@ class Workshop:
         return source, np.concatenate([fit.values, np.zeros(len(library.parameters))]), library
 
     def _geometry(self, measurement: Measurement, options: IdentifyOptions) -> Fit:
-        """Robust fit of the geometry, a plain one where that has no end; of a foreign robot base and tool registered."""
+        """Robust fit of the geometry, a plain one where that has no end, else base and tool registered to start from."""
         for loss in ("huber", "linear"):
             try:
                 return estimate(self.start, measurement, replace(options, loss=loss))
             except NotConvergedError as error:
                 why = error.message
         self._warn(
-            NOT_FITTED, f"The geometry could not be fitted ({why}) Base and tool were registered only, nothing else."
+            NOT_FITTED,
+            f"The geometry could not be fitted at once ({why}) The hunt fits it from base and tool registered; compare "
+            "what it leaves with an identification.",
         )
-        model = self.start.model
-        held = (*model.names[6 : model.n_geometric - 6], *model.names[model.n_geometric :])
-        problem, values = start_of(self.start, measurement, replace(options, free=(), fix=held))
+        problem, values = start_of(self.start, measurement, options)
         return fit_at(problem, values, problem.linearised(values, None), 0)
 
     def _link_source(self, rows: Observations) -> tuple[Source, Floats, Library]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from core.identify.marker_turns import refuse_feigned_turns
 from core.identify.methods import fit_by_method
 from core.identify.noise import repeat_sigma
 from core.identify.options import IdentifyOptions
+from core.identify.plausibility import refuse_foreign
 from core.identify.report import parameter_rows, warnings_of
 from core.identify.seeing import seen
 from core.measurement import Measurement
@@ -113,7 +114,7 @@ def identify(
 
     Raises:
         TooFewPosesError: not enough distinct poses. OptionError: options that do not fit the robot or the data.
-        ObservationError: nothing measured. NotConvergedError: no minimum found.
+        ObservationError: nothing measured, or ``foreign_observations``. NotConvergedError: no minimum found.
 
     """
     options = options or IdentifyOptions()
@@ -130,6 +131,7 @@ def identify(
         train, validation = train.select(inside), train.select(outside)
     measurement = seen(train, options, begin.marker_points)
     refuse_feigned_turns(begin, measurement)
+    remarks = refuse_foreign(begin, measurement)
     registered = _registered(begin, measurement, options, prior)
     begin, learned = gated(begin, train, options, prior)
     fit = fit_by_method(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s), prior)
@@ -142,7 +144,8 @@ def identify(
         held = {name: Errors.of(stage, other) for name, stage in stages.items()}
     tell(0.95, "identifiability")
     metrics = _metrics({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held)
-    return _reported(calibration, fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned)
+    found = _reported(calibration, fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned)
+    return replace(found, warnings=(*found.warnings, *remarks))
 
 
 def _reported(
