@@ -107,6 +107,14 @@ def _linked(markers: Floats) -> Floats:
 
 
 def _refuse_line(markers: Floats, seen: Bools) -> None:
+    equal = np.argwhere(np.triu((markers[:, :, None] == markers[:, None]).all(axis=3).any(axis=0), 1))
+    if len(equal):
+        a, b = equal[0] + 1
+        raise ObservationError(
+            f"Markers {a} and {b} are equal to the last digit, and without one of them too few are left for a pose: their "
+            "columns hold one marker twice. Correct the export or the column map.",
+            code="markers_collinear",
+        )
     if seen.sum(axis=1).max() < 3:
         raise ObservationError("No row shows three markers, so none fixes a pose: measure rows that do.")
     raise ObservationError(

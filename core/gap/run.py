@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.effects import Effect
+from core.errors import CoreError
 from core.gap.adequacy import Adequacy, adequacy
 from core.gap.aliases import SAME, Alias, aliases_of
 from core.gap.candidates import Candidate, Library, with_testable
@@ -32,8 +33,10 @@ from core.gap.testability import Testability, alias_matrix, smallest_rows, testa
 from core.gap.trajectory import hold_out
 from core.gap.verdict import Evidence, Judged, judge, run_verdict, sentence
 from core.gap.where import where
+from core.identify.estimate import registration_only
 from core.identify.plausibility import refuse_foreign
 from core.identify.report import large_residual
+from core.identify.worse import WORSE_THAN_GEOMETRY, PoseErrors, worse, worse_warning
 from core.measurement import Measurement
 from core.model import Calibration, RobotModel
 from core.observations import Observations
@@ -124,7 +127,8 @@ class _Run:
             smallest_detectable=smallest_rows(prepared.library, judged),
             next_poses=self._next_poses(found, effects), negative_control=control,
             alias_matrix=alias_matrix(world, candidates, found.chosen), noise=self._noise(found),
-            warnings=(*prepared.warnings, *self._large(found)), figures=figures(found, rows, gap), library=prepared.library,
+            warnings=(*prepared.warnings, *self._unsearched(), *self._large(found), *self._worse(found, held)),
+            figures=figures(found, rows, gap), library=prepared.library,
         )  # fmt: skip
 
     def _judged(self, found: Hunt, fit: Adequacy) -> tuple[tuple[Judged, ...], dict[str, Any], Bench]:
@@ -187,6 +191,36 @@ class _Run:
             yield from large_residual(size, points)
         elif np.degrees(size) > LARGE_DEG:
             yield {"code": "large_residual", "message": f"{np.degrees(size):.2f} deg are left between the encoders."}
+
+    def _unsearched(self) -> Iterator[dict[str, Any]]:
+        """Say which effects were not looked for because nothing is known to load the joints."""
+        source = self.prepared.world.setting.source
+        loaded = list(dict.fromkeys(e.id for e in self.prepared.library.effects if "moments" in e.needs))
+        if loaded and not np.any(source.batch.wrench):
+            yield {
+                "code": "no_load", "effects": loaded,
+                "message": f"{', '.join(loaded)} were not looked for: they follow load moments, and neither link masses nor a "
+                "payload are known. Give the robot's links mass_kg and com_mm, or the rows payload_kg, and hunt again.",
+            }  # fmt: skip
+
+    def _worse(self, found: Hunt, held: Bench) -> Iterator[dict[str, Any]]:
+        """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""
+        unit = "deg" if isinstance(found.world.setting.source, LinkSource) else "mm"
+        if found.chosen and worse(*held.by_pose()):
+            gap = gap_document(self.prepared, found, held.report())
+            before, after = gap[f"validation_before_{unit}"], gap[f"validation_after_{unit}"]
+            yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", before, after, unit)
+        if self.validation is None or unit == "deg":
+            return
+        source = found.world.setting.source
+        assert isinstance(source, ToolSource)
+        calibration = self._calibration(found)
+        try:
+            plain = registration_only(Calibration.nominal(self.robot), source.measurement, "huber")
+        except CoreError:
+            return
+        unseen = Measurement.of(self.validation, calibration.marker_points)
+        yield from PoseErrors.of({"registration_only": plain, "identified": calibration}, unseen).warnings()
 
     def _calibration(self, found: Hunt) -> Calibration:
         world, source = found.world, found.world.setting.source

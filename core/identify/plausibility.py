@@ -8,7 +8,7 @@ reading too, and in a wrong one nothing but chance takes a fifth.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -20,6 +20,7 @@ from core.errors import ObservationError
 from core.identify.mix_ups import LENGTHS, MixUp, mix_ups
 from core.identify.placed import ROWS, Placed, Sample, place
 from core.identify.turn_mix_ups import turn_faults
+from core.marker_checks import equal_markers
 from core.measurement import Measurement
 from core.model import Calibration
 
@@ -60,18 +61,30 @@ def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[s
     o = measurement.observations
     if o.position is None and o.markers is None:
         return ()
+    copied = tuple(_copied(o.markers))
     sample = Sample.of(begin, measurement)
     if len(sample) < FEWEST:
-        return ()
+        return copied
     found = _diagnosed(sample) or _changed(sample) or _in_part(sample)
     if found is not None:
         _refuse(found.sentences, found.remedies, found.before * 1e3, found.after * 1e3, "mm")
     if sample.turns is None or _far(sample):
-        return ()
+        return copied
     accused, warnings = turn_faults(sample, o.rotation is not None)
     if accused is not None:
         _refuse(*accused, "deg")
-    return warnings
+    return (*copied, *warnings)
+
+
+def _copied(markers: Floats | None) -> Iterator[dict[str, Any]]:
+    pair = None if markers is None else equal_markers(markers)
+    if pair is not None:
+        a, b = pair
+        yield {
+            "code": "markers_equal", "markers": [a, b],
+            "message": f"Markers {a} and {b} are equal to the last digit in every row: their columns hold one marker twice. "
+            f"Correct the columns of one of them in the export or the column map, or leave marker {b} out.",
+        }  # fmt: skip
 
 
 def _refuse(sentences: tuple[str, ...], remedies: tuple[str, ...], before: float, after: float, unit: str) -> None:

@@ -25,6 +25,7 @@ from core.identify.options import IdentifyOptions
 from core.identify.plausibility import refuse_foreign
 from core.identify.report import parameter_rows, warnings_of
 from core.identify.seeing import seen
+from core.identify.worse import PoseErrors, geometry_alone
 from core.measurement import Measurement
 from core.metrics import Errors
 from core.model import Calibration
@@ -124,8 +125,9 @@ def identify(
     _refuse_missing_columns(begin, train)
     tell(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
+    compared: PoseErrors | None = None
     if isinstance(validation, Folds):
-        held = _cross_validated(nominal, begin, train, validation, options, tell, prior)
+        held, compared = _cross_validated(nominal, begin, train, validation, options, tell, prior)
     elif isinstance(validation, float):
         inside, outside = split(train, validation, options.seed)
         train, validation = train.select(inside), train.select(outside)
@@ -142,10 +144,12 @@ def identify(
     if isinstance(validation, Observations):
         other = seen(validation, options, measurement.marker_points, measurement)
         held = {name: Errors.of(stage, other) for name, stage in stages.items()}
+        plain = geometry_alone(begin, measurement, options)
+        compared = PoseErrors.of({**stages, "geometry": plain}, other)
     tell(0.95, "identifiability")
     metrics = _metrics({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held)
     found = _reported(calibration, fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned)
-    return replace(found, warnings=(*found.warnings, *remarks))
+    return replace(found, warnings=(*found.warnings, *remarks, *(compared.warnings() if compared else ())))
 
 
 def _reported(
@@ -244,20 +248,27 @@ def _cross_validated(
     options: IdentifyOptions,
     tell: Progress,
     prior: Prior | None = None,
-) -> dict[str, Errors]:
+) -> tuple[dict[str, Errors], PoseErrors]:
     """Errors on held-out poses, pooled over the folds."""
     shape = seen(train, options, begin.marker_points).marker_points
     parts: dict[str, list[Errors]] = {"nominal": [], "registration_only": [], "identified": []}
+    poses: list[PoseErrors] = []
     for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
         tell(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
         report = _within(tell, k, folds.folds)
         shown = seen(train.select(inside), options, shape)
         unseen = seen(train.select(outside), options, shape, shown)
-        fit = fit_by_method(gated(begin, train.select(inside), options, prior)[0], shown, options, report, prior)
-        parts["nominal"].append(Errors.of(nominal, unseen))
-        parts["registration_only"].append(Errors.of(_registered(begin, shown, options, prior), unseen))
-        parts["identified"].append(Errors.of(Calibration(fit.problem.model, fit.values, shape), unseen))
-    return {name: Errors.concatenate(errors) for name, errors in parts.items()}
+        model = gated(begin, train.select(inside), options, prior)[0]
+        fit = fit_by_method(model, shown, options, report, prior)
+        stages = {
+            "nominal": nominal,
+            "registration_only": _registered(begin, shown, options, prior),
+            "identified": Calibration(fit.problem.model, fit.values, shape),
+        }
+        for name, stage in stages.items():
+            parts[name].append(Errors.of(stage, unseen))
+        poses.append(PoseErrors.of({**stages, "geometry": geometry_alone(model, shown, options)}, unseen))
+    return {name: Errors.concatenate(errors) for name, errors in parts.items()}, PoseErrors.concatenate(poses)
 
 
 def _within(tell: Progress, fold: int, folds: int) -> Progress:

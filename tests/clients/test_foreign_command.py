@@ -37,3 +37,33 @@ def test_swapped_columns_are_named_and_nothing_is_stored(
     assert "swap the columns" in said
     assert "kilter activate" not in said
     assert kilter.versions.list(robot) == []
+
+
+def test_a_version_that_predicts_worse_is_not_offered(
+    kilter: Kilter, robot: str, write_campaign: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ids = []
+    for name, poses, seed in (("few.csv", 15, 3), ("held.csv", 40, 4)):
+        assert run(["upload", robot, str(write_campaign(poses, name, seed)), "--json"]) == 0
+        ids.append(json.loads(capsys.readouterr().out)["campaign_id"])
+    effects = "second_harmonic,eccentricity,encoder_scale"
+    asked = [
+        "identify",
+        robot,
+        "-c",
+        ids[0],
+        "-v",
+        ids[1],
+        "--level",
+        "3",
+        "--effects",
+        effects,
+        "--fix",
+        "a_*,d_*,alpha_*",
+    ]
+    assert run(asked) == 0
+    said = " ".join("".join(capsys.readouterr()).split())
+    assert "predicts held-out poses worse than a simpler model" in said
+    assert "kilter activate" not in said
+    (version,) = kilter.versions.list(robot)
+    assert "worse_than_geometry" in {w["code"] for w in kilter.versions.get(version["id"])["warnings"]}
