@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,15 @@ def bending(markers: Floats, noise_m: float | None) -> tuple[int, int, float] | 
     worst = float(scatter[a, b])
     limit = BENDS_M if noise_m is None else max(OFTEN * np.sqrt(2.0) * noise_m, 0.2 * BENDS_M)
     return (min(a, b) + 1, max(a, b) + 1, worst) if worst > limit else None
+
+
+def equal_markers(markers: Floats) -> tuple[int, int] | None:
+    """Two markers (from 1) that are equal to the last digit in every row that shows both: a column was copied."""
+    for a, b in combinations(range(markers.shape[1]), 2):
+        both = ~np.isnan(markers[:, [a, b]]).any(axis=(1, 2))
+        if both.any() and np.array_equal(markers[both, a], markers[both, b]):
+            return a + 1, b + 1
+    return None
 
 
 def alike_orders(shape: Floats) -> list[tuple[Order, Floats]]:

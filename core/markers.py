@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import ObservationError
-from core.transforms import nearest_rotation
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -62,12 +61,21 @@ def fit_poses(shape: Floats, markers: Floats) -> tuple[Floats, Floats, Bools]:
     seen = np.asarray(~np.isnan(markers).any(axis=2)) & ~np.isnan(shape).any(axis=1)
     patterns, pattern = np.unique(seen, axis=0, return_inverse=True)
     usable = np.array([span_of(shape[p]) >= FLAT for p in patterns])[pattern.reshape(-1)]
-    for k in np.flatnonzero(usable):
-        body, world = shape[seen[k]], markers[k, seen[k]]
-        b, w = body.mean(axis=0), world.mean(axis=0)
-        rotation[k] = nearest_rotation((world - w).T @ (body - b))
-        position[k] = w - rotation[k] @ b
+    for k, p in enumerate(patterns):
+        rows_of = np.flatnonzero((pattern.reshape(-1) == k) & usable)
+        if len(rows_of):
+            body, world = shape[p], markers[rows_of][:, p]
+            b, w = body.mean(axis=0), world.mean(axis=1)
+            rotation[rows_of] = _nearest_rotations((world - w[:, None]).transpose(0, 2, 1) @ (body - b))
+            position[rows_of] = w - rotation[rows_of] @ b
     return position, rotation, usable
+
+
+def _nearest_rotations(M: Floats) -> Floats:
+    """:func:`~core.transforms.nearest_rotation` of many matrices (N, 3, 3) at once."""
+    U, _, Vt = np.linalg.svd(M)
+    U[:, :, 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
+    return np.asarray(U @ Vt)
 
 
 def span_of(points: Floats) -> float:
@@ -99,6 +107,14 @@ def _linked(markers: Floats) -> Floats:
 
 
 def _refuse_line(markers: Floats, seen: Bools) -> None:
+    equal = np.argwhere(np.triu((markers[:, :, None] == markers[:, None]).all(axis=3).any(axis=0), 1))
+    if len(equal):
+        a, b = equal[0] + 1
+        raise ObservationError(
+            f"Markers {a} and {b} are equal to the last digit, and without one of them too few are left for a pose: their "
+            "columns hold one marker twice. Correct the export or the column map.",
+            code="markers_collinear",
+        )
     if seen.sum(axis=1).max() < 3:
         raise ObservationError("No row shows three markers, so none fixes a pose: measure rows that do.")
     raise ObservationError(

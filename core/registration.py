@@ -31,7 +31,7 @@ def register(
     flange = _flange(model, values, measurement)
     f, F, p = flange[use, :3, 3], flange[use, :3, :3], position[use]
     if base and tool and len(p) >= LINEAR_POSES:
-        T_base, T_tool[:3, 3] = _linear(f, F, p, T_tool[:3, 3])
+        T_base, T_tool[:3, 3] = linear_frames(f, F, p, T_tool[:3, 3])
     elif base:
         T_base = _rigid(f + F @ T_tool[:3, 3], p)
     if tool:
@@ -68,7 +68,8 @@ def _rigid(body: Floats, world: Floats) -> Floats:
     return T
 
 
-def _linear(f: Floats, F: Floats, p: Floats, guess: Floats) -> tuple[Floats, Floats]:
+def linear_frames(f: Floats, F: Floats, p: Floats, guess: Floats) -> tuple[Floats, Floats]:
+    """Base pose (4, 4) and tool point (3,) from flange positions f (N, 3) and turns F (N, 3, 3) to points p (N, 3)."""
     rows = len(f)
     A = np.zeros((rows, 3, 15))
     centre = p.mean(axis=0)

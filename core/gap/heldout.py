@@ -100,6 +100,14 @@ class Bench:
         inflation = world.setting.inflation if self.moving else 1.0
         return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), inflation)
 
+    def by_pose(self) -> tuple[Floats, Floats]:
+        """Whitened rms errors (G,) of the held-out poses by geometry alone and by everything named."""
+        group = np.unique(self._groups(), return_inverse=True)[1]
+        count = np.bincount(group)
+        both = (self.errors([]), self.errors(self.hunt.columns))
+        before, after = (np.sqrt(np.bincount(group, np.sum(e**2, axis=1)) / count) for e in both)
+        return before, after
+
     def gain_of(self, place: int) -> tuple[float, float]:
         """Gain by one chosen candidate beyond the others, and its standard error."""
         rest = self.hunt.selector.columns([k for k in self.hunt.chosen if k != place])

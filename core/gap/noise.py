@@ -51,6 +51,14 @@ class Noise:
         """Standard deviation of one coordinate (m, or rad for joint data) of a single row."""
         return _deviation(self.row, self.lengths)
 
+    def even(self) -> Noise:
+        """Equal variances for the coordinates of all points, and for those of turns: what an identification weighs by.
+
+        Where the noise is the model's own error, weights by its covariance would fit another geometry than identify does
+        (UR10 series B: 0.47 mm left instead of 0.43), and a name would then be confirmed for filling the difference.
+        """
+        return replace(self, visit=_even(self.visit), row=_even(self.row))
+
     def whiteners(self) -> Floats:
         """Inverse Cholesky factors (V, m, m)."""
         size = self.visit.shape[-1]
@@ -263,6 +271,19 @@ def _shrunk(cov: Floats, vectors: float) -> Floats:
         return target
     pull = (size + 2.0) / (size + 2.0 + vectors)
     return np.asarray((1.0 - pull) * cov + pull * target)
+
+
+def _even(cov: Floats) -> Floats:
+    """Covariances (..., m, m) with one variance for points, and of poses (m 6) another for the turns."""
+    size = cov.shape[-1]
+    step = 3 if size == 6 else size
+    out = np.zeros_like(cov)
+    for k in range(0, size, step):
+        each = slice(k, k + step)
+        out[..., each, each] = (np.trace(cov[..., each, each], axis1=-2, axis2=-1) / step)[..., None, None] * np.eye(
+            step
+        )
+    return out
 
 
 def _positive(cov: Floats) -> Floats:

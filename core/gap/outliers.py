@@ -19,6 +19,7 @@ Bools = NDArray[np.bool_]
 CHANCE = 0.001  # of setting any good visit aside
 MOST = 0.08  # share of visits above which it is structure, not outliers
 PASSES = 12
+POSE = 6  # numbers of a pose; visits with more show markers
 WORST = 0.3
 UNSEEN = 1e-6
 SUPPLE = 0.4  # library parameters per measured scalar above which the library can explain anything
@@ -35,20 +36,22 @@ def outliers(world: World) -> Bools:
     size = setting.whitener.shape[-1]
     y, whole = world.within_priors()
     G = whole[:, : world.G.shape[1]]
-    limit = float(chi2.isf(CHANCE / len(setting.used), size))
-    found = _far(whole, y, setting.used, limit)
+    # Errors of the model move all markers of a tool alike: as many numbers, but no more independent ones than a point has.
+    alike = size // 3 if size > POSE and not setting.noise.absolute else 1
+    limit = alike * float(chi2.isf(CHANCE / len(setting.used), size / alike))
+    found = _far(whole, y, setting.used, limit, alike)
     if whole.shape[1] > SUPPLE * setting.used.sum() * size:
-        found |= _far(G, y, setting.used, WILD * limit)
+        found |= _far(G, y, setting.used, WILD * limit, alike)
     return found
 
 
-def _far(X: Floats, y: Floats, used: Bools, limit: float) -> Bools:
+def _far(X: Floats, y: Floats, used: Bools, limit: float, alike: int) -> Bools:
     """Visits beyond the limit, worst first; none when they are too many to be anything but structure."""
     kept = used.copy()
     size = len(y) // len(used)
     for _ in range(PASSES):
         distance = _left_out(X, y, np.repeat(kept, size), size)
-        scale = max(1.0, float(np.median(distance[kept])) / float(chi2.median(size)))
+        scale = max(1.0, float(np.median(distance[kept])) / (alike * float(chi2.median(size / alike))))
         far = kept & (distance / scale > limit)
         if not far.any():
             break

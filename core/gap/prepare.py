@@ -44,6 +44,7 @@ Tell = Callable[[float, str], None]
 CHUNK = 20_000
 NOT_FITTED = "geometry_not_fitted"
 LIKE_NEIGHBOURS = 1.5  # correlation length, in poses, from which poses in a row are not independent
+POSE = 6  # numbers of a pose; visits with more show markers
 SPARE = 6  # scalars beyond the geometry below which nothing can be tested
 
 
@@ -140,18 +141,18 @@ class Workshop:
         return source, np.concatenate([fit.values, np.zeros(len(library.parameters))]), library
 
     def _geometry(self, measurement: Measurement, options: IdentifyOptions) -> Fit:
-        """Robust fit of the geometry, a plain one where that has no end; of a foreign robot base and tool registered."""
+        """Robust fit of the geometry, a plain one where that has no end, else base and tool registered to start from."""
         for loss in ("huber", "linear"):
             try:
                 return estimate(self.start, measurement, replace(options, loss=loss))
             except NotConvergedError as error:
                 why = error.message
         self._warn(
-            NOT_FITTED, f"The geometry could not be fitted ({why}) Base and tool were registered only, nothing else."
+            NOT_FITTED,
+            f"The geometry could not be fitted at once ({why}) The hunt fits it from base and tool registered; compare "
+            "what it leaves with an identification.",
         )
-        model = self.start.model
-        held = (*model.names[6 : model.n_geometric - 6], *model.names[model.n_geometric :])
-        problem, values = start_of(self.start, measurement, replace(options, free=(), fix=held))
+        problem, values = start_of(self.start, measurement, options)
         return fit_at(problem, values, problem.linearised(values, None), 0)
 
     def _link_source(self, rows: Observations) -> tuple[Source, Floats, Library]:
@@ -192,6 +193,8 @@ class Workshop:
                     "what is left is as small as these repeats, every verdict is relative to the scatter of the fit. "
                     "Approach ten poses anew three times each.",
                 )
+                # Markers of one tool are all off by what the model lacks; how they shake against each other says nothing of it.
+                return _weights(found, source) if size > POSE else found
             return found
         if visits.observations.sigma is not None and not linear:
             return stated_noise(visits.observations.sigma, visits, size)
@@ -201,7 +204,7 @@ class Workshop:
             "it, and none can be more than provisional. Repeat ten poses three times, leaving them in between.",
         )
         lost = min(0.9, len(source.prior_mean) / max(visit_residual.size, 1))
-        return fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost)
+        return _weights(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost), source)
 
     def _enough(self, world: World) -> World:
         if world.nu < SPARE:
@@ -225,7 +228,7 @@ class Workshop:
         if setting.noise.source == FIT:
             lost = len(setting.source.prior_mean) / max(world.nu, 1.0)
             noise = fit_noise(setting.source.residual(world.values), visits, ~far, min(0.9, lost))
-            setting = replace(setting, noise=noise)
+            setting = replace(setting, noise=_weights(noise, setting.source))
         return refit(setting, world.values, [], partial(self.tell, 0.8, "fitting without outliers"))
 
     def _correlated(self, world: World, visits: Visits) -> World:
@@ -262,7 +265,7 @@ class Workshop:
         setting = world.setting
         L = np.linalg.inv(setting.whitener)
         noise = fit_noise(np.einsum("vij,vj->vi", L, rest), visits, setting.used, 0.0)
-        setting = replace(setting, noise=noise, group=group, inflation=length, trusted=True)
+        setting = replace(setting, noise=_weights(noise, setting.source), group=group, inflation=length, trusted=True)
         return refit(setting, world.values, [], partial(self.tell, 0.8, "fitting with the noise of correlated rows"))
 
     def _warn(self, code: str, message: str) -> None:
@@ -275,6 +278,11 @@ def windowed(
     """Rows of motions averaged over windows, by the residuals they have at ``values``."""
     live = source.live if isinstance(source, LinkSource) else np.ones(rows.q.shape[1], dtype=bool)
     return averaged(rows, _row_residual(source, values, rows, tick), windows_of(rows, width), live)
+
+
+def _weights(noise: Noise, source: Source) -> Noise:
+    """Noise that comes from the fit, as weights of the geometry: those that an identification takes."""
+    return noise.even() if isinstance(source, ToolSource) else noise
 
 
 def _on(source: Source, rows: Observations) -> Source:

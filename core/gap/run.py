@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,23 +14,28 @@ from core.gap.aliases import SAME, Alias, aliases_of
 from core.gap.candidates import Library, with_testable
 from core.gap.control import Control, controls, false_names
 from core.gap.figures import figures
-from core.gap.heldout import Bench, gap_document, noise_document, train_rms
+from core.gap.foreign_links import refuse_foreign_links
+from core.gap.heldout import Bench, fit_rms, gap_document, noise_document, train_rms
 from core.gap.hunt import Hunt, hunt
 from core.gap.intervals import Amplitude, amplitudes
 from core.gap.next_poses import rows_of, separate
 from core.gap.options import GapOptions
-from core.gap.prepare import NOT_FITTED, Prepared, Workshop
+from core.gap.prepare import Prepared, Workshop
 from core.gap.report import GapReport
 from core.gap.scan import Scorer
 from core.gap.settle import chance, settled, shrunk
 from core.gap.shadow import bumped
 from core.gap.source import LinkSource, ToolSource
 from core.gap.stability import inclusion
-from core.gap.stored import stored
+from core.gap.stored import Stored, stored
 from core.gap.testability import Testability, alias_matrix, smallest_rows, testability, untestable
 from core.gap.trajectory import hold_out
 from core.gap.verdict import Evidence, Judged, judge, run_verdict, sentence
 from core.gap.where import where
+from core.identify.plausibility import refuse_foreign
+from core.identify.report import large_residual
+from core.identify.worse import WORSE_THAN_GEOMETRY, PoseErrors, worse, worse_warning
+from core.measurement import Measurement
 from core.model import Calibration
 from core.observations import Observations
 from core.robot import Robot
@@ -38,8 +43,7 @@ from core.robot import Robot
 Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-STRANGE_SHARE = 0.01  # of the spread of the measured points: a residual above this is no missing effect
-STRANGE_DEG = 2.0  # the same for joint data
+LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
 
 
 def find_gap(
@@ -57,7 +61,8 @@ def find_gap(
     time. ``progress(fraction, stage)`` may raise to cancel.
 
     Raises:
-        TooFewPosesError: the geometry alone needs more poses. ObservationError: nothing measured.
+        TooFewPosesError: the geometry alone needs more poses. ObservationError: nothing measured, or
+        ``foreign_observations``.
         OptionError: options that do not exist or fit.
 
     """
@@ -67,8 +72,18 @@ def find_gap(
         inside, outside = hold_out(observations, validation, options.seed)
         observations, validation = observations.select(inside), observations.select(outside)
     begin = start or Calibration.nominal(robot)
+    remarks = _of_this_robot(begin, observations)
     prepared = Workshop(begin, observations, options, _part(tell, 0.0, 0.15)).run()
-    return _Run(robot, begin, prepared, options, validation, tell).report()
+    report = _Run(robot, begin, prepared, options, validation, tell).report()
+    return replace(report, warnings=(*report.warnings, *remarks))
+
+
+def _of_this_robot(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
+    """Refuse rows that a mix-up explains far better than physics; return warnings about what only looks odd."""
+    if rows.position is None and rows.markers is None:
+        refuse_foreign_links(begin.robot, rows)
+        return ()
+    return refuse_foreign(begin, Measurement.of(rows, begin.marker_points))
 
 
 def _part(tell: Progress, low: float, high: float) -> Progress:
@@ -91,8 +106,7 @@ class _Run:
         self.tell(0.15, "where the model is wrong")
         places = where(world, rows, self.options.seed, prepared.moving)
         judged = testability(world, prepared.library)
-        strange = self._strange()
-        candidates = () if strange else with_testable(prepared.library, judged.able)
+        candidates = with_testable(prepared.library, judged.able)
         trusted = world.setting.trusted
         freedom = world.setting.noise.freedom if world.setting.noise.absolute else np.inf
         scorer = Scorer.of(candidates, trusted, freedom)
@@ -101,19 +115,18 @@ class _Run:
         found = shrunk(settled(found, self.options.alpha), world)
         fit = adequacy(found.world, prepared.visits.condition, found.columns)
         effects, control, held = self._judged(found, fit)
-        verdict = "unexplained" if strange else run_verdict(effects, fit)
-        said = strange or sentence(verdict, effects, fit)
-        warnings = (*prepared.warnings, *({"code": "not_a_missing_effect", "message": strange} for _ in [0] if strange))
+        verdict = run_verdict(effects, fit)
         gap = gap_document(prepared, found, held.report())
+        kept = stored(found, self.begin, prepared.rows, self.options)
         self.tell(0.95, "next poses and pictures")
         return GapReport(
-            stored=stored(found, self.begin, prepared.rows, self.options, referenced=not strange),
-            verdict=verdict, sentence=said, effects=effects, where=places,
+            stored=kept, verdict=verdict, sentence=sentence(verdict, effects, fit), effects=effects, where=places,
             gap=gap, adequacy=fit, not_testable=untestable(prepared.library, judged, world, rows),
             smallest_detectable=smallest_rows(prepared.library, judged),
             next_poses=self._next_poses(found, effects), negative_control=control,
             alias_matrix=alias_matrix(world, candidates, found.chosen), noise=noise_document(found.world.setting),
-            warnings=warnings, figures=figures(found, rows, gap), library=prepared.library,
+            warnings=(*prepared.warnings, *self._unsearched(), *self._large(found), *self._worse(found, held, kept)),
+            figures=figures(found, rows, gap), library=prepared.library,
         )  # fmt: skip
 
     def _judged(self, found: Hunt, fit: Adequacy) -> tuple[tuple[Judged, ...], dict[str, Any], Bench]:
@@ -167,33 +180,39 @@ class _Run:
             "names_in_shuffled_residuals": share,
         }  # fmt: skip
 
-    def _strange(self) -> str:
-        """Sentence when the residual is too large for any missing effect: another robot, another tool, other units."""
-        world = self.prepared.world
-        size = train_rms(world, [])
-        position = self.prepared.visits.observations.position
-        if isinstance(world.setting.source, LinkSource):
-            strange, words = np.degrees(size) > STRANGE_DEG, f"{np.degrees(size):.2f} deg"
-        else:
-            spread = self._spread(position)
-            strange, words = (
-                size > STRANGE_SHARE * spread,
-                f"{size * 1e3:.1f} mm over a workspace of {spread * 1e3:.0f} mm",
-            )
-        if not strange and NOT_FITTED not in {w["code"] for w in self.prepared.warnings}:
-            return ""
-        return (
-            f"After fitting the geometry {words} are left. This is not a missing effect: the observations belong to "
-            "another robot, tool, joint order or unit, or the tool was changed during the campaign. Check these first."
-        )
+    def _large(self, found: Hunt) -> Iterator[dict[str, Any]]:
+        """Say when much is left after everything that was named: a fact about the model, no verdict about the rows."""
+        world = found.world
+        size = fit_rms(world)
+        if isinstance(world.setting.source, ToolSource):
+            points = world.setting.source.model.predict(world.setting.source.batch, world.values).position
+            yield from large_residual(size, points)
+        elif np.degrees(size) > LARGE_DEG:
+            yield {"code": "large_residual", "message": f"{np.degrees(size):.2f} deg are left between the encoders."}
 
-    def _spread(self, position: Floats | None) -> float:
+    def _unsearched(self) -> Iterator[dict[str, Any]]:
+        """Say which effects were not looked for because nothing is known to load the joints."""
         source = self.prepared.world.setting.source
-        assert isinstance(source, ToolSource)
-        points = (
-            source.model.predict(source.batch, self.prepared.world.values).position if position is None else position
-        )
-        return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+        loaded = list(dict.fromkeys(e.id for e in self.prepared.library.effects if "moments" in e.needs))
+        if loaded and not np.any(source.batch.wrench):
+            yield {
+                "code": "no_load", "effects": loaded,
+                "message": f"{', '.join(loaded)} were not looked for: they follow load moments, and neither link masses nor a "
+                "payload are known. Give the robot's links mass_kg and com_mm, or the rows payload_kg, and hunt again.",
+            }  # fmt: skip
+
+    def _worse(self, found: Hunt, held: Bench, kept: Stored) -> Iterator[dict[str, Any]]:
+        """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""
+        unit = "deg" if isinstance(found.world.setting.source, LinkSource) else "mm"
+        if found.chosen and worse(*held.by_pose()):
+            gap = gap_document(self.prepared, found, held.report())
+            before, after = gap[f"validation_before_{unit}"], gap[f"validation_after_{unit}"]
+            yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", before, after, unit)
+        if self.validation is None or kept.registered is None:
+            return
+        calibration, plain = kept.calibration, kept.registered
+        unseen = Measurement.of(self.validation, calibration.marker_points)
+        yield from PoseErrors.of({"registration_only": plain, "identified": calibration}, unseen).warnings()
 
     def _next_poses(self, found: Hunt, effects: tuple[Judged, ...]) -> list[dict[str, Any]]:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""

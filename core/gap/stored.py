@@ -73,11 +73,8 @@ class Stored:
         return named(self.calibration)
 
 
-def stored(found: Hunt, begin: Calibration, rows: Observations, options: GapOptions, referenced: bool = True) -> Stored:
-    """What is stored of a hunt that started at ``begin``; the effects' configuration comes from ``rows``.
-
-    ``referenced`` False leaves the frames of a correction open: of observations that belong to another robot.
-    """
+def stored(found: Hunt, begin: Calibration, rows: Observations, options: GapOptions) -> Stored:
+    """What is stored of a hunt that started at ``begin``; the effects' configuration comes from ``rows``."""
     setting = found.world.setting
     source = setting.source
     assert isinstance(source, ToolSource | LinkSource)
@@ -87,8 +84,6 @@ def stored(found: Hunt, begin: Calibration, rows: Observations, options: GapOpti
     if isinstance(source, LinkSource):
         return Stored(calibration, wide, source.observations)
     shown = Measurement(source.measurement.observations.select(setting.used), source.measurement.marker_points)
-    if not referenced:
-        return Stored(calibration, wide, shown.observations)
     nominal = registered(begin, shown)
     asked = IdentifyOptions(base=options.base, tool=options.tool, reference=options.reference)
     base, tool = wanted_frames(begin, nominal, shown, asked)

@@ -26,6 +26,7 @@ WIRE = {
     "rad/(N m)": ("deg/(N m)", 180.0 / math.pi),
     "m/N": ("mm/N", 1e3),
 }
+LARGE = 0.01  # share of the workspace left after the fit that is worth a warning
 STILL_RAD = 1e-6  # a joint whose readings stay within this never moved
 
 
@@ -101,6 +102,9 @@ def warnings_of(fit: Fit, train: Observations, repeats: float | None) -> Iterato
             f"{spread.used:.0%} of its range). Measure poses that spread all joints (`kilter plan --purpose identify`), or "
             "use the result near these poses only.",
         }
+    if fit.problem.measurement.sees_base and (train.position is not None or train.markers is not None):
+        points = fit.problem.model.predict(fit.problem.batch, fit.values).position
+        yield from large_residual(_rms(fit.residual.points), points)
     bent = None if train.markers is None else bending(train.markers, repeats)
     if bent is not None:
         yield {
@@ -124,9 +128,26 @@ def warnings_of(fit: Fit, train: Observations, repeats: float | None) -> Iterato
         }
 
 
+def large_residual(rms_m: float, points: Floats) -> Iterator[dict[str, Any]]:
+    """Say when much of the error is left, measured against the workspace: what that comes from it does not know."""
+    spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+    if rms_m > LARGE * spread:
+        yield {
+            "code": "large_residual",
+            "message": f"{rms_m * 1e3:.3g} mm are left over a workspace of {spread * 1e3:.3g} mm. No swapped, turned round or "
+            "otherwise read joints, no unit and no change of tool explain that; the geometry as drawn, loads or poor "
+            "measurements may. Check the robot's drawing, and look for what is missing with `kilter gap`.",
+        }
+
+
 def still_joints(observations: Observations) -> list[int]:
     """Joints whose reading never changes."""
     return [int(j) for j in np.flatnonzero(np.ptp(observations.q, axis=0) < STILL_RAD)]
+
+
+def _rms(points: Floats) -> float:
+    """Rms size of errors (N, m, 3), unseen markers left out."""
+    return float(np.sqrt(np.nanmean(np.sum(points**2, axis=-1))))
 
 
 def blind_names(model: RobotModel, observations: Observations) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,11 @@ from core.identify.marker_turns import refuse_feigned_turns
 from core.identify.methods import fit_by_method
 from core.identify.noise import repeat_sigma
 from core.identify.options import IdentifyOptions
+from core.identify.plausibility import refuse_foreign
 from core.identify.reference import named, registered, wanted_frames
 from core.identify.report import null_rows, parameter_rows, warnings_of
 from core.identify.seeing import seen
+from core.identify.worse import PoseErrors, geometry_alone
 from core.measurement import Measurement
 from core.metrics import Errors, metrics_document
 from core.model import Calibration
@@ -98,7 +100,7 @@ def identify(
 
     Raises:
         TooFewPosesError: not enough distinct poses. OptionError: options that do not fit the robot or the data.
-        ObservationError: nothing measured. NotConvergedError: no minimum found.
+        ObservationError: nothing measured, or ``foreign_observations``. NotConvergedError: no minimum found.
 
     """
     options = options or IdentifyOptions()
@@ -108,13 +110,15 @@ def identify(
     _refuse_missing_columns(begin, train)
     tell(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
+    compared: PoseErrors | None = None
     if isinstance(validation, Folds):
-        held = _cross_validated(nominal, begin, train, validation, options, tell, prior)
+        held, compared = _cross_validated(nominal, begin, train, validation, options, tell, prior)
     elif isinstance(validation, float):
         inside, outside = split(train, validation, options.seed)
         train, validation = train.select(inside), train.select(outside)
     measurement = seen(train, options, begin.marker_points)
     refuse_feigned_turns(begin, measurement)
+    remarks = refuse_foreign(begin, measurement)
     found = _registered(begin, measurement, options, prior)
     wanted = wanted_frames(begin, found, measurement, options, _continues(options, prior))
     begin, learned = gated(begin, train, options, prior)
@@ -124,9 +128,12 @@ def identify(
     if isinstance(validation, Observations):
         other = seen(validation, options, measurement.marker_points, measurement)
         held = {name: Errors.of(stage, other) for name, stage in stages.items()}
+        plain = geometry_alone(begin, measurement, options)
+        compared = PoseErrors.of({**stages, "geometry": plain}, other)
     tell(0.95, "identifiability")
     metrics = metrics_document({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held)
-    return _reported(calibration, fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned)
+    result = _reported(calibration, fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned)
+    return replace(result, warnings=(*result.warnings, *remarks, *(compared.warnings() if compared else ())))
 
 
 def _reported(
@@ -210,20 +217,27 @@ def _cross_validated(
     options: IdentifyOptions,
     tell: Progress,
     prior: Prior | None = None,
-) -> dict[str, Errors]:
+) -> tuple[dict[str, Errors], PoseErrors]:
     """Errors on held-out poses, pooled over the folds."""
     shape = seen(train, options, begin.marker_points).marker_points
     parts: dict[str, list[Errors]] = {"nominal": [], "registration_only": [], "identified": []}
+    poses: list[PoseErrors] = []
     for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
         tell(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
         report = _within(tell, k, folds.folds)
         shown = seen(train.select(inside), options, shape)
         unseen = seen(train.select(outside), options, shape, shown)
-        fit = fit_by_method(gated(begin, train.select(inside), options, prior)[0], shown, options, report, prior)
-        parts["nominal"].append(Errors.of(nominal, unseen))
-        parts["registration_only"].append(Errors.of(_registered(begin, shown, options, prior), unseen))
-        parts["identified"].append(Errors.of(Calibration(fit.problem.model, fit.values, shape), unseen))
-    return {name: Errors.concatenate(errors) for name, errors in parts.items()}
+        model = gated(begin, train.select(inside), options, prior)[0]
+        fit = fit_by_method(model, shown, options, report, prior)
+        stages = {
+            "nominal": nominal,
+            "registration_only": _registered(begin, shown, options, prior),
+            "identified": Calibration(fit.problem.model, fit.values, shape),
+        }
+        for name, stage in stages.items():
+            parts[name].append(Errors.of(stage, unseen))
+        poses.append(PoseErrors.of({**stages, "geometry": geometry_alone(model, shown, options)}, unseen))
+    return {name: Errors.concatenate(errors) for name, errors in parts.items()}, PoseErrors.concatenate(poses)
 
 
 def _within(tell: Progress, fold: int, folds: int) -> Progress:

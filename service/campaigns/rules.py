@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +24,9 @@ ABSOLUTE_ZERO_C = -273.15
 # Two points of a workspace are at most twice the reach apart; three leaves room for a long tool.
 IMPOSSIBLE_REACHES = 3.0
 TOO_SMALL = 100.0  # measured so many times smaller than the drawn robot moves: metres in a column of mm
+# What values may be that come out too large or too small for the unit their column declares.
+UNIT_IF_TOO_LARGE = {"m": "Are they in mm?", "mm": "Are the lengths of the robot in m where mm are expected?"}
+UNIT_IF_TOO_SMALL = {"m": "Are the lengths of the robot in mm where m are expected?", "mm": "Are they in m?"}
 SAMPLE_ROWS = 500
 
 
@@ -66,7 +69,7 @@ class RowRules:
         for column in self._lengths():
             spread = self._high.get(column.name, 0.0) - self._low.get(column.name, 0.0)
             if reach > 0 and spread > IMPOSSIBLE_REACHES * reach:
-                raise self._wrong_unit(column, spread, f"the arm reaches {reach:.3g} m")
+                raise self._wrong_unit(column, spread, f"the arm reaches {reach:.3g} m", UNIT_IF_TOO_LARGE)
         self._check_not_too_small()
 
     def _check_column(self, column: Column, cells: Floats) -> None:
@@ -161,7 +164,8 @@ class RowRules:
             return
         drawn = self._drawn_spread()
         if drawn > TOO_SMALL * measured:
-            raise self._wrong_unit(lengths[0], measured, f"the robot as drawn moves {drawn:.3g} m in these rows")
+            why = f"the robot as drawn moves {drawn:.3g} m in these rows"
+            raise self._wrong_unit(lengths[0], measured, why, UNIT_IF_TOO_SMALL)
 
     def _drawn_spread(self) -> float:
         from core.model import Calibration  # loads compiled kernels; wanted only for a suspicious upload
@@ -170,11 +174,11 @@ class RowRules:
         position = Calibration.nominal(self.robot).predict(Observations(q=self._sample[0])).position
         return float(np.ptp(position, axis=0).max())
 
-    def _wrong_unit(self, column: Column, spread: float, why: str) -> ObservationError:
-        unit = "mm" if column.factor == 1.0 else "m"
+    def _wrong_unit(self, column: Column, spread: float, why: str, units: Mapping[str, str]) -> ObservationError:
+        declared = "m" if column.factor == 1.0 else "mm"
         return ObservationError(
-            f"Column {column.name!r} spreads over {spread:.3g} m, but {why}: the values are not in that unit. "
-            f"Are they in {unit}?",
+            f"Column {column.name!r} spreads over {spread:.3g} m, but {why}: the values are not in {declared}, or the robot "
+            f"is drawn in another unit. {units[declared]}",
             column=column.name,
             spread_m=spread,
         )

@@ -23,14 +23,25 @@ ONE_TURN, TWO_TURNS = math.radians(7.0), math.radians(800.0)
 
 def suspicions(robot: Robot, screws: Screws, reach_m: float, posted: dict[str, Any]) -> list[str]:
     """Return a sentence for each thing that looks wrong, with its remedy; none of them is an error."""
-    return [*_sizes(reach_m), *_radians(posted), *_limits(robot), *_axes(robot, screws), *_loads(robot, reach_m)]
+    return [
+        *_sizes(reach_m, posted.get("convention")),
+        *_radians(posted),
+        *_limits(robot),
+        *_axes(robot, screws),
+        *_loads(robot, reach_m),
+    ]
 
 
-def _sizes(reach_m: float) -> Iterator[str]:
+def _sizes(reach_m: float, convention: str | None) -> Iterator[str]:
+    urdf = convention == "urdf"
     if reach_m < SMALL_M:
-        yield f"The arm reaches {reach_m * 1e3:.3g} mm: are its lengths in metres? Fields ending in _mm are millimetres."
+        said = "kilometres? A URDF counts in metres" if urdf else "metres? Fields ending in _mm are millimetres"
+        yield f"The arm reaches {reach_m * 1e3:.3g} mm: are its lengths in {said}."
     if reach_m > LARGE_M:
-        yield f"The arm reaches {reach_m:.4g} m: are its lengths in micrometres, or is a DH row of parallel axes meant?"
+        said = (
+            "millimetres? A URDF counts in metres." if urdf else "micrometres, or is a DH row of parallel axes meant?"
+        )
+        yield f"The arm reaches {reach_m:.4g} m: are its lengths in {said}"
 
 
 def _radians(posted: dict[str, Any]) -> Iterator[str]:

@@ -174,6 +174,8 @@ BAD: list[tuple[str, str, int | None, str | None]] = [
     (csv_of(columns()).replace(",", ";"), "export it with commas", None, None),
     (scaled(1.0, "m"), "Are they in mm?", None, "x_m"),
     (scaled(1e-3, "mm"), "Are they in m?", None, "x_mm"),
+    (scaled(1e3, "mm"), "Are the lengths of the robot in m where mm are expected?", None, "x_mm"),
+    (scaled(1e-6, "m"), "Are the lengths of the robot in mm where m are expected?", None, "x_m"),
 ]  # fmt: skip
 
 

@@ -114,9 +114,13 @@ def test_what_the_data_lack_is_said(client: httpx.Client, worker: Any, until: Un
     assert {e["verdict"] for e in relative["effects"]} <= {"provisional"}
 
 
-@pytest.mark.parametrize("mistake", ["signs", "tool changed"])
-def test_another_robots_campaign_is_no_missing_effect(
-    client: httpx.Client, worker: Any, until: Until, mistake: str
+@pytest.mark.parametrize("kind", ["gap", "identify"])
+@pytest.mark.parametrize(
+    ("mistake", "said"),
+    [("signs", "oint 1 looks to count the other way round"), ("tool changed", "looks changed by")],
+)
+def test_a_mixed_up_campaign_fails_with_what_was_mixed_up(
+    client: httpx.Client, worker: Any, until: Until, mistake: str, said: str, kind: str
 ) -> None:
     arm = Arm(client, ())
     wrong = dict(arm.columns)
@@ -125,13 +129,14 @@ def test_another_robots_campaign_is_no_missing_effect(
     else:  # half of the campaign with a tool 100 mm longer
         half = len(wrong["x_mm"]) // 2
         wrong["x_mm"] = [v + (100 if k > half else 0) for k, v in enumerate(wrong["x_mm"])]
-    address = arm.ask(arm.upload(wrong)).raise_for_status().headers["location"]
+    job = {"kind": kind, "robot": arm.name, "campaigns": [arm.upload(wrong)]}
+    address = client.post("/v1/jobs", json=job).raise_for_status().headers["location"]
     worker.start()
     until(lambda: client.get(address).json()["state"] in FINAL)
     done = client.get(address).json()
-    found = done["result"]
-    assert "not a missing effect" in found["sentence"]
-    assert (found["verdict"], found["effects"], found["version_id"]) == ("unexplained", [], None)
+    assert (done["state"], done["error"]["code"], done["result"]) == ("failed", "foreign_observations", None)
+    assert said in done["error"]["message"]
+    assert "Remedy" in done["error"]["message"]
     assert client.get(f"/v1/robots/{arm.name}/versions").json()["versions"] == []
 
 

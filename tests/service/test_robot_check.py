@@ -62,3 +62,22 @@ def test_what_looks_wrong_is_said(shared_client: httpx.Client) -> None:
 def test_what_cannot_be_an_arm_is_refused_as_when_it_is_added(shared_client: httpx.Client) -> None:
     answer = shared_client.post("/v1/robots/check", json={"name": "x", "convention": "preset", "preset": "nothing"})
     assert (answer.status_code, answer.json()["code"]) == (400, "robot_invalid")
+
+
+def test_a_urdf_in_millimetres_is_told_what_a_urdf_counts_in(shared_client: httpx.Client) -> None:
+    def arm(length: float) -> dict[str, Any]:
+        links = "".join(f'<link name="l{k}"/>' for k in range(4))
+        joints = "".join(
+            f'<joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/>'
+            f'<origin xyz="0 0 {length}"/><axis xyz="{k % 2} {1 - k % 2} 0"/>'
+            f'<limit lower="-1.5" upper="1.5" effort="1" velocity="1"/></joint>'
+            for k in range(3)
+        )
+        urdf = f'<robot name="arm">{links}{joints}</robot>'
+        return {"name": "arm", "convention": "urdf", "urdf": urdf, "base_link": "l0", "tip_link": "l3"}
+
+    said = " ".join(check(shared_client, arm(400.0))["suspicious"])
+    assert "are its lengths in millimetres? A URDF counts in metres" in said
+    said = " ".join(check(shared_client, arm(0.4e-3))["suspicious"])
+    assert "Fields ending in _mm" not in said
+    assert "A URDF counts in metres" in said

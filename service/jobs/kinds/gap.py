@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from core.errors import NotConvergedError, OptionError
+from core.errors import OptionError
 from service.jobs.attended import attended
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from service.jobs.pictures import pictures
@@ -18,11 +18,6 @@ if TYPE_CHECKING:
     from core.observations import Observations
 
 START, LIMITS = "start", "limits"
-STRANGE = "not_a_missing_effect"
-FOREIGN = (
-    "Where not even the geometry can be fitted this is not a missing effect: check that robot, tool, joint order, signs "
-    "and units are those of the campaign."
-)
 
 
 def check(options: dict[str, Any]) -> None:
@@ -53,10 +48,7 @@ def _hunt(job: JobInput, progress: Progress) -> JobOutput:
     options = _options(job.options)
     train, held = _rows(job, options.seed)
     progress(0.0, "fitting the geometry")
-    try:
-        report = find_gap(job.robot, train, options, job.calibration, held, progress)
-    except NotConvergedError as error:
-        raise NotConvergedError(f"{error.message} {FOREIGN}") from error
+    report = find_gap(job.robot, train, options, job.calibration, held, progress)
     found = report.to_document()
     result = plain(
         {
@@ -67,8 +59,6 @@ def _hunt(job: JobInput, progress: Progress) -> JobOutput:
             "version_id": None,
         }
     )
-    if any(warning["code"] == STRANGE for warning in report.warnings):
-        return JobOutput(result)
     progress(0.98, "errors of the new version")
     return JobOutput(result, _version(job, report, train, held))
 

@@ -19,6 +19,9 @@ MEASURES = (
     ("orientation_deg", "orientation deg"),
 )
 
+# Warnings with which a version is not offered for activation.
+WORSE = {"heldout_worse_than_registration", "worse_than_geometry"}
+
 
 def show_job(job: dict[str, Any]) -> None:
     """Print a job: how it stands, and what is in its result."""
@@ -34,7 +37,10 @@ def show_job(job: dict[str, Any]) -> None:
     else:
         show_result(result)
     version = result.get("version_id")
-    if version and job["kind"] != "evaluate":
+    worse = WORSE & {w.get("code") for w in result.get("warnings") or () if isinstance(w, Mapping)}
+    if version and worse:
+        say(f"version {version} is stored, but predicts held-out poses worse than a simpler model: see the warnings")
+    elif version and job["kind"] != "evaluate":
         say(f"version {version}; make it the one that corrects with: kilter activate {version}")
 
 

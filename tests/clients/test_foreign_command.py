@@ -1,0 +1,69 @@
+"""Mixed-up measurements at the command line: refused with a sentence, nothing stored."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from kilter_client import Kilter
+from kilter_client.cli import run
+
+
+def swapped(source: Path, first: str, second: str) -> Path:
+    """The file with the names of two columns exchanged."""
+    rows = list(csv.reader(source.read_text(encoding="utf-8").splitlines()))
+    names = rows[0]
+    i, j = names.index(first), names.index(second)
+    names[i], names[j] = names[j], names[i]
+    path = source.with_name("swapped.csv")
+    with path.open("w", encoding="utf-8", newline="") as out:
+        csv.writer(out).writerows(rows)
+    return path
+
+
+@pytest.mark.parametrize("command", ["identify", "gap"])
+def test_swapped_columns_are_named_and_nothing_is_stored(
+    kilter: Kilter, robot: str, write_campaign: Any, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    file = swapped(write_campaign(), "q3_deg", "q4_deg")
+    assert run(["upload", robot, str(file), "--json"]) == 0
+    campaign = json.loads(capsys.readouterr().out)["campaign_id"]
+    assert run([command, robot, "--campaign", campaign]) == 1
+    said = " ".join("".join(capsys.readouterr()).split())
+    assert "Joints 3 and 4 look swapped" in said
+    assert "swap the columns" in said
+    assert "kilter activate" not in said
+    assert kilter.versions.list(robot) == []
+
+
+def test_a_version_that_predicts_worse_is_not_offered(
+    kilter: Kilter, robot: str, write_campaign: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ids = []
+    for name, poses, seed in (("few.csv", 15, 3), ("held.csv", 40, 4)):
+        assert run(["upload", robot, str(write_campaign(poses, name, seed)), "--json"]) == 0
+        ids.append(json.loads(capsys.readouterr().out)["campaign_id"])
+    effects = "second_harmonic,eccentricity,encoder_scale"
+    asked = [
+        "identify",
+        robot,
+        "-c",
+        ids[0],
+        "-v",
+        ids[1],
+        "--level",
+        "3",
+        "--effects",
+        effects,
+        "--fix",
+        "a_*,d_*,alpha_*",
+    ]
+    assert run(asked) == 0
+    said = " ".join("".join(capsys.readouterr()).split())
+    assert "predicts held-out poses worse than a simpler model" in said
+    assert "kilter activate" not in said
+    (version,) = kilter.versions.list(robot)
+    assert "worse_than_geometry" in {w["code"] for w in kilter.versions.get(version["id"])["warnings"]}

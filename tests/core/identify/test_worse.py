@@ -1,0 +1,107 @@
+"""Versions that predict held-out poses worse than something simpler are said to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from core.errors import ObservationError
+from core.gap import GapOptions, find_gap
+from core.identify import Folds, Identification, IdentifyOptions, identify
+from core.identify.worse import worse
+from core.observations import Observations
+from core.robots import robot_from_document
+from tests.core.campaigns import joints, measured, table_errors
+from tests.core.gap.simulated import campaign, katana
+from tests.core.truth import ur10, with_bodies
+
+QUICK = GapOptions(resamples=20, permutations=5, bootstraps=499, next_poses=3)
+WORSE = {"heldout_worse_than_registration", "worse_than_geometry"}
+HARMONICS = IdentifyOptions(effects=("eccentricity", "second_harmonic", "encoder_scale"))
+
+
+def codes(found: Any) -> set[str]:
+    return {w["code"] for w in found.warnings}
+
+
+def identified(poses: int, noise: float, options: IdentifyOptions, wrong: bool, folds: bool = False) -> Identification:
+    rng = np.random.default_rng(4)
+    arm = with_bodies(ur10(), rng)
+    true = arm.moved(table_errors(arm, rng)) if wrong else arm
+    train, held = (measured(true, joints(true, count, rng), rng, noise) for count in (poses, 100))
+    return identify(robot_from_document(arm.document()), train, Folds(4) if folds else held, options)
+
+
+def test_what_counts_as_worse() -> None:
+    rng = np.random.default_rng(1)
+    errors = rng.uniform(0.5, 1.5, 50)
+    assert not worse(errors, errors)
+    assert not worse(errors, 0.9 * errors)
+    assert worse(errors, 1.02 * errors)
+    assert not worse(errors, errors + rng.normal(0.0, 0.05, 50) - 0.02)
+    assert worse(errors, np.where(np.arange(50) == 7, 5.0, errors))
+
+
+def test_twenty_poses_of_a_perfect_arm_are_worse_than_base_and_tool() -> None:
+    found = identified(20, 5e-4, IdentifyOptions(), wrong=False)
+    assert WORSE & codes(found) == {"heldout_worse_than_registration"}
+    (said,) = [w for w in found.warnings if w["code"] == "heldout_worse_than_registration"]
+    held = found.metrics["validation"]
+    assert said["identified_mm"] == pytest.approx(held["identified"]["rms_mm"])
+    assert said["simpler_mm"] == pytest.approx(held["registration_only"]["rms_mm"])
+    assert "do not activate" in said["message"]
+
+
+@pytest.mark.parametrize("folds", [False, True])
+def test_effects_that_are_not_there_are_worse_than_geometry(folds: bool) -> None:
+    assert "worse_than_geometry" in codes(identified(30, 5e-4, HARMONICS, wrong=True, folds=folds))
+
+
+def test_enough_poses_and_no_such_warning() -> None:
+    assert not WORSE & codes(identified(150, 2e-5, IdentifyOptions(), wrong=True))
+    one = replace(HARMONICS, effects=("eccentricity",))
+    own = next(name for name in identified(150, 2e-5, one, wrong=True).free_names if "ecc" in name)
+    # Patterns that name only the effect leave no geometry to compare with but base and tool.
+    for free in (("a_*", own), (own,)):
+        assert "worse_than_geometry" not in codes(identified(150, 2e-5, replace(one, free=free), wrong=True))
+
+
+def test_a_hunt_whose_effect_is_gone_from_the_held_out_poses() -> None:
+    robot = katana()
+    train = campaign(robot, [("backlash", (1,), (2e-3,))])
+    held = campaign(robot, seed=0)  # the same arm and poses, without play
+    report = find_gap(robot, train, QUICK, validation=held)
+    assert [j.evidence.candidate.id for j in report.effects] == ["backlash"]
+    assert "worse_than_geometry" in codes(report)
+    again = find_gap(robot, train, QUICK, validation=0.25)
+    assert not WORSE & codes(again)
+
+
+def test_a_hunt_says_which_effects_it_could_not_look_for_without_masses() -> None:
+    robot = katana()
+    light = replace(robot, links=tuple(replace(link, mass=0.0) for link in robot.links))
+    rows = replace(campaign(robot), payload_kg=None)
+    (said,) = [w for w in find_gap(light, rows, QUICK).warnings if w["code"] == "no_load"]
+    assert "axial_compliance" in said["effects"]
+    assert "mass_kg" in said["message"]
+    assert "no_load" not in codes(find_gap(robot, rows, QUICK))
+
+
+def test_copied_marker_columns_are_named() -> None:
+    rng = np.random.default_rng(2)
+    arm = ur10()
+    robot = robot_from_document(arm.document())
+    rows = measured(arm, joints(arm, 60, rng), rng, 2e-5, "markers")
+    assert rows.markers is not None
+    turn = arm.poses(rows.q)[1]
+    extra = rows.markers[:, :1] + np.einsum("nij,j->ni", turn, [0.05, 0.07, -0.06])[:, None]
+    whole = np.concatenate([rows.markers, extra], axis=1)
+    assert "markers_equal" not in codes(identify(robot, replace(rows, markers=whole)))
+    copied = np.concatenate([rows.markers, rows.markers[:, 1:2]], axis=1)
+    (said,) = [w for w in identify(robot, replace(rows, markers=copied)).warnings if w["code"] == "markers_equal"]
+    assert said["markers"] == [2, 4]
+    with pytest.raises(ObservationError, match="Markers 1 and 2 are equal to the last digit"):
+        identify(robot, Observations(rows.q, markers=rows.markers[:, [0, 0, 2]]))
