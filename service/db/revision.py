@@ -23,7 +23,8 @@ HEAD = "0002"
 
 def current(database: Database) -> str | None:
     """Return the revision the database has; None when it has no tables yet."""
-    with database.engine.connect() as connection:
+    with database.reading() as session:
+        connection = session.connection()
         if not inspect(connection).has_table("alembic_version"):
             return None
         found: str | None = connection.execute(text("SELECT version_num FROM alembic_version")).scalar_one_or_none()
