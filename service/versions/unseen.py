@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -115,14 +115,13 @@ class _Trained:
         whole = self.archive.named(campaign_id, self.hashes)
         return whole | self.rows.get(campaign_id, np.zeros(len(whole), dtype=bool))
 
-    def poses(self) -> set[bytes]:
-        """Joint readings of all rows that were fitted."""
-        out: set[bytes] = set()
-        for campaign_id, mask in self.rows.items():
-            rows = self.archive.rows(campaign_id)
-            if rows is not None:
-                out.update(_keys(rows, np.flatnonzero(mask)))
-        return out
+    def poses(self) -> Ints:
+        """Joint readings (N, n) of all rows that were fitted."""
+        from core.observations import readings
+
+        parts = [(self.archive.rows(campaign_id), mask) for campaign_id, mask in self.rows.items()]
+        fitted = [readings(rows.q[mask]) for rows, mask in parts if rows is not None]
+        return np.concatenate([np.zeros((0, self.archive.robot.n_joints), dtype=np.int64), *fitted])
 
     def _split(self, training: Training, fraction: float) -> dict[str, Bools] | None:
         """Rows fitted of each campaign's named uploads, as the job drew them; None when that cannot be told any more."""
@@ -150,15 +149,11 @@ def _draw(kind: str, rows: Observations, fraction: float, seed: int) -> Ints:
     return {"identify": split, "gap": hold_out}[kind](rows, fraction, seed)[0]
 
 
-def _free(rows: Observations, trained: Bools, poses: set[bytes]) -> Bools:
+def _free(rows: Observations, trained: Bools, poses: Ints) -> Bools:
     """Rows whose whole pose is neither fitted nor at the joint readings of a pose that was."""
-    seen = trained | np.array([key in poses for key in _keys(rows, range(len(rows)))], dtype=bool)
-    groups = rows.pose_groups()
+    from core.observations import numbered_rows, readings
+
+    numbers = numbered_rows(np.concatenate([poses, readings(rows.q)]))
+    seen = trained | np.isin(numbers[len(poses) :], numbers[: len(poses)])
+    groups = numbers[len(poses) :] if rows.pose_id is None else rows.pose_groups()
     return np.asarray(~np.isin(groups, np.unique(groups[seen])))
-
-
-def _keys(rows: Observations, index: Sequence[int] | Ints | range) -> list[bytes]:
-    from core.observations import SAME_POSE_RAD
-
-    rounded = np.round(rows.q / SAME_POSE_RAD).astype(np.int64)
-    return [rounded[k].tobytes() for k in index]
