@@ -63,6 +63,7 @@ class Objection(Strict):
 class Rival(Strict):
     """What a version is compared with. It is worse when its error is larger by more than ``margin_mm``."""
 
+    poses: int
     mean_mm: float
     larger_by_mm: float
     margin_mm: float

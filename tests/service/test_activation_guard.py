@@ -249,6 +249,30 @@ def test_when_the_active_one_knows_all_other_rows_registration_still_judges(lab:
     assert (found["compared"]["active"], codes(found["warnings"])) == (None, {"active_not_compared"})
 
 
+def test_too_few_poses_new_to_both_leave_the_comparison_with_registration(lab: Lab) -> None:
+    first, second = (lab.campaign(lab.readings(40, seed), seed) for seed in (1, 2))
+    few = lab.campaign(lab.readings(5, 3), 3)
+    lab.activate(lab.identify([first])).raise_for_status()
+    found = lab.activate(lab.identify([second])).raise_for_status().json()
+    assert found["compared"]["campaigns"] == [first]
+    assert codes(found["warnings"]) == {"active_not_compared", "campaign_not_compared"}
+    assert any(few in warning["message"] for warning in found["warnings"])
+
+
+def test_a_version_that_predicts_nothing_at_all_is_refused(lab: Lab) -> None:
+    good = lab.identify([lab.campaign(lab.readings(60, 1), 1)])
+    judged = lab.campaign(lab.readings(40, 2), 2)
+
+    def blow_up(values: dict[str, float]) -> None:
+        values["a_2"] = 1e200
+
+    wild = lab.stored(good, "wild", blow_up)
+    refused = lab.activate(wild).json()
+    assert refused["code"] == "activation_refused"
+    assert codes(refused["context"]["objections"]) == {"worse_than_registration"}
+    assert judged in refused["detail"]
+
+
 def test_what_a_version_needs_and_a_campaign_lacks_is_said(lab: Lab) -> None:
     q = lab.readings(60, 1)
     directions = np.random.default_rng(4).choice([-1.0, 1.0], q.shape)
