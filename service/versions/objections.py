@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from service.versions.schemas import CorrectionLimits, Objection
 
 CODES = ("heldout_worse_than_registration", "worse_than_geometry")  # warnings that say what this module looks for
-SHARE_OF_DOUBT = 0.01  # as in core.compare: a smaller difference is no harm
+ERRORS_OF_DOUBT, SHARE_OF_DOUBT = 2.0, 0.01  # as in core.compare: standard errors, and of the simpler model's error
 SIMPLER = {"registration_only": "base and tool alone", "geometry_only": "the geometry alone", "nominal": "the drawing"}
 
 
@@ -22,14 +23,27 @@ def objections_of(report: Mapping[str, Any], limits: CorrectionLimits) -> list[O
 
 def _worse_held_out(held: Mapping[str, Any], named: list[Objection]) -> list[Objection]:
     """The simpler model that its own held-out rows prefer, unless a warning has said so."""
-    found = _mean(held, "identified")
+    found = held.get("identified") or {}
     for stage, what in SIMPLER.items():
-        simpler = _mean(held, stage)
-        if found is None or simpler is None or named or found <= simpler * (1 + SHARE_OF_DOUBT):
+        simpler = held.get(stage) or {}
+        if named or not found or not simpler or not _clearly_larger(found, simpler, int(held.get("n") or 1)):
             continue
-        message = f"On its own held-out rows it leaves {found:.4g} mm, {what} {simpler:.4g} mm."
+        message = (
+            f"On its own held-out rows it leaves {found['mean_mm']:.4g} mm, {what} {simpler['mean_mm']:.4g} mm: "
+            "more than chance explains."
+        )
         return [Objection(code="heldout_worse", message=message)]
     return []
+
+
+def _clearly_larger(found: Mapping[str, Any], simpler: Mapping[str, Any], n: int) -> bool:
+    """Whether a mean is larger than another beyond chance; the rows' own differences are not stored, so as if unpaired."""
+    doubt = ERRORS_OF_DOUBT * math.sqrt((_variance(found) + _variance(simpler)) / n)
+    return float(found["mean_mm"] - simpler["mean_mm"]) > max(doubt, SHARE_OF_DOUBT * float(simpler["mean_mm"]))
+
+
+def _variance(block: Mapping[str, Any]) -> float:
+    return max(float(block.get("rms_mm", block["mean_mm"])) ** 2 - float(block["mean_mm"]) ** 2, 0.0)
 
 
 def _too_large(metrics: Mapping[str, Any], limits: CorrectionLimits) -> list[Objection]:

@@ -332,6 +332,14 @@ def test_what_its_own_identification_found_refuses_it(lab: Lab, report: dict[str
     assert lab.activate(doubtful, force=True).status_code == 200
 
 
+def test_held_out_rows_that_are_worse_by_chance_do_not_refuse(lab: Lab) -> None:
+    good = lab.identify([lab.campaign(lab.readings(40, 1), 1)])
+    stages = {"registration_only": {"mean_mm": 0.769, "rms_mm": 0.84}, "identified": {"mean_mm": 0.778, "rms_mm": 0.85}}
+    assert lab.activate(lab.stored(good, "even", lambda _: None, metrics={"validation": {"n": 35} | stages})).is_success
+    many = lab.stored(good, "many", lambda _: None, metrics={"validation": {"n": 35_000} | stages})
+    assert codes(lab.activate(many).json()["context"]["objections"]) == {"heldout_worse"}
+
+
 def test_thousands_of_poses_are_thinned_and_that_is_said(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     version = lab.identify([lab.campaign(lab.readings(40, 1), 1)])
     lab.campaign(np.repeat(lab.readings(300, 2), 6, axis=0), 2)
