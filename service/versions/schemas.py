@@ -112,7 +112,7 @@ class Version(VersionSummary):
     null_directions: list[dict[str, Any]]
     noise_mm: float | None
     warnings: list[dict[str, Any]]
-    objections: list[Objection]
+    objections: list[Objection] = []
     details: dict[str, Any]
     covariance: dict[str, Any]
 
