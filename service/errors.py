@@ -46,6 +46,8 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "cancelled": (409, "The job was cancelled"),
     "job_finished": (409, "The job has already finished"),
     "no_active_version": (409, "The robot has no active version"),
+    "activation_refused": (409, "The version predicts worse than what it would take the place of"),
+    "activation_overtaken": (409, "Other versions were activated meanwhile"),
     "nothing_to_roll_back": (409, "There is no earlier version to return to"),
     "upload_too_large": (413, "The upload is too large"),
     "media_type_unsupported": (415, "This media type is not read"),

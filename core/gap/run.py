@@ -34,7 +34,7 @@ from core.gap.verdict import Evidence, Judged, judge, run_verdict, sentence
 from core.gap.where import where
 from core.identify.plausibility import refuse_foreign
 from core.identify.report import large_residual
-from core.identify.worse import WORSE_THAN_GEOMETRY, PoseErrors, worse, worse_warning
+from core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, worse, worse_warning
 from core.measurement import Measurement
 from core.model import Calibration
 from core.observations import Observations
@@ -204,10 +204,12 @@ class _Run:
     def _worse(self, found: Hunt, held: Bench, kept: Stored) -> Iterator[dict[str, Any]]:
         """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""
         unit = "deg" if isinstance(found.world.setting.source, LinkSource) else "mm"
-        if found.chosen and worse(*held.by_pose()):
+        before_after = held.by_pose()
+        if found.chosen and worse(*before_after):
+            certain = Difference.of(*reversed(before_after)).worse
             gap = gap_document(self.prepared, found, held.report())
             before, after = gap[f"validation_before_{unit}"], gap[f"validation_after_{unit}"]
-            yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", before, after, unit)
+            yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", before, after, certain, unit)
         if self.validation is None or kept.registered is None:
             return
         calibration, plain = kept.calibration, kept.registered

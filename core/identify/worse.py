@@ -21,6 +21,9 @@ Floats = NDArray[np.float64]
 BY_CHANCE = 1.0  # standard errors of the mean difference of poses
 MUCH = 1.01  # times the rms error: worse however few poses made it so
 
+ERRORS_OF_DOUBT = 2.0  # standard errors of the mean difference: chance alone goes beyond in one of forty comparisons
+SHARE_OF_DOUBT = 0.01  # of the other's error: with thousands of poses any difference is certain, a small one no harm
+
 WORSE_THAN_REGISTRATION = "heldout_worse_than_registration"
 WORSE_THAN_GEOMETRY = "worse_than_geometry"
 
@@ -31,6 +34,26 @@ def worse(before: Floats, after: Floats) -> bool:
     error = float(np.std(step, ddof=1) / np.sqrt(len(step))) if len(step) > 1 else 0.0
     rms = [float(np.sqrt(np.mean(e**2))) for e in (before, after)]
     return bool(step.mean() > BY_CHANCE * error > 0.0 or rms[1] > MUCH * rms[0])
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How much larger (m) the error of one calibration is than another's, mean over the poses, and how much is chance."""
+
+    mean: float
+    margin: float
+
+    @property
+    def worse(self) -> bool:
+        """Whether the first predicts worse beyond doubt."""
+        return self.mean > self.margin
+
+    @staticmethod
+    def of(errors: Floats, others: Floats) -> Difference:
+        """Compare the errors (P,) m of two calibrations at the same poses, pose by pose."""
+        paired = errors - others
+        doubt = ERRORS_OF_DOUBT * float(np.std(paired, ddof=1)) / np.sqrt(len(paired))
+        return Difference(float(np.mean(paired)), max(doubt, SHARE_OF_DOUBT * float(np.mean(others))))
 
 
 @dataclass(frozen=True)
@@ -58,13 +81,16 @@ class PoseErrors:
         for stage, words, code in simpler:
             before = self.stages.get(stage)
             if before is not None and worse(before, after):
-                yield worse_warning(code, words, _rms_mm(before), _rms_mm(after))
+                certain = Difference.of(after, before).worse
+                yield worse_warning(code, words, _rms_mm(before), _rms_mm(after), certain)
 
 
-def worse_warning(code: str, words: str, before: float, after: float, unit: str = "mm") -> dict[str, Any]:
-    """Warn that held-out poses are predicted worse than by something simpler."""
+def worse_warning(
+    code: str, words: str, before: float, after: float, beyond_chance: bool, unit: str = "mm"
+) -> dict[str, Any]:
+    """Warn that held-out poses are predicted worse than by something simpler; beyond chance, activation is refused."""
     return {
-        "code": code, f"simpler_{unit}": before, f"identified_{unit}": after,
+        "code": code, f"simpler_{unit}": before, f"identified_{unit}": after, "beyond_chance": beyond_chance,
         "message": f"Held-out poses are predicted worse ({after:.3g} {unit}) than with {words} ({before:.3g} {unit}): do not "
         "activate this version. Measure more poses, spread over the joints, or free fewer parameters and effects.",
     }  # fmt: skip

@@ -37,7 +37,7 @@ def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
 
 def get(database: Database, campaign_id: str) -> Campaign:
     """Return a campaign."""
-    with database.transaction() as session:
+    with database.reading() as session:
         return store.get(session, campaign_id)
 
 
@@ -81,7 +81,7 @@ def discard(database: Database, campaign_id: str) -> None:
 
 def listed(database: Database, robot: str, staged: bool = False) -> CampaignList:
     """List the campaigns of a robot, or those whose parts are not all there yet."""
-    with database.transaction() as session:
+    with database.reading() as session:
         ids = store.ids_of_robot(session, robots.get(session, robot).id, staged)
         return CampaignList(campaigns=[store.get(session, campaign_id) for campaign_id in ids])
 
@@ -95,7 +95,7 @@ def upload(database: Database, campaign_id: str, path: Path, media: str, sha256:
 
     """
     names = reading.column_names(path, media)
-    with database.transaction() as session:
+    with database.reading() as session:
         known = _uploaded(session, campaign_id, sha256, new=False)
         if known:
             return known

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -144,8 +144,8 @@ def add_upload(
         session.flush()
 
 
-def observations(session: Session, campaign_id: str, robot: Robot) -> Observations:
-    """Return all rows of a campaign, SI.
+def observations(session: Session, campaign_id: str, robot: Robot, only: Collection[str] | None = None) -> Observations:
+    """Return all rows of a campaign, SI, in the order of its uploads; or those of the uploads with these hashes.
 
     Raises:
         ObservationError: nothing was uploaded yet.
@@ -155,7 +155,7 @@ def observations(session: Session, campaign_id: str, robot: Robot) -> Observatio
 
     row = whole_row_of(session, campaign_id)
     query = select(UploadRow).where(UploadRow.campaign_id == campaign_id).order_by(UploadRow.id)
-    uploads = session.execute(query).scalars().all()
+    uploads = [u for u in session.execute(query).scalars() if only is None or u.sha256 in only]
     if not uploads:
         raise ObservationError(f"Campaign {campaign_id} has no observations: upload some.", campaign=campaign_id)
     columns = read_columns(uploads[0].columns, [joint.kind for joint in robot.joints])

@@ -50,7 +50,7 @@ def correct(
         ServiceError: no such robot or version, or none is active.
 
     """
-    with database.transaction() as session:
+    with database.reading() as session:
         calibration, options = _calibration(session, robot, version, temperature_c)
     kinds = [joint.kind for joint in calibration.robot.joints]
     table, columns = read_trajectory(path, media, kinds)

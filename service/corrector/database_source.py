@@ -41,7 +41,7 @@ class DatabaseSource:
         self._migrated = self._migrated or revision.current(self._database) == revision.HEAD
         if not self._migrated:
             return None
-        with self._database.transaction() as session:
+        with self._database.reading() as session:
             return store.active_stamp(session)
 
     def load(self) -> Mapping[str, Active]:
@@ -50,7 +50,7 @@ class DatabaseSource:
 
         if not self._migrated:
             return {}
-        with self._database.transaction() as session:
+        with self._database.reading() as session:
             found = [store.active_version(session, name) for name in store.robots_with_active(session)]
         out = {}
         for version in found:

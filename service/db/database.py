@@ -1,16 +1,23 @@
-"""One database, opened when it is asked for: SQLite in WAL mode, or PostgreSQL by its URL."""
+"""One database, opened when it is asked for: SQLite in WAL mode, or PostgreSQL by its URL.
+
+A transaction says at its first moment whether it changes something. One that does has the only right to change until
+it ends, so that nothing it read can have become wrong when it writes; one that only reads sees one moment of the
+database, waits for nobody, and is refused by the database itself when it writes after all.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Engine, create_engine, event, make_url
+from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session, sessionmaker
 
 BUSY_TIMEOUT_MS = 15_000
+READS = "kilter_reads"  # execution option of connections that only read
+WRITER = 0x4B_69_6C_74_65_72  # "Kilter": the advisory lock of PostgreSQL that whoever changes something holds
 
 
 class Database:
@@ -19,33 +26,65 @@ class Database:
     def __init__(self, url: str) -> None:
         self.url = url
         self.engine = open_engine(url)
-        self._sessions = sessionmaker(self.engine, expire_on_commit=False)
+        self._changing = sessionmaker(self.engine, expire_on_commit=False)
+        self._reading = sessionmaker(self.engine.execution_options(**{READS: True}), expire_on_commit=False)
 
-    @contextmanager
-    def transaction(self) -> Iterator[Session]:
-        """Give a session whose work is stored as a whole when the block ends, and not at all when it raises."""
-        with self._sessions.begin() as session:
-            yield session
+    def transaction(self) -> AbstractContextManager[Session]:
+        """Give a session that may change something.
+
+        Its work is stored as a whole when the block ends, and not at all when it raises. Others that change something
+        wait until then: keep it short, and compute outside. Never open one inside another.
+        """
+        return _session(self._changing)
+
+    def reading(self) -> AbstractContextManager[Session]:
+        """Give a session that sees the database as it is at its first query. The database refuses its changes."""
+        return _session(self._reading)
 
     def close(self) -> None:
         """Close all connections."""
         self.engine.dispose()
 
 
+@contextmanager
+def _session(sessions: sessionmaker[Session]) -> Iterator[Session]:
+    with sessions.begin() as session:
+        yield session
+
+
 def open_engine(url: str) -> Engine:
-    """Create the engine of ``url`` and, for SQLite, the folder of its file."""
+    """Create the engine of ``url`` and, for SQLite, the folder of its file. Its transactions may change something."""
     parsed = make_url(url)
     if parsed.get_backend_name() != "sqlite":
-        return create_engine(parsed.set(drivername="postgresql+psycopg"), pool_pre_ping=True)
+        engine = create_engine(parsed.set(drivername="postgresql+psycopg"), pool_pre_ping=True)
+        event.listen(engine, "begin", _begin_postgresql)
+        return engine
     if parsed.database:
         Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
     engine = create_engine(parsed)
     event.listen(engine, "connect", _prepare_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
     return engine
 
 
 def _prepare_sqlite(connection: Any, _record: Any) -> None:
-    # IMMEDIATE: a writer waits for its turn at BEGIN; a deferred one would fail at its first write instead.
-    connection.isolation_level = "IMMEDIATE"
+    # None: the driver begins no transaction by itself. It would do so at the first change, after all that was read.
+    connection.isolation_level = None
     for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON", f"busy_timeout={BUSY_TIMEOUT_MS}"):
         connection.execute(f"PRAGMA {pragma}")
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    reads = connection.get_execution_options().get(READS, False)
+    connection.exec_driver_sql(f"PRAGMA query_only={'ON' if reads else 'OFF'}")  # the pool hands out both kinds
+    # IMMEDIATE: whoever changes something waits for its turn here, before it reads.
+    connection.exec_driver_sql("BEGIN" if reads else "BEGIN IMMEDIATE")
+
+
+def _begin_postgresql(connection: Connection) -> None:
+    if connection.get_execution_options().get(READS, False):
+        connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ, READ ONLY")
+        return
+    # READ COMMITTED: every query after the lock sees what the holder before has stored.
+    connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL READ COMMITTED")
+    connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({WRITER})")

@@ -135,7 +135,10 @@ class VersionRow(Row):
 
 
 class ActivationRow(Row):
-    """An entry of the log of which version was made active, when and by whom; the last one of a robot holds."""
+    """An entry of the log of which version was made active, when and by whom; the last one of a robot holds.
+
+    ``objections`` are what spoke against it; ``forced`` says that it was to be made active all the same.
+    """
 
     __tablename__ = "activations"
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -144,6 +147,9 @@ class ActivationRow(Row):
     action: Mapped[str] = mapped_column(String(16))
     actor: Mapped[str] = mapped_column(String(64))
     at: Mapped[datetime] = mapped_column(default=now)
+    forced: Mapped[bool] = mapped_column(default=False, server_default=false())
+    reason: Mapped[str] = mapped_column(String(500), default="", server_default="")
+    objections: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
 
 
 class HeartbeatRow(Row):

@@ -27,7 +27,7 @@ def _database(database: Database) -> Check:
 
 
 def _worker(database: Database) -> Check:
-    with database.transaction() as session:
+    with database.reading() as session:
         alive = store.alive(session, "worker", SILENT_AFTER_S)
     if alive:
         return Check(ok=True, detail=f"{alive} alive")

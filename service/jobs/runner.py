@@ -57,18 +57,19 @@ class Runner:
         if attempt > MAX_ATTEMPTS:
             return _failed("internal_error", f"The worker died {MAX_ATTEMPTS} times in this job: see its log.")
         tell(0.0, "loading", now=True)
-        with self._database.transaction() as session:
-            job = store.load(session, job_id)
+        with self._database.reading() as session:
+            job, used = store.load(session, job_id), store.used_by(session, job_id)
         output = kind.run(job, tell)
         tell(1.0, "storing", now=True)
         version = None if output.version is None else _as_document(output.version)
-        return {"state": "succeeded", "result": output.result, "version": version}
+        return {"state": "succeeded", "result": output.result, "version": version, "used": used}
 
     def finish(self, job_id: str, outcome: Outcome) -> None:
         """Second step: store the outcome; a second time changes nothing."""
         with self._database.transaction() as session:
             if outcome["state"] == "succeeded":
-                store.succeed(session, job_id, outcome["result"], _as_content(outcome["version"]))
+                version = _as_content(outcome["version"])
+                store.succeed(session, job_id, outcome["result"], version, outcome.get("used"))
             elif outcome["state"] == "failed":
                 store.fail(session, job_id, outcome["code"], outcome["message"])
             elif outcome["state"] == "cancelled":

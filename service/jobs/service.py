@@ -27,20 +27,26 @@ def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
 
     """
     kind = kind_of(job.kind)
+    with database.reading() as session:
+        _checked(session, job, kind)
+    kind.check(job.options)  # may import the core and take its time: outside
     with database.transaction() as session:
-        robot_id = robots.get(session, job.robot).id
-        _check_campaigns(session, robot_id, job, kind)
-        version = job.options.get(kind.version_option) if kind.version_option else None
-        if version is not None:
-            _check_version(session, robot_id, str(version))
-    kind.check(job.options)
-    with database.transaction() as session:
-        job_id = store.add(session, robot_id, job)
+        job_id = store.add(session, _checked(session, job, kind), job)  # robot and campaigns are still there
     try:
         queue.enqueue(job_id)
     except Exception:  # whatever the job engine lacks (it has not started yet), the worker's sweep finds the row
         log.warning("job %s waits for the worker to find it", job_id, exc_info=True)
     return get(database, job_id)
+
+
+def _checked(session: Session, job: NewJob, kind: JobKind) -> int:
+    """The key of a job's robot, whose campaigns and version exist and fit."""
+    robot_id = robots.get(session, job.robot).id
+    _check_campaigns(session, robot_id, job, kind)
+    version = job.options.get(kind.version_option) if kind.version_option else None
+    if version is not None:
+        _check_version(session, robot_id, str(version))
+    return robot_id
 
 
 def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind) -> None:
@@ -91,13 +97,13 @@ def _check_version(session: Session, robot_id: int, version: str) -> None:
 
 def get(database: Database, job_id: str) -> Job:
     """Return a job."""
-    with database.transaction() as session:
+    with database.reading() as session:
         return store.get(session, job_id)
 
 
 def listed(database: Database, robot: str | None, limit: int) -> JobList:
     """List the newest jobs."""
-    with database.transaction() as session:
+    with database.reading() as session:
         return JobList(jobs=store.listed(session, robot, limit))
 
 

@@ -19,6 +19,7 @@ from service.jobs.schemas import FINAL, Folds, Job, JobError, JobSummary, NewJob
 from service.robots import store as robots
 from service.version import code_version
 from service.versions import store as versions
+from service.versions.objections import objections_of
 from service.versions.store import NewVersion
 
 
@@ -143,14 +144,25 @@ def load(session: Session, job_id: str) -> JobInput:
     )
 
 
-def succeed(session: Session, job_id: str, result: dict[str, Any], content: VersionContent | None) -> None:
-    """Store the result and the version of a job; a job that is over already is left alone."""
+def succeed(
+    session: Session,
+    job_id: str,
+    result: dict[str, Any],
+    content: VersionContent | None,
+    used: list[dict[str, Any]] | None = None,
+) -> None:
+    """Store the result and the version of a job; a job that is over already is left alone.
+
+    ``used`` are the campaigns as they were when the job read them (None: as they are now).
+    """
     row = row_of(session, job_id)
     if row.state in FINAL:
         return
     if content is not None:
-        version_id = versions.add(session, row.robot_id, job_id, _version(session, row, content))
-        result = {**result, "version_id": version_id}
+        used = used_by(session, job_id) if used is None else used
+        version_id = versions.add(session, row.robot_id, job_id, _version(row, content, used))
+        objections = objections_of(content.report, content.limits)
+        result = {**result, "version_id": version_id, "objections": [o.model_dump() for o in objections]}
     row.result = result
     _finish(row, "succeeded", "done", 1.0)
 
@@ -174,10 +186,15 @@ def _finish(row: JobRow, state: str, stage: str, fraction: float) -> None:
     row.state, row.stage, row.fraction, row.finished_at = state, stage, fraction, now()
 
 
-def _version(session: Session, row: JobRow, content: VersionContent) -> NewVersion:
-    request, kind = NewJob(**row.request), kind_of(row.kind)
+def used_by(session: Session, job_id: str) -> list[dict[str, Any]]:
+    """Return the campaigns a job uses, with the hashes of what was uploaded so far."""
+    request = NewJob(**row_of(session, job_id).request)
     held = request.validation if isinstance(request.validation, list) else []
-    used = [_used(session, c, "train") for c in request.campaigns] + [_used(session, c, "validation") for c in held]
+    return [_used(session, c, "train") for c in request.campaigns] + [_used(session, c, "validation") for c in held]
+
+
+def _version(row: JobRow, content: VersionContent, used: list[dict[str, Any]]) -> NewVersion:
+    request, kind = NewJob(**row.request), kind_of(row.kind)
     fields = {key: value for key, value in asdict(content).items() if key != "limits"}
     return NewVersion(
         **fields,

@@ -86,7 +86,7 @@ def _beat(database: Database, name: str) -> None:
 
 def _sweep(database: Database, queue: JobQueue) -> None:
     """Hand over jobs the engine does not know, and close those it gave up."""
-    with database.transaction() as session:
+    with database.reading() as session:
         waiting = store.unfinished(session, FOUND_AFTER_S)
     for job_id, _ in waiting:
         status = queue.status(job_id)

@@ -40,7 +40,7 @@ def add(database: Database, document: RobotDocument) -> tuple[RobotReport, bool]
 
 def get(database: Database, name: str) -> RobotReport:
     """Report on the robot of a name."""
-    with database.transaction() as session:
+    with database.reading() as session:
         stored = store.get(session, name)
         summary = store.summaries(session, name)[0]
         robot = store.core_robot(session, stored.id)
@@ -55,7 +55,7 @@ def get(database: Database, name: str) -> RobotReport:
 
 def listed(database: Database) -> RobotList:
     """List all robots."""
-    with database.transaction() as session:
+    with database.reading() as session:
         return RobotList(robots=store.summaries(session))
 
 

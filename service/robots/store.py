@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sqlalchemy import delete, func, select
-from sqlalchemy.exc import IntegrityError
 
 from service.db import Session
 from service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
@@ -32,15 +31,14 @@ def add(session: Session, name: str, document: dict[str, Any]) -> None:
         ServiceError: the name is taken.
 
     """
-    session.add(RobotRow(name=name, document=document))
-    try:
-        session.flush()
-    except IntegrityError as error:
+    if find(session, name) is not None:
         raise ServiceError(
             f"There is already another robot called {name!r}: give this one its own name, or delete that one.",
             code="robot_exists",
             robot=name,
-        ) from error
+        )
+    session.add(RobotRow(name=name, document=document))
+    session.flush()
 
 
 def find(session: Session, name: str) -> StoredRobot | None:

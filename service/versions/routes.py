@@ -6,8 +6,8 @@ from fastapi import APIRouter, Response
 
 from service.auth.access import Admin
 from service.state import DatabaseOfApp, SettingsOfApp
-from service.versions import service
-from service.versions.schemas import ActivatedVersion, ActivationList, Version, VersionDiff, VersionList
+from service.versions import activation, service
+from service.versions.schemas import ActivatedVersion, ActivationList, ActivationWish, Version, VersionDiff, VersionList
 
 router = APIRouter(prefix="/v1", tags=["versions"])
 
@@ -27,7 +27,7 @@ def activations(robot: str, database: DatabaseOfApp) -> ActivationList:
 @router.post("/robots/{robot}/rollback")
 def rollback(robot: str, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin) -> ActivatedVersion:
     """Return to the version that was active before; says which of its effects are not corrected at run time."""
-    return service.rollback(database, robot, actor, settings.temperature_c)
+    return activation.rollback(database, robot, actor, settings.temperature_c)
 
 
 @router.get("/versions/{version}")
@@ -37,9 +37,19 @@ def get(version: str, database: DatabaseOfApp) -> Version:
 
 
 @router.post("/versions/{version}/activate")
-def activate(version: str, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin) -> ActivatedVersion:
-    """Correct the robot with this version from now on; says which of its effects are not corrected at run time."""
-    return service.activate(database, version, actor, settings.temperature_c)
+def activate(
+    version: str,
+    database: DatabaseOfApp,
+    settings: SettingsOfApp,
+    actor: Admin,
+    wish: ActivationWish | None = None,
+) -> ActivatedVersion:
+    """Correct the robot with this version from now on, unless it predicts worse than what it takes the place of.
+
+    It is compared on poses that neither it nor the active version was fitted to. `force` activates it all the same. Says
+    which of its effects are not corrected at run time.
+    """
+    return activation.activate(database, version, actor, wish or ActivationWish(), settings.temperature_c)
 
 
 @router.get("/versions/{a}/diff/{b}")

@@ -46,15 +46,62 @@ class VersionSummary(Strict):
     metrics: dict[str, Any]
 
 
+class ActivationWish(Strict):
+    """How to activate a version: ``force`` in spite of what speaks against it. The log keeps ``reason``."""
+
+    force: bool = False
+    reason: Annotated[str, Field(max_length=500)] = ""
+
+
+class Objection(Strict):
+    """What speaks against activating a version."""
+
+    code: str
+    message: str
+
+
+class Rival(Strict):
+    """What a version is compared with. It is worse when its error is larger by more than ``margin_mm``."""
+
+    poses: int
+    mean_mm: float
+    larger_by_mm: float
+    margin_mm: float
+
+
+class Comparison(Strict):
+    """Mean errors on rows that no version compared was fitted to, base and tool fitted anew to each campaign.
+
+    ``active`` is null when no version was active, or when it cannot predict these rows or was fitted to all of them.
+    """
+
+    rows: int
+    poses: int
+    campaigns: list[str]
+    mean_mm: float
+    registration_only: Rival
+    active_version: str | None
+    active: Rival | None
+
+
 class ActivatedVersion(VersionSummary):
-    """A version that corrects from now on; ``unsupported_effects`` are those it does not correct at run time."""
+    """A version that corrects from now on; ``unsupported_effects`` are those it does not correct at run time.
+
+    ``compared`` is null when there were no rows to compare on; ``warnings`` say why, and what else was left out.
+    ``objections`` are what would have refused it without ``forced``. A roll-back is never compared.
+    """
 
     unsupported_effects: list[str]
+    forced: bool = False
+    objections: list[Objection] = []
+    compared: Comparison | None = None
+    warnings: list[dict[str, Any]] = []
 
 
 class Version(VersionSummary):
     """A version with all it holds; the covariance is SI, everything else in mm and degrees.
 
+    ``objections`` are what its own identification says against activating it.
     ``details`` is what else its job said: method, observability, correlated groups, influence, intervals.
     """
 
@@ -65,6 +112,7 @@ class Version(VersionSummary):
     null_directions: list[dict[str, Any]]
     noise_mm: float | None
     warnings: list[dict[str, Any]]
+    objections: list[Objection] = []
     details: dict[str, Any]
     covariance: dict[str, Any]
 
@@ -76,12 +124,15 @@ class VersionList(Strict):
 
 
 class Activation(Strict):
-    """An entry of the log of active versions."""
+    """An entry of the log of active versions; ``objections`` were overruled where it was ``forced``."""
 
     version_id: str
     action: str
     actor: str
     at: datetime
+    forced: bool
+    reason: str
+    objections: list[Objection]
 
 
 class ActivationList(Strict):

@@ -9,18 +9,14 @@ from service.exporters.registry import Exported, export
 from service.robots import store as robots
 from service.versions import store
 from service.versions.schemas import (
-    ActivatedVersion,
     ActivationList,
     ParameterChange,
     Version,
     VersionDiff,
     VersionList,
-    VersionSummary,
 )
 from service.versions.store import ActiveVersion
 from service.versions.values import Value, wire_values
-
-ACTIVATE, ROLLBACK = "activate", "rollback"
 
 
 def active_calibrations(session: Session) -> dict[str, ActiveVersion]:
@@ -31,79 +27,19 @@ def active_calibrations(session: Session) -> dict[str, ActiveVersion]:
 
 def listed(database: Database, robot: str) -> VersionList:
     """List the versions of a robot."""
-    with database.transaction() as session:
+    with database.reading() as session:
         return VersionList(versions=store.of_robot(session, robots.get(session, robot).id))
 
 
 def get(database: Database, version_id: str) -> Version:
     """Return a version."""
-    with database.transaction() as session:
+    with database.reading() as session:
         return store.get(session, version_id)
-
-
-def activate(database: Database, version_id: str, actor: str, temperature_c: float | None = None) -> ActivatedVersion:
-    """Make a version the one its robot is corrected with; the active one again changes nothing.
-
-    ``temperature_c`` is that of the arm as the corrector knows it: without it thermal growth stays uncorrected.
-    """
-    left_out = _left_out(database, version_id, temperature_c)  # first: what cannot be corrected is not activated
-    with database.transaction() as session:
-        row = store.row_of(session, version_id)
-        last = store.active_row(session, row.robot_id)
-        if last is None or last.version_id != version_id:
-            store.activate(session, row.robot_id, version_id, ACTIVATE, actor)
-        return _activated(session, version_id, left_out)
-
-
-def _left_out(database: Database, version_id: str, temperature_c: float | None) -> list[str]:
-    """Effects of a version that setpoints are not corrected for."""
-    from core.correction import CorrectionOptions, compile_program  # compiled kernels: not at the start of the API
-
-    with database.transaction() as session:
-        calibration = store.calibration(session, version_id)
-    return list(compile_program(calibration, CorrectionOptions(temperature_c=temperature_c)).unsupported)
-
-
-def _activated(session: Session, version_id: str, left_out: list[str]) -> ActivatedVersion:
-    found = store.get(session, version_id).model_dump(include=set(VersionSummary.model_fields))
-    return ActivatedVersion(**found, unsupported_effects=left_out)
-
-
-def rollback(database: Database, robot: str, actor: str, temperature_c: float | None = None) -> ActivatedVersion:
-    """Return to the version that was active before the present one; again, to the one before that.
-
-    Raises:
-        ServiceError: there is no earlier one.
-
-    """
-    with database.transaction() as session:
-        robot_id = robots.get(session, robot).id
-        before = _before(session, robot_id)
-        if before is None:
-            raise ServiceError(
-                f"Robot {robot!r} has no earlier active version: activate one with POST /v1/versions/{{id}}/activate.",
-                code="nothing_to_roll_back",
-                robot=robot,
-            )
-        store.activate(session, robot_id, before, ROLLBACK, actor)
-    left_out = _left_out(database, before, temperature_c)
-    with database.transaction() as session:
-        return _activated(session, before, left_out)
-
-
-def _before(session: Session, robot_id: int) -> str | None:
-    stack: list[str] = []
-    for entry in reversed(store.activations(session, robot_id)):
-        if entry.action == ROLLBACK:
-            stack.pop()
-        else:
-            stack.append(entry.version_id)
-    return stack[-2] if len(stack) > 1 else None
 
 
 def activations(database: Database, robot: str) -> ActivationList:
     """Return who activated which version of a robot, and when."""
-    with database.transaction() as session:
+    with database.reading() as session:
         return ActivationList(activations=store.activations(session, robots.get(session, robot).id))
 
 
@@ -114,7 +50,7 @@ def diff(database: Database, a: str, b: str) -> VersionDiff:
         ServiceError: they are of different robots.
 
     """
-    with database.transaction() as session:
+    with database.reading() as session:
         first, second = store.get(session, a), store.get(session, b)
         if first.robot != second.robot:
             raise ServiceError(
@@ -146,7 +82,7 @@ def _change(name: str, a: Value | None, b: Value | None) -> ParameterChange:
 
 def exported(database: Database, version_id: str, format_name: str) -> Exported:
     """Return a version as a file of another tool's format."""
-    with database.transaction() as session:
+    with database.reading() as session:
         version = store.get(session, version_id)
         robot = robots.get(session, version.robot)
         document = store.row_of(session, version_id).calibration

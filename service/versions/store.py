@@ -5,16 +5,25 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import func, select
 
 from service.db import Session
-from service.db.tables import ActivationRow, RobotRow, VersionRow
+from service.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
 from service.errors import ServiceError
 from service.robots import store as robots
-from service.versions.schemas import Activation, CorrectionLimits, UsedCampaign, Version, VersionSummary
+from service.versions.objections import objections_of
+from service.versions.schemas import (
+    Activation,
+    CorrectionLimits,
+    Objection,
+    UsedCampaign,
+    Version,
+    VersionSummary,
+)
 
 if TYPE_CHECKING:
     from core.model import Calibration
@@ -48,6 +57,19 @@ class ActiveVersion:
     calibration: Calibration
     max_joint: float
     max_position: float
+
+
+@dataclass(frozen=True)
+class Training:
+    """What a version was fitted to: campaigns with the hashes of their uploads, in the order of the fit.
+
+    ``fraction`` of the poses was held out by a job of ``kind`` with ``seed``; None when all were fitted.
+    """
+
+    kind: str
+    campaigns: tuple[tuple[str, tuple[str, ...]], ...]
+    fraction: float | None
+    seed: int
 
 
 def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
@@ -106,6 +128,7 @@ def get(session: Session, version_id: str) -> Version:
         null_directions=row.report.get("null_directions", []),
         noise_mm=row.report.get("noise_mm"),
         warnings=row.report.get("warnings", []),
+        objections=objections_of(row.report, CorrectionLimits(**row.limits)),
         details={key: value for key, value in row.report.items() if key not in OF_ITS_OWN},
         covariance=row.covariance,
     )
@@ -168,21 +191,67 @@ def activations(session: Session, robot_id: int) -> list[Activation]:
     """Return the log of a robot's active versions, newest first."""
     query = select(ActivationRow).where(ActivationRow.robot_id == robot_id).order_by(ActivationRow.id.desc())
     return [
-        Activation(version_id=row.version_id, action=row.action, actor=row.actor, at=row.at)
+        Activation(
+            version_id=row.version_id,
+            action=row.action,
+            actor=row.actor,
+            at=row.at,
+            forced=row.forced,
+            reason=row.reason,
+            objections=[Objection(**objection) for objection in row.objections],
+        )
         for row in session.execute(query).scalars()
     ]
 
 
-def activate(session: Session, robot_id: int, version_id: str, action: str, actor: str) -> None:
+def activate(
+    session: Session,
+    robot_id: int,
+    version_id: str,
+    action: str,
+    actor: str,
+    *,
+    forced: bool = False,
+    reason: str = "",
+    objections: Sequence[Objection] = (),
+) -> None:
     """Write into the log that a version is active from now on."""
-    session.add(ActivationRow(robot_id=robot_id, version_id=version_id, action=action, actor=actor))
+    session.add(
+        ActivationRow(
+            robot_id=robot_id,
+            version_id=version_id,
+            action=action,
+            actor=actor,
+            forced=forced,
+            reason=reason,
+            objections=[objection.model_dump() for objection in objections],
+        )
+    )
     session.flush()
+
+
+def trainings(session: Session, version_id: str) -> list[Training]:
+    """Return what a version was fitted to, and what those were that it continues: their rows are in it too."""
+    found, following = [], session.get(VersionRow, version_id)
+    while following is not None:
+        request = session.get_one(JobRow, following.job_id)
+        held, options = request.request.get("validation"), request.request.get("options", {})
+        used = [(c["id"], tuple(c["sha256"])) for c in following.campaigns if c["use"] == "train"]
+        fraction = held if isinstance(held, float) else None
+        found.append(Training(request.kind, tuple(dict.fromkeys(used)), fraction, int(options.get("seed", 0))))
+        following = None if following.parent_id is None else session.get(VersionRow, following.parent_id)
+    return found
 
 
 def robots_with_active(session: Session) -> list[str]:
     """Return the names of the robots that have an active version."""
     query = select(RobotRow.name).where(RobotRow.id.in_(select(ActivationRow.robot_id))).order_by(RobotRow.name)
     return list(session.execute(query).scalars())
+
+
+def summary(session: Session, version_id: str) -> VersionSummary:
+    """Return what lists tell of a version."""
+    return _summary(session, row_of(session, version_id))
 
 
 def _summary(session: Session, row: VersionRow) -> VersionSummary:

@@ -71,7 +71,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         "sheet", "sheet-read", "sheet-join",
         "identify", "gap", "evaluate", "plan", "joint-parameters",
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "versions", "version", "activate", "rollback", "diff",
-        "export", "correct", "status",
+        "activations", "export", "correct", "status",
     )} == set(COMMANDS)  # fmt: skip
 
 

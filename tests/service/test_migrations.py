@@ -11,6 +11,7 @@ from sqlalchemy import inspect, text
 
 from service.db import Database, revision
 from service.db.tables import Row
+from service.versions import store
 
 
 def test_the_head_written_down_is_the_one_alembic_finds(database: Database) -> None:
@@ -47,3 +48,31 @@ def test_file_names_of_migrations_carry_their_date() -> None:
     names = [path.name for path in (revision.MIGRATIONS / "versions").glob("*.py")]
     assert names
     assert all(Path(name).stem[:15].replace("-", "").isdigit() for name in names)
+
+
+def test_activations_of_before_the_guard_were_not_forced(database: Database) -> None:
+    command.downgrade(revision.configuration(database.url), "0002")
+    with database.engine.begin() as connection:
+        connection.execute(text("INSERT INTO robots VALUES (1, 'arm', '{}', '2026-01-01')"))
+        connection.execute(
+            text(
+                "INSERT INTO jobs (id, kind, robot_id, request, state, fraction, stage, attempts, cancel_requested, "
+                "created_at) VALUES ('job_1', 'identify', 1, '{}', 'succeeded', 1, 'done', 1, false, '2026-01-01')"
+            )
+        )
+        connection.execute(
+            text(
+                "INSERT INTO versions (id, robot_id, job_id, sha256, calibration, report, covariance, campaigns, limits, "
+                "code_version, created_at) VALUES ('ver_1', 1, 'job_1', '', '{}', '{}', '{}', '[]', '{}', '0', '2026-01-01')"
+            )
+        )
+        connection.execute(
+            text(
+                "INSERT INTO activations (robot_id, version_id, action, actor, at) "
+                "VALUES (1, 'ver_1', 'activate', 'admin', '2026-01-01')"
+            )
+        )
+    revision.migrate(database)
+    with database.reading() as session:
+        (entry,) = store.activations(session, 1)
+    assert (entry.version_id, entry.forced, entry.reason, entry.objections) == ("ver_1", False, "", [])

@@ -142,9 +142,17 @@ class Versions:
         """Return a version: parent, job, campaigns, effects, parameters, covariance."""
         return self._connection.get(address("versions", version_id))
 
-    def activate(self, version_id: str) -> Document:
-        """Make a version the one that corrects."""
-        return self._connection.post(address("versions", version_id, "activate"))
+    def activate(self, version_id: str, *, force: bool = False, reason: str = "") -> Document:
+        """Make a version the one that corrects, unless it predicts worse than the active one.
+
+        ``force`` activates it all the same; the log keeps that and the ``reason``.
+        """
+        wish = {"force": force, "reason": reason}
+        return self._connection.post(address("versions", version_id, "activate"), wish)
+
+    def activations(self, robot: str) -> Sequence[Document]:
+        """Return who activated which version of a robot, when and why, newest first."""
+        return list(self._connection.get(address("robots", robot, "activations"))["activations"])
 
     def rollback(self, robot: str) -> Document:
         """Return to the version that was active before."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kilter_client.cli.gap_report import show_gap
@@ -37,11 +37,22 @@ def show_job(job: dict[str, Any]) -> None:
     else:
         show_result(result)
     version = result.get("version_id")
-    worse = WORSE & {w.get("code") for w in result.get("warnings") or () if isinstance(w, Mapping)}
-    if version and worse:
+    if version and job["kind"] != "evaluate":
+        codes = {w.get("code") for w in result.get("warnings") or () if isinstance(w, Mapping)}
+        _show_made(version, result.get("objections") or [], bool(WORSE & codes))
+
+
+def _show_made(version: str, objections: Sequence[Mapping[str, Any]], worse: bool) -> None:
+    """Print the version a job made, and how to go on unless something speaks against it."""
+    if worse:
         say(f"version {version} is stored, but predicts held-out poses worse than a simpler model: see the warnings")
-    elif version and job["kind"] != "evaluate":
+        return
+    if not objections:
         say(f"version {version}; make it the one that corrects with: kilter activate {version}")
+        return
+    say(f"version {version} is stored, but not fit to correct with:")
+    for objection in objections:
+        say(f"  {objection['message']}")
 
 
 def show_plan(result: Mapping[str, Any]) -> None:
@@ -58,6 +69,8 @@ def show_version(version: dict[str, Any]) -> None:
     """Print a version and its parameters."""
     say(f"version {version['id']} of {version.get('robot')}, made {str(version.get('created_at'))[:16]}")
     say(f"  {'active' if version['active'] else 'not active'}, job {version['job_id']}, parent {version['parent_id']}")
+    for objection in version.get("objections") or ():
+        say(f"  not fit to correct with: {objection['message']}")
     for campaign in version["campaigns"]:
         say(f"  {campaign['use']}: campaign {campaign['id']} ({campaign['name']}), {campaign['rows']} rows")
     show_result({**(version.get("details") or {}), **version})

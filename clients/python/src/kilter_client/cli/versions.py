@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
+from kilter_client.cli.activation_report import show_activations, show_active
 from kilter_client.cli.arguments import Json, Robot, VersionId
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.results import show_version
@@ -21,6 +22,7 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: kilter version ver_7c")(version)
     app.command(epilog="Example: kilter activate ver_7c")(activate)
     app.command(epilog="Example: kilter rollback ur10")(rollback)
+    app.command(epilog="Example: kilter activations ur10")(activations)
     app.command(epilog="Example: kilter diff ver_5a ver_7c")(diff)
     app.command(epilog="Example: kilter export ver_7c --format json -o ur10.json")(export)
 
@@ -38,24 +40,30 @@ def version(version: VersionId, as_json: Json = False) -> None:
         emit(kilter.versions.get(version), as_json, show_version)
 
 
-def activate(version: VersionId, as_json: Json = False) -> None:
-    """Make a version the one that corrects."""
+def activate(
+    version: VersionId,
+    force: Annotated[bool, typer.Option("--force", help="Even if it predicts worse; the log keeps that.")] = False,
+    reason: Annotated[str, typer.Option("--reason", help="Why, for the log.")] = "",
+    as_json: Json = False,
+) -> None:
+    """Make a version the one that corrects, unless it predicts worse than the active one."""
     with Kilter() as kilter:
-        document = kilter.versions.activate(version)
-    emit(document, as_json, lambda _: _say_active(document, "active"))
+        document = kilter.versions.activate(version, force=force, reason=reason)
+    emit(document, as_json, lambda _: show_active(document, "active"))
 
 
 def rollback(robot: Robot, as_json: Json = False) -> None:
     """Return to the version that was active before."""
     with Kilter() as kilter:
         document = kilter.versions.rollback(robot)
-    emit(document, as_json, lambda _: _say_active(document, "active again"))
+    emit(document, as_json, lambda _: show_active(document, "active again"))
 
 
-def _say_active(document: dict[str, Any], state: str) -> None:
-    say(f"{document['id']} is {state}.")
-    if document["unsupported_effects"]:
-        say(f"Not corrected at run time: {', '.join(document['unsupported_effects'])}.")
+def activations(robot: Robot, as_json: Json = False) -> None:
+    """List who activated which version, when and why."""
+    with Kilter() as kilter:
+        document = {"activations": kilter.versions.activations(robot)}
+    emit(document, as_json, show_activations)
 
 
 def diff(

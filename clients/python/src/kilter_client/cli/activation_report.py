@@ -1,0 +1,51 @@
+"""What an activation said, and the log of activations, for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from kilter_client.cli.output import say
+from kilter_client.cli.tables import number, show_rows
+
+
+def show_active(document: Mapping[str, Any], state: str) -> None:
+    """Print that a version is active, on what it was compared, and what its stream leaves out."""
+    _show_comparison(document["id"], document.get("compared"))
+    for warning in document.get("warnings") or ():
+        say(f"warning: {warning['message']}")
+    for objection in document.get("objections") or ():
+        say(f"forced, though: {objection['message']}")
+    say(f"{document['id']} is {state}.")
+    if document["unsupported_effects"]:
+        say(f"Not corrected at run time: {', '.join(document['unsupported_effects'])}.")
+
+
+def _show_comparison(version: str, compared: Mapping[str, Any] | None) -> None:
+    if not compared:
+        return
+    where = ", ".join(compared["campaigns"])
+    say(f"Compared on {compared['poses']} poses ({compared['rows']} rows) that neither was fitted to, of {where}:")
+    rivals = (("registration only", compared["registration_only"]), (compared["active_version"], compared["active"]))
+    rows = [
+        (name, number(rival["mean_mm"]), number(rival["larger_by_mm"], 2), number(rival["margin_mm"], 2))
+        for name, rival in rivals
+        if rival
+    ]
+    new = (f"{version} (new)", number(compared["mean_mm"]), "", "")
+    show_rows(("model", "mean mm", "new larger by mm", "chance mm"), [*rows, new], numbers=True)
+
+
+def show_activations(document: Mapping[str, Any]) -> None:
+    """Print the log, newest first."""
+    rows = [
+        (
+            str(entry["at"])[:16].replace("T", " "),
+            f"forced {entry['action']}" if entry["forced"] else entry["action"],
+            entry["version_id"],
+            entry["actor"],
+            entry["reason"] or ", ".join(objection["code"] for objection in entry["objections"]),
+        )
+        for entry in document["activations"]
+    ]
+    show_rows(("when", "what", "version", "by", "why"), rows)
