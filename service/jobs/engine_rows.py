@@ -24,8 +24,8 @@ def json_only() -> Serializer:
     from dbos._serialization import DBOSPortableJSON, DefaultSerializer
 
     # DBOS picks this class by the row, not by its configuration; there is no option to leave it out.
-    DefaultSerializer.deserialize = _refuse  # type: ignore[method-assign]
-    DefaultSerializer.serialize = _describe  # type: ignore[method-assign]
+    DefaultSerializer.deserialize = _refuse  # type: ignore[method-assign, assignment]
+    DefaultSerializer.serialize = _describe  # type: ignore[method-assign, assignment]
     return DBOSPortableJSON
 
 
