@@ -142,7 +142,7 @@ def _alone(q: Floats, j: int) -> Ints:
     others = np.delete(q, j, axis=1)
     # Rows in one place are near in any one direction: looking there only, many places cost no more than their number.
     # The direction is drawn anew each time, so that no table can be made whose rows all agree along it.
-    weight = np.random.default_rng().uniform(0.5, 1.0, others.shape[1])
+    weight: Floats = np.random.default_rng().uniform(0.5, 1.0, (others.shape[1],))
     along = others @ weight
     order = np.argsort(along, kind="stable")
     width = STILL * float(weight.sum()) * (1.0 + 1e-9)

@@ -128,7 +128,8 @@ def _header(path: Path) -> list[str]:
         first = file.readline(MAX_HEADER_BYTES + 1)
     if len(first) > MAX_HEADER_BYTES:
         raise ObservationError(
-            f"The first line of the CSV is longer than {MAX_HEADER_BYTES} bytes: it must name the columns, at most {MAX_COLUMNS}."
+            f"The first line of the CSV is longer than {MAX_HEADER_BYTES} bytes: it must name the columns, {MAX_COLUMNS} at "
+            "most."
         )
     try:
         text = first.decode("utf-8-sig").rstrip("\r\n")

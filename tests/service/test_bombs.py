@@ -22,13 +22,17 @@ pytestmark = pytest.mark.timeout(60)  # only a backstop: what it replaces took m
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
+def read(path: Path, media: str) -> None:
+    reading.column_names(path, media)
+    for _ in reading.tables(path, media):
+        pass
+
+
 def refused(tmp_path: Path, content: bytes, media: str = reading.CSV) -> str:
     path = tmp_path / "body"
     path.write_bytes(content)
     with pytest.raises((ObservationError, ServiceError)) as caught:
-        reading.column_names(path, media)
-        for _ in reading.tables(path, media):
-            pass
+        read(path, media)
     assert len(caught.value.message) < 1000, "the refusal repeats what was sent"
     return caught.value.message
 
