@@ -50,6 +50,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "media_type_unsupported": (415, "This media type is not read"),
     "payload_invalid": (422, "The payload does not have the right shape"),
     "internal_error": (500, "Kilter failed"),
+    "busy": (503, "The server answers as many requests as it can"),
     "not_ready": (503, "Kilter is not ready"),
     "data_in_use": (409, "A server runs in this data folder already"),
     "database_outdated": (503, "The database is not of this version of Kilter"),

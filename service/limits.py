@@ -22,6 +22,10 @@ MAX_FOOTER_BYTES = 4 << 20
 MAX_PAGES = 100_000
 MAX_PAGES_BYTES = 256 << 20  # the largest pages of all columns of a Parquet file, which are in memory together
 
+MAX_CIRCLE_MB = 64
+MAX_DOCUMENT_KEYS = 1000  # fields of one object in a JSON document
+MAX_NAMED = 1000  # campaigns that one job names
+
 # Robots: a serial arm; a URDF may hold a whole machine around it.
 MAX_JOINTS = 32
 MAX_ELEMENTS = 512

@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Literal
 
 from fastapi import APIRouter, Request, Response
-from fastapi.concurrency import run_in_threadpool
 
+from service.bodies import receive
 from service.campaigns import reading
-from service.campaigns.receive import receive
 from service.correction import service
+from service.routing import GuardedRoute
+from service.slots import compute
 from service.state import DatabaseOfApp, SettingsOfApp
 
-router = APIRouter(prefix="/v1/robots", tags=["correction"])
+router = APIRouter(prefix="/v1/robots", tags=["correction"], route_class=GuardedRoute)
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 NOT_CORRECTED = "Kilter-Not-Corrected"
@@ -47,8 +48,8 @@ async def correct(
     with tempfile.TemporaryDirectory(prefix="kilter-correct-") as folder:
         path = Path(folder) / "body"
         await receive(request, path, settings.max_upload_mb)
-        corrected, left_out = await run_in_threadpool(
-            service.correct, database, robot, version, path, media, format, settings.temperature_c
+        corrected, left_out = await compute(
+            request, service.correct, database, robot, version, path, media, format, settings.temperature_c
         )
     headers = {NOT_CORRECTED: ", ".join(left_out)} if left_out else None
     return Response(corrected, media_type=media if format is None else YAML, headers=headers)
