@@ -101,13 +101,14 @@ def test_csv_lines_and_cells_without_an_end_are_refused(tmp_path: Path) -> None:
         b'{"q1_deg":' * 50_000,
         b'{"q1_deg": [' + b"[]," * 100_000 + b"[]]}",
         b'{"q1_deg": [' + b"{}," * 100_000 + b"{}]}",
+        b'{"q1_deg": [' + b'"ab",' * 100_000 + b"1]}",
     ],
 )
 def test_deep_and_scattered_json_is_refused_before_it_is_parsed(
     tmp_path: Path, body: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(json, "loads", lambda *_, **__: pytest.fail("it was parsed"))
-    assert "must be columns" in refused(tmp_path, body, reading.JSON)
+    assert "must be columns of numbers" in refused(tmp_path, body, reading.JSON)
 
 
 def test_json_numbers_beyond_the_doubles_are_refused(tmp_path: Path) -> None:
@@ -122,7 +123,7 @@ def test_json_numbers_beyond_the_doubles_are_refused(tmp_path: Path) -> None:
 
 
 def test_json_is_taken_up_to_a_size(tmp_path: Path) -> None:
-    assert "16 MB" in refused(tmp_path, b'{"q1_deg": [' + b"0," * (9 << 20) + b"0]}", reading.JSON)
+    assert "32 MB" in refused(tmp_path, b'{"q1_deg": [' + b"0," * (17 << 20) + b"0]}", reading.JSON)
 
 
 def bomb(path: Path, rows: int, columns: int, **options: Any) -> None:
