@@ -14,7 +14,7 @@ from fastapi.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
 from service.errors import ServiceError
-from service.limits import MAX_DOCUMENT_KEYS
+from service.limits import MAX_DOCUMENT_KEYS, MAX_DOCUMENT_PARTS
 
 UPLOAD, DOCUMENT = "KILTER_MAX_UPLOAD_MB", "KILTER_MAX_DOCUMENT_MB"
 REMEDY = {
@@ -114,6 +114,12 @@ async def parsed(body: bytes) -> Any:
 
 
 def _parsed(body: bytes) -> Any:
+    # The parser lets no other thread run, so what has too many parts is counted, not parsed.
+    if max(body.count(b":"), body.count(b"{") + body.count(b"[")) > MAX_DOCUMENT_PARTS:
+        raise ServiceError(
+            f"The body has more than {MAX_DOCUMENT_PARTS} fields, lists and objects: leave out what is not needed.",
+            code="payload_invalid",
+        )
     try:
         return json.loads(body, object_pairs_hook=_few, parse_constant=_no_constant)
     except RecursionError as error:

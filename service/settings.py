@@ -47,7 +47,7 @@ class Settings(BaseSettings):
     max_upload_mb: Annotated[int, Field(ge=1, description="largest file of observations or trajectory")] = 256
     max_document_mb: Annotated[int, Field(ge=1, le=64, description="largest robot, job or other JSON document")] = 4
     max_requests: Annotated[int, Field(ge=1, description="requests with a document that are inside at once")] = 32
-    max_computing: Annotated[int, Field(ge=1, le=16, description="documents, and files, worked on at once")] = 4
+    max_computing: Annotated[int, Field(ge=1, le=16, description="documents, and files, worked on at once")] = 2
     worker_name: str | None = Field(default=None, description="stable name of this worker; default is the host name")
 
     @property

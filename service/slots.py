@@ -16,7 +16,7 @@ from service.settings import Settings
 P = ParamSpec("P")
 T = TypeVar("T")
 
-FILES_WAITING = 2  # times as many files are received (to disk) as are worked on
+FILES_WAITING = 4  # times as many files are received (to disk) as are worked on
 
 
 class Room:
