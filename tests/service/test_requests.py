@@ -160,7 +160,6 @@ def test_a_sender_that_falls_silent_is_let_go(limited: httpx.Client, monkeypatch
         (b"[" * 100_000, "nested too deeply"),
         (b'{"a":' * 100_000, "nested too deeply"),
         (b"[" + b"{}," * 250_000 + b"{}]", "more than 200000"),
-        (json.dumps({f"k{k}": 0 for k in range(50_000)}).encode() * 5, "more than 200000"),
         (b"{", "not JSON"),
         (b"\xff", "not JSON"),
         (b'{"points": NaN}', "holds NaN"),
