@@ -18,7 +18,7 @@ MAX_ROS2_ROWS = 200_000  # a JointTrajectory is text, 250 bytes a point
 MAX_CIRCLE_ROWS = 50_000
 MAX_CIRCLE_CELLS = 2_000_000
 MAX_JSON_BYTES = 32 << 20  # JSON columns take ten times their size in memory
-MAX_FOOTER_BYTES = 4 << 20
+MAX_FOOTER_BYTES = 2 << 20
 MAX_PAGES = 100_000
 MAX_PAGES_BYTES = 256 << 20  # the largest pages of all columns of a Parquet file, which are in memory together
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from core.errors import ObservationError
 from service.campaigns.columns import check_names
-from service.campaigns.parquet_pages import PageRule, check_footer
+from service.campaigns.parquet_pages import check_pages
 from service.limits import BATCH_CELLS, MAX_CELLS, MAX_COLUMNS
 
 if TYPE_CHECKING:
@@ -42,10 +42,6 @@ def parquet_tables(path: Path) -> Iterator[pa.Table]:
 
     with _opened(path) as file:
         _check_size(file.metadata)
-        rule = PageRule(path)
-        for k in range(file.num_row_groups):
-            group = file.metadata.row_group(k)
-            rule.check([group.column(j) for j in range(group.num_columns)])
         columns = file.schema_arrow.names
         schema = pa.schema([(name, pa.float64()) for name in columns])
         rows = max(1, min(PIECE_ROWS, BATCH_CELLS // len(columns)))
@@ -58,7 +54,7 @@ def parquet_tables(path: Path) -> Iterator[pa.Table]:
 def _opened(path: Path) -> Iterator[ParquetFile]:
     from pyarrow import parquet
 
-    check_footer(path)
+    check_pages(path)
     with _explained():
         file = parquet.ParquetFile(path, buffer_size=BUFFER_BYTES)
     with file:
@@ -66,8 +62,9 @@ def _opened(path: Path) -> Iterator[ParquetFile]:
             raise ObservationError(f"The upload has {file.metadata.num_columns} columns, {MAX_COLUMNS} are taken.")
         with _explained():
             schema = file.schema_arrow
+            names = schema.names
         _numeric(schema)
-        check_names(schema.names)
+        check_names(names)
         yield file
 
 
@@ -78,7 +75,7 @@ def _explained() -> Iterator[None]:
 
     try:
         yield
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         said = str(error)[:300]
         raise ObservationError(f"The upload is not a Parquet file that can be read: {said}.") from error
 

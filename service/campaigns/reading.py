@@ -140,7 +140,12 @@ def _header(path: Path) -> list[str]:
             "The CSV separates its columns by ';' or tabs: export it with commas and decimal points, or let "
             "`kilter upload --device` or `--map` convert it."
         )
-    found = next(csv.reader([text]), [])
+    try:
+        found = next(csv.reader([text]), [])
+    except csv.Error as error:
+        raise ObservationError(
+            f"The first line of the CSV cannot be read ({error}): it must name the columns."
+        ) from error
     if not any(found):
         raise ObservationError("The upload is empty: its first line must name the columns.")
     check_names(found)
