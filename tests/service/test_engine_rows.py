@@ -94,6 +94,9 @@ def fill_all(connection: Connection, job: str, pickled: str, form: str) -> set[t
     for table, columns in (("workflow_input", ("inputs",)), ("workflow_output", ("output", "error"))):
         connection.execute(text(f"DELETE FROM {table} WHERE workflow_uuid = :job"), {"job": job})
         insert(connection, table, workflow_uuid=job, retention_timestamp=1 << 42, **dict.fromkeys(columns, pickled))
+    if "event_dispatch_kv" in tables:  # PostgreSQL only
+        named = {"service_name": "s", "workflow_fn_name": "kilter.job", "key": "k"}
+        insert(connection, "event_dispatch_kv", **named, value=pickled)
     words = "inputs = :pickled, output = :pickled, error = :pickled, serialization = :form"
     filled = {"pickled": pickled, "form": form, "job": job}
     connection.execute(text(f"UPDATE workflow_status SET {words} WHERE workflow_uuid = :job"), filled)
@@ -112,7 +115,7 @@ def test_a_pickle_in_any_column_runs_nothing_and_fails_its_job_only(
         ("workflow_input", "inputs"), ("workflow_output", "output"), ("workflow_output", "error"),
         ("operation_outputs", "output"), ("operation_outputs", "error"), ("notifications", "message"),
         ("workflow_events", "value"), ("workflow_events_history", "value"), ("streams", "value"),
-        ("workflow_schedules", "context"),
+        ("workflow_schedules", "context"), ("event_dispatch_kv", "value"),
     }  # fmt: skip
     assert columns <= known, "DBOS has a new column: attack it as well"
     worker.start()
