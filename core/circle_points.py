@@ -140,12 +140,21 @@ def _axis(q: Floats, points: Floats, j: int, prismatic: bool) -> AxisFit:
 def _alone(q: Floats, j: int) -> Ints:
     """Rows (K,) in which the other joints stand in one place: of all such places the one with the widest arc."""
     others = np.delete(q, j, axis=1)
+    # Rows in one place are near in any one direction: looking there only, many places cost no more than their number.
+    # The direction is drawn anew each time, so that no table can be made whose rows all agree along it.
+    weight: Floats = np.random.default_rng().uniform(0.5, 1.0, (others.shape[1],))
+    along = others @ weight
+    order = np.argsort(along, kind="stable")
+    width = STILL * float(weight.sum()) * (1.0 + 1e-9)
+    starts = np.searchsorted(along[order], along - width, side="left")
+    ends = np.searchsorted(along[order], along + width, side="right")
     left, best = np.ones(len(q), dtype=bool), np.zeros(0, dtype=np.int64)
-    while left.any():
-        first = int(np.argmax(left))
-        same = np.flatnonzero(np.all(np.abs(others - others[first]) < STILL, axis=1))
+    for first in range(len(q)):
+        if not left[first]:
+            continue
+        near = order[starts[first] : ends[first]]
+        same = np.sort(near[np.all(np.abs(others[near] - others[first]) < STILL, axis=1)])
         left[same] = False
-        left[first] = False
         if len(same) > 1 and (len(best) == 0 or np.ptp(q[same, j]) > np.ptp(q[best, j])):
             best = same
     return best

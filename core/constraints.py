@@ -208,7 +208,7 @@ def _place(c: Contact, p: Floats) -> Floats:
     if c.kind == "socket":
         return np.asarray(p.mean(axis=0))
     if c.kind == "plane":
-        normal = np.linalg.svd(p - p.mean(axis=0))[2][2]
+        normal = np.linalg.svd(p - p.mean(axis=0), full_matrices=len(p) < 3)[2][2]
         return np.append(normal, normal @ p.mean(axis=0))
     assert c.length is not None
     return _foot(p, c.length)

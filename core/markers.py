@@ -148,9 +148,8 @@ def _own_frame(points: Floats) -> Floats:
 def _widest(points: Floats) -> tuple[int, int, int]:
     """Three markers that set the frame: the first three unless others span far more."""
 
-    def area(three: tuple[int, int, int]) -> float:
-        a, b, c = points[list(three)]
-        return float(np.linalg.norm(np.cross(b - a, c - a)))
-
-    best = max(combinations(range(len(points)), 3), key=area)
-    return (0, 1, 2) if area((0, 1, 2)) >= NARROW * area(best) else best
+    threes = np.array(list(combinations(range(len(points)), 3)))
+    a, b, c = points[threes.T]
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    best = int(np.argmax(area))
+    return tuple(threes[0 if area[0] >= NARROW * area[best] else best].tolist())

@@ -66,7 +66,7 @@ def frame_of_features(plane: Floats, line: Floats, origin: Floats) -> ReferenceF
     """
     _refuse_line(plane, "plane")
     middle = plane.mean(axis=0)
-    normal = np.linalg.svd(plane - middle)[2][2]
+    normal = np.linalg.svd(plane - middle, full_matrices=False)[2][2]
     around = np.cross(plane - middle, np.roll(plane, -1, axis=0) - middle).sum(axis=0)
     z = normal if normal @ around >= 0.0 else -normal
     along = _along(line)
@@ -88,7 +88,7 @@ def _along(line: Floats) -> Floats:
     """Direction of a line, from its first point to its last; zero where it has none."""
     if len(line) < 2:
         return np.zeros(3)
-    first = np.linalg.svd(line - line.mean(axis=0))[2][0]
+    first = np.linalg.svd(line - line.mean(axis=0), full_matrices=False)[2][0]
     length = line[-1] - line[0]
     if np.linalg.norm(length) < SMALLEST_M:
         return np.zeros(3)

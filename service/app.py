@@ -19,6 +19,7 @@ from service.jobs.queue import JobQueue
 from service.jobs.routes import router as jobs
 from service.robots.routes import router as robots
 from service.settings import Settings
+from service.slots import Slots
 from service.version import code_version
 from service.versions.routes import router as versions
 
@@ -40,6 +41,7 @@ def create_app(settings: Settings, *, migration_wait_s: float = 0.0) -> FastAPI:
         responses=problems.RESPONSES,
         redoc_url=None,
     )
+    app.state.slots = Slots(settings)
     problems.install(app)
     app.include_router(health)
     for router in ROUTERS:

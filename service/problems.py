@@ -20,6 +20,9 @@ from service.errors import PROBLEMS
 log = logging.getLogger("kilter.api")
 
 MEDIA_TYPE = "application/problem+json"
+# A refusal does not grow with what was sent.
+MOST_DETAIL, MOST_PLACES, MOST_PLACE, MOST_CONTEXT = 4000, 20, 100, 20_000
+RETRY_AFTER_S = 1
 
 
 class Problem(BaseModel):
@@ -60,13 +63,23 @@ def problem(
         "type": f"urn:kilter:problem:{code}",
         "title": title,
         "status": status,
-        "detail": detail,
+        "detail": detail if len(detail) <= MOST_DETAIL else f"{detail[:MOST_DETAIL]}...",
         "code": code,
-        "context": dict(context),
+        "context": _bounded(context),
         "request_id": getattr(request.state, "request_id", new_request_id()),
     }
-    headers = {"WWW-Authenticate": "Bearer"} if status == 401 else None
-    return Response(json.dumps(document, default=plain), status, headers, MEDIA_TYPE)
+    return Response(json.dumps(document, default=plain), status, _headers(code, status), MEDIA_TYPE)
+
+
+def _bounded(context: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave out what a refusal would only repeat."""
+    return {key: value for key, value in context.items() if len(json.dumps(value, default=plain)) <= MOST_CONTEXT}
+
+
+def _headers(code: str, status: int) -> dict[str, str] | None:
+    if status == 401:
+        return {"WWW-Authenticate": "Bearer"}
+    return {"Retry-After": str(RETRY_AFTER_S)} if code == "busy" else None
 
 
 async def on_core_error(request: Request, error: Exception) -> Response:
@@ -78,11 +91,18 @@ async def on_core_error(request: Request, error: Exception) -> Response:
 async def on_validation_error(request: Request, error: Exception) -> Response:
     """Turn a payload of the wrong shape into a 422 that names every place."""
     assert isinstance(error, RequestValidationError)
+    found = error.errors()
     places = [
-        {"place": ".".join(str(part) for part in item["loc"]), "message": item["msg"], "type": item["type"]}
-        for item in error.errors()
+        {
+            "place": ".".join(str(part)[:MOST_PLACE] for part in item["loc"]),
+            "message": item["msg"],
+            "type": item["type"],
+        }
+        for item in found[:MOST_PLACES]
     ]
     detail = "; ".join(f"{item['place']}: {item['message']}" for item in places)
+    if len(found) > len(places):
+        detail += f"; and {len(found) - len(places)} more"
     return problem(request, "payload_invalid", detail, {"errors": places})
 
 

@@ -44,7 +44,10 @@ class Settings(BaseSettings):
     ros2_domain: Annotated[int, Field(ge=0, le=232, description="ROS_DOMAIN_ID")] = 0
     ros2_connect: str = Field(default="tcp/127.0.0.1:7447", description="zenoh router of ROS 2")
     ros2_dialect: Literal["rmw_zenoh", "ros2dds"] = Field(default="rmw_zenoh", description="how ROS speaks zenoh")
-    max_upload_mb: Annotated[int, Field(ge=1)] = 1024
+    max_upload_mb: Annotated[int, Field(ge=1, description="largest file of observations or trajectory")] = 256
+    max_document_mb: Annotated[int, Field(ge=1, le=64, description="largest robot, job or other JSON document")] = 4
+    max_requests: Annotated[int, Field(ge=1, description="requests with a document that are inside at once")] = 32
+    max_computing: Annotated[int, Field(ge=1, le=16, description="documents, and files, worked on at once")] = 2
     worker_name: str | None = Field(default=None, description="stable name of this worker; default is the host name")
 
     @property
@@ -101,6 +104,9 @@ class Settings(BaseSettings):
             "ROS2_CONNECT": self.ros2_connect,
             "ROS2_DIALECT": self.ros2_dialect,
             "MAX_UPLOAD_MB": str(self.max_upload_mb),
+            "MAX_DOCUMENT_MB": str(self.max_document_mb),
+            "MAX_REQUESTS": str(self.max_requests),
+            "MAX_COMPUTING": str(self.max_computing),
             "WORKER_NAME": self.worker_name,
         }
         return {f"KILTER_{name}": value for name, value in values.items() if value is not None}

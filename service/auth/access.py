@@ -1,4 +1,4 @@
-"""The two gates of a route: `Admin` for changes, `reader` for what is open on loopback only."""
+"""The two gates of a route: the token for what changes or computes, `reader` for what is open on loopback only."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from fastapi import Depends, Request
 from service.errors import ServiceError
 
 ADMIN = "admin"
+PLAIN_READS = frozenset({"GET", "HEAD"})
 
 
 def admin(request: Request) -> str:
@@ -32,6 +33,11 @@ def admin(request: Request) -> str:
             code="token_wrong",
         )
     return ADMIN
+
+
+def changes(request: Request) -> bool:
+    """Whether a request is more than a plain read: it changes something, or computes from what it sends."""
+    return request.method not in PLAIN_READS
 
 
 def reader(request: Request) -> None:

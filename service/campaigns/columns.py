@@ -10,6 +10,7 @@ from difflib import get_close_matches
 from typing import Any
 
 from core.errors import ObservationError
+from service.limits import MAX_COLUMNS, MAX_NAME
 
 RAD = math.pi / 180.0
 ANGLES = {"deg": RAD, "rad": 1.0}
@@ -76,6 +77,30 @@ class Column:
     def is_integer(self) -> bool:
         """Whether the cells are whole numbers."""
         return self.quantity in ("dir", "session", "pose_id", *CONTACTS)
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Check what must hold of all names before one of them is understood.
+
+    Raises:
+        ObservationError: too many or too long names, an empty one, or one that stands twice.
+
+    """
+    if len(names) > MAX_COLUMNS:
+        raise ObservationError(
+            f"The upload has {len(names)} columns, {MAX_COLUMNS} are taken: leave out what is no measurement."
+        )
+    seen: set[str] = set()
+    for name in names:
+        if len(name) > MAX_NAME:
+            raise refuse(
+                f"Column {name[:MAX_NAME]!r}... has a name of more than {MAX_NAME} characters.", name[:MAX_NAME]
+            )
+        if not name.strip() or name != name.strip():
+            raise refuse(f"Column {name!r} is empty or has spaces around it: name it without.", name)
+        if name in seen:
+            raise refuse(f"Column {name!r} stands twice: keep one of them.", name)
+        seen.add(name)
 
 
 def read_columns(names: Sequence[str], kinds: Sequence[str]) -> tuple[Column, ...]:

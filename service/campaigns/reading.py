@@ -6,18 +6,22 @@ Rows count from 1, the header is none of them.
 from __future__ import annotations
 
 import csv
+import io
+import itertools
 import json
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from core.errors import ObservationError
+from service.campaigns.columns import check_names
+from service.campaigns.parquet_file import parquet_names, parquet_tables
 from service.errors import ServiceError
+from service.limits import MAX_CELL, MAX_CELLS, MAX_COLUMNS, MAX_HEADER_BYTES, MAX_JSON_BYTES, MAX_LINE_BYTES
 
 if TYPE_CHECKING:
     import pyarrow as pa
-    from pyarrow.parquet import ParquetFile
 
 CSV = "text/csv"
 PARQUET = "application/vnd.apache.parquet"
@@ -25,9 +29,9 @@ JSON = "application/json"
 MEDIA_TYPES = (CSV, PARQUET, JSON)
 
 BLOCK_BYTES = 8 << 20
-PARQUET_ROWS = 65_536
-MAX_CELLS = 400_000_000  # what a Parquet file of a few kilobytes may unfold to
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+HUGE_BITS = 1023  # of a whole number beyond the doubles
+# Each digit has one place in it only, or a cell of many digits would be tried in all ways to split it.
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def media_type(header: str | None) -> str:
@@ -55,10 +59,7 @@ def column_names(path: Path, media: str) -> list[str]:
     if media == CSV:
         return _header(path)
     if media == PARQUET:
-        with _parquet(path) as file:
-            found = list(file.schema_arrow.names)
-        _unique(found)
-        return found
+        return parquet_names(path)
     return list(_json(path))
 
 
@@ -69,15 +70,35 @@ def tables(path: Path, media: str) -> Iterator[pa.Table]:
         ObservationError: no rows, a ragged row, a cell that is not a finite number.
 
     """
-    pieces = {CSV: _csv_tables, PARQUET: _parquet_tables, JSON: _json_tables}[media](path)
+    pieces = {CSV: _csv_tables, PARQUET: parquet_tables, JSON: _json_tables}[media](path)
     first = 1
     for table in pieces:
+        if (first - 1 + table.num_rows) * table.num_columns > MAX_CELLS:
+            raise ObservationError(f"The upload has more than {MAX_CELLS} cells: split it.")
         _finite(table, first)
         first += table.num_rows
         if table.num_rows:
             yield table
     if first == 1:
         raise ObservationError("The upload has no rows.")
+
+
+def whole_table(path: Path, media: str, most_rows: int) -> pa.Table:
+    """Read a table at once, and no further than it may go.
+
+    Raises:
+        ObservationError: as for an upload, or more rows than that.
+
+    """
+    import pyarrow as pa  # 0.4 s: not at the start of the API process
+
+    pieces, rows = [], 0
+    for piece in tables(path, media):
+        rows += piece.num_rows
+        if rows > most_rows:
+            raise ObservationError(f"The table has more than {most_rows} rows: split it.")
+        pieces.append(piece)
+    return pa.concat_tables(pieces)
 
 
 def _csv_tables(path: Path) -> Iterator[pa.Table]:
@@ -99,12 +120,17 @@ def _csv_tables(path: Path) -> Iterator[pa.Table]:
     except pa.ArrowInvalid as error:
         # Arrow is fast and says too little; the slow reader looks for the place.
         _find_fault(path, columns)
-        raise ObservationError(f"The CSV cannot be read: {error}.") from error
+        raise ObservationError(f"The CSV cannot be read: {str(error)[:300]}.") from error
 
 
 def _header(path: Path) -> list[str]:
     with path.open("rb") as file:
-        first = file.readline(1 << 20)
+        first = file.readline(MAX_HEADER_BYTES + 1)
+    if len(first) > MAX_HEADER_BYTES:
+        raise ObservationError(
+            f"The first line of the CSV is longer than {MAX_HEADER_BYTES} bytes: it must name the columns, {MAX_COLUMNS} at "
+            "most."
+        )
     try:
         text = first.decode("utf-8-sig").rstrip("\r\n")
     except UnicodeDecodeError as error:
@@ -114,83 +140,86 @@ def _header(path: Path) -> list[str]:
             "The CSV separates its columns by ';' or tabs: export it with commas and decimal points, or let "
             "`kilter upload --device` or `--map` convert it."
         )
-    found = next(csv.reader([text]), [])
+    try:
+        found = next(csv.reader([text]), [])
+    except csv.Error as error:
+        raise ObservationError(
+            f"The first line of the CSV cannot be read ({error}): it must name the columns."
+        ) from error
     if not any(found):
         raise ObservationError("The upload is empty: its first line must name the columns.")
-    _unique(found)
+    check_names(found)
     return found
-
-
-def _unique(names: Sequence[str]) -> None:
-    for name in names:
-        if not name.strip() or name != name.strip():
-            raise ObservationError(f"Column {name!r} is empty or has spaces around it: name it without.", column=name)
-        if names.count(name) > 1:
-            raise ObservationError(f"Column {name!r} stands twice: keep one of them.", column=name)
 
 
 def _find_fault(path: Path, names: Sequence[str]) -> None:
     number = 0
-    with path.open("r", encoding="utf-8-sig", errors="replace", newline="") as file:
-        rows = csv.reader(file)
-        next(rows)
-        for number, cells in enumerate(rows, 1):
-            if len(cells) != len(names):
-                raise _at(
-                    number,
-                    None,
-                    f"has {len(cells)} cells where the header has {len(names)}: give every row all columns, "
-                    "and decimal points, not commas",
-                )
-            for name, cell in zip(names, cells, strict=True):
-                if cell and not _NUMBER.fullmatch(cell):
-                    raise _at(number, name, f"is {cell[:40]!r}, which is not a number: write it like -12.5")
+    with path.open("rb") as file:
+        rows = csv.reader(_lines(file))
+        try:
+            next(rows)
+            for number, cells in enumerate(rows, 1):
+                _find_fault_in(number, cells, names)
+        except csv.Error as error:
+            raise _at(
+                number + 1, None, f"cannot be read ({error}): look for a quotation mark that is not closed"
+            ) from error
     if number == 0:
         raise ObservationError("The upload has no rows.")
 
 
-def _parquet(path: Path) -> ParquetFile:
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    try:
-        return parquet.ParquetFile(path)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise ObservationError(f"The upload is not a Parquet file that can be read: {error}.") from error
-
-
-def _parquet_tables(path: Path) -> Iterator[pa.Table]:
-    import pyarrow as pa
-
-    with _parquet(path) as file:
-        columns = file.schema_arrow.names
-        _numeric(file.schema_arrow)
-        if file.metadata.num_rows * len(columns) > MAX_CELLS:
-            raise ObservationError(f"The upload has more than {MAX_CELLS} cells: split it.")
-        schema = pa.schema([(name, pa.float64()) for name in columns])
-        try:
-            for batch in file.iter_batches(batch_size=PARQUET_ROWS, use_threads=False):
-                yield pa.Table.from_batches([batch]).cast(schema)
-        except (pa.ArrowInvalid, OSError) as error:
-            raise ObservationError(f"The upload is not a Parquet file that can be read: {error}.") from error
+def _lines(file: io.BufferedReader) -> Iterator[str]:
+    for number in itertools.count():
+        line = file.readline(MAX_LINE_BYTES + 1)
+        if not line:
+            return
+        if len(line) > MAX_LINE_BYTES:
+            raise _at(number, None, f"is longer than {MAX_LINE_BYTES} bytes: end each row with a line break")
+        yield line.decode("utf-8-sig" if number == 0 else "utf-8", errors="replace")
 
 
-def _numeric(schema: pa.Schema) -> None:
-    import pyarrow as pa
-
-    for field in schema:
-        if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
-            raise ObservationError(f"Column {field.name!r} is {field.type}, not numbers.", column=field.name)
+def _find_fault_in(number: int, cells: Sequence[str], names: Sequence[str]) -> None:
+    if len(cells) != len(names):
+        raise _at(
+            number,
+            None,
+            f"has {len(cells)} cells where the header has {len(names)}: give every row all columns, "
+            "and decimal points, not commas",
+        )
+    for name, cell in zip(names, cells, strict=True):
+        if cell and (len(cell) > MAX_CELL or not _NUMBER.fullmatch(cell)):
+            raise _at(number, name, f"is {cell[:40]!r}, which is not a number: write it like -12.5")
 
 
 def _json(path: Path) -> dict[str, list[Any]]:
+    _check_json(path)
     try:
         document = json.loads(path.read_bytes(), object_pairs_hook=_once, parse_constant=_no_constant)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ObservationError(f"The upload is not JSON: {error}.") from error
     if not isinstance(document, dict) or not all(isinstance(column, list) for column in document.values()):
-        raise ObservationError('The JSON must be columns: {"q1_deg": [0, 10], "x_mm": [512.1, 498.3]}.')
+        _not_columns()
     return document
+
+
+def _check_json(path: Path) -> None:
+    """Refuse what would take far more memory than its bytes: many small lists, objects and texts, and many bytes."""
+    if path.stat().st_size > MAX_JSON_BYTES:
+        raise ServiceError(
+            f"JSON columns are taken up to {MAX_JSON_BYTES >> 20} MB: send CSV or Parquet.",
+            code="upload_too_large",
+            limit_mb=MAX_JSON_BYTES >> 20,
+        )
+    text = path.read_bytes()
+    # Lists, objects and texts are counted by what begins them; some may stand where a refusal can name their place.
+    if max(text.count(b"["), text.count(b"{"), text.count(b'"') // 2) > 2 * MAX_COLUMNS:
+        _not_columns()
+
+
+def _not_columns() -> NoReturn:
+    raise ObservationError(
+        f'The JSON must be columns of numbers, at most {MAX_COLUMNS}: {{"q1_deg": [0, 10], "x_mm": [512.1, 498.3]}}.'
+    )
 
 
 def _json_tables(path: Path) -> Iterator[pa.Table]:
@@ -202,11 +231,13 @@ def _json_tables(path: Path) -> Iterator[pa.Table]:
         if len(column) != longest:
             raise _at(len(column) + 1, name, "is missing: give every column as many values")
         _cells(name, column)
-    yield pa.table({name: pa.array(column, pa.float64()) for name, column in document.items()})
+    yield pa.table(
+        {name: pa.array(map(_float, column), pa.float64(), size=longest) for name, column in document.items()}
+    )
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    _unique([name for name, _ in pairs])
+    check_names([name for name, _ in pairs])
     return dict(pairs)
 
 
@@ -214,10 +245,16 @@ def _no_constant(name: str) -> float:
     raise ObservationError(f"The JSON holds {name}: leave the row out, or give null for a marker that was not seen.")
 
 
+def _float(cell: float | None) -> float | None:
+    return None if cell is None else float(cell)
+
+
 def _cells(name: str, column: list[Any]) -> None:
     for number, cell in enumerate(column, 1):
         if cell is not None and (isinstance(cell, bool) or not isinstance(cell, int | float)):
             raise _at(number, name, f"is {str(cell)[:40]!r}, which is not a number")
+        if isinstance(cell, int) and cell.bit_length() > HUGE_BITS:
+            raise _at(number, name, "is too large for a measurement")
 
 
 def _finite(table: pa.Table, first: int) -> None:

@@ -9,12 +9,14 @@ from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from service.auth.access import Admin
+from service.bodies import receive
 from service.campaigns import reading, service
-from service.campaigns.receive import receive
 from service.campaigns.schemas import Campaign, CampaignList, NewCampaign, Parts, Uploaded
+from service.routing import GuardedRoute
+from service.slots import compute
 from service.state import DatabaseOfApp, SettingsOfApp
 
-router = APIRouter(prefix="/v1", tags=["campaigns"])
+router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=GuardedRoute)
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}}}
@@ -78,6 +80,6 @@ async def upload(
     with tempfile.TemporaryDirectory(prefix="kilter-upload-") as folder:
         path = Path(folder) / "body"
         sha256 = await receive(request, path, settings.max_upload_mb)
-        done = await run_in_threadpool(service.upload, database, campaign, path, media, sha256)
+        done = await compute(request, service.upload, database, campaign, path, media, sha256)
     response.status_code = 201 if done.new else 200
     return done

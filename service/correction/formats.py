@@ -11,24 +11,24 @@ from typing import TYPE_CHECKING
 from core.errors import ObservationError
 from service.campaigns import reading
 from service.campaigns.columns import Column, read_columns
+from service.limits import MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 # What a trajectory may say; whatever else a file of observations has is a measurement.
 QUANTITIES = frozenset({"q", "qd", "qdd", "dir", "t", "payload", "temperature", "session", "pose_id"})
-MAX_ROWS = 2_000_000
 
 
-def read_trajectory(path: Path, media: str, kinds: Sequence[str]) -> tuple[pa.Table, tuple[Column, ...]]:
+def read_trajectory(
+    path: Path, media: str, kinds: Sequence[str], most_rows: int = MAX_TRAJECTORY_ROWS
+) -> tuple[pa.Table, tuple[Column, ...]]:
     """Read a trajectory for joints of these ``kinds``.
 
     Raises:
         ObservationError: as for an upload; or a column that is no part of a trajectory, or an empty cell.
 
     """
-    import pyarrow as pa  # 0.4 s: not at the start of the API process
-
     columns = read_columns(reading.column_names(path, media), kinds)
     for column in columns:
         if column.quantity in ("fx", "mx"):
@@ -41,9 +41,7 @@ def read_trajectory(path: Path, media: str, kinds: Sequence[str]) -> tuple[pa.Ta
             raise ObservationError(
                 f"Column {column.name!r} is a measurement: leave it out of a trajectory.", column=column.name
             )
-    table = pa.concat_tables(list(reading.tables(path, media)))
-    if table.num_rows > MAX_ROWS:
-        raise ObservationError(f"The trajectory has more than {MAX_ROWS} rows: split it.")
+    table = reading.whole_table(path, media, min(most_rows, MAX_TRAJECTORY_CELLS // len(columns)))
     for column in columns:
         if table.column(column.name).null_count:
             row = int(table.column(column.name).is_null().to_numpy().argmax()) + 1

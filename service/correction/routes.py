@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
+from typing import IO, Any, Literal
 
 from fastapi import APIRouter, Request, Response
-from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import StreamingResponse
 
+from service.bodies import receive
 from service.campaigns import reading
-from service.campaigns.receive import receive
 from service.correction import service
+from service.db import Database
+from service.routing import GuardedRoute
+from service.slots import compute
 from service.state import DatabaseOfApp, SettingsOfApp
 
-router = APIRouter(prefix="/v1/robots", tags=["correction"])
+router = APIRouter(prefix="/v1/robots", tags=["correction"], route_class=GuardedRoute)
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 NOT_CORRECTED = "Kilter-Not-Corrected"
 YAML = "application/yaml"
+PIECE_BYTES = 1 << 20
+Answer = tuple[IO[bytes], tuple[str, ...]]
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array"}}}
 ANSWER = "The trajectory corrected, with dx_mm, dy_mm, dz_mm, status"
 CONTENT = {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS}
@@ -47,8 +53,23 @@ async def correct(
     with tempfile.TemporaryDirectory(prefix="kilter-correct-") as folder:
         path = Path(folder) / "body"
         await receive(request, path, settings.max_upload_mb)
-        corrected, left_out = await run_in_threadpool(
-            service.correct, database, robot, version, path, media, format, settings.temperature_c
+        file, left_out = await compute(
+            request, _corrected, database, robot, version, path, media, format, settings.temperature_c
         )
-    headers = {NOT_CORRECTED: ", ".join(left_out)} if left_out else None
-    return Response(corrected, media_type=media if format is None else YAML, headers=headers)
+    headers = {"Content-Length": str(file.seek(0, 2))} | ({NOT_CORRECTED: ", ".join(left_out)} if left_out else {})
+    return StreamingResponse(_pieces(file), media_type=media if format is None else YAML, headers=headers)
+
+
+def _corrected(database: Database, robot: str, version: str | None, path: Path, *rest: Any) -> Answer:
+    """Correct into a file without a name: a client that reads slowly holds no memory, and leaves nothing when it goes."""
+    content, left_out = service.correct(database, robot, version, path, *rest)
+    file = tempfile.TemporaryFile(prefix="kilter-corrected-")  # noqa: SIM115 (the answer is sent after this)
+    file.write(content)
+    return file, left_out
+
+
+def _pieces(file: IO[bytes]) -> Iterator[bytes]:
+    with file:
+        file.seek(0)
+        while piece := file.read(PIECE_BYTES):
+            yield piece

@@ -16,6 +16,7 @@ from service.correction.ros2 import joint_trajectory
 from service.corrector.frames import Status
 from service.db import Database, Session
 from service.errors import ServiceError
+from service.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS
 from service.robots import store as robots
 from service.versions import store as versions
 from service.versions.schemas import CorrectionLimits
@@ -53,7 +54,7 @@ def correct(
     with database.reading() as session:
         calibration, options = _calibration(session, robot, version, temperature_c)
     kinds = [joint.kind for joint in calibration.robot.joints]
-    table, columns = read_trajectory(path, media, kinds)
+    table, columns = read_trajectory(path, media, kinds, MAX_ROS2_ROWS if form == ROS2 else MAX_TRAJECTORY_ROWS)
     rows = observations(table, columns, {})
     done = corrected(calibration, rows, options)
     if form == ROS2:

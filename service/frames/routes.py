@@ -5,8 +5,9 @@ from __future__ import annotations
 from fastapi import APIRouter
 
 from service.frames.schemas import Frame, NewFrame
+from service.routing import GuardedRoute
 
-router = APIRouter(prefix="/v1/frames", tags=["frames"])
+router = APIRouter(prefix="/v1/frames", tags=["frames"], route_class=GuardedRoute)
 
 
 @router.post("")

@@ -7,10 +7,11 @@ from fastapi import APIRouter
 from service.errors import ServiceError
 from service.health import service
 from service.health.schemas import Health
+from service.routing import GuardedRoute
 from service.state import DatabaseOfApp
 from service.version import code_version
 
-router = APIRouter(prefix="/v1/health", tags=["health"])
+router = APIRouter(prefix="/v1/health", tags=["health"], route_class=GuardedRoute)
 
 
 @router.get("")
@@ -20,7 +21,7 @@ def health(database: DatabaseOfApp) -> Health:
 
 
 @router.get("/live")
-def live() -> Health:
+async def live() -> Health:  # waits for no thread, whatever the others do
     """Answer that the API process lives."""
     return Health(status="live", version=code_version(), checks={})
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from core.errors import RobotError
 from service.importers.urdf_masses import in_frame, merged
 from service.importers.urdf_tree import MOVING, Body, UrdfJoint, UrdfTree, parse
+from service.limits import MAX_ELEMENTS, MAX_JOINTS
 
 Floats = NDArray[np.float64]
 Item = dict[str, Any]
@@ -59,16 +60,22 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
     """
     tree = parse(text)
     path = tree.path(base_link, tip_link)
+    drivers = list(dict.fromkeys(joint.mimic.joint if joint.mimic else joint.name for joint in path if joint.moves))
+    _check_drivers(drivers, base_link, tip_link)
     chain, ends = _Chain(), []
     for joint in path:
         _append(chain, joint)
         ends.append((joint.name, len(chain.elements)))
-    drivers = list(dict.fromkeys(joint.mimic.joint if joint.mimic else joint.name for joint in path if joint.moves))
-    if not drivers:
-        raise RobotError(f"No joint moves between {base_link!r} and {tip_link!r}.", field="tip_link")
+    if len(chain.elements) > MAX_ELEMENTS:
+        raise RobotError(
+            f"The arm from {base_link!r} to {tip_link!r} has {len(chain.elements)} elements, {MAX_ELEMENTS} are taken: merge "
+            "fixed joints in a row.",
+            field="urdf",
+        )
     bodies = _bodies(tree, path, chain)
-    primary = [_primary(chain, driver) for driver in drivers]
-    behind = [bodies[place] for place in bodies if place not in primary]
+    primary = _primary(chain, drivers)
+    held = set(primary)
+    behind = [bodies[place] for place in bodies if place not in held]
     return UrdfImport(
         document={
             "name": name,
@@ -81,6 +88,17 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
         held_joints=_held(tree, path, base_link),
         ignored_masses=tuple(link for body, link in behind if body.mass > 0),
     )
+
+
+def _check_drivers(drivers: list[str], base_link: str, tip_link: str) -> None:
+    if not drivers:
+        raise RobotError(f"No joint moves between {base_link!r} and {tip_link!r}.", field="tip_link")
+    if len(drivers) > MAX_JOINTS:
+        raise RobotError(
+            f"{len(drivers)} joints move between {base_link!r} and {tip_link!r}, an arm has at most {MAX_JOINTS}: name the "
+            "two ends of one arm.",
+            field="tip_link",
+        )
 
 
 def _append(chain: _Chain, joint: UrdfJoint) -> None:
@@ -138,10 +156,15 @@ def _back(turns: list[tuple[str, float]]) -> Floats:
     return T
 
 
-def _primary(chain: _Chain, driver: str) -> int:
-    """Return the element of a joint by core.chain's rule: the one with ratio ±1 when there is one, else its first."""
-    own = [k for k, _, _ in chain.frames if chain.elements[k]["joint"] == driver]
-    return next((k for k in own if abs(chain.elements[k].get("ratio", 1.0)) == 1.0), own[0])
+def _primary(chain: _Chain, drivers: list[str]) -> list[int]:
+    """Return the element of each joint by core.chain's rule: the one with ratio ±1 when there is one, else its first."""
+    own: dict[str, list[int]] = {}
+    for k, _, _ in chain.frames:
+        own.setdefault(chain.elements[k]["joint"], []).append(k)
+    return [
+        next((k for k in own[driver] if abs(chain.elements[k].get("ratio", 1.0)) == 1.0), own[driver][0])
+        for driver in drivers
+    ]
 
 
 def _bodies(tree: UrdfTree, path: list[UrdfJoint], chain: _Chain) -> dict[int, tuple[Body, str]]:

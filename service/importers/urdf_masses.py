@@ -12,10 +12,13 @@ Floats = NDArray[np.float64]
 
 def merged(tree: UrdfTree, link: str, cut: set[str]) -> Body:
     """Return the body of ``link`` and all that hangs on it without a joint of ``cut`` in between, joints at zero."""
-    body = tree.bodies[link]
-    for joint in tree.children(link):
+    body, waiting = tree.bodies[link], [(np.eye(4), joint) for joint in tree.children(link)]
+    while waiting:
+        T, joint = waiting.pop()
         if joint.name not in cut:
-            body = together(body, in_frame(joint.origin, merged(tree, joint.child, cut)))
+            here = T @ joint.origin
+            body = together(body, in_frame(here, tree.bodies[joint.child]))
+            waiting += [(here, below) for below in tree.children(joint.child)]
     return body
 
 

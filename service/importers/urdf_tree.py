@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from core.errors import RobotError
 from core.transforms import pose_from_xyz_rpy
+from service.importers.xml_text import read_xml
+from service.limits import MAX_LINK_NAME, MAX_LINKS, MAX_NAME
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -68,14 +70,26 @@ class Body:
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """Bodies by link name; joints by name, in the order of the file."""
+    """Bodies by link name; joints by name, in the order of the file. Every link hangs on one joint at most, without loops."""
 
     bodies: dict[str, Body]
     joints: dict[str, UrdfJoint]
 
     def children(self, link: str) -> list[UrdfJoint]:
         """Joints whose parent is ``link``."""
-        return [joint for joint in self.joints.values() if joint.parent == link]
+        return self._children.get(link, [])
+
+    @cached_property
+    def above(self) -> dict[str, UrdfJoint]:
+        """The joint that each link but the root hangs on."""
+        return {joint.child: joint for joint in self.joints.values()}
+
+    @cached_property
+    def _children(self) -> dict[str, list[UrdfJoint]]:
+        found: dict[str, list[UrdfJoint]] = {}
+        for joint in self.joints.values():
+            found.setdefault(joint.parent, []).append(joint)
+        return found
 
     def path(self, base: str, tip: str) -> list[UrdfJoint]:
         """Joints from ``base`` to ``tip``.
@@ -86,21 +100,20 @@ class UrdfTree:
         """
         for place, link in (("base_link", base), ("tip_link", tip)):
             if link not in self.bodies:
-                near = get_close_matches(link, self.bodies, n=3, cutoff=0.4) or list(self.bodies)[:5]
+                near = get_close_matches(link[:MAX_NAME], self.bodies, n=3, cutoff=0.4) or list(self.bodies)[:5]
                 raise RobotError(
                     f"{place} {link!r} is not in the URDF. Near it: {', '.join(near)}.", field=place, near=near
                 )
-        above = {joint.child: joint for joint in self.joints.values()}
         found: list[UrdfJoint] = []
         link = tip
         while link != base:
-            if link not in above or len(found) > len(self.joints):
+            if link not in self.above:
                 raise RobotError(
                     f"tip_link {tip!r} does not hang on base_link {base!r}: name a base_link nearer to the root.",
                     field="tip_link",
                 )
-            found.append(above[link])
-            link = above[link].parent
+            found.append(self.above[link])
+            link = self.above[link].parent
         return found[::-1]
 
 
@@ -108,35 +121,83 @@ def parse(text: str) -> UrdfTree:
     """Read URDF text.
 
     Raises:
-        RobotError: not XML, not URDF, xacro, or a joint that cannot be.
+        RobotError: not XML, not URDF, xacro, too large, or a link or joint that cannot be.
 
     """
-    from defusedxml.common import DefusedXmlException
-    from defusedxml.ElementTree import ParseError, fromstring
-
-    # Real URDF files carry the macros they came from in comments (TALOS does).
-    bare = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
-    if "<xacro:" in bare or "${" in bare:
-        raise RobotError(
-            "This is xacro, not URDF: run `xacro robot.urdf.xacro > robot.urdf` and give the result.", field="urdf"
-        )
-    try:
-        root = fromstring(text)
-    except ParseError as error:
-        raise RobotError(f"The URDF is not XML: {error}.", field="urdf") from error
-    except DefusedXmlException as error:
-        raise RobotError("The URDF declares XML entities or a DTD: remove them.", field="urdf") from error
+    root = read_xml(text)
     if root.tag != "robot":
-        raise RobotError(f"The root element is <{root.tag}>, a URDF has <robot>.", field="urdf")
-    bodies = {_name(link, "link"): _body(link) for link in root.findall("link")}
-    joints = {_name(joint, "joint"): _joint(joint) for joint in root.findall("joint")}
-    return UrdfTree(bodies, joints)
+        raise RobotError(f"The root element is <{root.tag[:MAX_NAME]}>, a URDF has <robot>.", field="urdf")
+    links, joints = root.findall("link"), root.findall("joint")
+    for what, found in (("links", links), ("joints", joints)):
+        if len(found) > MAX_LINKS:
+            raise RobotError(
+                f"The URDF has {len(found)} {what}, {MAX_LINKS} are taken: leave out what is no part of the arm.",
+                field="urdf",
+            )
+    return _tree({_name(e, "link"): e for e in _once(links, "link")}, _once(joints, "joint"))
+
+
+def _once(elements: list[Element], what: str) -> list[Element]:
+    names: set[str] = set()
+    for element in elements:
+        name = _name(element, what)
+        if name in names:
+            raise RobotError(
+                f"The URDF has two {what}s {name!r}: give each a name of its own.", field="urdf", place=name
+            )
+        names.add(name)
+    return elements
+
+
+def _tree(links: dict[str, Element], joints: list[Element]) -> UrdfTree:
+    tree = UrdfTree(
+        {name: _body(link) for name, link in links.items()}, {joint.name: joint for joint in map(_joint, joints)}
+    )
+    for joint in tree.joints.values():
+        for end in (joint.parent, joint.child):
+            if end not in tree.bodies:
+                raise RobotError(
+                    f"joint {joint.name} names link {end[:MAX_NAME]!r}, which the URDF does not have: add it.",
+                    field="urdf",
+                    place=joint.name,
+                )
+        other = tree.above[joint.child]
+        if other is not joint:
+            raise RobotError(
+                f"Link {joint.child!r} hangs on joints {joint.name!r} and {other.name!r}: a URDF is a tree, leave one out.",
+                field="urdf",
+                place=joint.child,
+            )
+    _check_no_loop(tree)
+    return tree
+
+
+def _check_no_loop(tree: UrdfTree) -> None:
+    """Whatever cannot be reached from a root hangs on itself."""
+    waiting = [link for link in tree.bodies if link not in tree.above]
+    rooted = set(waiting)
+    while waiting:
+        below = [joint.child for joint in tree.children(waiting.pop())]
+        rooted.update(below)
+        waiting += below
+    for link in tree.bodies:
+        if link not in rooted:
+            raise RobotError(
+                f"Link {link!r} hangs on itself by way of its joints: a URDF is a tree, leave one joint out.",
+                field="urdf",
+                place=link,
+            )
 
 
 def _name(element: Element, what: str) -> str:
     name = element.get("name")
     if not name:
         raise RobotError(f"A <{what}> of the URDF has no name.", field="urdf")
+    if len(name) > MAX_LINK_NAME:
+        raise RobotError(
+            f"A <{what}> has a name of {len(name)} characters, {MAX_LINK_NAME} are taken: {name[:MAX_NAME]!r}...",
+            field="urdf",
+        )
     return name
 
 
@@ -149,7 +210,9 @@ def _numbers(element: Element | None, attribute: str, default: tuple[float, ...]
     except ValueError:
         values = np.array([math.nan])
     if values.shape != (len(default),) or not np.all(np.isfinite(values)):
-        raise RobotError(f"{place}: {attribute}={text!r} is not {len(default)} numbers.", field="urdf", place=place)
+        raise RobotError(
+            f"{place}: {attribute}={text[:MAX_NAME]!r} is not {len(default)} numbers.", field="urdf", place=place
+        )
     return values
 
 
@@ -176,7 +239,9 @@ def _joint(element: Element) -> UrdfJoint:
     place, kind = f"joint {name}", str(element.get("type"))
     if kind not in MOVING and kind != "fixed":
         raise RobotError(
-            f"{place} is {kind!r}: Kilter knows revolute, continuous, prismatic and fixed.", field="urdf", place=place
+            f"{place} is {kind[:MAX_NAME]!r}: Kilter knows revolute, continuous, prismatic and fixed.",
+            field="urdf",
+            place=place,
         )
     parent, child = element.find("parent"), element.find("child")
     if parent is None or child is None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from service.jobs.engine_rows import json_only
 from service.settings import Settings
 
 if TYPE_CHECKING:
@@ -14,8 +16,18 @@ APPLICATION = "kilter"
 QUEUE = "jobs"
 WORKFLOW = "kilter.job"
 # DBOS resumes only jobs of its own application version. This names the shape of the workflow (its steps and what they
-# hand on), not the build: change it when that shape changes, and older jobs are started anew by `reconcile`.
-APPLICATION_VERSION = "kilter-jobs-1"
+# hand on), not the build: change it when that shape changes. `forget_older` then lets older jobs be started anew.
+APPLICATION_VERSION = "kilter-jobs-2"
+UNFINISHED = ["DELAYED", "ENQUEUED", "PENDING"]
+
+
+@dataclass(frozen=True)
+class EngineRow:
+    """What DBOS knows of a job: its status, whether the row asks for this very job in JSON, and why it failed."""
+
+    status: str
+    readable: bool
+    error: str | None
 
 
 class JobQueue:
@@ -42,10 +54,28 @@ class JobQueue:
         """Take a job out of the queue; one that runs is told by its progress callback."""
         self._open().cancel_workflow(job_id)
 
-    def status(self, job_id: str) -> str | None:
+    def row(self, job_id: str) -> EngineRow | None:
         """Return DBOS's word on a job, None when it does not know it."""
-        found = self._open().list_workflows(workflow_ids=[job_id], load_input=False, load_output=False)
-        return found[0].status if found else None
+        found = self._open().list_workflows(workflow_ids=[job_id])
+        if not found:
+            return None
+        # DBOS gives the raw text of inputs that it cannot read.
+        asked = found[0].input
+        readable = isinstance(asked, dict) and list(asked.get("args") or ()) == [job_id] and not asked.get("kwargs")
+        error = found[0].error
+        return EngineRow(found[0].status, readable, None if error is None else str(error))
+
+    def forget(self, job_id: str) -> None:
+        """Take a job's row out of DBOS's database, with all its steps."""
+        self._open().delete_workflow(job_id)
+
+    def forget_older(self) -> list[str]:
+        """Take out the jobs of other application versions, which nobody would resume; returns their ids."""
+        rows = self._open().list_workflows(name=WORKFLOW, status=UNFINISHED, load_input=False, load_output=False)
+        older = [row.workflow_id for row in rows if row.app_version != APPLICATION_VERSION]
+        if older:
+            self._open().delete_workflows(older)
+        return older
 
     def close(self) -> None:
         """Close the connection."""
@@ -60,6 +90,9 @@ class JobQueue:
                 from dbos import DBOSClient  # a second of import: not at the start of the API process
 
                 self._client = DBOSClient(
-                    system_database_url=self._url, application_name=APPLICATION, retry_connection_errors=False
+                    system_database_url=self._url,
+                    application_name=APPLICATION,
+                    retry_connection_errors=False,
+                    serializer=json_only(),
                 )
             return self._client

@@ -13,9 +13,10 @@ from service.jobs import service
 from service.jobs.events import events
 from service.jobs.queue import JobQueue
 from service.jobs.schemas import Job, JobList, NewJob
+from service.routing import GuardedRoute
 from service.state import DatabaseOfApp
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=GuardedRoute)
 
 
 def queue_of(request: Request) -> JobQueue:

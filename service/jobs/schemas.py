@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from service.limits import MAX_NAMED
+
 State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 FINAL: frozenset[str] = frozenset({"succeeded", "failed", "cancelled"})
 
@@ -26,13 +28,17 @@ class Folds(Strict):
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 
 
+Id = Annotated[str, Field(max_length=64)]
+Ids = Annotated[list[Id], Field(max_length=MAX_NAMED)]
+
+
 class NewJob(Strict):
     """A job to run. Which options there are depends on the kind."""
 
-    kind: str
-    robot: str
-    campaigns: list[str] = []
-    validation: list[str] | Fraction | Folds | None = None
+    kind: Id
+    robot: Id
+    campaigns: Ids = []
+    validation: Ids | Fraction | Folds | None = None
     options: dict[str, Any] = {}
 
 

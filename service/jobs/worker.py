@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 from service.db import Database, revision
 from service.health import store as health
 from service.jobs import store
-from service.jobs.queue import APPLICATION, APPLICATION_VERSION, QUEUE, WORKFLOW, JobQueue
+from service.jobs.engine_rows import json_only
+from service.jobs.queue import APPLICATION, APPLICATION_VERSION, QUEUE, WORKFLOW, EngineRow, JobQueue
 from service.jobs.runner import Outcome, Runner
 from service.settings import Settings
 
@@ -37,6 +38,8 @@ def run(settings: Settings) -> None:
     name = settings.worker_name or socket.gethostname()
     _launch(settings, Runner(database), name)
     queue = JobQueue(settings)
+    if older := queue.forget_older():
+        log.warning("jobs of an older Kilter are started anew: %s", ", ".join(older))
     while not stop.is_set():
         _beat(database, name)
         _sweep(database, queue)
@@ -59,6 +62,7 @@ def _launch(settings: Settings, runner: Runner, name: str) -> None:
         "executor_id": name,
         "log_level": "WARNING",
         "notification_listener_polling_interval_sec": 0.5,
+        "serializer": json_only(),
     }
     DBOS(config=config)
 
@@ -89,14 +93,29 @@ def _sweep(database: Database, queue: JobQueue) -> None:
     with database.reading() as session:
         waiting = store.unfinished(session, FOUND_AFTER_S)
     for job_id, _ in waiting:
-        status = queue.status(job_id)
-        if status is None:
+        row = queue.row(job_id)
+        if row is None:
             log.warning("job %s was not in the queue: it is now", job_id)
             queue.enqueue(job_id)
-        elif status == "CANCELLED":
+        elif row.status == "CANCELLED":
             with database.transaction() as session:
                 store.cancel(session, job_id)
-        elif status in ("ERROR", "MAX_RECOVERY_ATTEMPTS_EXCEEDED"):
-            message = f"The job engine gave the job up ({status}). The worker's log has the cause under job {job_id}."
+        elif message := _given_up(job_id, row):
+            log.error("job %s: %s", job_id, message)
             with database.transaction() as session:
                 store.fail(session, job_id, "internal_error", message)
+            if not row.readable:
+                queue.forget(job_id)
+
+
+def _given_up(job_id: str, row: EngineRow) -> str | None:
+    """Why the engine will never finish a job; None when it may."""
+    if not row.readable:
+        return (
+            f"The row of job {job_id} in the jobs database was changed or is in a format that Kilter does not read. "
+            "Give the job again, and look who can write to that database."
+        )
+    if row.status in ("ERROR", "MAX_RECOVERY_ATTEMPTS_EXCEEDED"):
+        cause = f": {row.error}" if row.error else "."
+        return f"The job engine gave the job up ({row.status}){cause} The worker's log has more under job {job_id}."
+    return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +14,9 @@ from core.errors import ObservationError
 from service.campaigns import reading
 from service.campaigns.assemble import observations
 from service.campaigns.columns import read_columns
+from service.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_ROWS, MAX_JOINTS
 from service.robots.circle_schemas import CircleAxis, FoundRobot
 from service.robots.schemas import Target
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 JOINT = re.compile(r"q([1-9][0-9]?)_(deg|rad|mm|m)")
 
@@ -30,9 +28,11 @@ def found_robot(path: Path, media: str, name: str, convention: Target, frame: st
         ObservationError: the table cannot be read, or shows no axes. TooFewPosesError: too few rows of a joint.
 
     """
-    table = _table(path, media)
-    kinds = _kinds(table.column_names)
-    rows = observations(table, read_columns(table.column_names, kinds), {})
+    names = reading.column_names(path, media)
+    kinds = _kinds(names)
+    columns = read_columns(names, kinds)
+    table = reading.whole_table(path, media, min(MAX_CIRCLE_ROWS, MAX_CIRCLE_CELLS // len(columns)))
+    rows = observations(table, columns, {})
     points = rows.markers if rows.markers is not None else rows.position
     if points is None:
         raise ObservationError("Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ... .")
@@ -42,13 +42,6 @@ def found_robot(path: Path, media: str, name: str, convention: Target, frame: st
     )
     axes = [_axis(k, fit) for k, fit in enumerate(found.axes)]
     return FoundRobot(robot=_document(found.document), axes=axes, rms_mm=found.rms * 1e3)
-
-
-def _table(path: Path, media: str) -> pa.Table:
-    import pyarrow as pa  # 0.4 s: not at the start of the API process
-
-    reading.column_names(path, media)
-    return pa.concat_tables(list(reading.tables(path, media))).combine_chunks()
 
 
 def _kinds(names: list[str]) -> list[str]:
@@ -63,6 +56,10 @@ def _kinds(names: list[str]) -> list[str]:
         raise ObservationError(
             "The joints are not there or not numbered 1, 2, 3 ...: give q1_deg, q2_deg, ..., q3_mm for a joint that slides.",
             column=f"q{len(units) + 1}",
+        )
+    if len(units) > MAX_JOINTS:
+        raise ObservationError(
+            f"The table has {len(units)} joints, an arm has at most {MAX_JOINTS}.", column=f"q{MAX_JOINTS + 1}"
         )
     return ["prismatic" if units[k] in ("mm", "m") else "revolute" for k in sorted(units)]
 

@@ -7,18 +7,20 @@ from pathlib import Path
 from typing import Literal
 
 from fastapi import APIRouter, Request, Response
-from fastapi.concurrency import run_in_threadpool
 
 from service.auth.access import Admin
+from service.bodies import receive
 from service.campaigns import reading
-from service.campaigns.receive import receive
+from service.limits import MAX_CIRCLE_MB
 from service.robots import service
 from service.robots.check_schemas import RobotCheck
 from service.robots.circle_schemas import FoundRobot
 from service.robots.schemas import Name, RobotDocument, RobotList, RobotReport, Target
+from service.routing import GuardedRoute
+from service.slots import compute
 from service.state import DatabaseOfApp, SettingsOfApp
 
-router = APIRouter(prefix="/v1/robots", tags=["robots"])
+router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=GuardedRoute)
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array"}}}
@@ -66,8 +68,8 @@ async def from_circles(
     media = reading.media_type(request.headers.get("content-type"))
     with tempfile.TemporaryDirectory(prefix="kilter-circles-") as folder:
         path = Path(folder) / "body"
-        await receive(request, path, settings.max_upload_mb)
-        return await run_in_threadpool(_found, path, media, name, to, base)
+        await receive(request, path, min(settings.max_upload_mb, MAX_CIRCLE_MB))
+        return await compute(request, _found, path, media, name, to, base)
 
 
 def _found(path: Path, media: str, name: str, to: Target, base: str) -> FoundRobot:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
+from service.limits import MAX_ELEMENTS, MAX_JOINTS
 from service.robots.complete_schemas import CpcFlange, CpcRow, McpcFlange, McpcRow, PoeAxis, SModelRow
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
@@ -40,6 +41,10 @@ class Joint(Strict):
     gear_ratio: FiniteFloat | None = None
 
 
+Joints = Annotated[list[Joint], Field(max_length=MAX_JOINTS)]
+MAX_AXES = 4 * MAX_JOINTS  # a joint may drive several
+
+
 class Link(Strict):
     """Mass, centre of mass, and inertia about it as xx, yy, zz, xy, xz, yz, in the link's frame."""
 
@@ -54,7 +59,7 @@ class Element(Strict):
     axis: Axis
     name: Annotated[str, Field(min_length=1, max_length=128)] | None = None
     value: FiniteFloat | None = None
-    joint: str | None = None
+    joint: Annotated[str, Field(max_length=128)] | None = None
     ratio: FiniteFloat | None = None
     fixed: bool | None = None
     spare: bool | None = None
@@ -85,7 +90,7 @@ class _Robot(Strict):
     name: Name
     source: Annotated[str, Field(max_length=2000)] | None = None
     gravity_m_s2: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
-    links: list[Link] | None = None
+    links: Annotated[list[Link], Field(max_length=MAX_JOINTS)] | None = None
     tool: Pose | None = None
     base: Pose | None = None
 
@@ -94,40 +99,40 @@ class ChainRobot(_Robot):
     """A robot as a row of elementary transforms."""
 
     convention: Literal["chain"]
-    joints: list[Joint]
-    elements: Annotated[list[Element], Field(min_length=1)]
+    joints: Joints
+    elements: Annotated[list[Element], Field(min_length=1, max_length=MAX_ELEMENTS)]
 
 
 class DhRobot(_Robot):
     """A robot as Denavit-Hartenberg rows."""
 
     convention: Literal["dh"]
-    joints: list[Joint] | None = None
-    rows: Annotated[list[DhRow], Field(min_length=1)]
+    joints: Joints | None = None
+    rows: Annotated[list[DhRow], Field(min_length=1, max_length=MAX_JOINTS)]
 
 
 class MdhRobot(_Robot):
     """A robot as modified Denavit-Hartenberg or Hayati rows."""
 
     convention: Literal["mdh"]
-    joints: list[Joint] | None = None
-    rows: Annotated[list[MdhRow], Field(min_length=1)]
+    joints: Joints | None = None
+    rows: Annotated[list[MdhRow], Field(min_length=1, max_length=MAX_JOINTS)]
 
 
 class SModelRobot(_Robot):
     """A robot as rows of Stone's S-model."""
 
     convention: Literal["s_model"]
-    joints: list[Joint] | None = None
-    rows: Annotated[list[SModelRow], Field(min_length=1)]
+    joints: Joints | None = None
+    rows: Annotated[list[SModelRow], Field(min_length=1, max_length=MAX_JOINTS)]
 
 
 class PoeRobot(_Robot):
     """A robot as a product of exponentials: its axes at zero, and the flange there."""
 
     convention: Literal["poe"]
-    joints: list[Joint] | None = None
-    axes: Annotated[list[PoeAxis], Field(min_length=1)]
+    joints: Joints | None = None
+    axes: Annotated[list[PoeAxis], Field(min_length=1, max_length=MAX_AXES)]
     home: Pose = Pose()
 
 
@@ -135,8 +140,8 @@ class CpcRobot(_Robot):
     """A robot as rows of the complete and parametrically continuous model."""
 
     convention: Literal["cpc"]
-    joints: list[Joint] | None = None
-    rows: Annotated[list[CpcRow], Field(min_length=1)]
+    joints: Joints | None = None
+    rows: Annotated[list[CpcRow], Field(min_length=1, max_length=MAX_JOINTS)]
     flange: CpcFlange = CpcFlange()
 
 
@@ -144,8 +149,8 @@ class McpcRobot(_Robot):
     """A robot as rows of the modified CPC model."""
 
     convention: Literal["mcpc"]
-    joints: list[Joint] | None = None
-    rows: Annotated[list[McpcRow], Field(min_length=1)]
+    joints: Joints | None = None
+    rows: Annotated[list[McpcRow], Field(min_length=1, max_length=MAX_JOINTS)]
     flange: McpcFlange = McpcFlange()
 
 
@@ -153,17 +158,17 @@ class UrdfRobot(_Robot):
     """A robot as a URDF; joints, limits and masses are the URDF's, ``joints`` may add gear ratios and limits."""
 
     convention: Literal["urdf"]
-    joints: list[Joint] | None = None
+    joints: Joints | None = None
     urdf: Annotated[str, Field(min_length=1)]
-    base_link: str
-    tip_link: str
+    base_link: Annotated[str, Field(max_length=128)]
+    tip_link: Annotated[str, Field(max_length=128)]
 
 
 class PresetRobot(_Robot):
     """A robot that ships with Kilter."""
 
     convention: Literal["preset"]
-    preset: str
+    preset: Annotated[str, Field(max_length=64)]
 
 
 RobotDocument = Annotated[

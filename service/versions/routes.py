@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Depends, Response
 
 from service.auth.access import Admin
+from service.routing import GuardedRoute
+from service.slots import reading_turn
 from service.state import DatabaseOfApp, SettingsOfApp
 from service.versions import activation, service
 from service.versions.schemas import ActivatedVersion, ActivationList, ActivationWish, Version, VersionDiff, VersionList
 
-router = APIRouter(prefix="/v1", tags=["versions"])
+router = APIRouter(prefix="/v1", tags=["versions"], route_class=GuardedRoute)
 
 
 @router.get("/robots/{robot}/versions")
@@ -52,13 +54,13 @@ def activate(
     return activation.activate(database, version, actor, wish or ActivationWish(), settings.temperature_c)
 
 
-@router.get("/versions/{a}/diff/{b}")
+@router.get("/versions/{a}/diff/{b}", dependencies=[Depends(reading_turn)])
 def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
     """Compare two versions of one robot."""
     return service.diff(database, a, b)
 
 
-@router.get("/versions/{version}/export", response_class=Response)
+@router.get("/versions/{version}/export", response_class=Response, dependencies=[Depends(reading_turn)])
 def export(version: str, database: DatabaseOfApp, format: str = "json") -> Response:  # noqa: A002 (the contract's name)
     """Download a version in the format of another tool; the header Kilter-Notes says what the file leaves out."""
     file = service.exported(database, version, format)

@@ -1,0 +1,38 @@
+"""How large a thing may be before Kilter looks at it; what a server may change is in its settings."""
+
+from __future__ import annotations
+
+# Columns: 32 joints in six quantities, 99 markers and everything else together make fewer than 600.
+MAX_COLUMNS = 1000
+MAX_NAME = 64
+MAX_HEADER_BYTES = 1 << 16
+MAX_LINE_BYTES = 1 << 20
+MAX_CELL = 400  # characters of a number: the longest double written out without an exponent has fewer
+
+# Tables. What is decoded at once is `BATCH_CELLS`, whatever the file has.
+MAX_CELLS = 50_000_000
+BATCH_CELLS = 2_000_000
+MAX_TRAJECTORY_ROWS = 2_000_000
+MAX_TRAJECTORY_CELLS = 20_000_000  # a trajectory is corrected as a whole, in several times its size
+MAX_ROS2_ROWS = 200_000  # a JointTrajectory is text, 250 bytes a point
+MAX_CIRCLE_ROWS = 50_000
+MAX_CIRCLE_CELLS = 2_000_000
+MAX_JSON_BYTES = 32 << 20  # JSON columns take ten times their size in memory
+MAX_FOOTER_BYTES = 2 << 20
+MAX_PAGES = 100_000
+MAX_PAGES_BYTES = 256 << 20  # the largest pages of all columns of a Parquet file, which are in memory together
+
+MAX_CIRCLE_MB = 64
+MAX_DOCUMENT_PARTS = 200_000  # fields, lists and objects of a JSON document, which are parsed in one breath
+MAX_DOCUMENT_KEYS = 1000  # fields of one object in a JSON document
+MAX_NAMED = 1000  # campaigns that one job names
+
+# Robots: a serial arm; a URDF may hold a whole machine around it.
+MAX_JOINTS = 32
+MAX_ELEMENTS = 512
+MAX_LINKS = 1000
+MAX_LINK_NAME = 128
+MAX_XML_TAGS = 50_000
+MAX_XML_DEPTH = 64
+MAX_XML_ATTRIBUTES = 64
+MAX_XML_VALUE = 4096
