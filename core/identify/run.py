@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from core.identify.noise import repeat_sigma
 from core.identify.options import IdentifyOptions
 from core.identify.report import parameter_rows, warnings_of
 from core.identify.seeing import seen
+from core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
 from core.measurement import Measurement
 from core.metrics import Errors
 from core.model import Calibration
@@ -55,6 +56,7 @@ class Identification:
     influence: list[dict[str, Any]] | None = None
     intervals: Intervals | None = None
     learned: Learned | None = None
+    own_frames: tuple[OwnFrame, ...] = ()
 
     @property
     def covariance(self) -> Floats:
@@ -92,6 +94,7 @@ class Identification:
             "intervals": None if self.intervals is None else self.intervals.kind,
             "learned": None if self.learned is None else self.learned.to_document(),
             **_together(self.fit),
+            "base_refitted": [frame.to_document() for frame in self.own_frames],
             "reference": {"base": self._reference("base"), "tool": self._reference("tool")},
         }
 
@@ -121,6 +124,10 @@ def identify(
     begin = _begin(robot, train, options, start)
     nominal = Calibration.nominal(robot)
     _refuse_missing_columns(begin, train)
+    frames = Frames.of(begin, train, options)
+    if frames is not None:
+        begin, train = frames.in_model(begin), frames.laid(train)
+        validation = frames.laid(validation) if isinstance(validation, Observations) else validation
     tell(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
     if isinstance(validation, Folds):
@@ -137,12 +144,16 @@ def identify(
         *fit.problem.model.folded(fit.values), measurement.marker_points, *_wanted_frames(registered, options)
     )
     stages = {"nominal": nominal, "registration_only": registered, "identified": calibration}
+    own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):
-        other = seen(validation, options, measurement.marker_points, measurement)
-        held = {name: Errors.of(stage, other) for name, stage in stages.items()}
+        held, new = held_out(stages, frames, validation, options, measurement)
+        own += new
     tell(0.95, "identifiability")
     metrics = _metrics({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held)
-    return _reported(calibration, fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned)
+    found = _reported(
+        without_frames(calibration), fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned
+    )
+    return replace(found, own_frames=tuple(own))
 
 
 def _reported(
@@ -156,6 +167,8 @@ def _reported(
 ) -> Identification:
     """What was found, with all that is said about it."""
     sigma = repeat_sigma(train)
+    intervals = _intervals(fit, options, tell)
+    fit = marginal(fit)
     return Identification(
         calibration=calibration,
         fit=fit,
@@ -166,7 +179,7 @@ def _reported(
         warnings=(*warnings_of(fit, train, sigma), *(() if learned is None else (learned.warning(),))),
         method=options.method,
         influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
-        intervals=_intervals(fit, options, tell),
+        intervals=intervals,
         learned=learned,
     )
 
@@ -174,7 +187,9 @@ def _reported(
 def _intervals(fit: Fit, options: IdentifyOptions, tell: Progress) -> Intervals | None:
     if options.intervals is None:
         return None
-    return profile(fit, tell) if options.intervals == "profile" else bootstrap(fit, options.seed, tell)
+    found = profile(fit, tell) if options.intervals == "profile" else bootstrap(fit, options.seed, tell)
+    arm = of_the_arm(fit)
+    return replace(found, lower=found.lower[arm], upper=found.upper[arm], stands_in=found.stands_in[arm])
 
 
 def _together(fit: Fit) -> dict[str, Any]:

@@ -144,6 +144,11 @@ def add_upload(
         session.flush()
 
 
+def device(session: Session, campaign_id: str) -> str:
+    """Return what a campaign was measured with."""
+    return whole_row_of(session, campaign_id).device
+
+
 def observations(session: Session, campaign_id: str, robot: Robot) -> Observations:
     """Return all rows of a campaign, SI.
 

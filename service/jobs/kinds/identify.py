@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from core.errors import OptionError
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from service.jobs.setups import Setups
 from service.jobs.wire import version_limits
 
 if TYPE_CHECKING:
@@ -31,17 +32,22 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     from core.observations import Observations
     from service.campaigns.store import numbered
 
+    options = _options(job.options)
+    setups = Setups(options.refit, job.devices)
+    named = [*job.campaigns.items(), *(job.validation.items() if isinstance(job.validation, dict) else ())]
+    parts = numbered(setups.marked(named))
     validation: Observations | float | Folds | None
     if isinstance(job.validation, dict):
-        parts = numbered([*job.campaigns.values(), *job.validation.values()])
         train = Observations.concatenate(parts[: len(job.campaigns)])
         validation = Observations.concatenate(parts[len(job.campaigns) :])
     else:
-        train = Observations.concatenate(numbered(job.campaigns.values()))
+        train = Observations.concatenate(parts)
         validation = Folds(job.validation) if isinstance(job.validation, int) else job.validation
-    options = _options(job.options)
     found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job))
     report = found.to_document()
+    report["base_refitted"] = setups.named(report["base_refitted"])
+    warning = setups.warning(report["base_refitted"])
+    report["warnings"] += [] if warning is None else [warning]
     covariance = {"names": list(found.free_names), "matrix": found.covariance.tolist(), "units": "SI"}
     content = VersionContent(
         found.calibration.to_document(), report, covariance, version_limits(job.options.get(LIMITS))
