@@ -105,6 +105,9 @@ def sheet_join(
         Path | None,
         typer.Option(help="CSV of quarter points 1 to 4 in the robot's base: x_mm, y_mm, z_mm.", exists=True),
     ] = None,
+    faces_down: Annotated[
+        bool, typer.Option("--faces-down", help="The sheet's face is below, as on a ceiling.")
+    ] = False,
     height: Annotated[
         Path | None, typer.Option(help="Log of the potentiometer: TDMS, CSV or .mat.", exists=True, dir_okay=False)
     ] = None,
@@ -136,7 +139,7 @@ def sheet_join(
     volts = None if calibration is None else read_calibration(calibration)
     heights = None if height is None else read_heights(height, channel, volts, height_time)
     circle = _circle(file, radius_mm, page, bars_mm, allow_gaps)
-    frame = Frame.own() if points is None else register(points, read_points(points), circle.radius_mm)
+    frame = Frame.own() if points is None else register(points, read_points(points), circle.radius_mm, faces_down)
     log = read_joint_log(joints, joints_map)
     joined = join(circle, log, heights, frame, JoinOptions(starts_s=height_starts_s, taken_mm=take_command))
     write(output, joined.table.to_csv())

@@ -21,6 +21,7 @@ REACH_MM = 1.5  # a row this near to the circle and to its gap was at that gap
 ASIDE_MM = 0.5
 LEAST_SIGMA_MM = 0.005
 ROWS_NEEDED = 8
+SEEN_TO_FACE = 0.3  # cosine of its normal to the vertical from which a sheet faces up or down and not sideways
 AXES = "xyz"
 
 
@@ -89,11 +90,11 @@ def read_points(path: Path) -> Floats:
     return points
 
 
-def register(path: Path, points: Floats, radius_mm: float) -> Frame:
-    """Lay the sheet through the four quarter points (4, 3).
+def register(path: Path, points: Floats, radius_mm: float, faces_down: bool = False) -> Frame:
+    """Lay the sheet through the four quarter points (4, 3); its face is up unless it ``faces_down``.
 
     Raises:
-        FileError: they are no four quarters of such a circle.
+        FileError: they are no four quarters of such a circle, or run the other way round.
 
     """
     turn = np.arange(4) * np.pi / 2
@@ -107,6 +108,12 @@ def register(path: Path, points: Floats, radius_mm: float) -> Frame:
         what = f"point {int(np.argmax(left)) + 1} is {left.max():.1f} mm off a circle of {radius_mm:g} mm"
         said = ", ".join(f"{value:.1f}" for value in found)
         raise fault(path, what, f"They lie {said} mm from their middle: check order, unit and sheet.")
+    up = float(turned[2, 2])
+    if abs(up) > SEEN_TO_FACE and (up < 0) != faces_down:
+        way = "counterclockwise" if faces_down else "clockwise"
+        what = f"the points run {way} seen from above, so the sheet would face {'up' if faces_down else 'down'}"
+        other = "leave --faces-down out" if faces_down else "give --faces-down"
+        raise fault(path, what, f"Give them in the order 1, 2, 3, 4 of the sheet; if it does lie like that, {other}.")
     return Frame(turned, centre, left)
 
 
