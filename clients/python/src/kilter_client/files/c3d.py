@@ -118,6 +118,11 @@ def _frames(
 ) -> int:
     room = max(0, path.stat().st_size - start) // size
     name, frames = claims[0] if claims else ("the file's length", room)
+    whole = path.stat().st_size == start + room * size
+    if room and room < frames and whole:
+        # The header is written first, with the frames that were planned; a copy that broke off ends within a frame.
+        warnings.append(f"stopped early: {name} states {frames} frames, the {room} that are there are whole and taken")
+        return room
     if frames > room and allow_cut and room:
         warnings.append(f"cut off: {name} states {frames} frames, the {room} that are whole are taken")
         return room

@@ -28,6 +28,7 @@ class Inclinations:
 
     columns: Mapping[str, Floats]
     notes: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
 
 def tilts_of(layout: TextLayout) -> dict[str, int]:
@@ -54,7 +55,7 @@ def read_inclinometer(path: Path, unit: str | None = None) -> Inclinations:
         said = ", ".join(layout.names[:12])
         raise fault(path, f"no time and inclination among {said}", "Name the columns so.", line=layout.first_line)
     wanted = sorted({time, *tilts.values()})
-    rows = count_rows(path, layout, False)[0]
+    rows, cut = count_rows(path, layout)
     raw = np.concatenate(list(blocks(path, layout, wanted, rows)))
     t = raw[:, wanted.index(time)] * SIZES["time"].get(layout.units[time] or "s", 1.0)
     _refuse(path, layout, np.isnan(raw).any(axis=1), "a cell is empty", None)
@@ -72,7 +73,7 @@ def read_inclinometer(path: Path, unit: str | None = None) -> Inclinations:
         _refuse(path, layout, wild, f"more than half a turn, declared as {stated}: are these degrees", column)
         columns[f"tilt_{axis}_deg"] = angle
         notes.append(f"tilt_{axis}_deg from {layout.names[column]!r} [{stated}]")
-    return Inclinations(columns, tuple(notes))
+    return Inclinations(columns, tuple(notes), () if cut is None else (cut,))
 
 
 def _refuse(

@@ -162,7 +162,8 @@ def _inclinometer(path: Path, hints: Hints) -> Document:
     found = read_inclinometer(path, hints.unit)
     columns = [column(name, unit_of(name), values) for name, values in found.columns.items()]
     rows = len(found.columns["t_s"])
-    return {"kind": "inclinometer", "rows": rows, "columns": columns, "notes": list(found.notes)}
+    told = {"notes": list(found.notes), "warnings": list(found.warnings)}
+    return {"kind": "inclinometer", "rows": rows, "columns": columns} | told
 
 
 def _ballbar(path: Path) -> Document:
@@ -179,7 +180,8 @@ def _ballbar(path: Path) -> Document:
     notes.append(
         "ready for kilter upload --device ballbar" if found.joints else "joins a joint log with kilter sheet-join"
     )
-    return {"kind": "ballbar", "rows": len(found.radius_mm), "columns": columns, "runs": runs, "notes": notes}
+    told = {"notes": notes, "warnings": list(found.warnings)}
+    return {"kind": "ballbar", "rows": len(found.radius_mm), "columns": columns, "runs": runs} | told
 
 
 def _tdms(path: Path, hints: Hints) -> Document:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +14,8 @@ JUMP_MM = 5.0
 SHIFT_SHARE = 0.05  # a jump is explained by moved columns when this little of it is left
 FAR_MM = 30_000.0  # no optical tracker sees markers 30 m away
 NOISE_FRAMES = 200_000
+NOISE_ORDERS = (2, 4, 6)
+NOISE_FEWEST = 6
 SHOWN = 5
 
 
@@ -56,13 +59,34 @@ def survey(recording: Recording) -> Survey:
 
 
 def noise(points: Floats) -> Floats:
-    """Return each marker's noise per coordinate, mm: from second differences, which steady motion leaves alone."""
+    """Return each marker's standard deviation of a coordinate, mm: the root mean square of those of x, y and z.
+
+    Differences of neighbouring frames leave smooth motion alone, the higher the order the faster; the least of the
+    orders is taken, for motion only adds.
+    """
     if len(points) < 8:
         return np.full(points.shape[1], np.nan)
-    second = points[2:] - 2 * points[1:-1] + points[:-2]
-    flat = np.moveaxis(np.abs(second), 1, 0).reshape(points.shape[1], -1)
-    known = [values[~np.isnan(values)] for values in flat]
-    return np.array([1.4826 * np.median(v) / np.sqrt(6) if len(v) else np.nan for v in known])
+    found = []
+    for order in NOISE_ORDERS:
+        size = math.sqrt(math.comb(2 * order, order))
+        found.append(
+            np.array([_spread(d) / size for d in np.diff(points, order, axis=0).reshape(-1, points[0].size).T])
+        )
+    least = np.fmin.reduce(found).reshape(points.shape[1:])
+    return np.asarray(np.sqrt(np.mean(least**2, axis=1)))
+
+
+def _spread(values: Floats) -> float:
+    """Standard deviation about zero without outliers; NaN of fewer than ``NOISE_FEWEST`` values."""
+    size = np.abs(values[~np.isnan(values)])
+    if len(size) < NOISE_FEWEST:
+        return float("nan")
+    # The median alone would show the steps of rounded coordinates; nine tenths still do not see the outliers.
+    low, high = np.quantile(size, [0.5, 0.9]) / [0.6745, 1.6449]
+    sigma = float(max(low, min(high, 2 * low) if low > 0 else high))
+    for _ in range(3):
+        sigma = float(np.sqrt(np.mean(size[size <= 4 * sigma] ** 2)))
+    return sigma
 
 
 def jumps(points: Floats, rows: NDArray[np.int64], names: tuple[str, ...]) -> list[tuple[int, str]]:
