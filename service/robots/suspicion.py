@@ -30,7 +30,10 @@ def _sizes(reach_m: float) -> Iterator[str]:
     if reach_m < SMALL_M:
         yield f"The arm reaches {reach_m * 1e3:.3g} mm: are its lengths in metres? Fields ending in _mm are millimetres."
     if reach_m > LARGE_M:
-        yield f"The arm reaches {reach_m:.4g} m: are its lengths in micrometres, or is a DH row of parallel axes meant?"
+        yield (
+            f"The arm reaches {reach_m:.4g} m: are its lengths in millimetres where metres are meant (URDF), in micrometres "
+            "in fields ending in _mm, or is a DH row of parallel axes meant?"
+        )
 
 
 def _radians(posted: dict[str, Any]) -> Iterator[str]:

@@ -45,6 +45,7 @@ class Layout:
     frames: int
     to_mm: float
     rate_hz: float
+    unit: str
 
 
 def read_c3d(path: Path, allow_cut: bool = False) -> Recording:
@@ -69,6 +70,7 @@ def read_c3d(path: Path, allow_cut: bool = False) -> Recording:
         lambda: _blocks(path, layout),
         tuple(notes),
         tuple(warnings),
+        layout.unit,
     )
 
 
@@ -96,7 +98,7 @@ def _layout(
     unit = _unit(path, parameters, notes)
     to_mm = SIZES["length"][unit] / SIZES["length"]["mm"] * (1.0 if scale < 0 else scale)
     dtype = np.dtype(f"{header.order}f4") if scale < 0 else np.dtype(f"{header.order}i2")
-    return Layout(dtype, points, words, start, frames, to_mm, rate)
+    return Layout(dtype, points, words, start, frames, to_mm, rate, unit)
 
 
 def _claims(header: Header, parameters: Mapping[str, Value]) -> list[tuple[str, int]]:

@@ -47,7 +47,7 @@ def inspect(path: Path, hints: Hints = Hints()) -> Document:
     """
     kind = "bag" if is_bag(path) else kind_of(path)
     if kind in ("c3d", "n3d"):
-        found = _recording(open_recording(path, hints.rate_hz, hints.allow_cut))
+        found = _recording(open_recording(path, hints.rate_hz, hints.allow_cut, hints.unit))
     else:
         found = {"tdms": _tdms, "mat": _mat, "parquet": _parquet, "text": _text, "bag": _bag}[kind](path, hints)
     known = {"kind": kind, "problems": [], "warnings": [], "notes": []}
@@ -72,7 +72,7 @@ def _text(path: Path, hints: Hints) -> Document:
     if tilts_of(layout) and not understand(layout).xyz:
         return _inclinometer(path, hints) | shape
     if is_recording(layout, hints.rate_hz):
-        return _recording(open_recording(path, hints.rate_hz, hints.allow_cut)) | shape
+        return _recording(open_recording(path, hints.rate_hz, hints.allow_cut, hints.unit)) | shape
     table = read_tracker(path, hints.preset, hints.euler)
     columns = [column(name, unit_of(name), np.array(values)) for name, values in table.columns.items()]
     return shape | {
@@ -227,5 +227,5 @@ def _alike(columns: dict[str, list[float]]) -> list[str]:
     same = len(points) - len(np.unique(points, axis=0))
     out = [f"{same} points are copies of others to the last digit"] if same else []
     if size < 20.0 and len(points) > 5:
-        out.append(f"no coordinate is beyond {size:.3g} mm: are they metres?")
+        out.append(f"no coordinate is beyond {size:.3g} mm: are these metres declared as mm, 1000 times larger")
     return out

@@ -50,6 +50,7 @@ def read_marker_text(path: Path, rate_hz: float | None = None, allow_cut: bool =
         lambda: _blocks(reader),
         tuple(_notes(layout, columns, reader)),
         tuple([f"columns left out: {', '.join(columns.ignored)}"] if columns.ignored else []) + cut,
+        reader.unit,
     )
 
 

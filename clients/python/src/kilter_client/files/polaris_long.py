@@ -131,7 +131,8 @@ def _recording(
 
     by = "matrix" if len(columns.turns) == 9 else "quaternion"
     note = f"one row per tool and frame; positions in {unit}, orientation by {by}"
-    return Recording(path, "tool-long-csv", tuple(f"tool {name}" for name in tools), rate, len(frames), blocks, (note,))
+    names = tuple(f"tool {name}" for name in tools)
+    return Recording(path, "tool-long-csv", names, rate, len(frames), blocks, (note,), unit=unit)
 
 
 def _turns(path: Path, values: Floats, points: Floats, line: Floats) -> Floats:

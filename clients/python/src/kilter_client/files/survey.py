@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_client.files.recording import Block, Floats, Recording
+from kilter_client.files.units import SIZES
 
 JUMP_MM = 5.0
 SHIFT_SHARE = 0.05  # a jump is explained by moved columns when this little of it is left
 FAR_MM = 30_000.0  # no optical tracker sees markers 30 m away
+NEAR_MM = 50.0  # a tracker stands farther away
 NOISE_FRAMES = 200_000
 NOISE_ORDERS = (2, 4, 6)
 NOISE_FEWEST = 6
@@ -170,9 +172,19 @@ def _doubts(found: Survey, recording: Recording) -> None:
         largest = float(max(np.abs(found.low[seen]).max(), np.abs(found.high[seen]).max()))
         spread = float((found.high[seen] - found.low[seen]).max())
         if largest > FAR_MM:
-            found.doubts.append(f"coordinates up to {largest:.6g} mm: is the unit right?")
-        if largest < 20.0 and spread < 5.0:
-            found.doubts.append(f"no coordinate is beyond {largest:.3g} mm: are they metres?")
+            said = "" if recording.unit == "mm" else f", declared as {recording.unit}"
+            likely = "mm" if recording.unit != "mm" else "um"
+            factor = SIZES["length"][recording.unit] / SIZES["length"][likely]
+            found.doubts.append(
+                f"coordinates up to {largest:.6g} mm{said}, and no tracker sees so far: they look like {likely}, {factor:g} "
+                f"times smaller (--unit {likely})"
+            )
+        if largest < NEAR_MM and spread < NEAR_MM:
+            said = "" if recording.unit == "mm" else f", declared as {recording.unit}"
+            found.doubts.append(
+                f"no coordinate is beyond {largest:.3g} mm{said}, and no tracker measures so near: they look like metres, "
+                "1000 times larger (--unit m), or inches, 25.4 times (--unit inch)"
+            )
         still = [n for n, low, high, s in zip(recording.markers, found.low, found.high, seen, strict=True)
                  if s and np.array_equal(low, high) and recording.frames > 10]  # fmt: skip
         if still:
