@@ -159,7 +159,7 @@ def _circle(file: Path, radius_mm: float | None, page: int, bars_mm: str | None,
 
         bar = read_ballbar(file, radius_mm)
         out, turn = bar.radius_mm - bar.nominal_mm, np.radians(bar.angle_deg)
-        return Circle(file, bar.nominal_mm, turn, out, np.full(len(out), BAR_SIGMA_MM), None, None)
+        return Circle(file, bar.nominal_mm, turn, out, np.full(len(out), BAR_SIGMA_MM), None, None, True)
     found = read(file, radius_mm, page, bars_mm, allow_gaps)
     turn = np.radians(found.angle_deg)
     return Circle(
