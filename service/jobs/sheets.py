@@ -47,6 +47,22 @@ def doubts(
     return out
 
 
+def bar_lengths(robot: Robot, campaigns: Iterable[tuple[str, Observations]]) -> list[dict[str, Any]]:
+    """Warnings about ball bars that are longer or shorter than the joints command."""
+    from core.identify.bar_length import other_lengths
+
+    return [
+        {
+            "code": "bar_length_doubtful",
+            "message": f"{campaign}: bar {bar} reads {read * 1e3:.3f} mm, but the joints put the tool {found * 1e3:.3f} mm "
+            f"from its foot ({found / read:.4g} times). Is the nominal length another than stated? Give it as it is "
+            f"(kilter ballbar-join --radius-mm, or the line above the log) and upload again.",
+        }
+        for campaign, rows in campaigns
+        for bar, read, found in other_lengths(robot, rows)
+    ]
+
+
 def _sheets(rows: Observations) -> Iterator[tuple[int | None, Observations]]:
     if rows.session is None:
         yield None, rows

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from core.errors import OptionError
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from service.jobs.setups import Setups
-from service.jobs.sheets import OPTION, check_option, doubts
+from service.jobs.sheets import OPTION, bar_lengths, check_option, doubts
 from service.jobs.wire import version_limits
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     options = _options(job.options)
     setups = Setups(options.refit, job.devices)
     named = [*job.campaigns.items(), *(job.validation.items() if isinstance(job.validation, dict) else ())]
-    remarks = doubts(job.robot, named, job.devices, job.options.get(OPTION))
+    remarks = doubts(job.robot, named, job.devices, job.options.get(OPTION)) + bar_lengths(job.robot, named)
     parts = numbered(setups.marked(named))
     validation: Observations | float | Folds | None
     if isinstance(job.validation, dict):

@@ -94,9 +94,20 @@ def test_a_ball_bar_gets_its_joints_from_the_log_and_calibrates(
         assert np.abs(far - table["bar_mm"]).max() < 0.005
         ids.append(told(capsys, "upload", "bar-arm", rows, "--device", "ballbar")["campaign_id"])
     ask = ["identify", "bar-arm", "--campaign", ids[0], "--level", 1, "--validation", 0.3]
-    metrics = told(capsys, *ask)["result"]["metrics"]["validation"]
+    result = told(capsys, *ask)["result"]
+    assert "bar_length_doubtful" not in [warning["code"] for warning in result["warnings"]]
+    metrics = result["metrics"]["validation"]
     assert metrics["identified"]["rms_mm"] < 0.1 * metrics["nominal"]["rms_mm"]
     assert metrics["identified"]["rms_mm"] < 0.003
+    # A log with the joints in it has no circle to be compared with: the robot's model notices the length.
+    table = (tmp_path / "rows0.csv").read_text().splitlines()
+    longer = [",".join([*line.split(",")[:-1], f"{float(line.split(',')[-1]) + 3.0:.6f}"]) for line in table[1:]]
+    (tmp_path / "longer.csv").write_text("\n".join([table[0], *longer]) + "\n")
+    wrong = told(capsys, "upload", "bar-arm", tmp_path / "longer.csv", "--device", "ballbar")["campaign_id"]
+    warnings = told(capsys, "identify", "bar-arm", "--campaign", wrong, "--level", 1)["result"]["warnings"]
+    said = next(warning["message"] for warning in warnings if warning["code"] == "bar_length_doubtful")
+    assert "bar 1 reads 10" in said
+    assert "mm from its foot (0.97" in said
 
 
 @pytest.mark.parametrize("stated", [101.0, 150.0])
