@@ -75,7 +75,8 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
 
 def sent(rig: Rig, name: str, capsys: pytest.CaptureFixture[str]) -> str:
     assert run(rig.join()) == 0, capsys.readouterr().err
-    capsys.readouterr()
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert any("--device pencil" in note for note in notes)
     rows = str(rig.folder / "rows.csv")
     assert run(["upload", "drawer", rows, "--device", "pencil", "--name", name, "--json"]) == 0
     return str(json.loads(capsys.readouterr().out)["campaign_id"])

@@ -142,6 +142,10 @@ def sheet_join(
     frame = Frame.own() if points is None else register(points, read_points(points), circle.radius_mm, faces_down)
     log = read_joint_log(joints, joints_map)
     joined = join(circle, log, heights, frame, JoinOptions(starts_s=height_starts_s, taken_mm=take_command))
+    joined.table.notes.append(
+        f"upload it with --device {'ballbar' if circle.is_bar else 'pencil'}: identify then checks which quarter is the first, "
+        "and gives it a base of its own"
+    )
     write(output, joined.table.to_csv())
     document = {"file": str(output), "notes": joined.table.notes, "warnings": joined.table.warnings} | joined.report
     emit(document, as_json, _show_join)
