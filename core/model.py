@@ -150,7 +150,7 @@ class RobotModel:
             end_wrench=loads.ends, base_wrench=loads.base, tool_point=loads.tool_point,
             link_vectors=self.robot.chain.link_vectors, direction=o.direction, qd=o.qd, qdd=o.qdd, t=o.t,
             temperature_c=o.temperature_c, payload_kg=o.payload_kg, session=o.session,
-            payload_axial=payload_sensitivity(self.robot, o) if "payload_kg" in self._needs else None,
+            payload_axial=payload_sensitivity(self.robot, o) if "payload_kg" in self._needs else None, setup=o.setup,
         )  # fmt: skip
 
     @cached_property

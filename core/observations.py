@@ -46,7 +46,7 @@ class Observations:
     motion of each joint; ``sigma (N, 3)`` m, the standard deviation of each position coordinate; ``wrench (N, 6)`` force N
     and moment N·m on the tool point in the tool frame. Without an instrument: ``socket``, ``plane`` and ``bar (N,)`` the
     number of the ball socket, plane or ball bar that the tool's ball is held by in a row, 0 for none; ``bar_length (N,)``
-    m that the bar reads.
+    m that the bar reads. ``setup (N,)`` numbers the set-ups of the instrument where each has a frame of its own.
     """
 
     q: Floats
@@ -71,6 +71,7 @@ class Observations:
     plane: Ints | None = None
     bar: Ints | None = None
     bar_length: Floats | None = None
+    setup: Ints | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):

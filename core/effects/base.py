@@ -58,6 +58,7 @@ class Batch:
     payload_kg: Floats | None = None
     session: NDArray[np.int64] | None = None
     payload_axial: Floats | None = None
+    setup: NDArray[np.int64] | None = None
 
     @property
     def moment(self) -> Floats:

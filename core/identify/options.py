@@ -34,7 +34,8 @@ class IdentifyOptions:
     deviation of a coordinate when it is known; otherwise it is estimated. ``reference`` says in which frames a correction
     should put the tool where the nominal robot would be: "robot" (its own base and tool: the measurements were taken in
     them), "registration" (where the nominal robot fits the measurements best), or "auto": the robot's own for a frame
-    that is fixed or that the registration finds within 10 mm and 1 degree of it.
+    that is fixed or that the registration finds within 10 mm and 1 degree of it. ``refit`` ("base",) gives every campaign
+    and session a base of its own, () one base to all; None leaves that to the device of the campaign.
     """
 
     level: int | None = None
@@ -53,6 +54,7 @@ class IdentifyOptions:
     search_deg: float = 10.0
     intervals: str | None = None
     socket_distances_mm: Mapping[str, float] = field(default_factory=dict)
+    refit: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         self._one_of("level", (None, 1, 2, 3))
@@ -62,6 +64,8 @@ class IdentifyOptions:
         self._one_of("loss", ("linear", "huber"))
         self._one_of("intervals", (None, "bootstrap", "profile"))
         self._one_of("reference", ("auto", "robot", "registration"))
+        if self.refit not in (None, (), ("base",)):
+            raise OptionError(f'refit is {self.refit!r}: give ["base"] or [].', option="refit", value=self.refit)
         if self.noise_mm is not None and not self.noise_mm > 0:
             raise OptionError("noise_mm must be above 0: it is a standard deviation.", option="noise_mm")
         for name in ("search_mm", "search_deg"):

@@ -25,6 +25,7 @@ from core.identify.plausibility import refuse_foreign
 from core.identify.reference import named, registered, wanted_frames
 from core.identify.report import null_rows, parameter_rows, warnings_of
 from core.identify.seeing import seen
+from core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
 from core.identify.worse import PoseErrors, geometry_alone
 from core.measurement import Measurement
 from core.metrics import Errors, metrics_document
@@ -53,6 +54,7 @@ class Identification:
     influence: list[dict[str, Any]] | None = None
     intervals: Intervals | None = None
     learned: Learned | None = None
+    own_frames: tuple[OwnFrame, ...] = ()
 
     @property
     def covariance(self) -> Floats:
@@ -79,6 +81,7 @@ class Identification:
             "intervals": None if self.intervals is None else self.intervals.kind,
             "learned": None if self.learned is None else self.learned.to_document(),
             **_together(self.fit),
+            "base_refitted": [frame.to_document() for frame in self.own_frames],
             "reference": named(self.calibration),
         }
 
@@ -108,6 +111,10 @@ def identify(
     begin = _begin(robot, train, options, start)
     nominal = Calibration.nominal(robot)
     _refuse_missing_columns(begin, train)
+    frames = Frames.of(begin, train, options)
+    if frames is not None:
+        begin, train = frames.in_model(begin), frames.laid(train)
+        validation = frames.laid(validation) if isinstance(validation, Observations) else validation
     tell(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
     compared: PoseErrors | None = None
@@ -125,15 +132,18 @@ def identify(
     fit = fit_by_method(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s), prior)
     calibration = Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points, *wanted)
     stages = {"nominal": nominal, "registration_only": found, "identified": calibration}
+    own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):
-        other = seen(validation, options, measurement.marker_points, measurement)
-        held = {name: Errors.of(stage, other) for name, stage in stages.items()}
         plain = geometry_alone(begin, measurement, options)
-        compared = PoseErrors.of({**stages, "geometry": plain}, other)
+        held, compared, new = held_out(stages, plain, frames, validation, options, measurement)
+        own += new
     tell(0.95, "identifiability")
     metrics = metrics_document({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held)
-    result = _reported(calibration, fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned)
-    return replace(result, warnings=(*result.warnings, *remarks, *(compared.warnings() if compared else ())))
+    result = _reported(
+        without_frames(calibration), fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned
+    )
+    said = (*result.warnings, *remarks, *(compared.warnings() if compared else ()))
+    return replace(result, own_frames=tuple(own), warnings=said)
 
 
 def _reported(
@@ -147,6 +157,8 @@ def _reported(
 ) -> Identification:
     """What was found, with all that is said about it."""
     sigma = repeat_sigma(train)
+    intervals = _intervals(fit, options, tell)
+    fit = marginal(fit)
     return Identification(
         calibration=calibration,
         fit=fit,
@@ -157,7 +169,7 @@ def _reported(
         warnings=(*warnings_of(fit, train, sigma), *(() if learned is None else (learned.warning(),))),
         method=options.method,
         influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
-        intervals=_intervals(fit, options, tell),
+        intervals=intervals,
         learned=learned,
     )
 
@@ -165,7 +177,9 @@ def _reported(
 def _intervals(fit: Fit, options: IdentifyOptions, tell: Progress) -> Intervals | None:
     if options.intervals is None:
         return None
-    return profile(fit, tell) if options.intervals == "profile" else bootstrap(fit, options.seed, tell)
+    found = profile(fit, tell) if options.intervals == "profile" else bootstrap(fit, options.seed, tell)
+    arm = of_the_arm(fit)
+    return replace(found, lower=found.lower[arm], upper=found.upper[arm], stands_in=found.stands_in[arm])
 
 
 def _together(fit: Fit) -> dict[str, Any]:

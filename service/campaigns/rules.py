@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,11 +23,9 @@ QUATERNION_TOLERANCE = 1e-3
 ABSOLUTE_ZERO_C = -273.15
 # Two points of a workspace are at most twice the reach apart; three leaves room for a long tool.
 IMPOSSIBLE_REACHES = 3.0
-TOO_SMALL = 100.0  # measured so many times smaller than the drawn robot moves: metres in a column of mm
-# What values may be that come out too large or too small for the unit their column declares.
-UNIT_IF_TOO_LARGE = {"m": "Are they in mm?", "mm": "Are the lengths of the robot in m where mm are expected?"}
-UNIT_IF_TOO_SMALL = {"m": "Are the lengths of the robot in mm where m are expected?", "mm": "Are they in m?"}
+SMALL, LARGE = 0.2, 1.5  # of the reach: positions that spread less or more are compared with what the joints command
 SAMPLE_ROWS = 500
+UNITS_MM = {1e3: "m", 100.0: "dm", 25.4: "inch", 10.0: "cm", 1.0: "mm", 1e-3: "um"}
 
 
 class RowRules:
@@ -39,7 +37,7 @@ class RowRules:
         self.rows = 0
         self._low: dict[str, float] = {}
         self._high: dict[str, float] = {}
-        self._sample: list[Floats] = []
+        self._sample: list[tuple[Floats, Floats]] = []
 
     def check(self, table: pa.Table) -> None:
         """Check the next rows.
@@ -66,11 +64,19 @@ class RowRules:
 
         """
         reach = self._reach()
-        for column in self._lengths():
-            spread = self._high.get(column.name, 0.0) - self._low.get(column.name, 0.0)
-            if reach > 0 and spread > IMPOSSIBLE_REACHES * reach:
-                raise self._wrong_unit(column, spread, f"the arm reaches {reach:.3g} m", UNIT_IF_TOO_LARGE)
-        self._check_not_too_small()
+        spreads = {c: self._high.get(c.name, 0.0) - self._low.get(c.name, 0.0) for c in self._lengths()}
+        if not spreads or not reach > 0 or not self._sample:
+            return
+        column = max(spreads, key=lambda c: spreads[c])
+        if not SMALL * reach < spreads[column] < LARGE * reach:
+            self._check_unit(next(iter(spreads)))
+        if spreads[column] > IMPOSSIBLE_REACHES * reach:
+            raise ObservationError(
+                f"Column {column.name!r} spreads over {spreads[column]:.3g} m, but the arm reaches {reach:.3g} m: the "
+                f"values are not in {column.name.rpartition('_')[2]}, or not of this robot.",
+                column=column.name,
+                spread_m=spreads[column],
+            )
 
     def _check_column(self, column: Column, cells: Floats) -> None:
         if not column.may_be_empty:
@@ -146,7 +152,10 @@ class RowRules:
             joints = [c for c in self.columns if c.quantity == "q"]
             joints.sort(key=lambda c: c.number or 0)
             step = max(1, len(cells[joints[0].name]) // SAMPLE_ROWS)
-            self._sample.append(np.stack([cells[c.name][::step] * c.factor for c in joints], axis=1))
+            q = np.stack([cells[c.name][::step] * c.factor for c in joints], axis=1)
+            point = sorted(self._lengths(), key=lambda c: (-1 if c.number is None else c.number, c.quantity))[:3]
+            if point:
+                self._sample.append((q, np.stack([cells[c.name][::step] * c.factor for c in point], axis=1)))
 
     def _lengths(self) -> Iterable[Column]:
         return (c for c in self.columns if c.quantity in ("x", "y", "z") or c.quantity.startswith("marker_"))
@@ -157,30 +166,27 @@ class RowRules:
         strokes = [max(abs(j.lower), abs(j.upper)) for j in self.robot.joints if j.kind == "prismatic"]
         return float(lengths + sum(strokes) + np.linalg.norm(self.robot.T_tool[:3, 3]))
 
-    def _check_not_too_small(self) -> None:
-        lengths = list(self._lengths())
-        measured = max((self._high.get(c.name, 0.0) - self._low.get(c.name, 0.0) for c in lengths), default=0.0)
-        if not lengths or measured * TOO_SMALL > self._reach():
+    def _check_unit(self, column: Column) -> None:
+        """Refuse points that fit the robot in another unit only."""
+        from core.unit_check import unit_factor  # loads compiled kernels; wanted only for a suspicious upload
+
+        factor = unit_factor(self.robot, *self._sample[0])
+        if factor is None:
             return
-        drawn = self._drawn_spread()
-        if drawn > TOO_SMALL * measured:
-            why = f"the robot as drawn moves {drawn:.3g} m in these rows"
-            raise self._wrong_unit(lengths[0], measured, why, UNIT_IF_TOO_SMALL)
-
-    def _drawn_spread(self) -> float:
-        from core.model import Calibration  # loads compiled kernels; wanted only for a suspicious upload
-        from core.observations import Observations
-
-        position = Calibration.nominal(self.robot).predict(Observations(q=self._sample[0])).position
-        return float(np.ptp(position, axis=0).max())
-
-    def _wrong_unit(self, column: Column, spread: float, why: str, units: Mapping[str, str]) -> ObservationError:
-        declared = "m" if column.factor == 1.0 else "mm"
-        return ObservationError(
-            f"Column {column.name!r} spreads over {spread:.3g} m, but {why}: the values are not in {declared}, or the robot "
-            f"is drawn in another unit. {units[declared]}",
+        stated = column.name.rpartition("_")[2]
+        size = factor * column.factor * 1e3
+        unit = next((name for mm, name in UNITS_MM.items() if abs(mm / size - 1.0) < 1e-6), "another unit")
+        remedy = f"name the columns _{unit}" if unit in ("m", "mm") else f"multiply them by {factor:.6g}"
+        read_as = unit if factor > 1 else "mm"
+        others = [name for mm, name in UNITS_MM.items() if factor < 1 and abs(mm * factor - 1.0) < 1e-6]
+        seen = "".join(f", or mm declared as {name} in the recording they come from" for name in others if unit != "mm")
+        raise ObservationError(
+            f"The positions (column {column.name!r} and its neighbours) fit what the joints command only when they are "
+            f"multiplied by {factor:.6g}: they look like {unit} declared as {stated}{seen}. Correct the unit ({remedy}; a "
+            f"recording is read in the right one with --unit {read_as}), or the robot's lengths.",
             column=column.name,
-            spread_m=spread,
+            factor=factor,
+            unit=unit,
         )
 
     def _refuse(self, wrong: NDArray[np.bool_], name: str, what: str, cells: Floats | None = None) -> None:

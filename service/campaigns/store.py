@@ -144,6 +144,11 @@ def add_upload(
         session.flush()
 
 
+def device(session: Session, campaign_id: str) -> str:
+    """Return what a campaign was measured with."""
+    return whole_row_of(session, campaign_id).device
+
+
 def observations(session: Session, campaign_id: str, robot: Robot, only: Collection[str] | None = None) -> Observations:
     """Return all rows of a campaign, SI, in the order of its uploads; or those of the uploads with these hashes.
 

@@ -141,7 +141,12 @@ def load(session: Session, job_id: str) -> JobInput:
         version_id=named,
         calibration=None if named is None else versions.calibration(session, named),
         covariance=None if named is None else versions.covariance(session, named),
+        devices={c: campaigns.device(session, c) for c in (*request.campaigns, *_listed(validation))},
     )
+
+
+def _listed(validation: object) -> list[str]:
+    return validation if isinstance(validation, list) else []
 
 
 def succeed(

@@ -68,7 +68,7 @@ def test_every_command_of_the_contract_is_there() -> None:
     assert {f"kilter {name}" for name in (
         "robot add", "robot check", "robot convert", "robot from-circles", "robot frame", "robot list", "robot show",
         "upload", "inspect", "match", "campaigns",
-        "sheet", "sheet-read", "sheet-join",
+        "sheet", "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
         "identify", "gap", "evaluate", "plan", "joint-parameters",
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "versions", "version", "activate", "rollback", "diff",
         "activations", "export", "correct", "status",

@@ -172,10 +172,10 @@ BAD: list[tuple[str, str, int | None, str | None]] = [
     (LINES[0], "no rows", None, None),
     ("", "empty", None, None),
     (csv_of(columns()).replace(",", ";"), "export it with commas", None, None),
-    (scaled(1.0, "m"), "Are they in mm?", None, "x_m"),
-    (scaled(1e-3, "mm"), "Are they in m?", None, "x_mm"),
-    (scaled(1e3, "mm"), "Are the lengths of the robot in m where mm are expected?", None, "x_mm"),
-    (scaled(1e-6, "m"), "Are the lengths of the robot in mm where m are expected?", None, "x_m"),
+    (scaled(1.0, "m"), "multiplied by 0.001: they look like mm declared as m", None, "x_m"),
+    (scaled(1e-3, "mm"), "multiplied by 1000: they look like m declared as mm", None, "x_mm"),
+    (scaled(1e3, "mm"), "multiplied by 0.001", None, "x_mm"),
+    (scaled(1e-6, "m"), "multiplied by 1000", None, "x_m"),
 ]  # fmt: skip
 
 

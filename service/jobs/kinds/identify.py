@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from core.errors import OptionError
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from service.jobs.setups import Setups
+from service.jobs.sheets import OPTION, bar_lengths, check_option, doubts
 from service.jobs.wire import version_limits
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ def check(options: dict[str, Any]) -> None:
 
     """
     _options(options).make_effects()
+    check_option(options.get(OPTION))
     version_limits(options.get(LIMITS))
 
 
@@ -31,17 +34,23 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     from core.observations import Observations
     from service.campaigns.store import numbered
 
+    options = _options(job.options)
+    setups = Setups(options.refit, job.devices)
+    named = [*job.campaigns.items(), *(job.validation.items() if isinstance(job.validation, dict) else ())]
+    remarks = doubts(job.robot, named, job.devices, job.options.get(OPTION)) + bar_lengths(job.robot, named)
+    parts = numbered(setups.marked(named))
     validation: Observations | float | Folds | None
     if isinstance(job.validation, dict):
-        parts = numbered([*job.campaigns.values(), *job.validation.values()])
         train = Observations.concatenate(parts[: len(job.campaigns)])
         validation = Observations.concatenate(parts[len(job.campaigns) :])
     else:
-        train = Observations.concatenate(numbered(job.campaigns.values()))
+        train = Observations.concatenate(parts)
         validation = Folds(job.validation) if isinstance(job.validation, int) else job.validation
-    options = _options(job.options)
     found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job))
     report = found.to_document()
+    report["base_refitted"] = setups.named(report["base_refitted"])
+    warning = setups.warning(report["base_refitted"])
+    report["warnings"] += [*([] if warning is None else [warning]), *remarks]
     covariance = {"names": list(found.free_names), "matrix": found.covariance.tolist(), "units": "SI"}
     content = VersionContent(
         found.calibration.to_document(), report, covariance, version_limits(job.options.get(LIMITS))
@@ -62,7 +71,7 @@ def _prior(job: JobInput) -> Prior | None:
 def _options(options: dict[str, Any]) -> IdentifyOptions:
     from core.identify import IdentifyOptions
 
-    own = {key: value for key, value in options.items() if key not in (START, LIMITS)}
+    own = {key: value for key, value in options.items() if key not in (START, LIMITS, OPTION)}
     try:
         return IdentifyOptions.from_document(own)
     except TypeError as error:

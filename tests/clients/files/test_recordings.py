@@ -30,16 +30,18 @@ def test_qualisys_c3d(shared_data: Path) -> None:
     np.testing.assert_allclose(block.t_s[:2], [0, 0.005])
 
 
-def test_optotrak_c3d_is_cut_off_and_taken_only_when_asked(shared_data: Path) -> None:
+def test_optotrak_c3d_that_stopped_early_is_taken_and_said_to_be_so(shared_data: Path, tmp_path: Path) -> None:
     path = shared_data / "ndi-formats/c3d/Optotrak.c3d"
-    with pytest.raises(FileError, match=r"frame 30: is cut off: POINT:FRAMES states 1149 frames .* 29 are there"):
-        open_recording(path)
-    found = open_recording(path, allow_cut=True)
+    broken = tmp_path / "broken.c3d"
+    broken.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(FileError, match=r"frame 29: is cut off: POINT:FRAMES states 1149 frames .* 28 are there"):
+        open_recording(broken)
+    found = open_recording(path)
     points = found.whole().points_mm
     np.testing.assert_array_equal(points, by_ezc3d(path))
     assert points.shape == (29, 54, 3)
     assert np.isnan(points).mean() == pytest.approx(0.038, abs=0.001)
-    assert any("cut off" in text for text in found.warnings)
+    assert "POINT:FRAMES states 1149 frames, the 29 that are there are whole" in found.warnings[0]
 
 
 def test_n3d(shared_data: Path) -> None:
@@ -57,9 +59,8 @@ def test_n3d(shared_data: Path) -> None:
 
 def test_aurora(shared_data: Path) -> None:
     path = shared_data / "ndi-formats/aurora_csv/NDIdata_snakeravenTest_2_2_21.csv"
-    with pytest.raises(FileError, match="line 164: 5 cells where the first row has 33"):
-        open_recording(path)
-    found = open_recording(path, allow_cut=True)
+    found = open_recording(path)
+    assert "line 164, the last, is cut off (5 of 33 cells) and left out" in found.warnings
     block = found.whole()
     with path.open() as stream:
         rows = [[float(c) for c in row if c.strip()] for row in list(csv.reader(stream))[5:-1]]

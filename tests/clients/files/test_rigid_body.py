@@ -184,7 +184,7 @@ def test_frames_as_poses_and_the_command(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_a_real_auroras_tools_as_poses(shared_data: Path) -> None:
-    recording = open_recording(shared_data / "ndi-formats/aurora_csv/NDIdata_snakeravenTest_2_2_21.csv", allow_cut=True)
+    recording = open_recording(shared_data / "ndi-formats/aurora_csv/NDIdata_snakeravenTest_2_2_21.csv")
     for name in recording.markers[:2]:
         block, k = recording.whole(), recording.markers.index(name)
         assert block.quaternions is not None

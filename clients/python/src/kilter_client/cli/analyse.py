@@ -55,6 +55,10 @@ def identify(
         typer.Option(help="Frame of the measuring device; removed: only distances between poses count."),
     ] = None,
     tool: Annotated[Frame | None, typer.Option(help="Tool point.")] = None,
+    refit: Annotated[
+        Literal["base", "none"] | None,
+        typer.Option(help="A base to every campaign and session, or one to all; by default a sheet has its own."),
+    ] = None,
     loss: Annotated[Literal["linear", "huber"] | None, typer.Option(help="huber forgives outliers.")] = None,
     reference: Reference = None,
     intervals: Annotated[
@@ -86,6 +90,8 @@ def identify(
         seed=seed,
         start=start,
     )
+    if refit is not None:
+        chosen["refit"] = ["base"] if refit == "base" else []
     run_job("identify", robot, campaign, validation, chosen, no_wait, as_json)
 
 

@@ -16,6 +16,10 @@ from kilter_client.errors import MissingPackageError, UsageError
 MARKERS_SHOWN = 12
 
 Rate = Annotated[float | None, typer.Option("--rate", help="Frames per second, where the file does not say.")]
+Unit = Annotated[
+    str | None,
+    typer.Option("--unit", help="Unit of the coordinates or angles, whatever the file states: mm, m, inch, mrad."),
+]
 AllowCut = Annotated[bool, typer.Option("--allow-cut", help="Take the whole frames of a file that is cut off.")]
 Topic = Annotated[str | None, typer.Option("--topic", help="Bag: the topic of the joint states, if there are several.")]
 JointOrder = Annotated[
@@ -46,7 +50,7 @@ def inspect(
     euler: Annotated[
         str | None, typer.Option(help="Order of its angles: XYZ about the moving axes, xyz about the fixed ones.")
     ] = None,
-    unit: Annotated[str | None, typer.Option(help="Unit of an inclinometer's angles, where it is not stated.")] = None,
+    unit: Unit = None,
     topic: Topic = None,
     joint_order: JointOrder = None,
     as_json: Json = False,

@@ -10,7 +10,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import Json
-from kilter_client.cli.inspect import AllowCut, JointOrder, Rate, Topic, check_numpy
+from kilter_client.cli.inspect import AllowCut, JointOrder, Rate, Topic, Unit, check_numpy
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import UsageError
@@ -66,6 +66,7 @@ def match(
     joint_order: JointOrder = None,
     rate: Rate = None,
     allow_cut: AllowCut = False,
+    unit: Unit = None,
     rest_speed: Annotated[float | None, typer.Option(help="Slower than this is rest, mm/s.")] = None,
     shortest: Annotated[float, typer.Option(help="Shortest dwell, s.")] = 0.3,
     settle: Annotated[float, typer.Option(help="Left out at the beginning of a dwell, s.")] = 0.1,
@@ -87,7 +88,7 @@ def match(
     from kilter_client.files.rigid_body import find_body, tool_as_markers
 
     hints = LogHints(topic, arguments.split_names([joint_order or ""]), joints_of(robot) if is_bag(joints) else ())
-    found, log = open_recording(recording, rate, allow_cut), read_joint_log(joints, joints_map, hints)
+    found, log = open_recording(recording, rate, allow_cut, unit), read_joint_log(joints, joints_map, hints)
     for text in log.notes:
         note(f"  {text}", as_json)
     if tcp is not None and (tool is not None or found.kind.startswith("tool-")):

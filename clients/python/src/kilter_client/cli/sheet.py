@@ -105,6 +105,9 @@ def sheet_join(
         Path | None,
         typer.Option(help="CSV of quarter points 1 to 4 in the robot's base: x_mm, y_mm, z_mm.", exists=True),
     ] = None,
+    faces_down: Annotated[
+        bool, typer.Option("--faces-down", help="The sheet's face is below, as on a ceiling.")
+    ] = False,
     height: Annotated[
         Path | None, typer.Option(help="Log of the potentiometer: TDMS, CSV or .mat.", exists=True, dir_okay=False)
     ] = None,
@@ -136,9 +139,13 @@ def sheet_join(
     volts = None if calibration is None else read_calibration(calibration)
     heights = None if height is None else read_heights(height, channel, volts, height_time)
     circle = _circle(file, radius_mm, page, bars_mm, allow_gaps)
-    frame = Frame.own() if points is None else register(points, read_points(points), circle.radius_mm)
+    frame = Frame.own() if points is None else register(points, read_points(points), circle.radius_mm, faces_down)
     log = read_joint_log(joints, joints_map)
     joined = join(circle, log, heights, frame, JoinOptions(starts_s=height_starts_s, taken_mm=take_command))
+    joined.table.notes.append(
+        f"upload it with --device {'ballbar' if circle.is_bar else 'pencil'}: identify then checks which quarter is the first, "
+        "and gives it a base of its own"
+    )
     write(output, joined.table.to_csv())
     document = {"file": str(output), "notes": joined.table.notes, "warnings": joined.table.warnings} | joined.report
     emit(document, as_json, _show_join)
@@ -156,7 +163,7 @@ def _circle(file: Path, radius_mm: float | None, page: int, bars_mm: str | None,
 
         bar = read_ballbar(file, radius_mm)
         out, turn = bar.radius_mm - bar.nominal_mm, np.radians(bar.angle_deg)
-        return Circle(file, bar.nominal_mm, turn, out, np.full(len(out), BAR_SIGMA_MM), None, None)
+        return Circle(file, bar.nominal_mm, turn, out, np.full(len(out), BAR_SIGMA_MM), None, None, True)
     found = read(file, radius_mm, page, bars_mm, allow_gaps)
     turn = np.radians(found.angle_deg)
     return Circle(

@@ -55,9 +55,23 @@ def prepare(path: Path | str, device: str | None = None, column_map: Path | str 
         from kilter_client.files.mapped import read_mapped
 
         return Prepared.from_table(read_mapped(path, read_map(Path(column_map))))
-    if device is not None and device in DEVICES:
+    if device is not None and device in DEVICES and not _is_joined(path):
         return Prepared.from_table(DEVICES[device](path))
     return as_it_is(path)
+
+
+def _is_joined(path: Path) -> bool:
+    """Tell whether a device's log was joined with the joint log already: all of its columns are the contract's."""
+    from kilter_client.files.units import unit_of
+
+    if path.suffix.lower() != ".csv":
+        return False
+    try:
+        with path.open(encoding="utf-8") as stream:
+            names = stream.readline(65_536).strip().split(",")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return all(unit_of(name) is not None for name in names)
 
 
 def as_it_is(path: Path) -> Prepared:

@@ -17,7 +17,7 @@ from kilter_client.files.inclinometer import TIME
 from kilter_client.files.recording import Floats
 from kilter_client.files.source_text import parse_number
 from kilter_client.files.table import Table
-from kilter_client.files.text_blocks import lines_of
+from kilter_client.files.text_blocks import cut_remark, lines_of
 from kilter_client.files.text_layout import UNITS, TextLayout, sniff
 from kilter_client.files.tracker_header import plain
 from kilter_client.files.units import converter
@@ -53,6 +53,7 @@ class BallBar:
     line: NDArray[np.int64]
     joints: dict[str, Floats]
     notes: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
 
 def is_ballbar(layout: TextLayout) -> bool:
@@ -77,7 +78,7 @@ def read_ballbar(path: Path, nominal_mm: float | None = None) -> BallBar:
     if angle is None or length is None:
         raise fault(path, f"no angle and radius among {', '.join(layout.names[:12])}", REMEDY, line=layout.first_line)
     joints = {i: name for i, name in enumerate(layout.names) if JOINT.match(name.lower())}
-    values, run, line = _rows(path, layout, [angle, length, *joints])
+    values, run, line, cut = _rows(path, layout, [angle, length, *joints])
     degrees = _converted(path, layout, angle, values[:, 0], "deg", "deg")
     if layout.units[angle] is None and np.ptp(degrees) < 6.5 and len(degrees) > 20:
         what = f"turns only {np.ptp(degrees):.3g} in all: are these radians"
@@ -97,20 +98,28 @@ def read_ballbar(path: Path, nominal_mm: float | None = None) -> BallBar:
         columns[f"{name.lower()}_{unit}"] = values[:, 2 + k]
     origin = "" if said else ", the median: none is stated"
     notes = (f"nominal radius {nominal:g} mm{origin}", f"{len(radii)} readings in {int(run.max())} runs")
-    return BallBar(path, nominal, degrees, radii, run, line, columns, notes)
+    return BallBar(path, nominal, degrees, radii, run, line, columns, notes, () if cut is None else (cut,))
 
 
 def _column(layout: TextLayout, pattern: re.Pattern[str]) -> int | None:
     return next((i for i, name in enumerate(layout.names) if pattern.match(plain(name))), None)
 
 
-def _rows(path: Path, layout: TextLayout, columns: list[int]) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
-    """Numbers (n, columns) with their run and line; a title, or the header again, begins the next run."""
+def _rows(
+    path: Path, layout: TextLayout, columns: list[int]
+) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], str | None]:
+    """Numbers (n, columns) with their run and line; a title, or the header again, begins the next run.
+
+    A last line that breaks off is left out, with a remark.
+    """
     rows: list[list[float]] = []
     runs: list[int] = []
     lines: list[int] = []
     run, titled = 1, False
+    broken: tuple[FileError, str | None] | None = None
     for number, text in lines_of(path, layout):
+        if broken is not None:
+            raise broken[0]
         if len(text) > LONGEST_LINE:
             raise fault(path, f"a line of {len(text)} characters", "Export it as text again.", line=number)
         cells = layout.split(text)
@@ -125,12 +134,16 @@ def _rows(path: Path, layout: TextLayout, columns: list[int]) -> tuple[Floats, N
             titled = True
         else:
             what = f"{text.strip()[:60]!r} is no row of {layout.width} numbers"
-            raise fault(path, what, "Correct the row; other notes belong above the table.", line=number)
+            error = fault(path, what, "Correct the row; other notes belong above the table.", line=number)
+            broken = error, cut_remark(number, len(cells), layout.width)
+            if broken[1] is None:
+                raise error
         if len(rows) > MOST_ROWS:
             raise fault(path, f"has more than {MOST_ROWS} rows", "Split the file.", line=number)
     if len(rows) < ROWS_NEEDED:
         raise fault(path, f"has {len(rows)} readings", f"At least {ROWS_NEEDED} are needed to see a circle.")
-    return np.array(rows), _turned(np.array([row[0] for row in rows]), np.array(runs)), np.array(lines)
+    turned = _turned(np.array([row[0] for row in rows]), np.array(runs))
+    return np.array(rows), turned, np.array(lines), None if broken is None else broken[1]
 
 
 def _is_title(cells: list[str], layout: TextLayout) -> bool:
@@ -240,7 +253,7 @@ def ballbar_table(path: Path) -> Table:
     columns = {name: [float(v) for v in values] for name, values in found.joints.items()}
     columns["bar_id"] = [float(run) for run in found.run]
     columns["bar_mm"] = [round(float(v), 6) for v in found.radius_mm]
-    table = Table(columns, [int(line) for line in found.line], list(found.notes))
+    table = Table(columns, [int(line) for line in found.line], list(found.notes), list(found.warnings))
     table.notes.append(
         "bar_id counts the runs: give runs about one foot the same number, and the arm's size is seen better"
     )

@@ -45,6 +45,7 @@ class Layout:
     frames: int
     to_mm: float
     rate_hz: float
+    unit: str
 
 
 def read_c3d(path: Path, allow_cut: bool = False) -> Recording:
@@ -69,6 +70,7 @@ def read_c3d(path: Path, allow_cut: bool = False) -> Recording:
         lambda: _blocks(path, layout),
         tuple(notes),
         tuple(warnings),
+        layout.unit,
     )
 
 
@@ -96,7 +98,7 @@ def _layout(
     unit = _unit(path, parameters, notes)
     to_mm = SIZES["length"][unit] / SIZES["length"]["mm"] * (1.0 if scale < 0 else scale)
     dtype = np.dtype(f"{header.order}f4") if scale < 0 else np.dtype(f"{header.order}i2")
-    return Layout(dtype, points, words, start, frames, to_mm, rate)
+    return Layout(dtype, points, words, start, frames, to_mm, rate, unit)
 
 
 def _claims(header: Header, parameters: Mapping[str, Value]) -> list[tuple[str, int]]:
@@ -118,6 +120,11 @@ def _frames(
 ) -> int:
     room = max(0, path.stat().st_size - start) // size
     name, frames = claims[0] if claims else ("the file's length", room)
+    whole = path.stat().st_size == start + room * size
+    if room and room < frames and whole:
+        # The header is written first, with the frames that were planned; a copy that broke off ends within a frame.
+        warnings.append(f"stopped early: {name} states {frames} frames, the {room} that are there are whole and taken")
+        return room
     if frames > room and allow_cut and room:
         warnings.append(f"cut off: {name} states {frames} frames, the {room} that are whole are taken")
         return room

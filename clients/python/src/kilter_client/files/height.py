@@ -73,13 +73,13 @@ def read_heights(
         FileError: no such channel, no time, volts without or outside the calibration, an empty cell, time that goes back.
 
     """
-    kind = kind_of(path)
+    kind, cut = kind_of(path), None
     if kind == "tdms":
         t, values, unit, name = _tdms(path, channel)
     elif kind == "mat":
         t, values, unit, name = _mat(path, channel, time)
     elif kind == "text":
-        t, values, unit, name = _text(path, channel, time)
+        t, values, unit, name, cut = _text(path, channel, time)
     else:
         raise fault(path, f"is a {kind} file, no log of a height", "Give TDMS, CSV or .mat.")
     if len(values) < 2:
@@ -90,7 +90,8 @@ def read_heights(
     if np.any(np.diff(t) <= 0):
         row = int(np.argmax(np.diff(t) <= 0)) + 2
         raise fault(path, f"time goes back or stands still at value {row}", "Split the file there.", column=name)
-    return Heights(path, t, _in_mm(path, name, values, unit, calibration), f"height from {name!r} of {path.name}")
+    note = f"height from {name!r} of {path.name}" + ("" if cut is None else f" ({cut})")
+    return Heights(path, t, _in_mm(path, name, values, unit, calibration), note)
 
 
 def _in_mm(path: Path, name: str, values: Floats, unit: str | None, calibration: Calibration | None) -> Floats:
@@ -120,7 +121,7 @@ def _tdms(path: Path, channel: str | None) -> tuple[Floats, Floats, str | None, 
     return t, values, unit or None, name
 
 
-def _text(path: Path, channel: str | None, time: str | None) -> tuple[Floats, Floats, str | None, str]:
+def _text(path: Path, channel: str | None, time: str | None) -> tuple[Floats, Floats, str | None, str, str | None]:
     layout = sniff(path)
     names = list(layout.names)
     at = names.index(time) if time in names else next((i for i, n in enumerate(names) if plain(n) in TIME), None)
@@ -128,11 +129,12 @@ def _text(path: Path, channel: str | None, time: str | None) -> tuple[Floats, Fl
         raise fault(path, f"no time among {', '.join(names[:12])}", "Name its column t_s, or give --height-time.")
     name = _chosen(path, channel, [n for n in names if n != names[at]])
     column = names.index(name)
-    raw = np.concatenate(list(blocks(path, layout, [at, column], count_rows(path, layout, False)[0])))
+    rows, cut = count_rows(path, layout)
+    raw = np.concatenate(list(blocks(path, layout, [at, column], rows)))
     if np.isnan(raw).any():
         row = int(np.argmax(np.isnan(raw).any(axis=1)))
         raise fault(path, "a cell is empty", "Fill it or leave the row out.", line=line_of(path, layout, row))
-    return raw[:, 0] * SIZES["time"].get(layout.units[at] or "s", 1.0), raw[:, 1], layout.units[column], name
+    return raw[:, 0] * SIZES["time"].get(layout.units[at] or "s", 1.0), raw[:, 1], layout.units[column], name, cut
 
 
 def _mat(path: Path, channel: str | None, time: str | None) -> tuple[Floats, Floats, str | None, str]:

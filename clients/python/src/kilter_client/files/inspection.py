@@ -47,7 +47,7 @@ def inspect(path: Path, hints: Hints = Hints()) -> Document:
     """
     kind = "bag" if is_bag(path) else kind_of(path)
     if kind in ("c3d", "n3d"):
-        found = _recording(open_recording(path, hints.rate_hz, hints.allow_cut))
+        found = _recording(open_recording(path, hints.rate_hz, hints.allow_cut, hints.unit))
     else:
         found = {"tdms": _tdms, "mat": _mat, "parquet": _parquet, "text": _text, "bag": _bag}[kind](path, hints)
     known = {"kind": kind, "problems": [], "warnings": [], "notes": []}
@@ -72,7 +72,7 @@ def _text(path: Path, hints: Hints) -> Document:
     if tilts_of(layout) and not understand(layout).xyz:
         return _inclinometer(path, hints) | shape
     if is_recording(layout, hints.rate_hz):
-        return _recording(open_recording(path, hints.rate_hz, hints.allow_cut)) | shape
+        return _recording(open_recording(path, hints.rate_hz, hints.allow_cut, hints.unit)) | shape
     table = read_tracker(path, hints.preset, hints.euler)
     columns = [column(name, unit_of(name), np.array(values)) for name, values in table.columns.items()]
     return shape | {
@@ -162,7 +162,8 @@ def _inclinometer(path: Path, hints: Hints) -> Document:
     found = read_inclinometer(path, hints.unit)
     columns = [column(name, unit_of(name), values) for name, values in found.columns.items()]
     rows = len(found.columns["t_s"])
-    return {"kind": "inclinometer", "rows": rows, "columns": columns, "notes": list(found.notes)}
+    told = {"notes": list(found.notes), "warnings": list(found.warnings)}
+    return {"kind": "inclinometer", "rows": rows, "columns": columns} | told
 
 
 def _ballbar(path: Path) -> Document:
@@ -179,7 +180,8 @@ def _ballbar(path: Path) -> Document:
     notes.append(
         "ready for kilter upload --device ballbar" if found.joints else "joins a joint log with kilter sheet-join"
     )
-    return {"kind": "ballbar", "rows": len(found.radius_mm), "columns": columns, "runs": runs, "notes": notes}
+    told = {"notes": notes, "warnings": list(found.warnings)}
+    return {"kind": "ballbar", "rows": len(found.radius_mm), "columns": columns, "runs": runs} | told
 
 
 def _tdms(path: Path, hints: Hints) -> Document:
@@ -225,5 +227,5 @@ def _alike(columns: dict[str, list[float]]) -> list[str]:
     same = len(points) - len(np.unique(points, axis=0))
     out = [f"{same} points are copies of others to the last digit"] if same else []
     if size < 20.0 and len(points) > 5:
-        out.append(f"no coordinate is beyond {size:.3g} mm: are they metres?")
+        out.append(f"no coordinate is beyond {size:.3g} mm: are these metres declared as mm, 1000 times larger")
     return out

@@ -50,6 +50,7 @@ def read_marker_text(path: Path, rate_hz: float | None = None, allow_cut: bool =
         lambda: _blocks(reader),
         tuple(_notes(layout, columns, reader)),
         tuple([f"columns left out: {', '.join(columns.ignored)}"] if columns.ignored else []) + cut,
+        reader.unit,
     )
 
 
@@ -76,14 +77,16 @@ def _unit(path: Path, layout: TextLayout, columns: MarkerColumns) -> tuple[str, 
 
 
 def _rows(path: Path, layout: TextLayout, allow_cut: bool) -> tuple[int, tuple[str, ...]]:
-    (rows, cut), stated = count_rows(path, layout, allow_cut), told(layout, FRAMES)
-    if stated is not None and rows < stated and not allow_cut:
+    (rows, cut), stated = count_rows(path, layout), told(layout, FRAMES)
+    lines = rows + (cut is not None)
+    if stated is not None and lines < stated and not allow_cut:
         raise fault(path, f"is cut off: it states {stated:.0f} frames, {rows} are there", CUT, frame=rows + 1)
-    if stated is not None and rows > stated:
+    if stated is not None and lines > stated:
         line = line_of(path, layout, int(stated))
-        raise fault(path, f"has {rows} frames where it states {stated:.0f}", GLUED, line=line)
+        raise fault(path, f"has {lines} frames where it states {stated:.0f}", GLUED, line=line)
     short = stated is not None and rows < stated
-    return rows, (f"cut off: the {rows} frames that are whole are taken",) if cut or short else ()
+    said = f"cut off: the {rows} frames that are whole are taken"
+    return rows, tuple(text for text in (cut, said if short else None) if text is not None)
 
 
 def _rate(reader: _Reader) -> float:

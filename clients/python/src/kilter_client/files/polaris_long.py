@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from kilter_client.files.gaps import unit_quaternions, without_gaps
 from kilter_client.files.marker_header import unit_above
 from kilter_client.files.recording import Block, Floats, Recording
 from kilter_client.files.source_text import parse_number
-from kilter_client.files.text_blocks import MISSING, lines_of
+from kilter_client.files.text_blocks import MISSING, count_rows, lines_of
 from kilter_client.files.text_layout import TextLayout
 from kilter_client.files.tracker_header import plain
 from kilter_client.files.turns import quaternions_of
@@ -75,7 +76,8 @@ def read_long(path: Path, layout: TextLayout, columns: LongColumns, rate_hz: flo
     frames: list[int] = []
     cells: list[tuple[int, int, int, list[float]]] = []  # frame's place, tool, line, numbers
     there: set[tuple[int, int]] = set()
-    for row, (line, text) in enumerate(lines_of(path, layout)):
+    rows, cut = count_rows(path, layout)
+    for row, (line, text) in enumerate(itertools.islice(lines_of(path, layout), rows)):
         if row == MOST_ROWS:
             raise fault(path, f"has more than {MOST_ROWS} rows", "Split it.", line=line)
         parts = layout.split(text)
@@ -97,7 +99,8 @@ def read_long(path: Path, layout: TextLayout, columns: LongColumns, rate_hz: flo
         there.add((len(frames), tool))
         wanted = (*columns.xyz, *columns.turns, *(() if columns.time is None else (columns.time,)))
         cells.append((len(frames) - 1, tool, line, [_number(path, layout, parts, i, line) for i in wanted]))
-    return _recording(path, layout, columns, rate_hz, list(tools), np.array(frames), cells)
+    found = _recording(path, layout, columns, rate_hz, list(tools), np.array(frames), cells)
+    return found if cut is None else replace(found, warnings=(*found.warnings, cut))
 
 
 def _recording(
@@ -128,7 +131,8 @@ def _recording(
 
     by = "matrix" if len(columns.turns) == 9 else "quaternion"
     note = f"one row per tool and frame; positions in {unit}, orientation by {by}"
-    return Recording(path, "tool-long-csv", tuple(f"tool {name}" for name in tools), rate, len(frames), blocks, (note,))
+    names = tuple(f"tool {name}" for name in tools)
+    return Recording(path, "tool-long-csv", names, rate, len(frames), blocks, (note,), unit=unit)
 
 
 def _turns(path: Path, values: Floats, points: Floats, line: Floats) -> Floats:

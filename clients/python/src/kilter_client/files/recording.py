@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from kilter_client.files.faults import fault
+from kilter_client.files.units import SIZES
 
 Floats = NDArray[np.float64]
 
@@ -42,6 +45,7 @@ class Recording:
     blocks: Callable[[], Iterator[Block]]
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    unit: str = "mm"  # that the file states or is taken to be in; the blocks are in mm
 
     @property
     def duration_s(self) -> float:
@@ -58,6 +62,27 @@ class Recording:
             np.concatenate([part.rows for part in parts]),
             np.concatenate(turned) if len(turned) == len(parts) else None,
         )
+
+
+def in_unit(recording: Recording, unit: str) -> Recording:
+    """Read the coordinates in ``unit``, whatever the file states.
+
+    Raises:
+        FileError: it is no unit of length.
+
+    """
+    if unit not in SIZES["length"]:
+        raise fault(recording.path, f"{unit!r} is no unit of length", f"Give one of {', '.join(SIZES['length'])}.")
+    if unit == recording.unit:
+        return recording
+    factor = SIZES["length"][unit] / SIZES["length"][recording.unit]
+
+    def blocks() -> Iterator[Block]:
+        for block in recording.blocks():
+            yield replace(block, points_mm=block.points_mm * factor)
+
+    said = f"coordinates taken as {unit}, as you say; the file says {recording.unit}"
+    return replace(recording, blocks=blocks, unit=unit, warnings=(*recording.warnings, said))
 
 
 def frames_per_block(markers: int) -> int:

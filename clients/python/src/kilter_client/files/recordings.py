@@ -10,7 +10,7 @@ from kilter_client.files.faults import fault, head_of
 from kilter_client.files.marker_text import read_marker_text
 from kilter_client.files.mcap_check import MCAP, SQLITE
 from kilter_client.files.ndi_n3d import is_n3d, read_n3d
-from kilter_client.files.recording import Recording
+from kilter_client.files.recording import Recording, in_unit
 
 PICTURE = "Export the numbers; a scanned pencil sheet is read with kilter sheet-read."
 OTHERS = {
@@ -51,13 +51,20 @@ def kind_of(path: Path) -> str:
     return "text"
 
 
-def open_recording(path: Path, rate_hz: float | None = None, allow_cut: bool = False) -> Recording:
-    """Read a recording of markers or tools: C3D, NDI floating point, or text.
+def open_recording(
+    path: Path, rate_hz: float | None = None, allow_cut: bool = False, unit: str | None = None
+) -> Recording:
+    """Read a recording of markers or tools: C3D, NDI floating point, or text; ``unit`` goes before what the file states.
 
     Raises:
         FileError: the file of another device, or a damaged one.
 
     """
+    found = _opened(path, rate_hz, allow_cut)
+    return found if unit is None else in_unit(found, unit)
+
+
+def _opened(path: Path, rate_hz: float | None, allow_cut: bool) -> Recording:
     kind = kind_of(path)
     if kind in ("c3d", "n3d"):
         return read_c3d(path, allow_cut) if kind == "c3d" else read_n3d(path, allow_cut)

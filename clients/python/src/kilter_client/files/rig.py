@@ -19,8 +19,10 @@ from kilter_client.files.table import Table
 REGISTERED_MM = 3.0
 REACH_MM = 1.5  # a row this near to the circle and to its gap was at that gap
 ASIDE_MM = 0.5
+OTHER_LENGTH_MM = 0.2  # a ball bar is set up within this of the circle that is commanded
 LEAST_SIGMA_MM = 0.005
 ROWS_NEEDED = 8
+SEEN_TO_FACE = 0.3  # cosine of its normal to the vertical from which a sheet faces up or down and not sideways
 AXES = "xyz"
 
 
@@ -28,7 +30,7 @@ AXES = "xyz"
 class Circle:
     """Errors of a circle of ``radius_mm`` at ``turn`` rad: out of it, and along it where that was measured.
 
-    ``along_mm`` is None for a bare line; values are NaN where nothing was measured.
+    ``is_bar`` where a ball bar measured it. ``along_mm`` is None for a bare line; values are NaN where nothing was measured.
     """
 
     path: Path
@@ -38,6 +40,7 @@ class Circle:
     out_sigma_mm: Floats
     along_mm: Floats | None
     along_sigma_mm: Floats | None
+    is_bar: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,11 +92,11 @@ def read_points(path: Path) -> Floats:
     return points
 
 
-def register(path: Path, points: Floats, radius_mm: float) -> Frame:
-    """Lay the sheet through the four quarter points (4, 3).
+def register(path: Path, points: Floats, radius_mm: float, faces_down: bool = False) -> Frame:
+    """Lay the sheet through the four quarter points (4, 3); its face is up unless it ``faces_down``.
 
     Raises:
-        FileError: they are no four quarters of such a circle.
+        FileError: they are no four quarters of such a circle, or run the other way round.
 
     """
     turn = np.arange(4) * np.pi / 2
@@ -107,6 +110,12 @@ def register(path: Path, points: Floats, radius_mm: float) -> Frame:
         what = f"point {int(np.argmax(left)) + 1} is {left.max():.1f} mm off a circle of {radius_mm:g} mm"
         said = ", ".join(f"{value:.1f}" for value in found)
         raise fault(path, what, f"They lie {said} mm from their middle: check order, unit and sheet.")
+    up = float(turned[2, 2])
+    if abs(up) > SEEN_TO_FACE and (up < 0) != faces_down:
+        way = "counterclockwise" if faces_down else "clockwise"
+        what = f"the points run {way} seen from above, so the sheet would face {'up' if faces_down else 'down'}"
+        other = "leave --faces-down out" if faces_down else "give --faces-down"
+        raise fault(path, what, f"Give them in the order 1, 2, 3, 4 of the sheet; if it does lie like that, {other}.")
     return Frame(turned, centre, left)
 
 
@@ -118,8 +127,12 @@ def join(circle: Circle, log: JointLog, heights: Heights | None, frame: Frame, o
 
     """
     along, taken = _along(circle, options)
-    commanded = _commanded(log)
+    commanded = commanded_mm(log)
     at_sheet = (commanded - frame.centre_mm) @ frame.turned
+    if circle.is_bar:
+        in_plane = np.abs(at_sheet[:, 2]) < REGISTERED_MM
+        if in_plane.any():
+            refuse_other_length(circle.path, circle.radius_mm, float(np.median(np.hypot(*at_sheet[in_plane, :2].T))))
     rows, places = _matched(circle, log, at_sheet, along)
     turn = circle.turn[places]
     r = circle.radius_mm + circle.out_mm[places]
@@ -154,6 +167,19 @@ def join(circle: Circle, log: JointLog, heights: Heights | None, frame: Frame, o
     return Joined(table, report)
 
 
+def refuse_other_length(path: Path, nominal_mm: float, commanded: float) -> None:
+    """Refuse a ball bar's nominal length that is not the radius commanded: deviations would make another bar of it.
+
+    Raises:
+        FileError: they differ, with the option that mends it.
+
+    """
+    if abs(commanded - nominal_mm) > OTHER_LENGTH_MM:
+        what = f"its nominal length is {nominal_mm:g} mm, but the circle commanded has a radius of {commanded:.3f} mm"
+        said = f"{what} ({commanded / nominal_mm:.4g} times)"
+        raise fault(path, said, f"If that is the bar's length, give --radius-mm {commanded:.6g}.")
+
+
 def _along(circle: Circle, options: JoinOptions) -> tuple[Floats, float]:
     if circle.along_mm is not None:
         return circle.along_mm, 0.0
@@ -164,7 +190,13 @@ def _along(circle: Circle, options: JoinOptions) -> tuple[Floats, float]:
     return np.zeros(len(circle.turn)), options.taken_mm
 
 
-def _commanded(log: JointLog) -> Floats:
+def commanded_mm(log: JointLog) -> Floats:
+    """Return the commanded tool positions (n, 3) of a log, mm.
+
+    Raises:
+        FileError: it has none.
+
+    """
     for unit, factor in (("mm", 1.0), ("m", 1000.0)):
         if all(f"{axis}_{unit}" in log.columns for axis in AXES):
             return np.stack([log.columns[f"{axis}_{unit}"] for axis in AXES], axis=1) * factor

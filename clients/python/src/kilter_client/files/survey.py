@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kilter_client.files.recording import Block, Floats, Recording
+from kilter_client.files.units import SIZES
 
 JUMP_MM = 5.0
 SHIFT_SHARE = 0.05  # a jump is explained by moved columns when this little of it is left
 FAR_MM = 30_000.0  # no optical tracker sees markers 30 m away
+NEAR_MM = 50.0  # a tracker stands farther away
 NOISE_FRAMES = 200_000
+NOISE_ORDERS = (2, 4, 6)
+NOISE_FEWEST = 6
 SHOWN = 5
 
 
@@ -56,13 +61,34 @@ def survey(recording: Recording) -> Survey:
 
 
 def noise(points: Floats) -> Floats:
-    """Return each marker's noise per coordinate, mm: from second differences, which steady motion leaves alone."""
+    """Return each marker's standard deviation of a coordinate, mm: the root mean square of those of x, y and z.
+
+    Differences of neighbouring frames leave smooth motion alone, the higher the order the faster; the least of the
+    orders is taken, for motion only adds.
+    """
     if len(points) < 8:
         return np.full(points.shape[1], np.nan)
-    second = points[2:] - 2 * points[1:-1] + points[:-2]
-    flat = np.moveaxis(np.abs(second), 1, 0).reshape(points.shape[1], -1)
-    known = [values[~np.isnan(values)] for values in flat]
-    return np.array([1.4826 * np.median(v) / np.sqrt(6) if len(v) else np.nan for v in known])
+    found = []
+    for order in NOISE_ORDERS:
+        size = math.sqrt(math.comb(2 * order, order))
+        found.append(
+            np.array([_spread(d) / size for d in np.diff(points, order, axis=0).reshape(-1, points[0].size).T])
+        )
+    least = np.fmin.reduce(found).reshape(points.shape[1:])
+    return np.asarray(np.sqrt(np.mean(least**2, axis=1)))
+
+
+def _spread(values: Floats) -> float:
+    """Standard deviation about zero without outliers; NaN of fewer than ``NOISE_FEWEST`` values."""
+    size = np.abs(values[~np.isnan(values)])
+    if len(size) < NOISE_FEWEST:
+        return float("nan")
+    # The median alone would show the steps of rounded coordinates; nine tenths still do not see the outliers.
+    low, high = np.quantile(size, [0.5, 0.9]) / [0.6745, 1.6449]
+    sigma = float(max(low, min(high, 2 * low) if low > 0 else high))
+    for _ in range(3):
+        sigma = float(np.sqrt(np.mean(size[size <= 4 * sigma] ** 2)))
+    return sigma
 
 
 def jumps(points: Floats, rows: NDArray[np.int64], names: tuple[str, ...]) -> list[tuple[int, str]]:
@@ -146,9 +172,19 @@ def _doubts(found: Survey, recording: Recording) -> None:
         largest = float(max(np.abs(found.low[seen]).max(), np.abs(found.high[seen]).max()))
         spread = float((found.high[seen] - found.low[seen]).max())
         if largest > FAR_MM:
-            found.doubts.append(f"coordinates up to {largest:.6g} mm: is the unit right?")
-        if largest < 20.0 and spread < 5.0:
-            found.doubts.append(f"no coordinate is beyond {largest:.3g} mm: are they metres?")
+            said = "" if recording.unit == "mm" else f", declared as {recording.unit}"
+            likely = "mm" if recording.unit != "mm" else "um"
+            factor = SIZES["length"][recording.unit] / SIZES["length"][likely]
+            found.doubts.append(
+                f"coordinates up to {largest:.6g} mm{said}, and no tracker sees so far: they look like {likely}, {factor:g} "
+                f"times smaller (--unit {likely})"
+            )
+        if largest < NEAR_MM and spread < NEAR_MM:
+            said = "" if recording.unit == "mm" else f", declared as {recording.unit}"
+            found.doubts.append(
+                f"no coordinate is beyond {largest:.3g} mm{said}, and no tracker measures so near: they look like metres, "
+                "1000 times larger (--unit m), or inches, 25.4 times (--unit inch)"
+            )
         still = [n for n, low, high, s in zip(recording.markers, found.low, found.high, seen, strict=True)
                  if s and np.array_equal(low, high) and recording.frames > 10]  # fmt: skip
         if still:

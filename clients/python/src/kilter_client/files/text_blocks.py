@@ -83,13 +83,23 @@ def line_of(path: Path, layout: TextLayout, row: int) -> int:
     return next((line for line, _ in itertools.islice(lines_of(path, layout), row, None)), layout.first_line + row)
 
 
-def count_rows(path: Path, layout: TextLayout, allow_cut: bool) -> tuple[int, bool]:
-    """Count the rows of numbers; with ``allow_cut`` without the last if it breaks off, and whether it did."""
-    rows, last = 0, ""
-    for _, line in lines_of(path, layout):
-        rows, last = rows + 1, line
-    cut = allow_cut and rows > 1 and len(layout.split(last)) < layout.width
-    return rows - cut, cut
+def count_rows(path: Path, layout: TextLayout) -> tuple[int, str | None]:
+    """Count the rows of numbers, without the last if it breaks off; and a remark where it did.
+
+    A recorder that is stopped leaves half a line behind. A short line anywhere else is damage, which ``blocks`` refuses.
+    """
+    rows, number, last = 0, 0, ""
+    for line in lines_of(path, layout):
+        rows, (number, last) = rows + 1, line
+    remark = cut_remark(number, len(layout.split(last)), layout.width) if rows > 1 else None
+    return rows - (remark is not None), remark
+
+
+def cut_remark(line: int, cells: int, width: int) -> str | None:
+    """Say that the last line is left out, None where it is whole."""
+    if cells >= width:
+        return None
+    return f"line {line}, the last, is cut off ({cells} of {width} cells) and left out"
 
 
 def _raw_width(path: Path, layout: TextLayout) -> int:

@@ -59,7 +59,9 @@ def read_tracker(
     if not set(AXES) <= set(means):
         said = ", ".join(layout.names[:12])
         raise fault(path, f"no columns x, y and z among {said}", "Write a column map (--map).", line=layout.first_line)
-    export = _Export(path, layout, chosen, means, count_rows(path, layout, False)[0], euler or chosen.euler)
+    rows, cut = count_rows(path, layout)
+    export = _Export(path, layout, chosen, means, rows, euler or chosen.euler)
+    export.warnings += [] if cut is None else [cut]
     raw = np.concatenate(list(blocks(path, layout, sorted(set(means.values())), export.rows)))
     place = {column: i for i, column in enumerate(sorted(set(means.values())))}
     values = {key: raw[:, place[column]] for key, column in means.items()}

@@ -1,0 +1,107 @@
+"""``kilter ballbar-join``, ``kilter tilt-join``: logs of simple instruments joined with the joint log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from kilter_client.cli.arguments import File, Json, Robot
+from kilter_client.cli.inspect import check_numpy
+from kilter_client.cli.match import joints_of
+from kilter_client.cli.output import emit, say
+from kilter_client.cli.versions import write
+from kilter_client.errors import UsageError
+
+Joints = Annotated[Path, typer.Argument(help="The joint log.", metavar="JOINTS", show_default=False, exists=True)]
+Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the rows go, as CSV.")]
+Map = Annotated[Path | None, typer.Option(help="Column map of the joint log (TOML).", exists=True, dir_okay=False)]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the ``kilter`` command."""
+    app.command("ballbar-join", epilog="Example: kilter ballbar-join bar.txt joints.csv -o rows.csv")(ballbar_join)
+    app.command("tilt-join", epilog="Example: kilter tilt-join katana after.csv joints.csv --joint j3 -o readings.csv")(
+        tilt_join
+    )
+
+
+def ballbar_join(
+    file: File,
+    joints: Joints,
+    output: Output,
+    radius_mm: Annotated[
+        float | None, typer.Option("--radius-mm", help="The bar's length, whatever its log says.")
+    ] = None,
+    zero_deg: Annotated[float, typer.Option(help="Where the bar's angle 0 lies, from the robot's x axis.")] = 0.0,
+    joints_map: Map = None,
+    as_json: Json = False,
+) -> None:
+    """Join a ball bar's log with the joint log by the angle of each run: lengths with their joints, for kilter upload."""
+    check_numpy()
+    from kilter_client.files.ballbar import read_ballbar
+    from kilter_client.files.ballbar_join import join_ballbar
+    from kilter_client.files.joint_log import read_joint_log
+
+    bar = read_ballbar(file, radius_mm)
+    table, report = join_ballbar(bar, read_joint_log(joints, joints_map), zero_deg)
+    write(output, table.to_csv())
+    emit({"file": str(output), "notes": table.notes, "warnings": table.warnings} | report, as_json, _show)
+
+
+def tilt_join(
+    robot: Robot,
+    file: File,
+    joints: Joints,
+    joint: Annotated[str, typer.Option(metavar="NAME", help="Joint that the inclinometer sits behind.")],
+    output: Output,
+    before: Annotated[
+        Path | None,
+        typer.Option(help="Log of the inclinometer on the link before the joint.", exists=True, dir_okay=False),
+    ] = None,
+    axis: Annotated[
+        Literal["x", "y", "z"], typer.Option(help="Axis of the joint frame it turns about; z is its own.")
+    ] = "z",
+    channel: Annotated[Literal["x", "y"], typer.Option(help="Which of its inclinations.")] = "x",
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of its angles, whatever the log states: deg, mrad, arcmin.")
+    ] = None,
+    by: Annotated[Literal["order", "time"], typer.Option(help="How rests find their row of the joint log.")] = "time",
+    shortest: Annotated[float, typer.Option(help="Shortest rest, s.")] = 0.3,
+    settle: Annotated[float, typer.Option(help="Left out at the beginning of a rest, s.")] = 0.1,
+    payload_kg: Annotated[float, typer.Option(help="Payload of all readings.", min=0.0)] = 0.0,
+    series: Annotated[int, typer.Option(help="Number of this mounting of the inclinometers.")] = 0,
+    joints_map: Map = None,
+    as_json: Json = False,
+) -> None:
+    """Join inclinometer logs with the joint log: one reading per rest, for kilter joint-parameters --readings."""
+    check_numpy()
+    from kilter_client.files.dwells import RestOptions
+    from kilter_client.files.joint_log import read_joint_log
+    from kilter_client.files.tilt_join import TiltOptions, join_tilts
+
+    names = [name.removesuffix(":m") for name in joints_of(robot)]
+    if joint not in names:
+        raise UsageError(f"--joint {joint}: the robot has {', '.join(names)}.")
+    options = TiltOptions(names.index(joint) + 1, axis, by, channel, unit, RestOptions(None, shortest, settle))
+    columns, report = join_tilts(file, before, read_joint_log(joints, joints_map), names, options)
+    head = ["joint", "axis", *columns, "payload_kg", "series"]
+    rows = [
+        ",".join([joint, axis, *map(_digits, row), f"{payload_kg:g}", str(series)])
+        for row in zip(*columns.values(), strict=True)
+    ]
+    write(output, ("\n".join([",".join(head), *rows]) + "\n").encode())
+    emit({"file": str(output), "rows": report["readings"], "notes": []} | report, as_json, _show)
+
+
+def _digits(value: float) -> str:
+    return f"{value:.7g}" if abs(value) >= 1e-9 else "0"
+
+
+def _show(document: dict[str, Any]) -> None:
+    say(f"{document['file']}: {document['rows']} rows")
+    for text in document["notes"]:
+        say(f"  {text}")
+    for text in document["warnings"]:
+        say(f"  Warning: {text}.")

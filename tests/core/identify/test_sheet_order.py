@@ -1,0 +1,88 @@
+"""From which quarter point a circle is told: drawn by an arm that shares no code with core, read in four orders."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core.identify.sheet_order import sheet_order
+from core.observations import Observations
+from core.robots import robot_from_document
+from tests.core.campaigns import table_errors
+from tests.core.drawing import PLANE, Drawing, drawn
+from tests.core.truth import ur10
+
+Floats = NDArray[np.float64]
+
+START = np.array([0.2, -1.2, 1.6, -1.9, -1.2, 0.3])
+CENTRE = np.array([0.5, -0.3, 0.3])
+
+
+def drawing(seed: int, count: int = 68) -> Drawing:
+    rng, arm = np.random.default_rng(seed), ur10()
+    offsets = {s.name: 5e-3 * rng.normal() for s in arm.steps if s.name and s.joint is not None}
+    return drawn(arm, arm.moved(table_errors(arm, rng, 1e-5, 1e-4) | offsets), START, CENTRE, 0.08, count)
+
+
+def misread(d: Drawing, quarters: int, seed: int) -> Observations:
+    """Rows as they come when row k of the points file is in truth point k + ``quarters``: errors at the wrong place."""
+    at = d.turn - quarters * np.pi / 2
+    place = (np.arange(len(at)) - quarters * len(at) // 4) % len(at)
+    r = d.radius + d.out[place]
+    angle = at + d.along[place] / r + quarters * np.pi / 2
+    local = np.stack([r * np.cos(angle), r * np.sin(angle), d.error[:, 2]], axis=1)
+    noise = np.random.default_rng(seed).normal(0.0, 1e-5, local.shape)
+    return Observations(d.q, d.centre + local @ PLANE.T + noise)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_order_is_found_and_the_right_one_is_never_doubted(seed: int) -> None:
+    robot, d = robot_from_document(ur10().document()), drawing(seed)
+    for quarters in range(4):
+        found = sheet_order(robot, misread(d, quarters, seed))
+        assert found is not None
+        # Row k is in truth point k + quarters, so point 1 stands in row 1 - quarters.
+        assert found.order == tuple((k - quarters) % 4 + 1 for k in range(4))
+        if quarters == 0:
+            assert not found.wrong
+            assert not found.doubtful
+            assert found.lead == 0
+        else:
+            assert found.wrong
+            assert found.as_given > 1.5 * found.left
+            assert f"in the order {', '.join(map(str, found.order))}, join" in found.sentence()
+
+
+def test_what_the_model_does_not_explain_is_no_proof() -> None:
+    """Errors that no geometry makes: another order may look better by chance, and nothing is refused for it."""
+    robot, d = robot_from_document(ur10().document()), drawing(0)
+    rng = np.random.default_rng(5)
+    refused = 0
+    for _ in range(20):
+        waves = [rng.normal(0, 2e-4) * np.cos(k * d.turn + rng.uniform(0, 6)) for k in (2, 3, 4) for _ in range(3)]
+        error = np.stack([sum(waves[k::3]) for k in range(3)], axis=1)
+        found = sheet_order(robot, Observations(d.q, d.commanded + error @ PLANE.T))
+        assert found is not None
+        refused += found.wrong
+    assert refused <= 1
+
+
+def test_a_perfect_arm_tells_no_order() -> None:
+    robot, d = robot_from_document(ur10().document()), drawing(0)
+    noise = np.random.default_rng(1).normal(0.0, 1e-5, d.commanded.shape)
+    found = sheet_order(robot, Observations(d.q, d.commanded + noise))
+    assert found is not None
+    assert not found.wrong
+    assert not found.doubtful
+
+
+def test_other_paths_are_not_judged() -> None:
+    robot, d = robot_from_document(ur10().document()), drawing(0)
+    rows = misread(d, 1, 0)
+    assert rows.position is not None
+    assert sheet_order(robot, rows.select(np.arange(40))) is None
+    assert sheet_order(robot, rows.select(np.arange(0, 68, 4))) is None
+    line = Observations(rows.q, np.linspace([0, 0, 0], [0.1, 0.2, 0.3], 68))
+    assert sheet_order(robot, line) is None
+    assert sheet_order(robot, Observations(rows.q)) is None
