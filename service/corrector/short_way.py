@@ -131,6 +131,11 @@ class Counters:
         return [int(count) for count in self._words[COUNTS : COUNTS + len(Status)]]
 
     @property
+    def good(self) -> int:
+        """Answers that carried numbers."""
+        return int(self._words[COUNTS])
+
+    @property
     def limited(self) -> int:
         """Answers in which a sign change was held to its rate."""
         return int(self._words[LIMITED])
@@ -214,6 +219,11 @@ class ShortWay:
             return False
         self._words[SEQ : ANSWERED + 1] = words
         return True
+
+    @property
+    def seen_ns(self) -> int:
+        """When the last plain setpoint arrived."""
+        return int(self._words[SEEN])
 
     def give(self, clock: Clock) -> None:
         """Write into ``clock`` where the stream stands now."""

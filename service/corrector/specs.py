@@ -20,7 +20,7 @@ class Rules:
     Clocks of two machines are never compared. The smallest difference of arrival and sending seen so far is taken as
     the way; a frame is as old as it exceeds that. ``clock_drift`` lets that smallest difference grow again. It grows at
     once when a clock is set back by more than ``set_back_ns``, or when late frames agree within ``agree_ns`` on a longer
-    way for ``agree_for_ns``.
+    way for ``agree_for_ns``. Of ``slots`` streams, one that was good within ``idle_ns`` keeps its own.
     """
 
     max_age_ns: int = 50_000_000
@@ -31,6 +31,8 @@ class Rules:
     recent_ns: int = 1_000_000_000
     time_slack_s: float = 0.1
     ring: int = 256
+    slots: int = 256
+    idle_ns: int = 10_000_000_000
 
 
 @dataclass(frozen=True)

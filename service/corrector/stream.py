@@ -51,6 +51,16 @@ class Stream:
         self._flows = certain and self._short.take(self._course.clock)
         return answer
 
+    @property
+    def good(self) -> int:
+        """How many setpoints were corrected."""
+        return self.counters.good
+
+    @property
+    def seen_ns(self) -> int:
+        """When the last frame in order arrived; 0 before the first."""
+        return self._short.seen_ns if self._flows else self._course.clock.seen_ns
+
     def _long_way(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool) -> bytes | None:
         try:
             request = frames.decode_setpoints(data)
