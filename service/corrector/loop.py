@@ -196,10 +196,16 @@ class House(threading.Thread):
     def _answer_queries(self) -> None:
         while self._queries:
             with self._queries.popleft() as query:
+                found = False
                 for active in list(self._loop.active.values()):
                     key = keys.RobotKeys(self._loop.spec.site, active.robot).active
                     if zenoh.KeyExpr(key).intersects(query.key_expr):
+                        found = True
                         query.reply(key, active.announcement(), encoding=zenoh.Encoding.APPLICATION_JSON)
+                asked = str(query.key_expr)
+                if not found and "*" not in asked:  # so that silence never means that nothing is active
+                    nothing = nothing_active(keys.robot_of(asked))
+                    query.reply(asked, nothing, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _report(self) -> None:
         """Publish the status of streams that moved, twice a second, and at once when their verdict changes."""

@@ -18,7 +18,7 @@ ROOT = f"kilter/@v1/test/{ROBOT}"
 Q = (0.1, 0.6, 0.4, 0.3, 0.2)
 
 
-def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+def until(condition: Callable[[], bool], seconds: float = 12.0) -> None:
     """Wait until the condition holds; fail when it does not in time."""
     end = time.monotonic() + seconds
     while not condition():
