@@ -27,6 +27,7 @@ from service.corrector.frames import Status
 from service.corrector.session import ENCODING, close, open_listening
 from service.corrector.slots import Served, Slots, names_of
 from service.corrector.specs import StreamSpec
+from service.errors import ServiceError
 
 log = logging.getLogger("kilter.corrector.stream")
 
@@ -241,13 +242,20 @@ def ask_for_real_time() -> bool:
 
 
 def stream_main(spec: StreamSpec, pipe: Connection) -> None:
-    """Entry of the spawned stream process; reports its endpoint as ("listening", endpoint, real_time)."""
+    """Entry of the spawned stream process.
+
+    It reports its endpoint as ("listening", endpoint, real_time), or ("refused", why, False) when it may not listen.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the supervisor stops us in order
     sys.setswitchinterval(0.0005)
     warm_up()
     short_way.warm_up()  # before real time: a first compilation takes seconds
     real_time = ask_for_real_time()
-    session, endpoint = open_listening(spec.listen, spec.zenoh_config)
+    try:
+        session, endpoint = open_listening(spec.listen, spec.zenoh_config, spec.door)
+    except ServiceError as error:
+        pipe.send(("refused", error.message, False))
+        return
     with session:
         bell = Bell()
         loop = StreamLoop(session, spec, bell)

@@ -37,11 +37,12 @@ class Rules:
 
 @dataclass(frozen=True)
 class StreamSpec:
-    """What the stream process is told when it is spawned."""
+    """What the stream process is told when it is spawned; behind ``door`` it meets the query process."""
 
     site: str
     instance: str
     listen: str
+    door: str
     zenoh_config: Path | None = None
     rules: Rules = field(default_factory=Rules)
 
@@ -51,7 +52,7 @@ class QuerySpec:
     """What the query process is told when it is spawned."""
 
     site: str
-    listen: str
+    door: str
     zenoh_config: Path | None = None
 
 

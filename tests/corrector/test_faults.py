@@ -393,7 +393,9 @@ with CorrectedStream(sys.argv[1], endpoints=[sys.argv[2]], site="test", stream="
 def test_a_cut_cable_is_bypassed_and_found_again(cable: tuple[str, str], source: object, tmp_path: Path) -> None:
     """Two network namespaces; the cable between them is cut, without any process noticing but by silence."""
     name, near = cable
-    settings = Settings(data=tmp_path, zenoh_listen="tcp/10.213.7.1:0", site="test")
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{}")
+    settings = Settings(data=tmp_path, zenoh_listen="tcp/10.213.7.1:0", zenoh_config=file, site="test")
     here = Corrector(settings, source)  # type: ignore[arg-type]
     here.start()
     try:
