@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from operator import add, le, sub
 
 from kilter_client.frames import Answer
 from kilter_client.in_use import InUse
@@ -52,9 +53,9 @@ class Carried:
 
     def follow(self, wanted: tuple[float, ...], answer: Answer, trip: float, pause_s: float, moved: float) -> Setpoint:
         """Take a correction over; after a bypass it fades in from where the release had got to."""
-        delta = tuple(a - b for a, b in zip(answer.q, wanted, strict=True))
+        delta = tuple(map(sub, answer.q, wanted))
         if self._misses > self._hold_cycles and self.delta:
-            self._begin_fade(tuple(old - new for old, new in zip(self.delta, delta, strict=True)))
+            self._begin_fade(tuple(map(sub, self.delta, delta)))
         self._misses = 0
         self.delta = self._bounded(self._faded(delta), pause_s, moved)
         return Setpoint(
@@ -70,7 +71,7 @@ class Carried:
         self._misses = 0
         for k, (before, row, step_s) in enumerate(zip(rows[:-1], rows[1:], steps_s, strict=True)):
             n = len(row)
-            delta = tuple(a - b for a, b in zip(q[k * n : (k + 1) * n], row, strict=True))
+            delta = tuple(map(sub, q[k * n : (k + 1) * n], row))
             self.delta = self._bounded(delta, step_s, farthest(row, before))
             out += _sum(row, self.delta)
         self._offset = ()
@@ -79,15 +80,15 @@ class Carried:
     def _bounded(self, delta: tuple[float, ...], pause_s: float, moved: float) -> tuple[float, ...]:
         """``delta``, or as much of the way to it as the correction may change by."""
         before = self.delta or (delta if self._settled else (0.0,) * len(delta))
-        share, besides = min(pause_s, MOST_PAUSE_S) / self._quickest_s, MOTION_SHARE * moved + ROUNDING
         limits = self._in_use.limits
-        for new, old, most in zip(delta, before, limits, strict=True):
-            if abs(new - old) > most * share + besides:
-                break
-        else:
+        share, besides = min(pause_s, MOST_PAUSE_S) / self._quickest_s, MOTION_SHARE * moved + ROUNDING
+        changes = list(map(abs, map(sub, delta, before)))
+        if max(changes) <= min(limits) * share + besides:  # as nearly always
+            return delta
+        reach = [most * share + besides for most in limits]
+        if all(map(le, changes, reach)):
             return delta
         self._statistics.slowed += 1
-        reach = [most * share + besides for most in limits]
         return tuple(old + min(max(new - old, -r), r) for new, old, r in zip(delta, before, reach, strict=True))
 
     def _begin_fade(self, offset: tuple[float, ...]) -> None:
@@ -107,8 +108,9 @@ class Carried:
 
 def farthest(a: Sequence[float], b: Sequence[float]) -> float:
     """How far two setpoints differ in their largest joint."""
-    return max(abs(x - y) for x, y in zip(a, b, strict=True))
+    distance: float = max(map(abs, map(sub, a, b)))
+    return distance
 
 
 def _sum(a: Sequence[float], b: Sequence[float]) -> tuple[float, ...]:
-    return tuple(x + y for x, y in zip(a, b, strict=True))
+    return tuple(map(add, a, b))

@@ -14,6 +14,7 @@ from typing import Any
 
 MOST_BYTES = 16_384
 MOST_REPLIES = 16
+ROUNDING = 1e-9  # rad or m: the corrector bounds its correction before it adds it
 
 Pair = tuple[int, int]  # epoch and number of a version, as they stand in every answer
 
@@ -95,7 +96,7 @@ class InUse:
         if not self._kinds:
             kinds, joints = self.active.get("joint_kinds"), self.active["joints"]
             self._kinds = kinds if isinstance(kinds, list) and len(kinds) == joints else ["revolute"] * joints
-        return tuple(metres if kind == "prismatic" else radians for kind in self._kinds)
+        return tuple((metres if kind == "prismatic" else radians) + ROUNDING for kind in self._kinds)
 
     def _renew(self) -> None:
         self.known = frozenset((*self._confirmed, *self._announced))

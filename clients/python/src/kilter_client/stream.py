@@ -274,7 +274,7 @@ class CorrectedStream:
                 f"Robot {self.robot!r} has {self.joints} joints, and this setpoint has {len(q)} numbers: "
                 f"give {'q, qd and qdd of ' if width > 1 else ''}every joint."
             )
-        return tuple(float(x) for x in q)
+        return tuple(map(float, q))
 
     def correct_chunk(self, points: Sequence[Sequence[float]], step_s: float, *, t_apply_ns: int = 0) -> Answer | None:
         """Correct several setpoints ``step_s`` apart in one frame; None when no answer came within the deadline.
