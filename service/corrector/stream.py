@@ -99,9 +99,8 @@ class Stream:
         """Keep the course that this frame goes on with, the new one or the one before."""
         confirms = self._course.clock.seq >= 0 and self._course.clock.follows(seq)
         returns = before.clock.follows(seq)
-        if (
-            confirms and returns
-        ):  # a RESET with the number of the last frame: it is an intruder's while that one is recent
+        if confirms and returns:
+            # The RESET had the number of the frame before it: it is an intruder's while that one is recent.
             confirms = arrival_ns - before.clock.seen_ns > self.rules.recent_ns
         if confirms:
             self._before = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Iterator
 
@@ -11,6 +12,7 @@ from service.corrector.frames import Flag, Status
 from service.corrector.process import Corrector
 from service.corrector.specs import Rules
 from service.settings import Settings
+from tests.corrector.forger import HEADER
 from tests.corrector.live import ROOT, Line, open_stream, point, until
 
 START = Flag.RESET | Flag.SETTLED
@@ -80,3 +82,15 @@ def test_streams_in_use_keep_their_slots_and_idle_ones_give_them_back(small: Cor
         assert fifth.ask(point(1, START)).status == Status.OK
     for line in lines:
         line.__exit__()
+
+
+@pytest.mark.parametrize("joints", [0, 1, 4, 6, 16, 17, 255])
+def test_another_number_of_joints_is_answered(corrector: Corrector, joints: int) -> None:
+    """At once on a new stream, and in the middle of one that goes on undisturbed."""
+    with Line(endpoints(corrector), f"joints{joints}") as line:
+        for seq in (1, 3):
+            numbers = struct.pack(f"<{joints}d", *[0.1] * joints)
+            refused = line.ask(HEADER.pack(b"KLT1", 0, joints, START, seq, time.monotonic_ns(), 0) + numbers)
+            assert refused.status in (Status.BAD_FRAME, Status.VERSION_MISMATCH)
+            assert refused.values.size == 0
+            until(lambda seq=seq: good(line, seq + 1))  # type: ignore[misc]
