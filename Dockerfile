@@ -13,12 +13,12 @@ FROM python:3.11-slim
 RUN useradd --system --uid 10001 --create-home kilter \
     && install --directory --owner kilter --group kilter /data
 COPY --from=build /opt/kilter /opt/kilter
-# A container is reached from outside it, so the server listens on every address and asks for KILTER_TOKEN.
+# A container is reached from outside it, so the server listens on every address and asks for KILTER_TOKEN. The corrector
+# listens inside only: whoever reaches it can move the arm. docs/how-to/run-a-server.md says how to let controllers in.
 # The compiled kernels are kept with the data: the program's own folder is not writable for the user that runs it.
 ENV PATH=/opt/kilter/bin:$PATH \
     KILTER_DATA=/data \
     KILTER_HOST=0.0.0.0 \
-    KILTER_ZENOH_LISTEN=tcp/0.0.0.0:7447 \
     NUMBA_CACHE_DIR=/data/kernels
 USER 10001
 VOLUME /data

@@ -8,7 +8,7 @@ IMAGE ?= kilter
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check bench bench-gap bench-peers bench-stream fuzz-stream soak-stream test-faults blind thesis image fmt clean
+.PHONY: help setup demo serve test check bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind thesis image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -66,6 +66,9 @@ bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo,
 
 fuzz-stream: $(KERNELS) ## send a million damaged frames through the corrector
 	$(BIN)/python -m pytest -m slow -q tests/corrector/test_stream.py
+
+attack-stream: $(KERNELS) ## send 100 000 forged answers to a running stream
+	$(BIN)/python -m pytest -m "slow or not slow" -q -s tests/corrector/test_attacks.py tests/corrector/test_acceptance.py
 
 soak-stream: $(KERNELS) ## stream for half an hour and watch the memory (MINUTES=30)
 	$(BIN)/python -m benchmarks.stream_load soak --minutes $(or $(MINUTES),30)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from service.auth.token import admin_token, check_binding
+from service.corrector.endpoints import check_listening
 from service.errors import ServiceError
 from service.server_file import ServerFile
 from service.serving import listener, url_of
@@ -109,6 +110,7 @@ def serve(settings: Settings) -> None:
 
     """
     check_binding(settings)
+    check_listening(settings)
     admin_token(settings)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

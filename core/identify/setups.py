@@ -226,6 +226,7 @@ def held_out(
     robot as drawn. The ``geometry`` alone, where there is one, is compared pose by pose only.
     """
     new = _new_codes(frames, rows)
+    compared = dict(stages) if geometry is None else {**stages, "geometry": geometry}
     own: list[OwnFrame] = []
     parts: dict[str, list[Errors]] = {name: [] for name in stages}
     poses: list[PoseErrors] = []
@@ -235,8 +236,8 @@ def held_out(
             continue
         shown = seen(rows.select(mask), options, train.marker_points, train)
         here = {
-            name: stage if stage is None or code is None or name == "nominal" else with_base(stage, shown, options.loss)
-            for name, stage in {**stages, "geometry": geometry}.items()
+            name: stage if code is None or name == "nominal" else with_base(stage, shown, options.loss)
+            for name, stage in compared.items()
         }
         for name in stages:
             parts[name].append(Errors.of(here[name], shown))

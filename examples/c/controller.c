@@ -1,15 +1,19 @@
 /* Speaks frames over standard input and output: a line "q ..." prints the setpoint to send in hexadecimal, a line
- * "a <hex>" what an answer says. Build: cc -std=c99 -Wall -Wextra -o controller controller.c */
+ * "a <hex>" what an answer says, a line "c <epoch> <version> <hex>" whether an answer to the last setpoint may be acted on.
+ * A real controller begins seq and clock at random, as kilter_frames.h says.
+ * Build: cc -std=c99 -Wall -Wextra -o controller controller.c */
 #include <stdio.h>
 #include <stdlib.h>
 
 #include "kilter_frames.h"
 
+static double q[KILTER_MAX_JOINTS]; /* the last setpoint */
+static int n;
+
 static void setpoint(char *numbers, uint64_t seq) {
     uint8_t frame[KILTER_SETPOINT_BYTES];
-    double q[KILTER_MAX_JOINTS];
-    int n = 0;
     char *end = numbers;
+    n = 0;
     for (double value = strtod(numbers, &end); end != numbers && n < KILTER_MAX_JOINTS; value = strtod(numbers, &end)) {
         q[n++] = value;
         numbers = end;
@@ -19,13 +23,17 @@ static void setpoint(char *numbers, uint64_t seq) {
     printf("\n");
 }
 
-static void answer(const char *hex) {
-    uint8_t data[1024];
+static size_t bytes_of(const char *hex, uint8_t *data, size_t most) {
     size_t length = 0;
     unsigned byte;
+    while (length < most && sscanf(hex + 2 * length, "%2x", &byte) == 1) data[length++] = (uint8_t)byte;
+    return length;
+}
+
+static void answer(const char *hex) {
+    uint8_t data[1024];
     kilter_answer said;
-    while (length < sizeof data && sscanf(hex + 2 * length, "%2x", &byte) == 1) data[length++] = (uint8_t)byte;
-    if (!kilter_decode(data, length, &said)) {
+    if (!kilter_decode(data, bytes_of(hex, data, sizeof data), &said)) {
         printf("not an answer\n");
         return;
     }
@@ -35,11 +43,26 @@ static void answer(const char *hex) {
     printf("\n");
 }
 
+static void check(const char *line, uint64_t seq) {
+    uint8_t data[1024];
+    double largest[KILTER_MAX_JOINTS];
+    kilter_answer said;
+    unsigned epoch;
+    unsigned long long version;
+    int at = 0;
+    for (int i = 0; i < KILTER_MAX_JOINTS; i++) largest[i] = 0.0174533; /* 1 deg */
+    if (sscanf(line, "%u %llx %n", &epoch, &version, &at) != 2) return;
+    int good = kilter_decode(data, bytes_of(line + at, data, sizeof data), &said) &&
+               kilter_accept(&said, seq, 100, 200, q, largest, n, epoch, version);
+    printf("%s\n", good ? "accepted" : "dropped");
+}
+
 int main(void) {
     char line[4096];
     for (uint64_t seq = 7; fgets(line, sizeof line, stdin);) {
         if (line[0] == 'q') setpoint(line + 1, seq++);
         if (line[0] == 'a') answer(line + 2);
+        if (line[0] == 'c') check(line + 2, seq - 1);
     }
     return 0;
 }

@@ -25,9 +25,12 @@
  *       48      4  uint32   processing_ns
  *       52      4  int32    reserved, 0
  *
- * What a controller owes to its arm: wait for the answer with seq just sent, until a deadline of its own. In time and
- * KILTER_OK: send q. Else send the wanted joints plus the last good difference, for a few cycles; then let that difference
- * fade out, or stop. Never use an answer to another seq. */
+ * What a controller owes to its arm: wait until a deadline of its own for an answer that kilter_accept takes. Anybody can
+ * publish on the key of the answers, so begin seq at a random number, add a random offset to the clock of both times, draw
+ * the last 20 bits of t_send_ns anew for every setpoint, and set t_apply_ns always. In time and KILTER_OK: send q. Else
+ * send the wanted joints plus the last good difference, for a few cycles; then let that difference fade out, or stop. After
+ * KILTER_STALE, KILTER_SEQ_BACK or KILTER_RATE_LIMIT, and after two KILTER_SEQ_GAP in a row, send the next setpoint with
+ * KILTER_RESET | KILTER_SETTLED. Let the difference change by no more than your arm may leap. */
 #ifndef KILTER_FRAMES_H
 #define KILTER_FRAMES_H
 
@@ -127,6 +130,21 @@ static inline int kilter_decode(const uint8_t *data, size_t length, kilter_answe
     for (int i = 0; i < joints; i++) {
         uint64_t bits = kilter_get(data + head + 8 * (size_t)i, 8);
         memcpy(&answer->q[i], &bits, 8);
+    }
+    return 1;
+}
+
+/* Whether an answer may be acted on: it echoes seq and both times of the setpoint just sent, exactly. Of those with numbers:
+ * they are n, finite, and none is farther from the wanted q than largest[i] (rad or m); epoch and version are the announced
+ * ones. A refusal that is the right echo is taken, too; look at answer->status. */
+static inline int kilter_accept(const kilter_answer *answer, uint64_t seq, uint64_t t_send_ns, uint64_t t_apply_ns,
+                                const double *wanted, const double *largest, int n, uint32_t epoch, uint64_t version) {
+    if (answer->seq != seq || answer->t_send_ns != t_send_ns || answer->t_apply_ns != t_apply_ns) return 0;
+    if (answer->status != KILTER_OK) return 1;
+    if (answer->joints != n || answer->epoch != epoch || answer->version != version) return 0;
+    for (int i = 0; i < n; i++) {
+        double delta = answer->q[i] - wanted[i];
+        if (!(delta <= largest[i] && delta >= -largest[i])) return 0; /* nor when it is not a number */
     }
     return 1;
 }

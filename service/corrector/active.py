@@ -24,6 +24,7 @@ class Active:
     largest_mm: float = 5.0
     ramp_s: float = 1.0
     joint_names: tuple[str, ...] = ()
+    joint_kinds: tuple[str, ...] = ()
 
     def announcement(self) -> bytes:
         """JSON that goes out on the ``active`` key."""
@@ -33,6 +34,7 @@ class Active:
             "version": f"{self.number:016x}",
             "epoch": self.epoch,
             "joints": self.program.n_joints,
+            "joint_kinds": list(self.joint_kinds),
             "held_rows": list(self.program.held_rows),
             "effects": list(self.program.supported),
             "unsupported_effects": list(self.program.unsupported),

@@ -90,4 +90,5 @@ def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Acti
         largest_mm=version.max_position * 1e3,
         ramp_s=options.ramp_s,
         joint_names=tuple(joint.name for joint in version.calibration.robot.joints),
+        joint_kinds=tuple(joint.kind for joint in version.calibration.robot.joints),
     )

@@ -15,22 +15,22 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
 import zenoh
 
 from core.correction import warm_up
-from service.corrector import keys, short_way
+from service.corrector import frames, keys, short_way
 from service.corrector.active import Active, nothing_active
+from service.corrector.frames import Status
 from service.corrector.session import ENCODING, close, open_listening
+from service.corrector.slots import Served, Slots, names_of
 from service.corrector.specs import StreamSpec
-from service.corrector.stream import Stream
+from service.errors import ServiceError
 
 log = logging.getLogger("kilter.corrector.stream")
 
-MOST_STREAMS = 256
 STATUS_PERIOD_S = 0.5
 BETWEEN_RINGS_NS = 50_000_000  # a verdict that flips at every setpoint must not keep the house-keeping awake
 REAL_TIME_PRIORITY = 40
@@ -55,20 +55,6 @@ class Bell:
             os.read(self.waits, 4096)
 
 
-@dataclass
-class Served:
-    """A stream with its way out."""
-
-    robot: str
-    stream: Stream
-    publisher: zenoh.Publisher
-    status_key: str
-    key: zenoh.KeyExpr
-    verdict: int = -1  # on the last setpoint
-    reported: tuple[int, int] = (-1, -1)
-    follower: Served | None = None  # whose setpoint came after the last one of this stream
-
-
 class StreamLoop:
     """Takes samples from the ring and publishes answers until the session closes."""
 
@@ -76,8 +62,7 @@ class StreamLoop:
         self.session = session
         self.spec = spec
         self.active: dict[str, Active] = {}  # replaced entry by entry: a lookup sees the old version or the new
-        self.served: dict[str, Served] = {}
-        self.unserved = 0
+        self.slots = Slots(session, spec.rules)
         self._bell = bell
         self._subscriber = session.declare_subscriber(
             keys.every_input(spec.site), zenoh.handlers.RingChannel(spec.rules.ring)
@@ -89,20 +74,17 @@ class StreamLoop:
         backlog, rung_ns = 0, 0
         last: Served | None = None
         while True:
-            sample = ring.try_recv()
-            if sample is None:
-                backlog = 0
-                try:
-                    sample = ring.recv()
-                except zenoh.ZError:  # the session was closed
-                    return
-            else:
-                backlog += 1
+            try:
+                sample = ring.try_recv()
+                backlog = backlog + 1 if sample is not None else 0
+                sample = sample or ring.recv()
+            except zenoh.ZError:  # the session was closed
+                return
             arrival_ns, key = now(), sample.key_expr
             # Streams come in turn. To compare two keys takes a quarter of the time to make a string and look it up.
             served = last.follower if last is not None else None
             if served is None or served.key != key:
-                served = self._find(str(key), last)
+                served = self._find(str(key), sample, arrival_ns, last)
                 if served is None:
                     continue
             data = sample.payload.to_bytes()
@@ -114,41 +96,37 @@ class StreamLoop:
                 served.verdict, rung_ns = verdict, arrival_ns
                 self._bell.ring()
 
-    def _find(self, key: str, last: Served | None) -> Served | None:
-        """The stream of a key, remembered as the one that follows ``last``."""
-        served = self.served.get(key) or self._serve(key)
+    def _find(self, key: str, sample: zenoh.Sample, arrival_ns: int, last: Served | None) -> Served | None:
+        """The stream of a key, remembered as the one that follows ``last``; None when it was answered without one."""
+        served = self.slots.served.get(key) or self._start(key, sample.payload.to_bytes(), arrival_ns)
         if served is None:
-            self.unserved += 1
             return None
         if last is not None:
             last.follower = served
         served.follower = served.follower or served
         return served
 
-    def _serve(self, key: str) -> Served | None:
-        """Start a stream the first time its key is heard; None when the name is not one or there are too many."""
-        if len(self.served) >= MOST_STREAMS:
+    def _start(self, key: str, data: bytes, arrival_ns: int) -> Served | None:
+        """A slot for the first setpoint of a stream. Whatever gets none is answered all the same, if it has a header."""
+        names = names_of(key)
+        if names is None:
             return None
-        _, _, site, robot, _, stream, _ = key.split("/")
         try:
-            names = keys.RobotKeys(site, robot)
-            out, status = names.stream(stream, "out"), names.stream(stream, "status")
-        except ValueError:
+            header = frames.decode_setpoints(data).header
+        except frames.FrameError as error:
+            self._refuse(names[1], error.header, Status.BAD_FRAME)
             return None
-        publisher = self.session.declare_publisher(
-            out,
-            encoding=zenoh.Encoding(ENCODING),
-            priority=zenoh.Priority.REAL_TIME,
-            congestion_control=zenoh.CongestionControl.DROP,
-            express=False,  # express with DROP loses samples in bursts and is no faster
-        )
-        # Told to the peers, the key travels as a number. Else every setpoint carries its text, and a subscription with
-        # wildcards is looked for anew: 10 to 25 µs a round trip.
-        told = self.session.declare_keyexpr(key)
-        served = Served(robot, Stream(self.spec.rules), publisher, status, told)
-        # A new dictionary: the house-keeping thread iterates over the old one meanwhile.
-        self.served = {**self.served, key: served}
+        served = self.slots.take(key, names, arrival_ns) if names[0] in self.active else None
+        if served is None:
+            self._refuse(names[1], header, Status.OVERLOAD if names[0] in self.active else Status.NO_VERSION)
         return served
+
+    def _refuse(self, out: str, header: frames.Header | None, status: Status) -> None:
+        if header is not None:
+            self.session.put(
+                out, frames.encode_refusal(header, status), encoding=zenoh.Encoding(ENCODING),
+                priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.DROP,
+            )  # fmt: skip
 
 
 class House(threading.Thread):
@@ -219,17 +197,23 @@ class House(threading.Thread):
     def _answer_queries(self) -> None:
         while self._queries:
             with self._queries.popleft() as query:
+                found = False
                 for active in list(self._loop.active.values()):
                     key = keys.RobotKeys(self._loop.spec.site, active.robot).active
                     if zenoh.KeyExpr(key).intersects(query.key_expr):
+                        found = True
                         query.reply(key, active.announcement(), encoding=zenoh.Encoding.APPLICATION_JSON)
+                asked = str(query.key_expr)
+                if not found and "*" not in asked:  # so that silence never means that nothing is active
+                    nothing = nothing_active(keys.robot_of(asked))
+                    query.reply(asked, nothing, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _report(self) -> None:
         """Publish the status of streams that moved, twice a second, and at once when their verdict changes."""
         due = time.monotonic() - self._said >= STATUS_PERIOD_S
         if due:
             self._said = time.monotonic()
-        for served in self._loop.served.values():
+        for served in self._loop.slots.served.values():
             counters = served.stream.counters
             now = (counters.last, sum(counters.by_status))
             if now == served.reported or not (due or now[0] != served.reported[0]):
@@ -258,13 +242,20 @@ def ask_for_real_time() -> bool:
 
 
 def stream_main(spec: StreamSpec, pipe: Connection) -> None:
-    """Entry of the spawned stream process; reports its endpoint as ("listening", endpoint, real_time)."""
+    """Entry of the spawned stream process.
+
+    It reports its endpoint as ("listening", endpoint, real_time), or ("refused", why, False) when it may not listen.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the supervisor stops us in order
     sys.setswitchinterval(0.0005)
     warm_up()
     short_way.warm_up()  # before real time: a first compilation takes seconds
     real_time = ask_for_real_time()
-    session, endpoint = open_listening(spec.listen, spec.zenoh_config)
+    try:
+        session, endpoint = open_listening(spec.listen, spec.zenoh_config, spec.door)
+    except ServiceError as error:
+        pipe.send(("refused", error.message, False))
+        return
     with session:
         bell = Bell()
         loop = StreamLoop(session, spec, bell)

@@ -24,8 +24,9 @@ from typing import Any
 
 from service.corrector.active import Active, Source
 from service.corrector.database_source import DatabaseSource
-from service.corrector.session import with_port_zero
+from service.corrector.endpoints import Door, check_listening
 from service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec, enter
+from service.errors import ServiceError
 from service.settings import Settings
 
 log = logging.getLogger("kilter.corrector")
@@ -61,10 +62,11 @@ class Child:
         self._process.start()
         theirs.close()
 
-    def listening(self, stopped: Callable[[], bool] = lambda: False) -> tuple[str, bool]:
-        """Wait until the process listens; returns its endpoint and whether it runs in real time.
+    def listening(self, stopped: Callable[[], bool] = lambda: False) -> tuple[str | None, bool]:
+        """Wait until the process listens; returns its endpoint, if it has one, and whether it runs in real time.
 
         Raises:
+            ServiceError: it may not listen where it was told to.
             RuntimeError: it ended or did not listen in time.
             StoppedError: ``stopped`` said so first.
 
@@ -78,11 +80,14 @@ class Child:
                 if time.monotonic() > end:
                     break
             else:
-                _, endpoint, real_time = self._pipe.recv()
+                verdict, endpoint, real_time = self._pipe.recv()
+                if verdict == "refused":
+                    self.stop()
+                    raise ServiceError(endpoint, code="binding_refused")
                 self._listens = True
-                # Started anew it listens where its clients look for it.
-                self._spec = replace(self._spec, listen=endpoint)
-                return str(endpoint), bool(real_time)
+                if isinstance(self._spec, StreamSpec):  # started anew it listens where its clients look for it
+                    self._spec = replace(self._spec, listen=endpoint)
+                return endpoint, bool(real_time)
         except EOFError:
             pass
         self.stop()
@@ -149,6 +154,8 @@ class Corrector:
         self.instance = f"{os.getpid()}-{secrets.token_hex(4)}"
         self.endpoints: dict[str, str] = {}
         self._children: dict[str, Child] = {}
+        self._door: Door | None = None
+        self._announced = False
 
     @property
     def file(self) -> Path:
@@ -156,11 +163,17 @@ class Corrector:
         return self._settings.data / CORRECTOR_FILE
 
     def start(self) -> None:
-        """Start both processes, write the corrector file and take over the active versions."""
-        listen = self._settings.zenoh_listen
+        """Start both processes, write the corrector file and take over the active versions.
+
+        Raises:
+            ServiceError: the endpoint may not be listened on.
+
+        """
+        check_listening(self._settings)
         site, config = self._settings.site, self._settings.zenoh_config
-        stream = StreamSpec(site, self.instance, listen, config, self._rules)
-        queries = QuerySpec(site, with_port_zero(listen), config)
+        self._door = Door()
+        stream = StreamSpec(site, self.instance, self._settings.zenoh_listen, self._door.endpoint, config, self._rules)
+        queries = QuerySpec(site, self._door.endpoint, config)
         self._children = {
             "stream": Child("stream", STREAM, stream),
             "query": Child("query", QUERY, queries),
@@ -173,8 +186,9 @@ class Corrector:
 
     def _take_child(self, name: str) -> None:
         endpoint, real_time = self._children[name].listening(self._stopped)
-        self.endpoints[name] = endpoint
-        log.info("%s process listens on %s%s", name, endpoint, ", real-time priority" if real_time else "")
+        # Queries go through the stream's port.
+        self.endpoints[name] = endpoint or self.endpoints["stream"]
+        log.info("%s process is at %s%s", name, self.endpoints[name], ", real-time priority" if real_time else "")
         for active in self._active.values():
             self._children[name].send("use", active)
         self._write_file()
@@ -191,6 +205,7 @@ class Corrector:
         part = self.file.with_suffix(".part")
         part.write_text(json.dumps(document, indent=1), encoding="utf-8")
         part.replace(self.file)
+        self._announced = True
 
     def poll(self) -> None:
         """Look once: restart what died, take over what was activated."""
@@ -239,7 +254,10 @@ class Corrector:
         """Stop both processes and remove the corrector file."""
         for child in self._children.values():
             child.stop()
-        self.file.unlink(missing_ok=True)
+        if self._door is not None:
+            self._door.close()
+        if self._announced:  # a corrector that could not start leaves the file of the one that runs alone
+            self.file.unlink(missing_ok=True)
         self._source.close()
 
 

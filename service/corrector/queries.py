@@ -18,7 +18,7 @@ from core.correction import Track, warm_up
 from service.corrector import frames, keys
 from service.corrector.active import Active
 from service.corrector.frames import Flag, Floats, FrameError, Header, Kind, Status
-from service.corrector.session import ENCODING, close, open_listening
+from service.corrector.session import ENCODING, close, open_behind
 from service.corrector.specs import QuerySpec, Rules
 
 log = logging.getLogger("kilter.corrector.queries")
@@ -190,11 +190,13 @@ class Queries:
 
 
 def query_main(spec: QuerySpec, pipe: Connection) -> None:
-    """Entry of the spawned query process; reports its endpoint as ("listening", endpoint, False)."""
+    """Entry of the spawned query process; says ("listening", None, False) when it is reached through the stream's port."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warm_up()
-    session, endpoint = open_listening(spec.listen, spec.zenoh_config)
+    session = open_behind(spec.door, spec.zenoh_config, pipe.poll)
+    if session is None:
+        return
     with session:
         queries = Queries(session, spec, pipe)
-        pipe.send(("listening", endpoint, False))
+        pipe.send(("listening", None, False))
         queries.run()

@@ -4,34 +4,47 @@ from __future__ import annotations
 
 import json
 import socket
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
+from service.corrector.endpoints import cannot_listen
+
 LEASE_MS = 1000  # a hung peer is noticed within this time; the default is ten seconds
+RETRY = {"period_init_ms": 50, "period_max_ms": 250, "period_increase_factor": 2}
 ENCODING = "application/x-kilter;v=1"
 
 
-def config(listen: str | None, connect: tuple[str, ...] = (), file: Path | None = None) -> zenoh.Config:
-    """Configuration of a peer, or of what ``file`` (zenoh JSON5) says; endpoints given here come on top."""
+def config(
+    listen: str | None, connect: tuple[str, ...] = (), file: Path | None = None, door: str | None = None
+) -> zenoh.Config:
+    """Configuration of a peer, or of what ``file`` (zenoh JSON5) says; endpoints given here come on top.
+
+    Without ``listen`` and ``door`` it listens nowhere; left to itself zenoh would, on every address.
+    """
     made = zenoh.Config.from_file(str(file)) if file else zenoh.Config()
     settings: dict[str, object] = {
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": False,
+        "listen/endpoints": [endpoint for endpoint in (listen, door) if endpoint is not None],
     }
     if not file:
         settings["mode"] = "peer"
-    if listen is not None:
-        settings["listen/endpoints"] = [listen]
     if connect:
-        settings["connect/endpoints"] = list(connect)
+        settings["connect/endpoints"] = list(dict.fromkeys(connect))
         settings["connect/timeout_ms"] = 0  # a peer that is not there yet is tried again in the background
     for key, value in settings.items():
         made.insert_json5(key, json.dumps(value))
     return made
+
+
+def is_client(file: Path | None) -> bool:
+    """Whether a configuration makes its session a client of a router: then nobody else can meet it."""
+    return file is not None and bool(json.loads(zenoh.Config.from_file(str(file)).get_json("mode")) == "client")
 
 
 def with_free_port(endpoint: str) -> str:
@@ -45,22 +58,38 @@ def with_free_port(endpoint: str) -> str:
         return f"{address}:{probe.getsockname()[1]}"
 
 
-def with_port_zero(endpoint: str) -> str:
-    """Same protocol and host with a port of the system's choice, for the second process."""
-    return f"{endpoint.rpartition(':')[0]}:0"
+def open_listening(endpoint: str, file: Path | None, door: str | None = None) -> tuple[zenoh.Session, str]:
+    """Open a session that listens on ``endpoint``; with port 0 a port somebody else took meanwhile is tried again.
 
+    Raises:
+        ServiceError: the system does not allow it, or the port is taken.
 
-def open_listening(endpoint: str, file: Path | None) -> tuple[zenoh.Session, str]:
-    """Open a session that listens on ``endpoint``; with port 0 a port somebody else took meanwhile is tried again."""
+    """
     attempts = 5 if endpoint.endswith(":0") else 1
     for attempt in range(attempts):
         chosen = with_free_port(endpoint)
         try:
-            return zenoh.open(config(chosen, file=file)), chosen
-        except zenoh.ZError:
+            return zenoh.open(config(chosen, file=file, door=None if is_client(file) else door)), chosen
+        except zenoh.ZError as error:
             if attempt == attempts - 1:
-                raise
+                raise cannot_listen(endpoint, str(error)) from error
     raise AssertionError("unreachable")
+
+
+def open_behind(door: str, file: Path | None, stopped: Callable[[float], bool]) -> zenoh.Session | None:
+    """Open a session that listens nowhere and is reached through ``door``, or through the router of ``file``.
+
+    None when ``stopped(seconds)`` says so before the other side is there.
+    """
+    made = config(None, () if is_client(file) else (door,), file)
+    made.insert_json5("mode", '"client"')  # a peer passes queries on to its clients, not to other peers
+    made.insert_json5("connect/retry", json.dumps(RETRY))
+    while True:
+        try:
+            return zenoh.open(made)
+        except zenoh.ZError:
+            if stopped(0.05):
+                return None
 
 
 def close(session: Any) -> None:

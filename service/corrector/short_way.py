@@ -14,7 +14,6 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -27,14 +26,15 @@ from core.kernels import correction
 from core.kernels.correction import EXACT, _one
 from service.corrector import frames
 from service.corrector.active import Active
+from service.corrector.admission import Clock
 from service.corrector.frames import Flag, Kind, Status
 from service.corrector.specs import Rules
 
 # words of a stream's memory: its clock, what it answers with, what it has counted, the frames
-SEQ, WAY, SEEN, APPLIED, ANSWERED = range(5)
-MOST_AGE, DRIFT, SLACK = 5, 6, 7  # the last two are floats
-ROWS, JOINTS, VERSION, EPOCH, OUT_HEAD, IN_HEAD = 8, 9, 10, 11, 12, 12  # IN_HEAD + number of vectors, 1 to 3
-COUNTS, LIMITED, DAMPED, SPENT, LONGEST, LAST = 16, 32, 33, 34, 35, 36  # COUNTS + status
+SEQ, WAY, SEEN, SENT, PACE, APPLIED, ANSWERED = range(7)
+MOST_AGE, SET_BACK, DRIFT, SLACK = 7, 8, 9, 10  # the last two are floats
+ROWS, JOINTS, VERSION, EPOCH, OUT_HEAD, IN_HEAD = 11, 12, 13, 14, 15, 15  # IN_HEAD + number of vectors, 1 to 3
+COUNTS, LIMITED, DAMPED, SPENT, LONGEST, LAST = 19, 35, 36, 37, 38, 39  # COUNTS + status
 OUT = 40
 OUT_WORDS = 7 + frames.MAX_JOINTS
 IN = OUT + OUT_WORDS
@@ -44,17 +44,6 @@ MOST = 2**63 - 1  # what is larger than this goes the long way, where integers h
 MOST_NS = 0xFFFFFFFF  # of the time that fits into an answer
 IS_LIMITED, IS_DAMPED = int(Flag.LIMITED), int(Flag.DAMPED)
 FLAGS = {1: 0, 2: int(Flag.QD), 3: Flag.QD | Flag.QDD}
-
-
-@dataclass
-class Clock:
-    """Where a stream stands: its last sequence number, and times in ns; ``way_ns`` is the quickest way seen."""
-
-    seq: int = -1
-    way_ns: int | None = None
-    seen_ns: int = 0
-    applied_ns: int = 0
-    answered_ns: int = 0
 
 
 def _compiled() -> Any:
@@ -81,15 +70,16 @@ def _compiled() -> Any:
         seq, sent, apply = words[IN + 1], words[IN + 2], words[IN + 3]
         if words[IN] != words[IN_HEAD + width] or seq != words[SEQ] + 1 or kernels == 0:
             return -1
-        if not (0 <= sent < MOST and 0 <= apply < MOST):
+        if not (0 <= sent < MOST and 0 <= apply < MOST) or words[SENT] - sent > words[SET_BACK]:
             return -1
         way = arrival - sent
         least = min(way, words[WAY] + int((arrival - words[SEEN]) * numbers[DRIFT]))
         if way - least > words[MOST_AGE]:
             return -1
         at = apply if apply != 0 else sent
-        passed = (arrival - words[ANSWERED]) * 1e-9 + numbers[SLACK]
-        dt = min(max((at - words[APPLIED]) * 1e-9, 0.0), passed)
+        passed = max(0.0, (arrival - words[ANSWERED]) * 1e-9)
+        step = (at - words[APPLIED]) * 1e-9
+        dt = passed if step < 0.0 else min(step, passed + numbers[SLACK])
         rows, program_rows = memory.shape[0], words[ROWS]
         info = memory[rows - 1]
         status = _one(
@@ -98,7 +88,8 @@ def _compiled() -> Any:
         )  # fmt: skip
         if status != 0:
             return status  # a refused setpoint leaves no trace in the track: it is refused once more, and told so
-        words[SEQ], words[WAY], words[SEEN] = seq, least, arrival
+        words[PACE] = min(max(0, sent - words[SENT]), max(0, arrival - words[SEEN]))
+        words[SEQ], words[WAY], words[SEEN], words[SENT] = seq, least, arrival, sent
         words[APPLIED], words[ANSWERED] = at, arrival
         made = int(info[0])
         words[COUNTS] += 1
@@ -138,6 +129,11 @@ class Counters:
     def by_status(self) -> list[int]:
         """Answers by status."""
         return [int(count) for count in self._words[COUNTS : COUNTS + len(Status)]]
+
+    @property
+    def good(self) -> int:
+        """Answers that carried numbers."""
+        return int(self._words[COUNTS])
 
     @property
     def limited(self) -> int:
@@ -195,7 +191,7 @@ class ShortWay:
 
     def __init__(self, rules: Rules) -> None:
         self._words = np.zeros(WORDS, dtype=np.int64)
-        self._words[MOST_AGE] = rules.max_age_ns
+        self._words[[MOST_AGE, SET_BACK]] = rules.max_age_ns, rules.set_back_ns
         self._words.view(np.float64)[[DRIFT, SLACK]] = rules.clock_drift, rules.time_slack_s
         self.answer: Callable[[bytes, int], bytes | None] = lambda data, arrival_ns: None
         self.counters = Counters(self._words)
@@ -216,15 +212,24 @@ class ShortWay:
         """Take the clock over; False when it does not fit, and the stream has to keep to its long way."""
         if clock.way_ns is None:
             return False
-        words = (clock.seq, clock.way_ns, clock.seen_ns, clock.applied_ns, clock.answered_ns)
+        words = (
+            clock.seq, clock.way_ns, clock.seen_ns, clock.sent_ns, clock.pace_ns, clock.applied_ns, clock.answered_ns,
+        )  # fmt: skip
         if not all(abs(word) < MOST for word in words):
             return False
         self._words[SEQ : ANSWERED + 1] = words
         return True
 
-    def give(self) -> Clock:
-        """Where the stream stands now."""
-        return Clock(*(int(word) for word in self._words[SEQ : ANSWERED + 1]))
+    @property
+    def seen_ns(self) -> int:
+        """When the last plain setpoint arrived."""
+        return int(self._words[SEEN])
+
+    def give(self, clock: Clock) -> None:
+        """Write into ``clock`` where the stream stands now."""
+        clock.seq, clock.way_ns, clock.seen_ns, clock.sent_ns, clock.pace_ns, clock.applied_ns, clock.answered_ns = (
+            int(word) for word in self._words[SEQ : ANSWERED + 1]
+        )
 
     def _bind(self, memory: Any, joints: int) -> Callable[[bytes, int], bytes | None]:
         # A function with everything at hand: each look into an object costs a tenth of a microsecond, cold.

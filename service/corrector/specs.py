@@ -18,22 +18,31 @@ class Rules:
     """Bounds that do not belong to a version.
 
     Clocks of two machines are never compared. The smallest difference of arrival and sending seen so far is taken as
-    the way; a frame is as old as it exceeds that. ``clock_drift`` lets that smallest difference grow again.
+    the way; a frame is as old as it exceeds that. ``clock_drift`` lets that smallest difference grow again. It grows at
+    once when a clock is set back by more than ``set_back_ns``, or when late frames agree within ``agree_ns`` on a longer
+    way for ``agree_for_ns``. Of ``slots`` streams, one that was good within ``idle_ns`` keeps its own.
     """
 
     max_age_ns: int = 50_000_000
     clock_drift: float = 200e-6
+    set_back_ns: int = 5_000_000
+    agree_ns: int = 5_000_000
+    agree_for_ns: int = 100_000_000
+    recent_ns: int = 1_000_000_000
     time_slack_s: float = 0.1
     ring: int = 256
+    slots: int = 256
+    idle_ns: int = 10_000_000_000
 
 
 @dataclass(frozen=True)
 class StreamSpec:
-    """What the stream process is told when it is spawned."""
+    """What the stream process is told when it is spawned; behind ``door`` it meets the query process."""
 
     site: str
     instance: str
     listen: str
+    door: str
     zenoh_config: Path | None = None
     rules: Rules = field(default_factory=Rules)
 
@@ -43,7 +52,7 @@ class QuerySpec:
     """What the query process is told when it is spawned."""
 
     site: str
-    listen: str
+    door: str
     zenoh_config: Path | None = None
 
 

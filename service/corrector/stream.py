@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import NDArray
 
 from core.correction import Track
 from service.corrector import frames
 from service.corrector.active import Active
+from service.corrector.admission import Clock
 from service.corrector.frames import Flag, Kind, Setpoints, Status
-from service.corrector.short_way import Clock, ShortWay
+from service.corrector.short_way import ShortWay
 from service.corrector.specs import Rules
+
+
+@dataclass
+class Course:
+    """One sequence of frames, from its start: where it stands, and the memory of its correction."""
+
+    clock: Clock = field(default_factory=Clock)
+    settled: bool = False
+    track: Track | None = None
+    active: Active | None = None
 
 
 class Stream:
@@ -20,11 +33,10 @@ class Stream:
         self.rules = rules or Rules()
         self._short = ShortWay(self.rules)
         self.counters = self._short.counters
-        self._active: Active | None = None
-        self._track: Track | None = None
-        self._settled = False
+        self._active: Active | None = None  # what the short way answers with
         self._flows = False  # the short way holds the clock
-        self._clock = Clock()
+        self._course = Course()
+        self._before: Course | None = None  # what a RESET ended; it comes back when its sender goes on
 
     def answer(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool = False) -> bytes | None:
         """Bytes to publish for a frame that arrived at ``arrival_ns`` (monotonic clock), or None without a header."""
@@ -33,10 +45,21 @@ class Stream:
                 answer = self._short.answer(data, arrival_ns)
                 if answer is not None:
                     return answer
-            self._clock = self._short.give()
+            self._short.give(self._course.clock)
         answer = self._long_way(data, arrival_ns, active, overloaded)
-        self._flows = self._track is not None and self._short.take(self._clock)
+        certain = self._before is None and self._course.track is not None
+        self._flows = certain and self._short.take(self._course.clock)
         return answer
+
+    @property
+    def good(self) -> int:
+        """How many setpoints were corrected."""
+        return self.counters.good
+
+    @property
+    def seen_ns(self) -> int:
+        """When the last frame in order arrived; 0 before the first."""
+        return self._short.seen_ns if self._flows else self._course.clock.seen_ns
 
     def _long_way(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool) -> bytes | None:
         try:
@@ -52,58 +75,64 @@ class Stream:
         """Everything that can be said before the numbers are looked at."""
         header = request.header
         if header.flags & Flag.RESET:
-            self._clock = Clock()
-            self._settled = bool(header.flags & Flag.SETTLED)
-            self._track = None
-        clock = self._clock
-        if header.seq <= clock.seq:
-            return Status.SEQ_BACK
-        gap = clock.seq >= 0 and header.seq != clock.seq + 1
-        clock.seq = header.seq
-        if self._is_stale(arrival_ns, header.t_send_ns):
+            self._begin(bool(header.flags & Flag.SETTLED))
+        elif self._before is not None:
+            self._choose(self._before, header.seq, arrival_ns)
+        clock = self._course.clock
+        if not clock.follows(header.seq):
+            return clock.refuse(header.seq, arrival_ns, header.t_send_ns, overloaded, self.rules)
+        if not clock.take(header.seq, arrival_ns, header.t_send_ns, self.rules):
             return Status.STALE
-        if gap:
-            return Status.OVERLOAD if overloaded else Status.SEQ_GAP
         if active is None:
             return Status.NO_VERSION
         if header.joints != active.program.n_joints or request.version not in (None, active.number):
             return Status.VERSION_MISMATCH
         return Status.OK
 
-    def _is_stale(self, arrival_ns: int, sent_ns: int) -> bool:
-        way, clock = arrival_ns - sent_ns, self._clock
-        if clock.way_ns is None:
-            clock.way_ns = way
-        else:
-            grown = clock.way_ns + int((arrival_ns - clock.seen_ns) * self.rules.clock_drift)
-            clock.way_ns = min(grown, way)
-        clock.seen_ns = arrival_ns
-        return way - clock.way_ns > self.rules.max_age_ns
+    def _begin(self, settled: bool) -> None:
+        """Start a course. The one before is kept until a second frame confirms the new one: anybody can send a RESET."""
+        if self._before is None and self._course.clock.seq >= 0:
+            self._before = self._course
+        self._course = Course(settled=settled)
+
+    def _choose(self, before: Course, seq: int, arrival_ns: int) -> None:
+        """Keep the course that this frame goes on with, the new one or the one before."""
+        confirms = self._course.clock.seq >= 0 and self._course.clock.follows(seq)
+        returns = before.clock.follows(seq)
+        if confirms and returns:
+            # The RESET had the number of the frame before it: it is an intruder's while that one is recent.
+            confirms = arrival_ns - before.clock.seen_ns > self.rules.recent_ns
+        if confirms:
+            self._before = None
+        elif returns:
+            self._course, self._before = before, None
+            if before.track is not None and before.active is not None:
+                self._use(before.track, before.active)
+
+    def _use(self, track: Track, active: Active) -> None:
+        self._active = self._course.active = active
+        self._short.follow(track, active)
 
     def _follow_version(self, active: Active) -> Track:
         """The track for this version: the old one goes on, its difference ramped, unless the joints changed."""
-        if self._track is None or self._track.program.n_joints != active.program.n_joints:
-            self._track = Track(active.program, settled=self._settled)
-            self._settled = False
-        elif active is not self._active:
-            self._track.change(active.program)
+        course = self._course
+        if course.track is None or course.track.program.n_joints != active.program.n_joints:
+            course.track = Track(active.program, settled=course.settled)
+            course.settled = False
+        elif active is not course.active:
+            course.track.change(active.program)
         else:
-            return self._track
-        self._active = active
-        self._short.follow(self._track, active)
-        return self._track
-
-    def _elapsed(self, at_ns: int, arrival_ns: int) -> float:
-        """Time since the last answered setpoint on the controller's clock, bounded by the time that really passed."""
-        passed = (arrival_ns - self._clock.answered_ns) * 1e-9 + self.rules.time_slack_s
-        return min(max((at_ns - self._clock.applied_ns) * 1e-9, 0.0), passed)
+            return course.track
+        self._use(course.track, active)
+        return course.track
 
     def _correct(self, request: Setpoints, arrival_ns: int, active: Active) -> bytes | None:
         track = self._follow_version(active)
         header = request.header
         width = frames.width(header.flags)
         at = header.t_apply_ns or header.t_send_ns
-        dt = self._elapsed(at, arrival_ns)
+        clock = self._course.clock
+        dt = clock.elapsed_s(at, arrival_ns, self.rules.time_slack_s)
         if header.kind == Kind.POINT:
             status = track.step(request.values[0], width, dt)
             info, numbers = track.info, track.out
@@ -112,8 +141,8 @@ class Stream:
         if status != Status.OK:
             return self._refused(header, Status(status), active, int(info[1]), arrival_ns)
         points = len(request.values)
-        self._clock.applied_ns = at + (points - 1) * request.step_ns
-        self._clock.answered_ns = arrival_ns
+        clock.applied_ns = at + (points - 1) * request.step_ns
+        clock.answered_ns = arrival_ns
         flags = int(info[0])
         self.counters.count_flags(flags)
         return frames.encode_answer(

@@ -46,10 +46,11 @@ def calibration_of(
 def active_of(calibration: Calibration, epoch: int = 1, **options: float) -> Active:
     """A version as the processes pass it around."""
     program = compile_program(calibration, CorrectionOptions(**options))  # type: ignore[arg-type]
-    names = tuple(joint.name for joint in calibration.robot.joints)
+    joints = calibration.robot.joints
     return Active(
-        calibration.robot.name, f"ver_{epoch}", version_number(program.digest), epoch, program, joint_names=names
-    )
+        calibration.robot.name, f"ver_{epoch}", version_number(program.digest), epoch, program,
+        joint_names=tuple(joint.name for joint in joints), joint_kinds=tuple(joint.kind for joint in joints),
+    )  # fmt: skip
 
 
 class MemorySource:

@@ -5,16 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import numpy as np
+import zenoh
 from kilter_client.stream import CorrectedStream
 
+from service.corrector import frames
 from service.corrector.process import Corrector
+from service.corrector.session import config
 
 ROBOT = "katana450-chapter4"
 ROOT = f"kilter/@v1/test/{ROBOT}"
 Q = (0.1, 0.6, 0.4, 0.3, 0.2)
 
 
-def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+def until(condition: Callable[[], bool], seconds: float = 12.0) -> None:
     """Wait until the condition holds; fail when it does not in time."""
     end = time.monotonic() + seconds
     while not condition():
@@ -26,3 +30,46 @@ def open_stream(corrector: Corrector, name: str, **options: object) -> Corrected
     # A loaded test machine may take its time: nothing here depends on being fast.
     given = {"deadline_s": 2.0, "data": corrector.file.parent, "stream": name, "settled": True, **options}
     return CorrectedStream(ROBOT, **given)  # type: ignore[arg-type]
+
+
+def point(seq: int, flags: int = 0, q: tuple[float, ...] = Q) -> bytes:
+    """A setpoint sent now."""
+    return frames.encode_setpoints(
+        np.array([q]), joints=len(q), seq=seq, t_send_ns=time.monotonic_ns(), t_apply_ns=0, flags=flags
+    )
+
+
+class Line:
+    """A controller that speaks raw frames on a stream."""
+
+    def __init__(self, endpoints: tuple[str, ...], name: str, root: str = ROOT) -> None:
+        self.session = zenoh.open(config("tcp/127.0.0.1:0", endpoints))
+        self.answers = self.session.declare_subscriber(f"{root}/stream/{name}/out", zenoh.handlers.FifoChannel(10_000))
+        self._way = self.session.declare_publisher(f"{root}/stream/{name}/in", priority=zenoh.Priority.REAL_TIME)
+        until(lambda: self._way.matching_status.matching)
+
+    def send(self, data: bytes) -> None:
+        self._way.put(data)
+
+    def ask(self, data: bytes) -> frames.Answer:
+        """The answer to a frame, which is sent once."""
+        self.send(data)
+        return self.take(1)[0]
+
+    def take(self, count: int) -> list[frames.Answer]:
+        """The next answers."""
+        taken: list[frames.Answer] = []
+
+        def enough() -> bool:
+            while len(taken) < count and (sample := self.answers.handler.try_recv()) is not None:
+                taken.append(frames.decode_answer(sample.payload.to_bytes()))
+            return len(taken) == count
+
+        until(enough)
+        return taken
+
+    def __enter__(self) -> Line:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.session.close()  # type: ignore[no-untyped-call]

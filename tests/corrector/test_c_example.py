@@ -14,6 +14,7 @@ import pytest
 
 from service.corrector import frames
 from service.corrector.frames import Status
+from tests.corrector import forger
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "c" / "controller.c"
 HEADER = EXAMPLE.with_name("kilter_frames.h")
@@ -79,3 +80,17 @@ def test_c_and_python_refuse_the_same_frames(controller: Path) -> None:
         lines.append(f"a {data.hex()}")
         expected.append(taken)
     assert [line != "not an answer" for line in talk(controller, lines)] == expected
+
+
+def test_c_acts_on_the_right_answer_only(controller: Path) -> None:
+    rng = random.Random(4)
+    q = [0.1, -0.5, 0.7]
+    good = forger.answer(7, 100, 200, [x + 0.001 for x in q], version=0xABC, epoch=5)
+    refusal = forger.answer(7, 100, 200, [], version=0xABC, epoch=5, status=3)
+    strangers = forger.blind(rng, q, 0xABC, 5)
+    forged = [next(strangers) for _ in range(1000)]
+    forged += [forger.others(good, rng) for _ in range(1000)] + [forger.spoilt(good, rng) for _ in range(1000)]
+    said = talk(controller, ["q " + " ".join(map(repr, q)), *(f"c 5 abc {d.hex()}" for d in (good, refusal, *forged))])
+    assert said[1:3] == ["accepted", "accepted"]
+    assert set(said[3:]) == {"dropped"}
+    assert len(said) == 3003

@@ -32,52 +32,9 @@ from service.settings import DATABASE_FILE, Settings
 from service.versions import service as versions
 from service.versions import store
 from service.versions.store import NewVersion
-from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
+from tests.corrector.live import ROBOT, ROOT, Line, Q, open_stream, point, until
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-
-
-def point(seq: int, flags: int = 0, q: tuple[float, ...] = Q) -> bytes:
-    """A setpoint sent now."""
-    return frames.encode_setpoints(
-        np.array([q]), joints=len(q), seq=seq, t_send_ns=time.monotonic_ns(), t_apply_ns=0, flags=flags
-    )
-
-
-class Line:
-    """A controller that speaks raw frames on a stream."""
-
-    def __init__(self, endpoints: tuple[str, ...], name: str) -> None:
-        self.session = zenoh.open(config("tcp/127.0.0.1:0", endpoints))
-        self.answers = self.session.declare_subscriber(f"{ROOT}/stream/{name}/out", zenoh.handlers.FifoChannel(10_000))
-        self._way = self.session.declare_publisher(f"{ROOT}/stream/{name}/in", priority=zenoh.Priority.REAL_TIME)
-        until(lambda: self._way.matching_status.matching)
-
-    def send(self, data: bytes) -> None:
-        self._way.put(data)
-
-    def ask(self, data: bytes) -> frames.Answer:
-        """The answer to a frame, which is sent once."""
-        self.send(data)
-        return self.take(1)[0]
-
-    def take(self, count: int) -> list[frames.Answer]:
-        """The next answers."""
-        taken: list[frames.Answer] = []
-
-        def enough() -> bool:
-            while len(taken) < count and (sample := self.answers.handler.try_recv()) is not None:
-                taken.append(frames.decode_answer(sample.payload.to_bytes()))
-            return len(taken) == count
-
-        until(enough)
-        return taken
-
-    def __enter__(self) -> Line:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.session.close()  # type: ignore[no-untyped-call]
 
 
 def test_killed_in_motion_it_is_noticed_before_the_deadline_and_comes_back(corrector: Corrector) -> None:
@@ -436,7 +393,9 @@ with CorrectedStream(sys.argv[1], endpoints=[sys.argv[2]], site="test", stream="
 def test_a_cut_cable_is_bypassed_and_found_again(cable: tuple[str, str], source: object, tmp_path: Path) -> None:
     """Two network namespaces; the cable between them is cut, without any process noticing but by silence."""
     name, near = cable
-    settings = Settings(data=tmp_path, zenoh_listen="tcp/10.213.7.1:0", site="test")
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{}")
+    settings = Settings(data=tmp_path, zenoh_listen="tcp/10.213.7.1:0", zenoh_config=file, site="test")
     here = Corrector(settings, source)  # type: ignore[arg-type]
     here.start()
     try:

@@ -30,6 +30,11 @@ class Answer(NamedTuple):
     processing_ns: int
     joints: int
     q: tuple[float, ...]
+    t_send_ns: int = 0
+    t_apply_ns: int = 0
+    kind: int = POINT
+    points: int = 1
+    step_ns: int = 0
 
 
 def encode(
@@ -59,17 +64,19 @@ def decode(data: bytes) -> Answer | None:
     start = HEADER.size + VERDICT.size
     if len(data) < start:
         return None
-    magic, kind, joints, flags, seq, _, _ = HEADER.unpack_from(data)
+    magic, kind, joints, flags, seq, sent, apply = HEADER.unpack_from(data)
     version, epoch, status, mask, processing_ns, _ = VERDICT.unpack_from(data, HEADER.size)
     if magic != MAGIC or status >= len(STATUSES) or (status == 0) != (joints > 0):
         return None
-    points = 1
+    points, step_ns = 1, 0
     if status == 0 and kind == CHUNK:
         if len(data) < start + BLOCK.size:
             return None
-        points, _ = BLOCK.unpack_from(data, start)
+        points, step_ns = BLOCK.unpack_from(data, start)
         start += BLOCK.size
     if len(data) != start + 8 * points * joints:
         return None
     q = struct.unpack_from(f"<{points * joints}d", data, start)
-    return Answer(seq, flags, version, epoch, STATUSES[status], mask, processing_ns, joints, q)
+    return Answer(
+        seq, flags, version, epoch, STATUSES[status], mask, processing_ns, joints, q, sent, apply, kind, points, step_ns
+    )

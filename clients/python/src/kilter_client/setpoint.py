@@ -59,6 +59,9 @@ class Statistics:
     late: int = 0  # answers dropped because their cycle was over
     unknown_epoch: int = 0
     malformed: int = 0
+    foreign: int = 0  # dropped: they do not echo a setpoint of this stream
+    too_large: int = 0  # dropped: beyond the largest correction, or not finite
+    slowed: int = 0  # corrections that changed faster than they may, and were followed more slowly
     overruns: int = 0  # cycles of `corrected` that began more than a period late
     refused: Counter[str] = field(default_factory=Counter)
     round_trips_s: deque[float] = field(default_factory=lambda: deque(maxlen=100_000))

@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import json
+import itertools
 import math
-import os
 import queue
 import threading
 import time
@@ -24,52 +23,19 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from kilter_client.frames import QD, QDD, RESET, SETTLED, Answer, decode, encode
+from kilter_client.acceptance import Acceptance
+from kilter_client.carried import Carried, farthest
+from kilter_client.corrector import StreamError, find_corrector, root_of, session_config
+from kilter_client.frames import QD, QDD, RESET, SETTLED, Answer
+from kilter_client.in_use import MOST_REPLIES, InUse
 from kilter_client.setpoint import Setpoint, Statistics
 
 __all__ = ["CorrectedStream", "Setpoint", "Statistics", "StreamError", "corrected", "find_corrector"]
 
 _GONE = b""  # put into the queue when the corrector is gone, to end a wait
-
-
-class StreamError(Exception):
-    """The stream cannot be opened; the message says what to do."""
-
-
-def find_corrector(data: Path | None = None) -> dict[str, Any]:
-    """Read the corrector file of this machine: site and endpoints.
-
-    Raises:
-        StreamError: there is none.
-
-    """
-    folder = data or Path(os.environ.get("KILTER_DATA") or Path.home() / ".kilter")
-    try:
-        document: dict[str, Any] = json.loads((folder / "corrector.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise StreamError(
-            f"No corrector was found through {folder / 'corrector.json'}: start `kilterd serve`, set KILTER_DATA, "
-            "or give endpoints."
-        ) from error
-    return document
-
-
-def _session_config(zenoh: Any, endpoints: Sequence[str]) -> Any:
-    """Peer that connects to the endpoints and to nobody else, and comes back within half a second."""
-    config = zenoh.Config()
-    settings: dict[str, object] = {
-        "mode": "peer",
-        "listen/endpoints": [],
-        "connect/endpoints": list(endpoints),
-        "connect/timeout_ms": 0,
-        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/link/tx/lease": 1000,
-    }
-    for key, value in settings.items():
-        config.insert_json5(key, json.dumps(value))
-    return config
+_MOST_WAITING = 64  # answers to one setpoint; more of them are somebody else's
+_LOST_ITS_PLACE = ("STALE", "SEQ_BACK", "RATE_LIMIT")  # the corrector's past refuses, so it starts anew
+_LOST_FRAMES = ("SEQ_GAP", "OVERLOAD")  # so it does when these come twice in a row
 
 
 class CorrectedStream:
@@ -85,6 +51,10 @@ class CorrectedStream:
         release_s: in bypass the last correction fades out over this time, and fades in again afterwards.
         settled: the arm rests at the first setpoint, so give it the whole correction at once; else it ramps in.
         version: number of the version to insist on (``active["version"]``, hexadecimal); others are refused.
+        largest_deg: no correction of a joint beyond this is taken, whatever the version allows.
+        largest_mm: the same for joints that slide.
+        quickest_s: the time in which the correction may change from nothing to its largest while the arm rests. In motion
+            it may change by a tenth of that besides.
         connect_timeout_s: how long to wait for the corrector and its version when the stream is opened.
         data: data folder of the server, to find the corrector file.
 
@@ -102,6 +72,9 @@ class CorrectedStream:
         release_s: float = 0.5,
         settled: bool = False,
         version: int | None = None,
+        largest_deg: float = 1.0,
+        largest_mm: float = 5.0,
+        quickest_s: float = 0.2,
         connect_timeout_s: float = 5.0,
         data: Path | None = None,
         statistics: Statistics | None = None,
@@ -112,26 +85,25 @@ class CorrectedStream:
             site = site or str(found["site"])
         self.robot = robot
         self.deadline_s = deadline_s
-        self.hold_cycles = hold_cycles
-        self.release_s = release_s
         self.connect_timeout_s = connect_timeout_s
         self.statistics = statistics or Statistics()
-        self.active: dict[str, Any] | None = None
+        self.joints = 0  # known when the stream is open
+        self._in_use = InUse(math.radians(largest_deg), largest_mm / 1000.0)
+        self._ask_again = threading.Event()
+        self._acceptance = Acceptance(self.statistics, self._in_use, version, self._ask_again.set)
+        self._carried = Carried(self._in_use, self.statistics, settled, hold_cycles, release_s, quickest_s)
         self._endpoints = endpoints
         self._site = site
-        self._root = f"kilter/@v1/{site}/{robot}"
+        self._root = root_of(site, robot, stream)
         self._stream = stream
-        self._version = version
+        self._settled = settled
         self._flags = RESET | (SETTLED if settled else 0)
-        self._seq = 0
-        self._epochs: dict[int, str] = {}
-        self._known = threading.Event()
         self._alive: set[str] = set()
         self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        self._delta: tuple[float, ...] = ()
-        self._misses = 0
-        self._offset: tuple[float, ...] = ()
-        self._fade_ns = 0
+        self._wanted: tuple[float, ...] = ()  # the last setpoint, and when it was sent
+        self._sent_ns = 0
+        self._lost = False  # the last answer said that frames are missing
+        self._follower: threading.Thread | None = None
         self._session: Any = None
 
     def __enter__(self) -> CorrectedStream:
@@ -145,11 +117,13 @@ class CorrectedStream:
             import zenoh
         except ImportError as error:
             raise StreamError("Streams need zenoh: pip install 'kilter-client[stream]'.") from error
-        self._session = zenoh.open(_session_config(zenoh, self._endpoints))
+        self._session = zenoh.open(session_config(zenoh, self._endpoints))
         atexit.register(self.close)
         try:
             self._declare(zenoh)
             self._wait_for_version()
+            self._follower = threading.Thread(target=self._follow, args=(self._session,), name="versions", daemon=True)
+            self._follower.start()
         except BaseException:
             self.close()
             raise
@@ -162,9 +136,17 @@ class CorrectedStream:
     def close(self) -> None:
         """Close the session; safe to call twice."""
         atexit.unregister(self.close)
-        if self._session is not None:
-            self._session.close()
-            self._session = None
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()
+            self._ask_again.set()  # the thread sees that there is no session any more
+            if self._follower is not None:
+                self._follower.join(1.0)
+
+    @property
+    def active(self) -> dict[str, Any] | None:
+        """The announcement of the version in use, as the corrector confirmed it; None when there is none."""
+        return self._in_use.active
 
     @property
     def alive(self) -> bool:
@@ -174,11 +156,17 @@ class CorrectedStream:
     def _declare(self, zenoh: Any) -> None:
         session = self._session
         self._deleted = zenoh.SampleKind.DELETE
+        # Of everybody who answers, not of one whom the network thinks best.
+        self._question = {
+            "target": zenoh.QueryTarget.ALL,
+            "consolidation": zenoh.ConsolidationMode.NONE,
+            "timeout": 0.5,
+        }
         # Direct callbacks only hand bytes over: no zenoh call, no thread of their own that could hang at exit.
         direct = {"indirect": False}
         session.declare_subscriber(
             f"{self._root}/stream/{self._stream}/out",
-            zenoh.handlers.Callback(lambda sample: self._answers.put(sample.payload.to_bytes()), **direct),
+            zenoh.handlers.Callback(self._on_answer, **direct),
         )
         session.declare_subscriber(f"{self._root}/active", zenoh.handlers.Callback(self._on_active, **direct))
         session.liveliness().declare_subscriber(
@@ -191,21 +179,30 @@ class CorrectedStream:
             express=False,
         )
 
-    def _on_active(self, sample: Any) -> None:
-        self._learn(sample.payload.to_bytes())
+    def _on_answer(self, sample: Any) -> None:
+        data = sample.payload.to_bytes()
+        # What is no echo goes no further: it would wait in the queue before the answer.
+        if self._acceptance.echoes(data) and self._answers.qsize() < _MOST_WAITING:
+            self._answers.put(data)
 
-    def _learn(self, payload: bytes) -> None:
-        with contextlib.suppress(ValueError, TypeError):
-            document = json.loads(payload)
-            if document.get("epoch") is None:
-                self.active = None
-                self._epochs = {}
+    def _on_active(self, sample: Any) -> None:
+        self._in_use.announce(sample.payload.to_bytes())
+        self._ask_again.set()
+
+    def _ask_for_version(self, session: Any) -> None:
+        replies = itertools.islice(session.get(f"{self._root}/active", **self._question), MOST_REPLIES)
+        self._in_use.confirm([reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None])
+
+    def _follow(self, session: Any) -> None:
+        """Ask which version is active whenever somebody says that it has changed; apart from the cycles."""
+        while True:
+            self._ask_again.wait()
+            self._ask_again.clear()
+            if self._session is None:
                 return
-            # The one before stays known: its last answers are on their way.
-            recent = dict(list(self._epochs.items())[-1:])
-            self._epochs = {**recent, int(document["epoch"]): str(document["version_id"])}
-            self.active = document
-            self._known.set()
+            with contextlib.suppress(Exception):  # the session is being closed
+                self._ask_for_version(session)
+            time.sleep(0.02)  # however often somebody says so
 
     def _on_liveliness(self, sample: Any) -> None:
         if sample.kind == self._deleted:
@@ -214,15 +211,15 @@ class CorrectedStream:
                 self._answers.put(_GONE)
         else:
             self._alive.add(str(sample.key_expr))
+            self._ask_again.set()
 
     def _wait_for_version(self) -> None:
         """Ask for the active version until somebody knows it and the way to the corrector is open."""
         end = time.monotonic() + self.connect_timeout_s
         while True:
-            for reply in self._session.get(f"{self._root}/active", timeout=0.5):
-                if reply.ok is not None:
-                    self._learn(reply.ok.payload.to_bytes())
-            if self._known.is_set() and self.alive and self._publisher.matching_status.matching:
+            self._ask_for_version(self._session)
+            if self.active is not None and self.alive and self._publisher.matching_status.matching:
+                self.joints = self.active["joints"]
                 return
             if time.monotonic() > end:
                 break
@@ -252,119 +249,109 @@ class CorrectedStream:
             t_apply_ns: when the setpoint is to act, on any clock that counts nanoseconds; default is now.
 
         """
-        wanted = tuple(float(x) for x in q)
-        values = [*wanted]
+        wanted = self._checked(q)
+        values: Sequence[float] = wanted
         flags = self._flags
         if qd is not None and qdd is not None:
-            values += [*qd, *qdd]
+            values = [*wanted, *qd, *qdd]
+            self._checked(values, 3)
             flags |= QD | QDD
-        answer, trip = self._ask(values, len(wanted), flags, t_apply_ns)
-        if answer is None or answer.status != "OK" or len(answer.q) != len(wanted):
-            return self._hold(wanted, answer)
-        delta = tuple(a - b for a, b in zip(answer.q, wanted, strict=True))
+        before, last_ns = self._wanted or wanted, self._sent_ns
+        answer, trip = self._ask(values, wanted, flags, t_apply_ns)
+        self._wanted = wanted
+        pause_s, moved = (self._sent_ns - last_ns) * 1e-9, farthest(wanted, before)
+        if answer is None or answer.status != "OK":
+            self._heed(answer)
+            return self._carried.hold(wanted, answer)
         self.statistics.corrected += 1
-        return self._resume(wanted, delta, answer, trip)
+        self._lost = False
+        return self._carried.follow(wanted, answer, trip, pause_s, moved)
+
+    def _checked(self, q: Sequence[float], width: int = 1) -> tuple[float, ...]:
+        """A setpoint as numbers, as many as the robot has joints."""
+        if len(q) != width * self.joints:
+            raise StreamError(
+                f"Robot {self.robot!r} has {self.joints} joints, and this setpoint has {len(q)} numbers: "
+                f"give {'q, qd and qdd of ' if width > 1 else ''}every joint."
+            )
+        return tuple(map(float, q))
 
     def correct_chunk(self, points: Sequence[Sequence[float]], step_s: float, *, t_apply_ns: int = 0) -> Answer | None:
-        """Correct several setpoints ``step_s`` apart in one frame; None when no answer came within the deadline."""
-        values = [x for point in points for x in point]
-        answer, _ = self._ask(
-            values, len(points[0]), self._flags, t_apply_ns, points=len(points), step_ns=round(step_s * 1e9)
-        )
-        return answer
+        """Correct several setpoints ``step_s`` apart in one frame; None when no answer came within the deadline.
+
+        Raises:
+            StreamError: a point has another number of joints than the robot, or there is none.
+
+        """
+        rows = [self._checked(point) for point in points]
+        if not rows:
+            raise StreamError("A chunk has no points: give at least one.")
+        values = [x for row in rows for x in row]
+        last_ns = self._sent_ns
+        answer, _ = self._ask(values, values, self._flags, t_apply_ns, points=len(rows), step_ns=round(step_s * 1e9))
+        if answer is None or answer.status != "OK":
+            self._heed(answer)
+            self._wanted = rows[-1]
+            return answer
+        self._lost = False
+        steps = [(self._sent_ns - last_ns) * 1e-9] + [step_s] * (len(rows) - 1)
+        q = self._carried.follow_chunk([self._wanted or rows[0], *rows], answer.q, steps)
+        self._wanted = rows[-1]
+        return answer._replace(q=q)
 
     def _ask(
-        self, values: Sequence[float], joints: int, flags: int, t_apply_ns: int, **chunk: int
+        self, values: Sequence[float], wanted: Sequence[float], flags: int, t_apply_ns: int, **chunk: int
     ) -> tuple[Answer | None, float]:
         """Send a frame and wait for its answer until the deadline; nothing of both while no corrector is there."""
         self.statistics.sent += 1
         if not self._alive:  # a controller keeps its pace
             self.statistics.missed += 1
+            self._sent_ns = time.monotonic_ns()
             return None, math.nan
-        self._seq += 1
-        sent = time.monotonic_ns()
-        self._publisher.put(
-            encode(
-                values, joints=joints, seq=self._seq, t_send_ns=sent, t_apply_ns=t_apply_ns, flags=flags,
-                version=self._version, **chunk,
-            )
-        )  # fmt: skip
-        end = sent + int(self.deadline_s * 1e9)
+        data, sent = self._acceptance.frame(values, wanted, self.joints, flags, t_apply_ns, **chunk)
+        self._sent_ns = sent
+        self._publisher.put(data)
+        answer = self._wait(sent + int(self.deadline_s * 1e9))
+        if answer is None:
+            self.statistics.missed += 1
+            return None, math.nan
+        trip = (time.monotonic_ns() - sent) * 1e-9
+        self.statistics.round_trips_s.append(trip)
+        return answer, trip
+
+    def _wait(self, end_ns: int) -> Answer | None:
+        """The answer to the setpoint just sent; None when it does not come in time, or the corrector is gone."""
         while True:
-            left = (end - time.monotonic_ns()) * 1e-9
+            left = (end_ns - time.monotonic_ns()) * 1e-9
             try:
                 data = self._answers.get(timeout=left) if left > 0 else self._answers.get_nowait()
             except queue.Empty:
-                self.statistics.missed += 1
-                return None, math.nan
+                return None
             if data is _GONE:
                 if self._alive:
                     continue
-                self.statistics.missed += 1
-                return None, math.nan
+                return None
             answer = self._accept(data)
             if answer is not None:
-                trip = (time.monotonic_ns() - sent) * 1e-9
-                self.statistics.round_trips_s.append(trip)
-                return answer, trip
+                return answer
 
     def _accept(self, data: bytes) -> Answer | None:
-        """The answer to the setpoint just sent, of an announced epoch; anything else is counted and dropped."""
-        answer = decode(data)
-        if answer is None:
-            self.statistics.malformed += 1
-        elif answer.seq != self._seq:
-            self.statistics.late += 1
-        elif answer.status == "OK" and answer.epoch not in self._epochs:
-            self.statistics.unknown_epoch += 1
-        else:
+        """The answer to the setpoint just sent, as :mod:`kilter_client.acceptance` judges; others are dropped."""
+        answer = self._acceptance.judge(data)
+        if answer is not None:
             self._flags &= ~(RESET | SETTLED)  # the corrector has heard of the new sequence
-            return answer
-        return None
+        return answer
 
-    def _hold(self, wanted: tuple[float, ...], answer: Answer | None) -> Setpoint:
-        """Use the last correction again, or, after too many cycles, release it."""
-        status = answer.status if answer is not None else None
-        if status is not None:
-            self.statistics.refused[status] += 1
-        self._misses += 1
-        if self._delta and self._misses <= self.hold_cycles:
-            self.statistics.held += 1
-            return Setpoint(_sum(wanted, self._delta), source="held", wanted=wanted, status=status)
-        if not self._delta or self._misses == self.hold_cycles + 1:
-            self._begin_fade(self._delta or (0.0,) * len(wanted))
-        self._delta = self._faded((0.0,) * len(wanted))
-        self.statistics.bypassed += 1
-        return Setpoint(_sum(wanted, self._delta), source="bypass", wanted=wanted, status=status)
-
-    def _resume(self, wanted: tuple[float, ...], delta: tuple[float, ...], answer: Answer, trip: float) -> Setpoint:
-        """Take a correction over; after a bypass it fades in from where the release had got to."""
-        if self._misses > self.hold_cycles and self._delta:
-            self._begin_fade(tuple(old - new for old, new in zip(self._delta, delta, strict=True)))
-        self._misses = 0
-        self._delta = self._faded(delta)
-        return Setpoint(
-            _sum(wanted, self._delta), source="corrected", wanted=wanted, status="OK", flags=answer.flags,
-            round_trip_s=trip,
-        )  # fmt: skip
-
-    def _begin_fade(self, offset: tuple[float, ...]) -> None:
-        """From here on ``offset`` is added to the correction and fades out."""
-        self._offset, self._fade_ns = offset, time.monotonic_ns()
-
-    def _faded(self, delta: tuple[float, ...]) -> tuple[float, ...]:
-        """``delta`` plus what is left of the offset."""
-        if not self._offset:
-            return delta
-        left = 1.0 - (time.monotonic_ns() - self._fade_ns) * 1e-9 / self.release_s
-        if left <= 0.0:
-            self._offset = ()
-            return delta
-        return tuple(a + left * b for a, b in zip(delta, self._offset, strict=True))
-
-
-def _sum(a: Sequence[float], b: Sequence[float]) -> tuple[float, ...]:
-    return tuple(x + y for x, y in zip(a, b, strict=True))
+    def _heed(self, answer: Answer | None) -> None:
+        """Count a refusal, and start the corrector anew after one that its past is the reason of."""
+        if answer is None:
+            return
+        self.statistics.refused[answer.status] += 1
+        again = self._lost and answer.status in _LOST_FRAMES
+        self._lost = answer.status in _LOST_FRAMES
+        if again or answer.status in _LOST_ITS_PLACE:
+            # At once, not ramped: the correction goes on where it is, and changes no faster than it may.
+            self._flags |= RESET | (SETTLED if self._carried.delta or self._settled else 0)
 
 
 def corrected(

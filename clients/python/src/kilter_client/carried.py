@@ -1,0 +1,116 @@
+"""The correction a stream carries from cycle to cycle: it follows the answers, is held without one, and is released."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from operator import add, le, sub
+
+from kilter_client.frames import Answer
+from kilter_client.in_use import InUse
+from kilter_client.setpoint import Setpoint, Statistics
+
+MOTION_SHARE = 0.1  # of the wanted motion that the correction may change by besides
+MOST_PAUSE_S = 0.1
+ROUNDING = 1e-9
+
+
+class Carried:
+    """Correction of one stream; ``delta`` is empty before the first answer.
+
+    It changes from nothing to the largest in ``quickest_s`` at the least, whatever the answers say.
+    """
+
+    def __init__(
+        self,
+        in_use: InUse,
+        statistics: Statistics,
+        settled: bool,
+        hold_cycles: int,
+        release_s: float,
+        quickest_s: float,
+    ) -> None:
+        self.delta: tuple[float, ...] = ()
+        self._in_use, self._statistics = in_use, statistics
+        self._settled = settled
+        self._hold_cycles, self._release_s, self._quickest_s = hold_cycles, release_s, quickest_s
+        self._misses = 0
+        self._offset: tuple[float, ...] = ()
+        self._fade_ns = 0
+
+    def hold(self, wanted: tuple[float, ...], answer: Answer | None) -> Setpoint:
+        """Use the last correction again, or, after too many cycles, release it."""
+        status = answer.status if answer is not None else None
+        self._misses += 1
+        if self.delta and self._misses <= self._hold_cycles:
+            self._statistics.held += 1
+            return Setpoint(_sum(wanted, self.delta), source="held", wanted=wanted, status=status)
+        if not self.delta or self._misses == self._hold_cycles + 1:
+            self._begin_fade(self.delta or (0.0,) * len(wanted))
+        self.delta = self._faded((0.0,) * len(wanted))
+        self._statistics.bypassed += 1
+        return Setpoint(_sum(wanted, self.delta), source="bypass", wanted=wanted, status=status)
+
+    def follow(self, wanted: tuple[float, ...], answer: Answer, trip: float, pause_s: float, moved: float) -> Setpoint:
+        """Take a correction over; after a bypass it fades in from where the release had got to."""
+        delta = tuple(map(sub, answer.q, wanted))
+        if self._misses > self._hold_cycles and self.delta:
+            self._begin_fade(tuple(map(sub, self.delta, delta)))
+        self._misses = 0
+        self.delta = self._bounded(self._faded(delta), pause_s, moved)
+        return Setpoint(
+            _sum(wanted, self.delta), source="corrected", wanted=wanted, status="OK", flags=answer.flags,
+            round_trip_s=trip,
+        )  # fmt: skip
+
+    def follow_chunk(
+        self, rows: Sequence[tuple[float, ...]], q: Sequence[float], steps_s: Sequence[float]
+    ) -> tuple[float, ...]:
+        """Take the corrections of a chunk over; ``rows`` begin with the setpoint before it. Returns all joints."""
+        out: list[float] = []
+        self._misses = 0
+        for k, (before, row, step_s) in enumerate(zip(rows[:-1], rows[1:], steps_s, strict=True)):
+            n = len(row)
+            delta = tuple(map(sub, q[k * n : (k + 1) * n], row))
+            self.delta = self._bounded(delta, step_s, farthest(row, before))
+            out += _sum(row, self.delta)
+        self._offset = ()
+        return tuple(out)
+
+    def _bounded(self, delta: tuple[float, ...], pause_s: float, moved: float) -> tuple[float, ...]:
+        """``delta``, or as much of the way to it as the correction may change by."""
+        before = self.delta or (delta if self._settled else (0.0,) * len(delta))
+        limits = self._in_use.limits
+        share, besides = min(pause_s, MOST_PAUSE_S) / self._quickest_s, MOTION_SHARE * moved + ROUNDING
+        changes = list(map(abs, map(sub, delta, before)))
+        if max(changes) <= min(limits) * share + besides:  # as nearly always
+            return delta
+        reach = [most * share + besides for most in limits]
+        if all(map(le, changes, reach)):
+            return delta
+        self._statistics.slowed += 1
+        return tuple(old + min(max(new - old, -r), r) for new, old, r in zip(delta, before, reach, strict=True))
+
+    def _begin_fade(self, offset: tuple[float, ...]) -> None:
+        """From here on ``offset`` is added to the correction and fades out."""
+        self._offset, self._fade_ns = offset, time.monotonic_ns()
+
+    def _faded(self, delta: tuple[float, ...]) -> tuple[float, ...]:
+        """``delta`` plus what is left of the offset."""
+        if not self._offset:
+            return delta
+        left = 1.0 - (time.monotonic_ns() - self._fade_ns) * 1e-9 / self._release_s
+        if left <= 0.0:
+            self._offset = ()
+            return delta
+        return tuple(a + left * b for a, b in zip(delta, self._offset, strict=True))
+
+
+def farthest(a: Sequence[float], b: Sequence[float]) -> float:
+    """How far two setpoints differ in their largest joint."""
+    distance: float = max(map(abs, map(sub, a, b)))
+    return distance
+
+
+def _sum(a: Sequence[float], b: Sequence[float]) -> tuple[float, ...]:
+    return tuple(map(add, a, b))

@@ -1,0 +1,102 @@
+"""Which versions a stream takes answers of.
+
+Anybody on the network can publish an announcement, so one is never believed by itself: it may only *add* a version whose
+answers are taken, and makes the stream ask. What the stream knew stays until an answer to its own question replaces it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import deque
+from collections.abc import Iterable
+from typing import Any
+
+MOST_BYTES = 16_384
+MOST_REPLIES = 16
+ROUNDING = 1e-9  # rad or m: the corrector bounds its correction before it adds it
+
+Pair = tuple[int, int]  # epoch and number of a version, as they stand in every answer
+
+
+def read(payload: bytes) -> dict[str, Any] | None:
+    """An announcement as its document; ``{}`` when it says that nothing is active, None when it is none."""
+    if len(payload) > MOST_BYTES:
+        return None
+    try:
+        document = json.loads(payload)
+        if document.get("epoch", 0) is None:
+            return {}
+        epoch, number, joints = document["epoch"], int(document["version"], 16), document["joints"]
+        good = type(epoch) is int and 0 <= epoch < 2**32 and 0 <= number < 2**64
+        good = good and type(joints) is int and 0 < joints <= 16
+        for largest in (document["largest_deg"], document["largest_mm"]):
+            good = good and type(largest) in (int, float) and 0.0 < float(largest) < math.inf
+        return document if good and isinstance(document["version_id"], str) else None
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
+        return None
+
+
+def pair_of(document: dict[str, Any]) -> Pair:
+    """Epoch and version number of an announcement."""
+    return document["epoch"], int(document["version"], 16)
+
+
+class InUse:
+    """Versions in use, from announcements and from answers to the question which one is active.
+
+    ``largest_rad`` and ``largest_m`` are the caller's ceiling; a version's own limits count where they are less.
+    """
+
+    def __init__(self, largest_rad: float, largest_m: float) -> None:
+        self._ceiling = (largest_rad, largest_m)
+        self._kinds: list[str] = []  # of the joints; they stay what they were at first, for a robot stays what it is
+        self._announced: deque[Pair] = deque(maxlen=8)
+        self._confirmed: tuple[Pair, ...] = ()
+        self.active: dict[str, Any] | None = None
+        self.known: frozenset[Pair] = frozenset()
+        self.limits: tuple[float, ...] = ()  # largest correction of each joint, rad or m
+
+    def announce(self, payload: bytes) -> None:
+        """Hear an announcement: answers of its version are taken from here on, beside those known."""
+        document = read(payload)
+        if document and pair_of(document) not in self._announced:
+            self._announced.append(pair_of(document))
+            self._renew()
+
+    def confirm(self, replies: Iterable[bytes]) -> bool:
+        """Take the answers to the stream's own question over; False when there were none."""
+        read_ones = [document for reply in replies if (document := read(reply)) is not None]
+        documents = [document for document in read_ones if document and self._fits(document)]
+        if documents:
+            self._follow(documents)
+        elif read_ones and not any(read_ones):  # somebody says that nothing is active, and nobody says otherwise
+            self.active, self._confirmed = None, ()
+            self._announced.clear()
+            self._renew()
+        return bool(read_ones)
+
+    def _follow(self, documents: list[dict[str, Any]]) -> None:
+        # The version before stays known: its last answers are on their way.
+        before = (pair_of(self.active),) if self.active else ()
+        self._confirmed = (*before, *map(pair_of, documents))
+        same = [document for document in documents if (pair_of(document),) == before]
+        self.active = (same or sorted(documents, key=pair_of))[-1]
+        self.limits = self._limits(documents)
+        self._renew()
+
+    def _fits(self, document: dict[str, Any]) -> bool:
+        return not self._kinds or document["joints"] == len(self._kinds)
+
+    def _limits(self, documents: list[dict[str, Any]]) -> tuple[float, ...]:
+        """Of each joint the least of the ceiling and what is announced; with several answers the most generous one."""
+        assert self.active is not None
+        radians = min(self._ceiling[0], max(math.radians(document["largest_deg"]) for document in documents))
+        metres = min(self._ceiling[1], max(document["largest_mm"] / 1000.0 for document in documents))
+        if not self._kinds:
+            kinds, joints = self.active.get("joint_kinds"), self.active["joints"]
+            self._kinds = kinds if isinstance(kinds, list) and len(kinds) == joints else ["revolute"] * joints
+        return tuple((metres if kind == "prismatic" else radians) + ROUNDING for kind in self._kinds)
+
+    def _renew(self) -> None:
+        self.known = frozenset((*self._confirmed, *self._announced))

@@ -1,0 +1,238 @@
+"""A second zenoh session without credentials against a running client and corrector: what it says moves no arm.
+
+``make attack-stream`` sends 100 000 forged answers; the usual tests send fewer.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import zenoh
+from kilter_client.stream import CorrectedStream
+
+from service.corrector import frames
+from service.corrector.active import Active
+from service.corrector.frames import Flag
+from service.corrector.process import Corrector
+from service.corrector.session import config
+from tests.corrector import forger
+from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
+
+
+@pytest.fixture
+def intruder(corrector: Corrector) -> Iterator[zenoh.Session]:
+    made = config(None, (corrector.endpoints["stream"],))
+    made.insert_json5("mode", '"client"')  # a peer passes messages on from its clients, not between two peers
+    with zenoh.open(made) as session:
+        yield session
+
+
+@pytest.fixture
+def active(source: object) -> Active:
+    found: Active = source.versions[ROBOT]  # type: ignore[attr-defined]
+    return found
+
+
+def way_out(session: zenoh.Session, key: str) -> zenoh.Publisher:
+    """A publisher that has somebody to talk to, and waits for a reader that is slow."""
+    made = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+    until(lambda: made.matching_status.matching)
+    return made
+
+
+@contextmanager
+def beside(work: Callable[[threading.Event], None]) -> Iterator[threading.Event]:
+    """Do ``work(stop)`` in a thread of its own meanwhile; the event that is handed out says that it has ended."""
+    stop, ended = threading.Event(), threading.Event()
+
+    def run() -> None:
+        try:
+            work(stop)
+        finally:
+            ended.set()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield ended
+    finally:
+        stop.set()
+        thread.join()
+
+
+def truth(stream: CorrectedStream) -> np.ndarray:
+    """The correction at rest, which every later answer repeats."""
+    for _ in range(5):
+        last = stream.correct(Q)
+    assert last.source == "corrected"
+    return np.array(last.delta)
+
+
+def stray(stream: CorrectedStream) -> int:
+    """How many answers the stream has dropped."""
+    s = stream.statistics
+    return s.foreign + s.late + s.malformed + s.unknown_epoch + s.too_large
+
+
+@pytest.mark.parametrize("count", [4000, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.timeout(1800)
+def test_forged_replayed_and_disordered_answers_are_not_taken(
+    corrector: Corrector, intruder: zenoh.Session, active: Active, count: int
+) -> None:
+    rng = random.Random(count)
+    recorded: list[bytes] = []
+    heard = intruder.declare_subscriber(
+        f"{ROOT}/stream/victim/out", lambda sample: recorded.append(sample.payload.to_bytes())
+    )
+    with open_stream(corrector, "victim") as stream:  # an earlier session on the same name
+        until(lambda: stream.correct(Q).source == "corrected" and len(recorded) > 100)
+    earlier = recorded[:100]
+    with open_stream(corrector, "victim") as stream:
+        right = truth(stream)
+        until(lambda: stream.correct(Q).source == "corrected" and len(recorded) > 300)
+        heard.undeclare()  # type: ignore[no-untyped-call]
+        own = recorded[-100:]
+        out = way_out(intruder, f"{ROOT}/stream/victim/out")
+        strangers = forger.blind(rng, list(Q), active.number, active.epoch)
+
+        def attack(stop: threading.Event) -> None:
+            for k in range(count // 4):
+                if stop.is_set():
+                    return
+                for data in (next(strangers), rng.choice(earlier), rng.choice(own), forger.others(own[-1], rng)):
+                    out.put(data)
+                if k % 10 == 0:
+                    time.sleep(0.001)  # as many at once as the machine bears would be an attack on its time
+
+        cycles = wrong = 0
+        with beside(attack) as ended:
+            while not ended.is_set() or stray(stream) < count:
+                setpoint = stream.correct(Q)
+                assert setpoint.source == "corrected"
+                cycles += 1
+                wrong += bool(np.abs(np.array(setpoint.delta) - right).max() > 1e-9)
+        assert stray(stream) == count
+    assert wrong == 0
+    assert cycles > count / 1000
+    print(f"{count} forged answers, {cycles} cycles meanwhile: {wrong} taken")
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("offset", [1.0, 1e6, math.nan, 0.9 * math.radians(1.0)])
+def test_somebody_who_sees_the_setpoints_moves_the_arm_within_bounds(
+    corrector: Corrector, intruder: zenoh.Session, active: Active, offset: float
+) -> None:
+    """He answers every setpoint, exact echo and all, often before the corrector does."""
+    name = f"seen{offset:.0f}"
+    most = math.radians(1.0)
+    with open_stream(corrector, name) as stream:
+        right = truth(stream)
+        out = way_out(intruder, f"{ROOT}/stream/{name}/out")
+
+        def answer(sample: zenoh.Sample) -> None:
+            _, _, _, _, seq, sent, apply = forger.HEADER.unpack_from(sample.payload.to_bytes())
+            q = [x + offset for x in Q]
+            out.put(forger.answer(seq, sent, apply, q, version=active.number, epoch=active.epoch))
+
+        with intruder.declare_subscriber(f"{ROOT}/stream/{name}/in", answer):
+            before, last = stream.correct(Q), time.monotonic()
+            for _ in range(300):
+                setpoint, now = stream.correct(Q), time.monotonic()
+                assert setpoint.source == "corrected"
+                delta = np.array(setpoint.delta)
+                assert np.abs(delta).max() <= most + 1e-8
+                assert np.abs(delta - before.delta).max() <= most * (now - last) / 0.2 + 1e-8
+                if not offset < most:
+                    assert np.abs(delta - right).max() < 1e-9
+                before, last = setpoint, now
+
+
+def lies(active: Active, k: int) -> bytes:
+    """An announcement that is not true."""
+    document = json.loads(active.announcement())
+    made: list[object] = [
+        {**document, "epoch": active.epoch + 1000 + k}, {**document, "version": f"{k:016x}"},
+        {**document, "epoch": 2**32 - 1, "version": "0" * 16, "joints": 3, "largest_deg": 1e9},
+        {"robot": ROBOT, "version_id": None, "version": None, "epoch": None},
+        {**document, "epoch": 10**400}, {**document, "largest_deg": 1e-12}, [], "[" * 5000, {"epoch": None},
+    ]  # fmt: skip
+    return json.dumps(made[k % len(made)]).encode()
+
+
+def test_forged_announcements_cost_nothing(corrector: Corrector, intruder: zenoh.Session, active: Active) -> None:
+    with open_stream(corrector, "announced") as stream:
+        right = truth(stream)
+        said = way_out(intruder, f"{ROOT}/active")
+        for k in range(200):
+            said.put(lies(active, k))
+            setpoint = stream.correct(Q)
+            assert setpoint.source == "corrected"
+            assert np.abs(np.array(setpoint.delta) - right).max() < 1e-9
+            assert stream.active is not None
+        assert stream.active["version_id"] == active.version_id
+        assert stream.active["joints"] == 5
+
+
+def test_a_forged_queryable_does_not_end_the_stream(
+    corrector: Corrector, intruder: zenoh.Session, active: Active
+) -> None:
+    asked = []
+
+    def lie(query: zenoh.Query) -> None:
+        asked.append(query)
+        query.reply(f"{ROOT}/active", lies(active, len(asked)))
+
+    with (
+        open_stream(corrector, "queryable") as stream,
+        intruder.declare_queryable(f"{ROOT}/active", lie, complete=True),
+    ):
+        right = truth(stream)
+        said = way_out(intruder, f"{ROOT}/active")
+
+        def insist() -> bool:
+            said.put(b"{}")
+            setpoint = stream.correct(Q)
+            assert setpoint.source == "corrected"
+            assert np.abs(np.array(setpoint.delta) - right).max() < 1e-9
+            time.sleep(0.01)
+            return len(asked) > 20
+
+        until(insist)
+        assert stream.active is not None
+
+
+def test_one_bad_frame_on_the_way_in_costs_one_cycle_at_most(corrector: Corrector, intruder: zenoh.Session) -> None:
+    """The intruder sees the stream, and puts a frame before the next one."""
+    heard: list[bytes] = []
+    with (
+        open_stream(corrector, "poisoned") as stream,
+        intruder.declare_subscriber(
+            f"{ROOT}/stream/poisoned/in", lambda sample: heard.append(sample.payload.to_bytes())
+        ),
+    ):
+        right = truth(stream)
+        put = way_out(intruder, f"{ROOT}/stream/poisoned/in").put
+        until(lambda: stream.correct(Q).source == "corrected" and bool(heard))
+        hour, far = 3_600_000_000_000, [x + 0.3 for x in Q]
+        for flags in (0, Flag.RESET, Flag.RESET | Flag.SETTLED):
+            for seq_by in (-1, 0, 1, 2, None):
+                for time_by in (0, hour, -hour):
+                    _, _, _, _, seq, sent, _ = forger.HEADER.unpack_from(heard[-1])
+                    bad = 2**64 - 1 if seq_by is None else seq + seq_by
+                    before = len(heard)
+                    put(frames.encode_setpoints(
+                        np.array([far]), joints=5, seq=bad, t_send_ns=(sent + time_by) % 2**64, t_apply_ns=0, flags=flags,
+                    ))  # fmt: skip
+                    until(lambda before=before: len(heard) > before)  # type: ignore[misc]
+                    time.sleep(0.005)  # the corrector has had it
+                    cycles = [stream.correct(Q) for _ in range(20)]
+                    assert sum(setpoint.source != "corrected" for setpoint in cycles) <= 1, (flags, seq_by, time_by)
+                    assert np.abs(np.array(cycles[-1].delta) - right).max() < 2e-4
