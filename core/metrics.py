@@ -29,6 +29,11 @@ class Errors:
         """Errors of a calibration; every seen marker counts as a point."""
         return Errors(*measurement.misses(calibration))
 
+    @property
+    def mean(self) -> float:
+        """Mean size of the errors of points, m."""
+        return float(np.linalg.norm(self.points, axis=1).mean())
+
     @staticmethod
     def concatenate(parts: list[Errors]) -> Errors:
         """Pool the errors of several folds."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from core.errors import OptionError
 from core.identify.estimate import registration_only
 from core.identify.options import IdentifyOptions
 from core.measurement import Measurement
@@ -23,6 +24,7 @@ NEAR_RAD = np.radians(1.0)
 # the arm had; taken for another, a tracker in its place costs nothing but a new registration. So these are tight.
 SAME_M = 0.001
 SAME_RAD = np.radians(0.1)
+CONTRADICTED = 5.0  # times the registration's error that a held frame may leave, as with mixed-up rows
 
 
 def registered(start: Calibration, shown: Measurement, loss: str = "linear") -> Calibration:
@@ -49,6 +51,30 @@ def wanted_frames(
     base = _decided(start, found, "base", options.base, True, options.reference)
     tool = _decided(start, found, "tool", options.tool, shown.sees_orientation, options.reference)
     return base, tool
+
+
+def refuse_contradicted(
+    options: IdentifyOptions, start: Calibration, found: Calibration, fitted_m: float, registered_m: float
+) -> None:
+    """Refuse a held base or tool that the rows contradict: held, everything together leaves far more than frames alone.
+
+    ``fitted_m`` and ``registered_m`` are the errors of the fit and of the registered nominal robot ``found``.
+
+    Raises:
+        OptionError: the frame, how far off it is, and what to do.
+
+    """
+    held = [which for which in ("base", "tool") if getattr(options, which) == "fixed"]
+    if not held or fitted_m <= CONTRADICTED * registered_m:
+        return
+    off = [np.linalg.norm(getattr(start.model, f"T_{k}")[:3, 3] - getattr(found.model, f"T_{k}")[:3, 3]) for k in held]
+    which, far = max(zip(held, off, strict=True), key=lambda pair: pair[1])
+    raise OptionError(
+        f"The {which} is held where the robot has it, and the rows say that it is {1e3 * far:.4g} mm away: held, "
+        f"{1e3 * fitted_m:.3g} mm are left, with frames fitted and nothing else {1e3 * registered_m:.3g} mm. Fit it "
+        f"(--{which} free), or correct the {which} of the robot.",
+        option=which,
+    )
 
 
 def named(calibration: Calibration) -> dict[str, str]:

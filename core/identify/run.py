@@ -22,7 +22,7 @@ from core.identify.methods import fit_by_method
 from core.identify.noise import repeat_sigma
 from core.identify.options import IdentifyOptions
 from core.identify.plausibility import refuse_foreign
-from core.identify.reference import named, registered, wanted_frames
+from core.identify.reference import named, refuse_contradicted, registered, wanted_frames
 from core.identify.report import null_rows, parameter_rows, warnings_of
 from core.identify.seeing import seen
 from core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
@@ -138,7 +138,9 @@ def identify(
         held, compared, new = held_out(stages, plain, frames, validation, options, measurement)
         own += new
     tell(0.95, "identifiability")
-    metrics = metrics_document({name: Errors.of(stage, measurement) for name, stage in stages.items()}, held)
+    errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
+    refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
+    metrics = metrics_document(errors, held)
     result = _reported(
         without_frames(calibration), fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned
     )

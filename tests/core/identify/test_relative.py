@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.errors import NotConvergedError, OptionError, TooFewPosesError
+from core.errors import OptionError, TooFewPosesError
 from core.identify import Folds, IdentifyOptions, identify
 from core.model import RobotModel
 from core.observations import Observations
@@ -70,8 +70,12 @@ def test_a_fixed_base_is_believed_and_a_free_one_found() -> None:
         assert found.metrics["validation"]["identified"]["rms_mm"] < 0.06
         assert any(name.startswith("base_") for name in found.free_names) == (base == "free")
     # An instrument that does not stand where the robot says contradicts a base that is held.
-    with pytest.raises(NotConvergedError):
-        identify(robot_from_document(ur10().document()), train, None, IdentifyOptions(base="fixed"))
+    elsewhere = robot_from_document(ur10().document())
+    with pytest.raises(OptionError, match="The base is held where the robot has it") as refused:
+        identify(elsewhere, train, None, IdentifyOptions(base="fixed"))
+    assert "--base free" in refused.value.message
+    freed = identify(elsewhere, train, held, IdentifyOptions(base="free"))
+    assert freed.metrics["validation"]["identified"]["rms_mm"] < 0.06
 
 
 def test_residuals_and_slopes_are_those_of_the_distances() -> None:
