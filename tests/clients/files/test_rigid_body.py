@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from kilter_client import FileError
 from kilter_client.cli import run
+from kilter_client.files.clock_checks import Checks
+from kilter_client.files.cut_recording import without
 from kilter_client.files.inspection import inspect
 from kilter_client.files.joint_log import read_joint_log
 from kilter_client.files.matching import frame_rows, match_dwells
@@ -80,16 +82,23 @@ def test_dwells_as_poses_of_the_mean_and_of_a_digitised_point(tmp_path: Path) ->
     assert np.abs(np.stack([columns[f"{a}_mm"] for a in "xyz"], 1) - position).max() < 0.05
 
 
-def test_a_marker_that_was_knocked_is_left_out_and_said(tmp_path: Path) -> None:
+def test_a_marker_that_was_knocked_is_named_and_the_remedies_work(tmp_path: Path) -> None:
     recording = open_recording(recorded(tmp_path / "a.n3d"))
     points = recording.whole().points_mm
     points[750:, 0] += Rotation.from_euler("z", 5, degrees=True).apply(np.full((len(points) - 750, 3), 7.0))
     bent = open_recording(write_n3d(tmp_path / "b.n3d", points[: 8 * 180], 100.0))
     log = read_joint_log(write_log(tmp_path / "log.csv", POSES))
-    body = find_body(recording, "mean")
-    matched = match_dwells(bent, log, "order", body=body)
-    assert matched.report["dwells"] < 8
-    assert any("mm off the body's shape" in text for text in matched.report["warnings"])
+    for body in (find_body(bent, "mean"), None):
+        with pytest.raises(FileError, match="'Marker_1' moved 1[12].* mm on the body between") as refused:
+            match_dwells(bent, log, "order", body=body)
+    since = float(refused.value.detail.split("--since ")[1].split()[0].rstrip("."))
+    later = match_dwells(bent, log, "order", checks=Checks(since_s=since))
+    assert (later.columns["t_s"] > since).all()
+    assert later.report["dwells"] == 3
+    left = without(bent, ["Marker_1"])
+    assert match_dwells(left, log, "order", body=find_body(left, "mean")).report["dwells"] == 8
+    said = match_dwells(bent, log, "order", checks=Checks(unchecked=True)).report["warnings"]
+    assert any("'Marker_1' moved" in text for text in said)
 
 
 @pytest.mark.parametrize(
