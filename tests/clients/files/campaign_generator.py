@@ -58,6 +58,7 @@ class Plan:
     noise_mm: float = 0.03
     rate_hz: float = 60.0
     log_hz: float = 100.0
+    error: float = 1.0  # of the nominal robot, times what is usual
     jumps: tuple[Jump, ...] = ()
     knock: Knock | None = None
 
@@ -142,7 +143,7 @@ def turn_of(rng: np.random.Generator, size_deg: float | None = None) -> Array:
 def measured(plan: Plan, t: Array, q_deg: Array) -> Array:
     """What a tracker sees of the markers (n, markers, 3) without noise: the true arm, not the nominal one."""
     rng = np.random.default_rng([plan.seed, 2])
-    table = TABLES[plan.arm] + rng.normal(0, 1, (6, 4)) * [0.05, 0.4, 0.4, 0.08]
+    table = TABLES[plan.arm] + rng.normal(0, 1, (6, 4)) * [0.05, 0.4, 0.4, 0.08] * plan.error
     wave, phase = np.abs(rng.normal(0, 0.01, 6)), rng.uniform(0, 2 * np.pi, 6)
     true = q_deg + wave * np.sin(np.radians(q_deg) + phase)
     true[:, 1] += 0.02 * np.cos(np.radians(q_deg[:, 1])) + 0.01 * np.cos(np.radians(q_deg[:, 1] + q_deg[:, 2]))

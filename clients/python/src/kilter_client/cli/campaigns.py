@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -70,6 +70,7 @@ def upload(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what is understood of the file, send nothing.")
     ] = False,
+    unchecked: Annotated[bool, typer.Option("--unchecked", help="Warn of knocked markers, refuse none.")] = False,
     as_json: Json = False,
 ) -> None:
     """Upload measurements: contract columns as they are, a device's files converted, a lab's own through a map.
@@ -85,6 +86,7 @@ def upload(
     if campaign and (name or notes or any(value is not None for value in conditions.values())):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints, topic, joint_order))
+    prepared = _looked_at(file, prepared, unchecked)
     _understood(file, prepared, as_json)
     if dry_run:
         emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256}), as_json, lambda _: None)
@@ -143,6 +145,16 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
         likely = joints_of(robot) if is_bag(points.joints) and not order else ()
         log = read_joint_log(points.joints, hints=LogHints(points.topic, order, likely))
     return prepare_points(file, preset, points.euler, log)
+
+
+def _looked_at(file: Path, prepared: Prepared, unchecked: bool) -> Prepared:
+    """Look for knocked markers, where numpy is there to do so."""
+    try:
+        from kilter_client.files.uploaded_markers import refuse_knocked_rows
+    except ImportError:
+        return prepared
+    found = refuse_knocked_rows(file, prepared, unchecked)
+    return replace(prepared, warnings=(*prepared.warnings, *found)) if found else prepared
 
 
 def campaigns(robot: Robot, as_json: Json = False) -> None:

@@ -6,6 +6,7 @@ it should. What base, markers and small errors of the arm explain of them is tak
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ LEAST_ROWS = 16
 LEAST_MM = 0.25
 SURE_F = 8.0
 LEAST_FREE = 30
+SEEN_SHARE = 0.8
 
 
 class Step(NamedTuple):
@@ -35,6 +37,7 @@ class Step(NamedTuple):
 
 def find_step(arm: Arm, q: Floats, points: Floats, spans: Floats, start: Registration) -> Step | None:
     """Find the clearest step of the body on the tool; None when there is none, or too few rows to see one."""
+    points, start = _together(points, start)
     rows = np.flatnonzero(~np.isnan(points).any(axis=(1, 2)))
     if len(rows) < LEAST_ROWS:
         return None
@@ -58,6 +61,16 @@ def find_step(arm: Arm, q: Floats, points: Floats, spans: Floats, start: Registr
     if best / k / (rest / free) < SURE_F or size < LEAST_MM:
         return None
     return Step(float(spans[at - 1, 0]), float(spans[at, 1]), size)
+
+
+def _together(points: Floats, start: Registration) -> tuple[Floats, Registration]:
+    """The best-seen markers, as many as most rows show together."""
+    seen = ~np.isnan(points[..., 0])
+    order = np.argsort(-seen.sum(axis=0), kind="stable")
+    counts = [int(seen[:, order[: k + 1]].all(axis=1).sum()) for k in range(len(order))]
+    most = max(k for k, count in enumerate(counts) if count >= SEEN_SHARE * counts[0])
+    chosen = np.sort(order[: most + 1])
+    return points[:, chosen], replace(start, markers=start.markers[chosen])
 
 
 def _in_tool(arm: Arm, q: Floats, points: Floats, start: Registration) -> tuple[Floats, Floats, Floats]:

@@ -48,12 +48,16 @@ UNTOLD = Checks()
 
 @dataclass(frozen=True)
 class Followed:
-    """Parts of a recording (start, end, lag; s) that may be matched, but for what is ``lost``; and warnings."""
+    """Parts of a recording (start, end, lag; s) that may be matched, but for what is ``lost``; and warnings.
+
+    ``sure``: the lags are the model's, good to some milliseconds.
+    """
 
     parts: list[tuple[float, float, float]]
     lost: tuple[tuple[float, float], ...]
     correlation: float
     warnings: list[str]
+    sure: bool = False
 
 
 def follow_clocks(path: Path, thinned: Thinned, log: JointLog, checks: Checks) -> Followed:
@@ -74,10 +78,12 @@ def follow_clocks(path: Path, thinned: Thinned, log: JointLog, checks: Checks) -
             what = f"its motion is not that of {log.path.name}: the speeds correlate by {alike.correlation:.2f} at best"
             raise fault(path, what, "Is it the log of this recording? Do both hold the same motion?")
         found = lag_path(thinned, log, None)
-    warnings += refuse_drift(path, log, found.drift, found.drift_sigma, checks)
     if found.jumps:
         warnings.append(_refuse_jumps(path, log, found, checks))
-    return Followed(found.parts, found.lost, alike.correlation, [*warnings, *_lost_said(found)])
+    else:
+        warnings += refuse_drift(path, log, found.drift, found.drift_sigma, checks)
+    warnings += _lost_said(found)
+    return Followed(found.parts, found.lost, alike.correlation, warnings, found.found is not None)
 
 
 def _refuse_other_model(path: Path, log: JointLog, checks: Checks, left: float) -> str:

@@ -36,6 +36,7 @@ MOSTLY = 0.6  # of a part's moments must be explained, or it is none: something 
 MODEL_PRICE, SPEED_PRICE = 8.0, 60.0
 NEAR_STEPS = 2
 NEAR_S = 3.0
+LEAST_PART_S = 5.0  # between two jumps; less is what was lost at one
 LEAST_JUMP_S = 0.05
 LEAST_MM = 0.5
 LEAST_UNLIKE = 0.05  # squares of speeds at size one: no two are more alike
@@ -135,7 +136,13 @@ def _followed(frames: Frames, squares: Floats, lag: float, price: float) -> _Fol
     own = cost[np.arange(len(path)), path]
     near = max(1, round(NEAR_S / (CHUNK_FRAMES * float(np.median(np.diff(frames.t_s))))))
     cut = stretches(path, NEAR_STEPS, near)
-    held = [part for part in cut if np.mean(own[part.first : part.last + 1] < FITS) > MOSTLY]
+    least = LEAST_PART_S / NEAR_S * near
+    held = [
+        part
+        for part in cut
+        if np.mean(own[part.first : part.last + 1] < FITS) > MOSTLY
+        and (part.last - part.first > least or part.first == 0 or part.last == len(path) - 1)
+    ]
     held = held or [Stretch(0, len(path) - 1, middle)]
     fine = [lag + _fine(squares, chunks, part) * GRID_S - REACH_S for part in held]
     return _Followed(chunks, cost, path, squares, held, fine)

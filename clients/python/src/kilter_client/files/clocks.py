@@ -104,7 +104,8 @@ def match_pieces(path: Path, thinned: Thinned, log: JointLog, checks: Checks) ->
                 raise fault(path, what, "Record more motion, or match dwells in order (--by order).")
             warnings.append(f"from {start:.2f} to {end:.2f} s {what}: that part is left out")
             continue
-        clocks = _refined(t, p, log, lag, found.correlation)
+        near = lag if found.sure else _searched(t, p, log, lag)
+        clocks = _refined(t, p, log, near, found.correlation)
         parts.append((start, end, clocks))
         warnings += refuse_drift(path, log, clocks.drift, clocks.drift_sigma, checks)
     if not parts:
@@ -132,7 +133,7 @@ def _in_sight(thinned: Thinned, log: JointLog, coarse: float) -> tuple[Floats, F
 
 
 def _refined(t: Floats, p: Floats, log: JointLog, coarse: float, correlation: float) -> Clocks:
-    offset, drift, middle = _searched(t, p, log, coarse), 0.0, float(t.mean())
+    offset, drift, middle = coarse, 0.0, float(t.mean())
     terms = _Terms(log, len(t) // FRAMES_PER_TERM)
     for _ in range(STEPS):
         left, sides = _slopes(terms, t - middle, t + offset + drift * (t - middle), p)

@@ -20,6 +20,7 @@ def match_frames(recording: Recording, log: JointLog, checks: Checks) -> tuple[P
     """
     refuse_jumps(recording)
     thinned = thin(recording)
-    pieces, warnings = match_pieces(recording.path, thinned, log, checks)
-    warnings += refuse_knocks_of_frames(recording, thinned, checks)
+    warnings = refuse_knocks_of_frames(recording, thinned, checks)
+    pieces, told = match_pieces(recording.path, thinned, log, checks)
+    warnings += told
     return pieces, warnings + refuse_wrong_frames(recording.path, log, thinned, pieces.log_time, checks)

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from kilter_client.files.dwells import Thinned, mean_seen
 from kilter_client.files.recording import Floats
-from kilter_client.files.rigid_body import shape_of
+from kilter_client.files.rigid_body import aligned, shape_of
 
 LEAST_MM = 0.12  # a distance that changes by less is heat, or the device's own distortion
+SHARED = 2.0  # a marker's shift is shared out among all by the fit of the shape
 SURE = 7.0  # standard deviations of the difference of two means
 MOST_MARKERS = 12
 MOST_KNOCKS = 4
@@ -40,12 +41,14 @@ class Knock(NamedTuple):
     sure: bool
     flat: bool
 
-    def said(self, names: tuple[str, ...]) -> str:
-        """Say it in words."""
+    def said(self, names: tuple[str, ...], unit: str = "s") -> str:
+        """Say it in words; ``unit`` "rows" for times that are numbers of rows."""
         which = (" and " if self.sure else " or ").join(repr(names[k]) for k in self.markers)
         many = "s" if self.sure and len(self.markers) > 1 else ""
         least = "at least " if self.flat else ""
         when = f"between {self.from_s:.2f} and {self.to_s:.2f} s"
+        if unit == "rows":
+            when = f"between rows {self.from_s:.0f} and {self.to_s:.0f}"
         return f"marker{many} {which} moved {least}{self.size_mm:.2f} mm on the body {when}"
 
 
@@ -55,7 +58,7 @@ def knocks_of_rows(points: Floats, spans: Floats) -> list[Knock]:
     if len(chosen) < 2 or len(points) < 4:
         return []
     own = points[:, chosen]
-    return _named(own, spans, _cuts(_distances(own), 0, len(own)), chosen)
+    return _named(own, spans, _cuts(_signs(own), 0, len(own)), chosen)
 
 
 def knocks_of_frames(thinned: Thinned) -> list[Knock]:
@@ -69,7 +72,7 @@ def knocks_of_frames(thinned: Thinned) -> list[Knock]:
     if len(chosen) < 2 or len(t) < 4:
         return []
     own = points[:, chosen]
-    means = mean_seen(_distances(own).reshape(len(t), width, -1), 1)
+    means = mean_seen(_signs(own).reshape(len(t), width, -1), 1)
     spans = np.stack([t[:, 0], t[:, -1]], axis=1)
     whole = own.reshape(len(t), width, *own.shape[1:])[:, width // 2]
     return _named(whole, spans, _cuts(means, 0, len(means)), chosen)
@@ -93,6 +96,21 @@ def _distances(points: Floats) -> Floats:
     pairs = list(combinations(range(points.shape[1]), 2))
     a, b = [p[0] for p in pairs], [p[1] for p in pairs]
     return np.asarray(np.linalg.norm(points[:, a] - points[:, b], axis=2))
+
+
+def _signs(points: Floats) -> Floats:
+    """Distances; of four markers and more also how each is off the common shape, along the shape's axes.
+
+    One of four markers in a plane that moves out of it changes no distance, but the shape.
+    """
+    distances = _distances(points)
+    shape = shape_of(points) if points.shape[1] > 3 else None
+    if shape is None:
+        return distances
+    turned, shift, _ = aligned(shape, points)
+    off = np.einsum("nji,nmj->nmi", turned, points - shift[:, None]) - shape
+    off[np.isnan(points[..., 0]).any(axis=1)] = np.nan  # a marker out of sight moves the fit of the others
+    return np.hstack([distances, SHARED * off.reshape(len(points), -1)])
 
 
 def _cuts(distances: Floats, first: int, after: int, depth: int = 0) -> list[Cut]:
@@ -168,21 +186,26 @@ def _knock(points: Floats, spans: Floats, first: int, cut: int, after: int, chan
     limit = np.maximum(LEAST_MM, SURE * error)
     with np.errstate(invalid="ignore"):
         moved = np.abs(change) > limit
-    alone = [k for k in range(m) if not any(moved[i] for i, pair in enumerate(pairs) if k not in pair)]
-    best = _least(pairs, np.nan_to_num(change), alone, m) if m > 3 and len(alone) > 1 else alone
-    named = best or sorted({k for i, pair in enumerate(pairs) if moved[i] for k in pair})
     before, later = _shapes(points, first, cut, after)
+    if m > 3 and before is not None and later is not None:
+        best = _alone(before, later)
+    else:
+        best = [k for k in range(m) if not any(moved[i] for i, pair in enumerate(pairs) if k not in pair)]
+    named = best or sorted({k for i, pair in enumerate(pairs) if moved[i] for k in pair}) or list(range(m))
     sizes = [_moved_by(before, later, k) for k in named] if before is not None and later is not None else []
     size = max([s for s in sizes if np.isfinite(s)], default=float(np.nanmax(np.abs(change))))
     sure = len(named) == 1 or not best
     return Knock(float(spans[cut - 1, 0]), float(spans[cut, 1]), tuple(named), size, sure, m < 4)
 
 
-def _least(pairs: list[tuple[int, int]], change: Floats, alone: list[int], m: int) -> list[int]:
-    """Of markers that may each be the one, those without which the other distances change clearly least."""
-    left = {k: max((abs(change[i]) for i, pair in enumerate(pairs) if k not in pair), default=0.0) for k in alone}
-    low = min(left.values())
-    return [k for k in alone if left[k] <= max(2 * low, 0.05)]
+def _alone(before: Floats, after: Floats) -> list[int]:
+    """The markers without which the others keep their shape: one, unless the shape leaves it open."""
+    left = []
+    for k in range(len(before)):
+        others = np.delete(np.arange(len(before)), k)
+        turned, shift = laid(before[others], after[others], np.ones(len(others)))
+        left.append(float(np.linalg.norm(after[others] - (before[others] @ turned.T + shift), axis=1).max()))
+    return [k for k, size in enumerate(left) if size <= max(1.5 * min(left), 0.03)] if min(left) < LEAST_MM else []
 
 
 def _shapes(points: Floats, first: int, cut: int, after: int) -> tuple[Floats | None, Floats | None]:

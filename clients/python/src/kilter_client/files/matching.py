@@ -55,11 +55,13 @@ def match_dwells(
     if not dwells:
         what = "the markers never rest"
         raise fault(recording.path, what, "Match every frame by time (--by frames), or raise --rest-speed.")
-    pieces, warnings = match_pieces(recording.path, thin(recording), log, checks) if by == "time" else (None, [])
-    rows = _by_order(recording, dwells, log) if pieces is None else _by_time(dwells, log, pieces, warnings)
     spans = np.array([[dwell.start_s, dwell.end_s] for dwell in dwells])
-    rows = np.where((spans[:, 0] >= checks.since_s) & (spans[:, 1] <= checks.until_s), rows, -1)
-    warnings += refuse_knocks(recording, _means(dwells), spans, rows, checks)
+    counts = (spans[:, 0] >= checks.since_s) & (spans[:, 1] <= checks.until_s)
+    warnings = refuse_knocks(recording, _means(dwells)[counts], spans[counts], checks)
+    pieces, told = match_pieces(recording.path, thin(recording), log, checks) if by == "time" else (None, [])
+    warnings += told
+    rows = _by_order(recording, dwells, log) if pieces is None else _by_time(dwells, log, pieces, warnings)
+    rows = np.where(counts, rows, -1)
     if body is not None:
         rows = _of_known_poses(dwells, rows, body, warnings)
     rows = refuse_wrong_pairs(recording.path, log, rows, _means(dwells), spans, checks, warnings)

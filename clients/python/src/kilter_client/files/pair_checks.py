@@ -26,17 +26,14 @@ SAMPLE = 150
 LogTime = Callable[[Floats], Floats]
 
 
-def refuse_knocks(
-    recording: Recording, points: Floats, spans: Floats, rows: NDArray[np.int64], checks: Checks
-) -> list[str]:
+def refuse_knocks(recording: Recording, points: Floats, spans: Floats, checks: Checks) -> list[str]:
     """Refuse dwells (n, m, 3) in which a marker was knocked; a warning where the person allows it.
 
     Raises:
         FileError: marker, time and size.
 
     """
-    kept = rows >= 0
-    return _said(recording, knocks_of_rows(points[kept], spans[kept]), checks)
+    return _said(recording, knocks_of_rows(points, spans), checks)
 
 
 def refuse_knocks_of_frames(recording: Recording, thinned: Thinned, checks: Checks) -> list[str]:
