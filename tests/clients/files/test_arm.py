@@ -18,7 +18,7 @@ SLIDING = {
     "name": "gantry", "convention": "chain",
     "base": {"x_mm": 100, "y_mm": 0, "z_mm": 50, "rx_deg": 10, "ry_deg": 20, "rz_deg": 30},
     "tool": {"x_mm": 5, "y_mm": 6, "z_mm": 70, "rx_deg": 40, "ry_deg": -20, "rz_deg": 15},
-    "joints": [{"name": "rail", "kind": "prismatic", "limits_mm": [0, 900]}, {"name": "turn", "limits_deg": [-90, 90]}],
+    "joints": [{"name": "rail", "limits_mm": [0, 900]}, {"name": "turn", "limits_deg": [-90, 90]}],
     "elements": [{"joint": "rail", "axis": "Tx"}, {"name": "h", "axis": "Tz", "value": 300}, {"joint": "turn", "axis": "Ry"},
                  {"name": "a", "axis": "Tx", "value": 200}],
 }  # fmt: skip

@@ -76,6 +76,8 @@ def test_dwells_as_poses_of_the_mean_and_of_a_digitised_point(tmp_path: Path) ->
     held = Rotation.from_euler("xyz", [20, -40, 100], degrees=True).apply(hand) + np.array([500, 300, 900])
     noise = np.random.default_rng(6).normal(0, 0.02, (300, 5, 3))
     write_csv(tmp_path / "tip.csv", held + noise, 100.0)
+    fewer = find_body(without(recording, ["Marker_2"]), str(tmp_path / "tip.csv"))
+    assert fewer.markers.shape == (3, 3)
     tip = find_body(recording, str(tmp_path / "tip.csv"))
     columns = match_dwells(recording, log, "order", body=tip).columns
     position = true_poses(TIP)[0]

@@ -11,6 +11,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import File, Json, Robot
+from kilter_client.cli.checks import Unchecked
 from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
 from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
@@ -70,7 +71,7 @@ def upload(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what is understood of the file, send nothing.")
     ] = False,
-    unchecked: Annotated[bool, typer.Option("--unchecked", help="Warn of knocked markers, refuse none.")] = False,
+    unchecked: Unchecked = False,
     as_json: Json = False,
 ) -> None:
     """Upload measurements: contract columns as they are, a device's files converted, a lab's own through a map.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from kilter_client import Kilter
 from kilter_client.errors import UsageError
@@ -12,6 +14,10 @@ if TYPE_CHECKING:
     from kilter_client.files.arm import Arm
     from kilter_client.files.clock_checks import Checks
     from kilter_client.files.recording import Recording
+
+Model = Annotated[str | None, typer.Option(help="Robot whose model checks the pairing; default is --robot's.")]
+Piecewise = Annotated[bool, typer.Option("--piecewise", help="Match the parts between jumps of the clocks.")]
+Unchecked = Annotated[bool, typer.Option("--unchecked", help="Warn of wrong pairs and knocks, refuse none.")]
 
 
 def checks_of(robot: str | None, piecewise: bool, unchecked: bool, since: float | None, until: float | None) -> Checks:

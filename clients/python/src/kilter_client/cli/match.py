@@ -10,7 +10,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import Json
-from kilter_client.cli.checks import checks_of, cut_by, in_time
+from kilter_client.cli.checks import Model, Piecewise, Unchecked, checks_of, cut_by, in_time
 from kilter_client.cli.inspect import AllowCut, JointOrder, Rate, Topic, check_numpy
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import upload_bar
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from kilter_client.files.table import Table
 
 By = Literal["order", "time", "frames"]
+How = Annotated[By, typer.Option(help="One row per dwell, in order or by time; or a row of every frame, by time.")]
 Role = Literal["train", "validation", "confirmation"]
 Existing = {"exists": True, "dir_okay": False, "show_default": False}
 Tcp = Annotated[
@@ -52,15 +53,8 @@ def register(app: typer.Typer) -> None:
 
 def match(
     recording: Annotated[Path, typer.Argument(help="The recording of markers.", metavar="RECORDING", **Existing)],
-    joints: Annotated[
-        Path,
-        typer.Argument(
-            help="The joint log: CSV, Parquet, a bag, a program.", metavar="JOINTS", show_default=False, exists=True
-        ),
-    ],
-    by: Annotated[
-        By, typer.Option(help="One row per dwell, in order or by time; or a row of every frame, by time.")
-    ] = "order",
+    joints: Joints,
+    by: How = "order",
     joints_map: Annotated[Path | None, typer.Option(help="Column map of the joint log.", **Existing)] = None,
     tcp: Tcp = None,
     tool: Annotated[str | None, typer.Option(help="Tool of a recording of several, with --tcp.")] = None,
@@ -73,18 +67,12 @@ def match(
     settle: Annotated[float, typer.Option(help="Left out at the beginning of a dwell, s.")] = 0.1,
     out: Annotated[Path | None, typer.Option(help="Write the rows to this .csv (--by order, time).")] = None,
     robot: Annotated[str | None, typer.Option(help="Send the rows to this robot; without it nothing is sent.")] = None,
-    model: Annotated[
-        str | None, typer.Option(help="Robot whose model checks the pairing; default is --robot's.")
-    ] = None,
-    piecewise: Annotated[
-        bool, typer.Option("--piecewise", help="Match the parts between jumps of the clocks.")
-    ] = False,
+    model: Model = None,
+    piecewise: Piecewise = False,
     since: Annotated[float | None, typer.Option(help="Only from this time of the recording, s.")] = None,
     until: Annotated[float | None, typer.Option(help="Only to this time of the recording, s.")] = None,
     without: Annotated[list[str] | None, typer.Option(metavar="MARKER", help="Leave this marker out (repeat).")] = None,
-    unchecked: Annotated[
-        bool, typer.Option("--unchecked", help="Warn of wrong pairs and knocks, refuse none.")
-    ] = False,
+    unchecked: Unchecked = False,
     name: Annotated[str | None, typer.Option(help="Name of the campaign; default is the recording's.")] = None,
     device: Annotated[str, typer.Option(help="Measuring device.")] = "optotrak",
     role: Annotated[Role, typer.Option(help="What the measurements are for.")] = "train",

@@ -193,7 +193,7 @@ def _knock(points: Floats, spans: Floats, first: int, cut: int, after: int, chan
         best = [k for k in range(m) if not any(moved[i] for i, pair in enumerate(pairs) if k not in pair)]
     named = best or sorted({k for i, pair in enumerate(pairs) if moved[i] for k in pair}) or list(range(m))
     sizes = [_moved_by(before, later, k) for k in named] if before is not None and later is not None else []
-    size = max([s for s in sizes if np.isfinite(s)], default=float(np.nanmax(np.abs(change))))
+    size = min([s for s in sizes if np.isfinite(s)], default=float(np.nanmax(np.abs(change))))
     sure = len(named) == 1 or not best
     return Knock(float(spans[cut - 1, 0]), float(spans[cut, 1]), tuple(named), size, sure, m < 4)
 
