@@ -87,8 +87,7 @@ def upload(
     if campaign and (name or notes or any(value is not None for value in conditions.values())):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints, topic, joint_order))
-    prepared = _looked_at(file, prepared, unchecked)
-    _understood(file, prepared, as_json)
+    prepared = _understood(file, _looked_at(file, prepared, unchecked), as_json)
     if dry_run:
         emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256}), as_json, lambda _: None)
         return
@@ -207,12 +206,14 @@ def _with_place(error: ObservationError, file: Path, prepared: Prepared) -> Obse
     return error
 
 
-def _understood(file: Path, prepared: Prepared, as_json: bool) -> None:
+def _understood(file: Path, prepared: Prepared, as_json: bool) -> Prepared:
+    """Say what is understood of the file."""
     note(f"{file}: {'' if prepared.rows is None else f'{prepared.rows} rows'}".rstrip(": "), as_json)
     for text in prepared.notes:
         note(f"  {text}", as_json)
     for text in prepared.warnings:
         note(f"  Warning: {text}.", as_json)
+    return prepared
 
 
 def _report(prepared: Prepared, done: dict[str, Any]) -> dict[str, Any]:
