@@ -87,11 +87,14 @@ def test_dwells_as_poses_of_the_mean_and_of_a_digitised_point(tmp_path: Path) ->
 def test_a_marker_that_was_knocked_is_named_and_the_remedies_work(tmp_path: Path) -> None:
     recording = open_recording(recorded(tmp_path / "a.n3d"))
     points = recording.whole().points_mm
-    points[750:, 0] += Rotation.from_euler("z", 5, degrees=True).apply(np.full((len(points) - 750, 3), 7.0))
+    sides = points[750:, 1:3] - points[750:, :1]  # directions that turn with the body, as a knocked marker does
+    points[750:, 0] += 7.0 * (sides / np.linalg.norm(sides, axis=2, keepdims=True)).sum(axis=1)
     bent = open_recording(write_n3d(tmp_path / "b.n3d", points[: 8 * 180], 100.0))
     log = read_joint_log(write_log(tmp_path / "log.csv", POSES))
     for body in (find_body(bent, "mean"), None):
-        with pytest.raises(FileError, match=r"'Marker_1' moved 1[012]\..* mm on the body between") as refused:
+        with pytest.raises(
+            FileError, match=r"'Marker_1' moved [89]\..* mm|'Marker_1' moved 1\d\..* mm on the body between"
+        ) as refused:
             match_dwells(bent, log, "order", body=body)
     since = float(refused.value.detail.split("--since ")[1].split()[0].rstrip("."))
     later = match_dwells(bent, log, "order", checks=Checks(since_s=since))
