@@ -8,7 +8,7 @@ IMAGE ?= kilter
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind thesis image fmt clean
+.PHONY: help setup demo serve test check bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind thesis silent-rows image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -82,6 +82,9 @@ blind: $(READY) ## find hidden physics in N simulated campaigns and write docs/r
 thesis: $(KERNELS) ## do the thesis's experiments again on simulated arms and write their pages
 	$(BIN)/python -m tools.thesis_reproduction
 	$(BIN)/python -m tools.influence_and_tilting
+
+silent-rows: $(KERNELS) ## count the wrong rows that pass in silence among 600 simulated recordings
+	$(BIN)/python -m pytest -m slow -q tests/clients/files/test_silent_rows.py
 
 image: ## build the container image (needs a container engine)
 	docker build --tag $(IMAGE) .

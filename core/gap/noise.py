@@ -25,7 +25,9 @@ SPHERICAL = 0.001  # chance of calling equal variances unequal
 LENGTHS = 3  # leading scalars of a full pose that are lengths; the others are angles
 FIT = "residuals of the fit"
 WITHIN = "repeats within visits"
-SMALLEST = 1e-7  # m or rad: below any instrument; keeps simulations without noise, and repeats that are copies, solvable
+SMALLEST = (
+    1e-7  # m or rad: below any instrument; keeps simulations without noise, and repeats that are copies, solvable
+)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from kilter_client import FileError
 from kilter_client.cli import run
+from kilter_client.files.clock_checks import Checks
+from kilter_client.files.cut_recording import without
 from kilter_client.files.inspection import inspect
 from kilter_client.files.joint_log import read_joint_log
 from kilter_client.files.matching import frame_rows, match_dwells
@@ -74,22 +76,34 @@ def test_dwells_as_poses_of_the_mean_and_of_a_digitised_point(tmp_path: Path) ->
     held = Rotation.from_euler("xyz", [20, -40, 100], degrees=True).apply(hand) + np.array([500, 300, 900])
     noise = np.random.default_rng(6).normal(0, 0.02, (300, 5, 3))
     write_csv(tmp_path / "tip.csv", held + noise, 100.0)
+    fewer = find_body(without(recording, ["Marker_2"]), str(tmp_path / "tip.csv"))
+    assert fewer.markers.shape == (3, 3)
     tip = find_body(recording, str(tmp_path / "tip.csv"))
     columns = match_dwells(recording, log, "order", body=tip).columns
     position = true_poses(TIP)[0]
     assert np.abs(np.stack([columns[f"{a}_mm"] for a in "xyz"], 1) - position).max() < 0.05
 
 
-def test_a_marker_that_was_knocked_is_left_out_and_said(tmp_path: Path) -> None:
+def test_a_marker_that_was_knocked_is_named_and_the_remedies_work(tmp_path: Path) -> None:
     recording = open_recording(recorded(tmp_path / "a.n3d"))
     points = recording.whole().points_mm
-    points[750:, 0] += Rotation.from_euler("z", 5, degrees=True).apply(np.full((len(points) - 750, 3), 7.0))
+    sides = points[750:, 1:3] - points[750:, :1]  # directions that turn with the body, as a knocked marker does
+    points[750:, 0] += 7.0 * (sides / np.linalg.norm(sides, axis=2, keepdims=True)).sum(axis=1)
     bent = open_recording(write_n3d(tmp_path / "b.n3d", points[: 8 * 180], 100.0))
     log = read_joint_log(write_log(tmp_path / "log.csv", POSES))
-    body = find_body(recording, "mean")
-    matched = match_dwells(bent, log, "order", body=body)
-    assert matched.report["dwells"] < 8
-    assert any("mm off the body's shape" in text for text in matched.report["warnings"])
+    for body in (find_body(bent, "mean"), None):
+        with pytest.raises(
+            FileError, match=r"'Marker_1' moved [89]\..* mm|'Marker_1' moved 1\d\..* mm on the body between"
+        ) as refused:
+            match_dwells(bent, log, "order", body=body)
+    since = float(refused.value.detail.split("--since ")[1].split()[0].rstrip("."))
+    later = match_dwells(bent, log, "order", checks=Checks(since_s=since))
+    assert (later.columns["t_s"] > since).all()
+    assert later.report["dwells"] == 3
+    left = without(bent, ["Marker_1"])
+    assert match_dwells(left, log, "order", body=find_body(left, "mean")).report["dwells"] == 8
+    said = match_dwells(bent, log, "order", checks=Checks(unchecked=True)).report["warnings"]
+    assert any("'Marker_1' moved" in text for text in said)
 
 
 @pytest.mark.parametrize(

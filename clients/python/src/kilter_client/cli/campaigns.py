@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,6 +11,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import File, Json, Robot
+from kilter_client.cli.checks import Unchecked
 from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
 from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
@@ -70,6 +71,7 @@ def upload(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what is understood of the file, send nothing.")
     ] = False,
+    unchecked: Unchecked = False,
     as_json: Json = False,
 ) -> None:
     """Upload measurements: contract columns as they are, a device's files converted, a lab's own through a map.
@@ -85,7 +87,7 @@ def upload(
     if campaign and (name or notes or any(value is not None for value in conditions.values())):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints, topic, joint_order))
-    _understood(file, prepared, as_json)
+    prepared = _understood(file, _looked_at(file, prepared, unchecked), as_json)
     if dry_run:
         emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256}), as_json, lambda _: None)
         return
@@ -145,6 +147,16 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
     return prepare_points(file, preset, points.euler, log)
 
 
+def _looked_at(file: Path, prepared: Prepared, unchecked: bool) -> Prepared:
+    """Look for knocked markers, where numpy is there to do so."""
+    try:
+        from kilter_client.files.uploaded_markers import refuse_knocked_rows
+    except ImportError:
+        return prepared
+    found = refuse_knocked_rows(file, prepared, unchecked)
+    return replace(prepared, warnings=(*prepared.warnings, *found)) if found else prepared
+
+
 def campaigns(robot: Robot, as_json: Json = False) -> None:
     """List the campaigns of a robot."""
     with Kilter() as kilter:
@@ -194,12 +206,14 @@ def _with_place(error: ObservationError, file: Path, prepared: Prepared) -> Obse
     return error
 
 
-def _understood(file: Path, prepared: Prepared, as_json: bool) -> None:
+def _understood(file: Path, prepared: Prepared, as_json: bool) -> Prepared:
+    """Say what is understood of the file."""
     note(f"{file}: {'' if prepared.rows is None else f'{prepared.rows} rows'}".rstrip(": "), as_json)
     for text in prepared.notes:
         note(f"  {text}", as_json)
     for text in prepared.warnings:
         note(f"  Warning: {text}.", as_json)
+    return prepared
 
 
 def _report(prepared: Prepared, done: dict[str, Any]) -> dict[str, Any]:

@@ -10,18 +10,21 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import Json
+from kilter_client.cli.checks import Model, Piecewise, Unchecked, checks_of, cut_by, in_time
 from kilter_client.cli.inspect import AllowCut, JointOrder, Rate, Topic, Unit, check_numpy
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import UsageError
 
 if TYPE_CHECKING:
+    from kilter_client.files.clock_checks import Checks
     from kilter_client.files.joint_log import JointLog
     from kilter_client.files.recording import Recording
     from kilter_client.files.rigid_body import Body
     from kilter_client.files.table import Table
 
 By = Literal["order", "time", "frames"]
+How = Annotated[By, typer.Option(help="One row per dwell, in order or by time; or a row of every frame, by time.")]
 Role = Literal["train", "validation", "confirmation"]
 Existing = {"exists": True, "dir_okay": False, "show_default": False}
 Tcp = Annotated[
@@ -50,15 +53,8 @@ def register(app: typer.Typer) -> None:
 
 def match(
     recording: Annotated[Path, typer.Argument(help="The recording of markers.", metavar="RECORDING", **Existing)],
-    joints: Annotated[
-        Path,
-        typer.Argument(
-            help="The joint log: CSV, Parquet, a bag, a program.", metavar="JOINTS", show_default=False, exists=True
-        ),
-    ],
-    by: Annotated[
-        By, typer.Option(help="One row per dwell, in order or by time; or a row of every frame, by time.")
-    ] = "order",
+    joints: Joints,
+    by: How = "order",
     joints_map: Annotated[Path | None, typer.Option(help="Column map of the joint log.", **Existing)] = None,
     tcp: Tcp = None,
     tool: Annotated[str | None, typer.Option(help="Tool of a recording of several, with --tcp.")] = None,
@@ -72,6 +68,12 @@ def match(
     settle: Annotated[float, typer.Option(help="Left out at the beginning of a dwell, s.")] = 0.1,
     out: Annotated[Path | None, typer.Option(help="Write the rows to this .csv (--by order, time).")] = None,
     robot: Annotated[str | None, typer.Option(help="Send the rows to this robot; without it nothing is sent.")] = None,
+    model: Model = None,
+    piecewise: Piecewise = False,
+    since: Annotated[float | None, typer.Option(help="Only from this time of the recording, s.")] = None,
+    until: Annotated[float | None, typer.Option(help="Only to this time of the recording, s.")] = None,
+    without: Annotated[list[str] | None, typer.Option(metavar="MARKER", help="Leave this marker out (repeat).")] = None,
+    unchecked: Unchecked = False,
     name: Annotated[str | None, typer.Option(help="Name of the campaign; default is the recording's.")] = None,
     device: Annotated[str, typer.Option(help="Measuring device.")] = "optotrak",
     role: Annotated[Role, typer.Option(help="What the measurements are for.")] = "train",
@@ -87,21 +89,27 @@ def match(
     from kilter_client.files.recordings import open_recording
     from kilter_client.files.rigid_body import find_body, tool_as_markers
 
-    hints = LogHints(topic, arguments.split_names([joint_order or ""]), joints_of(robot) if is_bag(joints) else ())
-    found, log = open_recording(recording, rate, allow_cut, unit), read_joint_log(joints, joints_map, hints)
+    hints = LogHints(
+        topic, arguments.split_names([joint_order or ""]), joints_of(robot or model) if is_bag(joints) else ()
+    )
+    found = cut_by(open_recording(recording, rate, allow_cut, unit), without)
+    log = read_joint_log(joints, joints_map, hints)
     for text in log.notes:
         note(f"  {text}", as_json)
+    checks = checks_of(model or robot, piecewise, unchecked, since, until)
     if tcp is not None and (tool is not None or found.kind.startswith("tool-")):
         found = tool_as_markers(found, tool)
-    body = None if tcp is None else find_body(found, tcp)
+    if by != "order":
+        found = in_time(found, checks)
+    body = None if tcp is None else find_body(in_time(found, checks), tcp)
     if body is not None:
         note(f"  poses of a rigid body: {body.source}, tool point {body.tcp.round(3).tolist()} mm", as_json)
     wanted = {"name": name or recording.name, "device": device, "role": role}
     if by == "frames":
-        document = _frames(found, log, body, robot, wanted, as_json)
+        document = _frames(found, log, body, checks, robot, wanted, as_json)
     else:
         options = RestOptions(rest_speed, shortest, settle)
-        document = _dwells(found, log, body, by, options, out, robot, wanted, as_json)
+        document = _dwells(found, log, body, by, (options, checks), out, robot, wanted, as_json)
     emit(document, as_json, _show)
 
 
@@ -121,7 +129,7 @@ def _dwells(
     from kilter_client.files.matching import match_dwells
     from kilter_client.files.table import Prepared, Table
 
-    matched = match_dwells(found, log, by, options, body)
+    matched = match_dwells(found, log, by, options[0], body, options[1])
     _tell(matched.report, as_json)
     rows = matched.report["dwells"]
     table: Table = Table({n: v.tolist() for n, v in matched.columns.items()}, list(range(1, rows + 1)))
@@ -134,20 +142,19 @@ def _dwells(
 
 
 def _frames(
-    found: Recording, log: JointLog, body: Body | None, robot: str | None, wanted: dict[str, str], as_json: bool
-) -> dict[str, Any]:
-    from kilter_client.files.clocks import match_clocks
-    from kilter_client.files.dwells import thin
-    from kilter_client.files.matching import clock_report, frame_rows, refuse_jumps
+    found: Recording, log: JointLog, body: Body | None, checks: Checks, robot: str | None, wanted: dict[str, str],
+    as_json: bool,
+) -> dict[str, Any]:  # fmt: skip
+    from kilter_client.files.frames_by_time import match_frames
+    from kilter_client.files.matching import clock_report, frame_rows
     from kilter_client.files.parts import parts
 
-    refuse_jumps(found)
-    clocks = match_clocks(found.path, thin(found), log)
-    report = {"clock": clock_report(clocks, found.duration_s), "warnings": [*found.warnings, *log.warnings]}
+    pieces, warnings = match_frames(found, log, checks)
+    report = {"clock": clock_report(pieces, found.duration_s), "warnings": [*found.warnings, *log.warnings, *warnings]}
     _tell(report, as_json)
     if not robot:
         return report | {"frames": found.frames}
-    return report | _send(lambda: parts(frame_rows(found, log, clocks, body)), found.frames, robot, wanted, as_json)
+    return report | _send(lambda: parts(frame_rows(found, log, pieces, body)), found.frames, robot, wanted, as_json)
 
 
 def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, str], as_json: bool) -> dict[str, Any]:

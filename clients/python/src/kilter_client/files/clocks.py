@@ -1,6 +1,6 @@
 """Two clocks: where the joint log's time zero lies in the recording's, and how fast they drift apart.
 
-Coarse by cross-correlation of the two speeds over all lags. Then refined without knowing the arm: what markers on a
+Coarse by a path of lags, by the robot's model or the two speeds. Then refined without knowing the arm: what markers on a
 hand do is a sum of products of sines and cosines of the joints, so offset and drift are those at which such a sum fits
 the markers best (Gauss-Newton, the sum's factors projected out). The scatter of the slopes of one-second blocks gives
 the uncertainty; it counts errors that stay for a while, as errors of a fit do.
@@ -15,24 +15,19 @@ from pathlib import Path
 
 import numpy as np
 
+from kilter_client.files.arm import Arm
+from kilter_client.files.clock_checks import Checks, follow_clocks, refuse_drift
 from kilter_client.files.dwells import Thinned
 from kilter_client.files.faults import fault
 from kilter_client.files.joint_log import JointLog
 from kilter_client.files.recording import Floats
 
-GRID_HZ = 50.0
-LEAST_CORRELATION = 0.3
 SEARCH_S = 0.3
 STEPS = 20
 MOST_TERMS = 800
 MOST_FRAMES = 6000
 FRAMES_PER_TERM = 5
 BLOCK_S = 1.0
-SHORTEST_HALF_S = 3.0
-SURE_CORRELATION = 0.6
-LEAST_SHARE = 0.8
-MOST_STEP_S = 0.15
-MOST_DRIFT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -56,84 +51,68 @@ class Clocks:
         return float(np.hypot(self.offset_sigma_s, self.drift_sigma * (t_s - self.middle_s)))
 
 
-def match_clocks(path: Path, thinned: Thinned, log: JointLog) -> Clocks:
-    """Match a recording's clock with a joint log's.
+@dataclass(frozen=True)
+class Pieces:
+    """Clocks of parts (start, end, clocks) of a recording that jump in between, and times (start, end) that have none."""
+
+    parts: tuple[tuple[float, float, Clocks], ...]
+    lost: tuple[tuple[float, float], ...] = ()
+
+    def log_time(self, t_s: Floats) -> Floats:
+        """Return the log's time of the recording's times, NaN between the parts."""
+        out = np.full(np.shape(t_s), np.nan)
+        for start, end, clocks in self.parts:
+            inside = (t_s >= start) & (t_s <= end)
+            out[inside] = clocks.log_time(t_s[inside])
+        for start, end in self.lost:
+            out[(t_s >= start) & (t_s <= end)] = np.nan
+        return out
+
+    def together(self, start_s: float, end_s: float) -> bool:
+        """Whether two times lie in one part, and nothing lost between them."""
+        whole = any(start <= start_s and end_s <= end for start, end, _ in self.parts)
+        return whole and not any(start <= end_s and start_s <= end for start, end in self.lost)
+
+
+def match_clocks(path: Path, thinned: Thinned, log: JointLog, arm: Arm | None = None) -> Clocks:
+    """Match a recording's clock with a joint log's, if they do not jump against each other.
 
     Raises:
-        FileError: no time in the log, motions that do not resemble each other, or too few of them.
+        FileError: no time in the log, motions that do not resemble each other, too few of them, or clocks that jump.
+
+    """
+    return match_pieces(path, thinned, log, Checks(arm))[0].parts[0][2]
+
+
+def match_pieces(path: Path, thinned: Thinned, log: JointLog, checks: Checks) -> tuple[Pieces, list[str]]:
+    """Match the clocks part by part between their jumps, where ``checks`` allow it; return warnings too.
+
+    Raises:
+        FileError: as of :func:`match_clocks`, and a model that explains no part.
 
     """
     if log.t_s is None or len(log) < 20:
         raise fault(log.path, "has no t_s, or fewer than 20 rows", "Match by rows in order (--by order).")
-    coarse, correlation = _coarse(thinned, log)
-    if correlation < LEAST_CORRELATION:
-        what = f"its motion is not that of {log.path.name}: the speeds correlate by {correlation:.2f} at best"
-        raise fault(path, what, "Is it the log of this recording? Do both hold the same motion?")
-    _refuse_step(path, thinned, log, coarse)
-    t, p = _in_sight(thinned, log, coarse)
-    if len(t) < 60 or float(np.ptp(p, axis=0).max()) < 5.0:
-        what = f"only {len(t)} frames with motion and markers in sight lie within {log.path.name}"
-        raise fault(path, what, "Record more motion, or match dwells in order (--by order).")
-    return _refined(t, p, log, coarse, correlation)
-
-
-def _refuse_step(path: Path, thinned: Thinned, log: JointLog, coarse: float) -> None:
-    """Refuse clocks that do not stay together: a half of the recording that lies clearly elsewhere in the log.
-
-    A motion that repeats itself fits at several lags; the common one is believed while it fits about as well.
-    """
-    half = len(thinned.t_s) // 2
-    if thinned.t_s[-1] - thinned.t_s[0] < 4 * SHORTEST_HALF_S:
-        return
-    for part in (slice(None, half), slice(half, None)):
-        own = Thinned(thinned.t_s[part], thinned.points_mm[part], thinned.step_s)
-        lag, likeness = _coarse(own, log)
-        near = MOST_STEP_S + MOST_DRIFT * float(thinned.t_s[-1])
-        if abs(lag - coarse) < near or likeness < SURE_CORRELATION:
+    found = follow_clocks(path, thinned, log, checks)
+    parts, warnings = [], list(found.warnings)
+    for start, end, lag in found.parts:
+        own = (thinned.t_s >= start) & (thinned.t_s <= end)
+        t, p = _in_sight(Thinned(thinned.t_s[own], thinned.points_mm[own], thinned.step_s), log, lag)
+        if len(t) < 60 or float(np.ptp(p, axis=0).max()) < 5.0:
+            what = f"only {len(t)} frames with motion and markers in sight lie within {log.path.name}"
+            if len(found.parts) == 1:
+                raise fault(path, what, "Record more motion, or match dwells in order (--by order).")
+            warnings.append(f"from {start:.2f} to {end:.2f} s {what}: that part is left out")
             continue
-        if _coarse(own, log, (coarse - near, coarse + near))[1] < LEAST_SHARE * likeness:
-            what = f"its clock and that of {log.path.name} jump by {abs(lag - coarse):.1f} s against each other"
-            remedy = (
-                "Was a clock set while recording, or is one of the files two? Match the parts before and after alone."
-            )
-            raise fault(path, f"{what}, somewhere about {thinned.t_s[half]:.1f} s", remedy)
-
-
-def _coarse(thinned: Thinned, log: JointLog, within: tuple[float, float] | None = None) -> tuple[float, float]:
-    """Return the lag at which the speeds are most alike, and their correlation there."""
-    assert log.t_s is not None
-    seen, moved = _marker_speed(thinned)
-    turned = np.linalg.norm(np.gradient(log.q_even(), log.t_s, axis=0), axis=1)
-    ours = np.arange(thinned.t_s[0], thinned.t_s[-1], 1 / GRID_HZ)
-    theirs = np.arange(log.t_s[0], log.t_s[-1], 1 / GRID_HZ)
-    a, b = _even(np.interp(ours, seen, moved)), _even(np.interp(theirs, log.t_s, turned))
-    size = len(a) + len(b)
-    together = np.fft.irfft(np.fft.rfft(b, size) * np.conj(np.fft.rfft(a, size)), size)
-    lags = np.arange(size)
-    lags[lags >= len(b)] -= size
-    overlap = np.minimum(len(b), lags + len(a)) - np.maximum(0, lags)
-    score = np.where(overlap >= min(len(a), len(b)) / 4, together / np.sqrt(len(a) * len(b)), -np.inf)
-    if within is not None:
-        seconds = theirs[0] - ours[0] + lags / GRID_HZ
-        score = np.where((seconds >= within[0]) & (seconds <= within[1]), score, -np.inf)
-    best = int(np.argmax(score))
-    first, second = max(0, lags[best]), max(0, -lags[best])
-    n = int(overlap[best])
-    part = np.corrcoef(a[second : second + n], b[first : first + n])[0, 1] if n > 2 else 0.0
-    return float(theirs[0] - ours[0] + lags[best] / GRID_HZ), float(np.nan_to_num(part))
-
-
-def _marker_speed(thinned: Thinned) -> tuple[Floats, Floats]:
-    step = np.linalg.norm(np.diff(thinned.points_mm, axis=0), axis=2)
-    known = ~np.isnan(step).all(axis=1)
-    return (thinned.t_s[1:] + thinned.t_s[:-1])[known] / 2, np.nanmedian(step[known], axis=1) / thinned.step_s
-
-
-def _even(speed: Floats) -> Floats:
-    """Root of the speed, without mean, at size one: slow motions count too."""
-    root = np.sqrt(np.clip(speed, 0, np.quantile(speed, 0.98) if len(speed) else 0))
-    centred = root - root.mean()
-    return np.asarray(centred / max(float(centred.std()), 1e-12))
+        near = lag if found.sure else _searched(t, p, log, lag)
+        clocks = _refined(t, p, log, near, found.correlation)
+        parts.append((start, end, clocks))
+        warnings += refuse_drift(path, log, clocks.drift, clocks.drift_sigma, checks)
+    if not parts:
+        raise fault(path, "no part between the jumps holds enough motion", "Record again, with clocks that stay.")
+    if len(parts) == 1 and len(found.parts) == 1:
+        parts = [(-np.inf, np.inf, parts[0][2])]
+    return Pieces(tuple(parts), found.lost), warnings
 
 
 def _in_sight(thinned: Thinned, log: JointLog, coarse: float) -> tuple[Floats, Floats]:
@@ -154,7 +133,7 @@ def _in_sight(thinned: Thinned, log: JointLog, coarse: float) -> tuple[Floats, F
 
 
 def _refined(t: Floats, p: Floats, log: JointLog, coarse: float, correlation: float) -> Clocks:
-    offset, drift, middle = _searched(t, p, log, coarse), 0.0, float(t.mean())
+    offset, drift, middle = coarse, 0.0, float(t.mean())
     terms = _Terms(log, len(t) // FRAMES_PER_TERM)
     for _ in range(STEPS):
         left, sides = _slopes(terms, t - middle, t + offset + drift * (t - middle), p)

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_client.files.clocks import Clocks, match_clocks
+from kilter_client.files.clock_checks import UNTOLD, Checks
+from kilter_client.files.clocks import Clocks, Pieces, match_pieces
 from kilter_client.files.dwells import Dwell, RestOptions, find_dwells, thin
 from kilter_client.files.faults import fault
 from kilter_client.files.joint_log import JointLog
+from kilter_client.files.pair_checks import refuse_knocks, refuse_wrong_pairs
 from kilter_client.files.recording import Floats, Recording
 from kilter_client.files.rigid_body import Body, Poses, poses, seen_enough
 from kilter_client.files.survey import jumps
@@ -34,12 +36,18 @@ class Matched:
 
 
 def match_dwells(
-    recording: Recording, log: JointLog, by: str, options: RestOptions | None = None, body: Body | None = None
+    recording: Recording,
+    log: JointLog,
+    by: str,
+    options: RestOptions | None = None,
+    body: Body | None = None,
+    checks: Checks = UNTOLD,
 ) -> Matched:
     """Join the dwells of a recording with the poses of a log, ``by`` "order" or "time"; with ``body`` as its poses.
 
     Raises:
-        FileError: counts that differ, motions that do not fit, markers that change places.
+        FileError: counts that differ, motions that do not fit, markers that change places or are knocked, clocks that
+            jump, and pairs of markers and joints that the robot's model does not explain.
 
     """
     refuse_jumps(recording)
@@ -47,17 +55,36 @@ def match_dwells(
     if not dwells:
         what = "the markers never rest"
         raise fault(recording.path, what, "Match every frame by time (--by frames), or raise --rest-speed.")
-    clocks = match_clocks(recording.path, thin(recording), log) if by == "time" else None
-    rows, warnings = (_by_order(recording, dwells, log), []) if clocks is None else _by_time(dwells, log, clocks)
+    spans = np.array([[dwell.start_s, dwell.end_s] for dwell in dwells])
+    counts = (spans[:, 0] >= checks.since_s) & (spans[:, 1] <= checks.until_s)
+    warnings = refuse_knocks(recording, _means(dwells)[counts], spans[counts], checks)
+    pieces, told = match_pieces(recording.path, thin(recording), log, checks) if by == "time" else (None, [])
+    warnings += told
+    rows = _by_order(recording, dwells, log) if pieces is None else _by_time(dwells, log, pieces, warnings)
+    rows = np.where(counts, rows, -1)
     if body is not None:
         rows = _of_known_poses(dwells, rows, body, warnings)
+    rows = refuse_wrong_pairs(recording.path, log, rows, _means(dwells), spans, checks, warnings)
     kept = [dwell for dwell, row in zip(dwells, rows, strict=True) if row >= 0]
     index = rows[rows >= 0]
+    if not len(index):
+        raise fault(recording.path, f"none of its {len(dwells)} dwells is left", "; ".join(warnings) + ".")
+    return Matched(*_rows(recording, log, kept, index, body, pieces, warnings))
+
+
+def _rows(
+    recording: Recording, log: JointLog, kept: list[Dwell], index: NDArray[np.int64], body: Body | None,
+    pieces: Pieces | None, warnings: list[str],
+) -> tuple[Columns, dict[str, Any]]:  # fmt: skip
     columns = {name: log.columns[name][index] for name in log.joints}
     columns |= {n: v[index] for n, v in log.columns.items() if n not in columns and n not in ("t_s", "pose_id")}
     columns["pose_id"] = log.columns["pose_id"][index] if "pose_id" in log.columns else pose_numbers(log, index)
     columns |= _measured(kept) if body is None else _posed(kept, body)
-    return Matched(columns, _report(recording, log, kept, columns, clocks, warnings))
+    return columns, _report(recording, log, kept, columns, pieces, warnings)
+
+
+def _means(dwells: list[Dwell]) -> Floats:
+    return np.stack([dwell.mean_mm for dwell in dwells])
 
 
 def refuse_jumps(recording: Recording) -> None:
@@ -105,18 +132,22 @@ def _rest_rows(changed: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.array([(a + b) // 2 for a, b in spans], dtype=np.int64)
 
 
-def _by_time(dwells: list[Dwell], log: JointLog, clocks: Clocks) -> tuple[NDArray[np.int64], list[str]]:
+def _by_time(dwells: list[Dwell], log: JointLog, pieces: Pieces, warnings: list[str]) -> NDArray[np.int64]:
     assert log.t_s is not None
-    q, rows, warnings = log.q_even(), [], []
+    q, rows = log.q_even(), []
     for k, dwell in enumerate(dwells, 1):
-        start, end = clocks.log_time(np.array([dwell.start_s, dwell.end_s]))
+        start, end = pieces.log_time(np.array([dwell.start_s, dwell.end_s]))
+        if np.isnan(start) or np.isnan(end) or not pieces.together(dwell.start_s, dwell.end_s):
+            warnings.append(f"dwell {k} at {dwell.start_s:.2f} s left out: its place in the log is not sure")
+            rows.append(-1)
+            continue
         first, after = np.searchsorted(log.t_s, start), np.searchsorted(log.t_s, end, side="right")
         moved = float(np.ptp(q[first:after], axis=0).max()) if after > first else np.inf
         if after <= first or moved > MOVED_DEG:
             said = "the log has no row then" if after <= first else f"the joints moved {moved:.3g} deg meanwhile"
             warnings.append(f"dwell {k} at {dwell.start_s:.2f} s left out: {said}")
         rows.append(int(first + after) // 2 if after > first and moved <= MOVED_DEG else -1)
-    return np.array(rows), warnings
+    return np.array(rows, dtype=np.int64)
 
 
 def pose_numbers(log: JointLog, index: NDArray[np.int64]) -> Floats:
@@ -171,7 +202,7 @@ def _report(
     log: JointLog,
     dwells: list[Dwell],
     columns: Columns,
-    clocks: Clocks | None,
+    pieces: Pieces | None,
     warnings: list[str],
 ) -> dict[str, Any]:
     scatter = np.stack([d.scatter_mm for d in dwells])
@@ -181,16 +212,25 @@ def _report(
         "scatter_mm": [round(float(v), 6) for v in np.sqrt(np.nanmean(scatter**2, axis=0))],
         "mean_sigma_mm": [round(float(np.median(columns[f"s{axis}_mm"])), 6) for axis in "xyz"],
         "outliers": sum(d.outliers for d in dwells),
-        "clock": None if clocks is None else clock_report(clocks, recording.duration_s),
+        "clock": None if pieces is None else clock_report(pieces, recording.duration_s),
         "warnings": [*recording.warnings, *log.warnings, *warnings],
     }
 
 
-def clock_report(clocks: Clocks, duration_s: float) -> dict[str, float]:
-    """Return the clocks as a document: offset at the recording's start, drift, uncertainty."""
+def clock_report(pieces: Pieces | Clocks, duration_s: float) -> dict[str, Any]:
+    """Return the clocks as a document: offset at the recording's start, drift, uncertainty; with parts, of each."""
+    if isinstance(pieces, Pieces):
+        if len(pieces.parts) == 1:
+            return clock_report(pieces.parts[0][2], duration_s)
+        parts = [{"from_s": start, "to_s": end} | _part(clocks, start, end) for start, end, clocks in pieces.parts]
+        return parts[0] | {"parts": parts}
+    return _part(pieces, 0.0, duration_s)
+
+
+def _part(clocks: Clocks, start: float, end: float) -> dict[str, float]:
     return {
         "offset_s": float(clocks.log_time(np.zeros(1))[0]),
-        "offset_sigma_s": max(clocks.sigma_s(0.0), clocks.sigma_s(duration_s)),
+        "offset_sigma_s": max(clocks.sigma_s(start), clocks.sigma_s(end)),
         "drift_ppm": clocks.drift * 1e6,
         "drift_sigma_ppm": clocks.drift_sigma * 1e6,
         "correlation": clocks.correlation,
@@ -198,7 +238,9 @@ def clock_report(clocks: Clocks, duration_s: float) -> dict[str, float]:
     }
 
 
-def frame_rows(recording: Recording, log: JointLog, clocks: Clocks, body: Body | None = None) -> Iterator[Columns]:
+def frame_rows(
+    recording: Recording, log: JointLog, clocks: Clocks | Pieces, body: Body | None = None
+) -> Iterator[Columns]:
     """Join every frame with the joints at its time (smooth between rows); frames without a marker are left out."""
     from scipy.interpolate import CubicSpline
 

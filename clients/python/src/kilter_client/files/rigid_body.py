@@ -116,7 +116,11 @@ def _digitised(recording: Recording, path: Path) -> Body:
 
     with_tip = open_recording(path)
     points = thin(with_tip).points_mm
-    if len(with_tip.markers) != len(recording.markers) + 1:
+    names = with_tip.markers[:-1]
+    if len(names) > len(recording.markers) and set(recording.markers) <= set(names):
+        # markers left out of the recording are left out here too
+        points = points[:, [*(names.index(name) for name in recording.markers), -1]]
+    elif len(names) != len(recording.markers):
         what = f"holds {len(with_tip.markers)} markers; the recording has {len(recording.markers)}"
         raise fault(path, what, "Record the same markers and, as the last one, the digitised tool point.")
     shape = shape_of(points[:, :-1])

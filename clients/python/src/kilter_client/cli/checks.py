@@ -1,0 +1,59 @@
+"""What a person says of the checks of ``kilter match``: the robot's model, parts of the recording, what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.errors import UsageError
+
+if TYPE_CHECKING:
+    from kilter_client.files.arm import Arm
+    from kilter_client.files.clock_checks import Checks
+    from kilter_client.files.recording import Recording
+
+Model = Annotated[str | None, typer.Option(help="Robot whose model checks the pairing; default is --robot's.")]
+Piecewise = Annotated[bool, typer.Option("--piecewise", help="Match the parts between jumps of the clocks.")]
+Unchecked = Annotated[bool, typer.Option("--unchecked", help="Warn of wrong pairs and knocks, refuse none.")]
+
+
+def checks_of(robot: str | None, piecewise: bool, unchecked: bool, since: float | None, until: float | None) -> Checks:
+    """Return the checks, with the model of a robot of the server.
+
+    Raises:
+        UsageError: times the wrong way round, or ``--piecewise`` without a robot.
+
+    """
+    from kilter_client.files.clock_checks import Checks
+
+    if since is not None and until is not None and not since < until:
+        raise UsageError(f"--since {since:g} --until {until:g}: the first must be earlier than the second.")
+    if piecewise and robot is None:
+        raise UsageError("--piecewise needs the robot's model: name it with --robot or --model.")
+    start, end = -float("inf") if since is None else since, float("inf") if until is None else until
+    return Checks(None if robot is None else model_of(robot), piecewise, unchecked, start, end)
+
+
+def model_of(robot: str) -> Arm:
+    """Return the model of a robot of the server."""
+    from kilter_client.files.arm import arm_of
+
+    with Kilter() as kilter:
+        return arm_of(kilter.robots.check(kilter.robots.get(robot)["document"]))
+
+
+def cut_by(recording: Recording, without: Sequence[str] | None) -> Recording:
+    """Return a recording without some markers."""
+    from kilter_client.files.cut_recording import without as left_out
+
+    return left_out(recording, without) if without else recording
+
+
+def in_time(recording: Recording, checks: Checks) -> Recording:
+    """Return the part of a recording that counts."""
+    from kilter_client.files.cut_recording import between
+
+    return between(recording, checks.since_s, checks.until_s)
