@@ -16,8 +16,6 @@ from service.settings import Settings
 P = ParamSpec("P")
 T = TypeVar("T")
 
-FILES_WAITING = 4  # times as many files are received (to disk) as are worked on
-
 
 class Room:
     """Requests of one kind: at most ``most`` inside, of which ``working`` compute and the others wait."""
@@ -54,7 +52,7 @@ class Slots:
         self.documents = Room(settings.max_requests, settings.max_computing)
         # Reads that compute are open to everybody on loopback: they must not take the others' turns.
         self.reads = Room(settings.max_requests, settings.max_computing)
-        self.files = Room(FILES_WAITING * settings.max_computing, settings.max_computing)
+        self.files = Room(settings.max_requests, settings.max_computing)  # those that wait are on disk
 
 
 def slots_of(request: Request) -> Slots:

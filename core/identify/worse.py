@@ -46,7 +46,7 @@ class Difference:
     @property
     def worse(self) -> bool:
         """Whether the first predicts worse beyond doubt."""
-        return self.mean > self.margin
+        return bool(self.mean > self.margin)
 
     @staticmethod
     def of(errors: Floats, others: Floats) -> Difference:

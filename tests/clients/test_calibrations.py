@@ -115,7 +115,10 @@ def test_markers_that_changed_places_fail_the_job_by_their_code(server: Path, tm
     with Kilter() as kilter:
         kilter.robots.add({**ur10().document(), "name": "swapped", "links": None})
     cells = {f"m{k + 1}{axis}_mm": 1e3 * swapped[:, k, a] for k in range(3) for a, axis in enumerate("xyz")}
-    done = said(capsys, "upload", "swapped", str(write(tmp_path / "swapped.csv", train.q, cells)))
+    sheet = str(write(tmp_path / "swapped.csv", train.q, cells))
+    refused = said(capsys, "upload", "swapped", sheet, code=1)
+    assert "markers 'm1' and 'm3' change places between rows 20 and 21" in refused["detail"]
+    done = said(capsys, "upload", "swapped", sheet, "--unchecked")
     job = said(capsys, "identify", "swapped", "--campaign", done["campaign_id"], code=1)
     assert "markers_swapped" in json.dumps(job)
     assert "From row 21 on" in json.dumps(job)

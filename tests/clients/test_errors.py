@@ -20,6 +20,7 @@ from kilter_client import (
     ObservationError,
     OptionError,
     PayloadError,
+    Prepared,
     RobotError,
     ServerUnreachableError,
     TooFewPosesError,
@@ -147,3 +148,26 @@ def test_what_is_exported() -> None:
         assert found.__doc__, name
     exceptions = {e for e in vars(kilter_client.errors).values() if isinstance(e, type) and issubclass(e, KilterError)}
     assert exceptions <= {getattr(kilter_client, name) for name in kilter_client.__all__}
+
+
+def test_a_busy_server_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    waits: list[float] = []
+    monkeypatch.setattr("kilter_client.connection.time.sleep", waits.append)
+    bodies: list[bytes] = []
+
+    def busy_twice(request: httpx.Request) -> httpx.Response:
+        bodies.append(request.read())
+        if len(bodies) < 3:
+            return httpx.Response(503, headers={"Retry-After": "2"}, json={"code": "busy", "detail": "Later."})
+        return httpx.Response(201, json={"id": "upl_1", "rows": 1})
+
+    assert client(busy_twice).campaigns.upload("cmp_1", Prepared(b"q1_deg,x_mm\n1,2\n", "text/csv"))["rows"] == 1
+    assert len(set(bodies)) == 1
+    assert waits == [2.0, 2.0]
+
+
+def test_a_server_that_stays_busy_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kilter_client.connection.time.sleep", lambda seconds: None)
+    always = httpx.Response(503, headers={"Retry-After": "1"}, json={"code": "busy", "detail": "Later."})
+    with pytest.raises(ApiError, match="Later"):
+        client(lambda request: always).robots.list()

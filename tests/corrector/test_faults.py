@@ -29,8 +29,8 @@ from service.db import Database, revision
 from service.db.tables import JobRow
 from service.robots import service as robots
 from service.settings import DATABASE_FILE, Settings
-from service.versions import service as versions
-from service.versions import store
+from service.versions import activation, store
+from service.versions.schemas import ActivationWish
 from service.versions.store import NewVersion
 from tests.corrector.live import ROBOT, ROOT, Line, Q, open_stream, point, until
 
@@ -311,7 +311,7 @@ def store_active(settings: Settings, calibration: Calibration) -> None:
             session.add(JobRow(id="job_1", kind="identify", robot_id=1, request={}, state="succeeded"))
             session.flush()
             added = store.add(session, 1, "job_1", version)
-        versions.activate(database, added, "admin")
+        activation.activate(database, added, "admin", ActivationWish())
     finally:
         database.close()
 

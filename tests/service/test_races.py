@@ -29,6 +29,9 @@ from tests.service.postgresql import programs, running_postgresql
 THREADS = 24
 
 
+MOST_AT_ONCE = 12  # uploads that are checked together before the first of them is stored
+
+
 @pytest.fixture(scope="module")
 def postgresql() -> Iterator[str]:
     if programs() is None:
@@ -50,7 +53,9 @@ def settings(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest
             connection.execute(text(f"CREATE DATABASE {name}"))
         engine.dispose()
         url = server.set(database=name).render_as_string(hide_password=False)
-    return Settings(data=tmp_path / "data", database_url=url, port=0, zenoh_listen="tcp/127.0.0.1:0")
+    return Settings(
+        data=tmp_path / "data", database_url=url, port=0, zenoh_listen="tcp/127.0.0.1:0", max_computing=MOST_AT_ONCE
+    )
 
 
 def at_once(calls: list[Callable[[], httpx.Response]], threads: int = THREADS) -> list[httpx.Response]:
@@ -181,7 +186,9 @@ def test_uploads_with_different_columns_at_once_leave_a_campaign_of_one_kind(
     client: httpx.Client, katana: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     where = campaign(client, katana)
-    bodies = [katana.columns(20, seed=k) | ({"temperature_c": [20.0] * 20} if k % 2 else {}) for k in range(12)]
+    bodies = [
+        katana.columns(20, seed=k) | ({"temperature_c": [20.0] * 20} if k % 2 else {}) for k in range(MOST_AT_ONCE)
+    ]
     together, check = threading.Barrier(len(bodies)), uploads.checked_chunks
 
     def checked_together(*args: Any) -> Any:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -15,8 +16,10 @@ if TYPE_CHECKING:
     import httpx
 
 Document = dict[str, Any]
+Content = bytes | Iterator[bytes] | Callable[[], Iterator[bytes]] | None
 
 TIMEOUT_S = 60.0
+BUSY, BUSY_TRIES, LONGEST_WAIT_S = 503, 6, 10.0  # a busy server says after how many seconds to come again
 EVENTS_TIMEOUT_S = 90.0  # the server sends something at least every 15 s
 
 
@@ -39,16 +42,24 @@ class Connection:
         """Close the connections."""
         self._client.close()
 
-    def request(self, method: str, path: str, **arguments: Any) -> httpx.Response:
-        """Send a request and return its answer.
+    def request(self, method: str, path: str, content: Content = None, **arguments: Any) -> httpx.Response:
+        """Send a request and return its answer; one that the server is too busy for is sent again after a while.
+
+        ``content`` is a body, or a function that makes it anew for every try.
 
         Raises:
             ApiError: the server refuses; a subclass by the problem's code.
             ServerUnreachableError: no answer.
 
         """
-        with self._reaching():
-            response = self._client.request(method, path, **arguments)
+        for left in reversed(range(BUSY_TRIES)):
+            body = content() if callable(content) else content
+            with self._reaching():
+                response = self._client.request(method, path, content=body, **arguments)
+            wait_s = response.headers.get("Retry-After", "")
+            if response.status_code != BUSY or not wait_s.isdecimal() or not left:
+                break
+            time.sleep(min(float(wait_s), LONGEST_WAIT_S))
         _refuse(response.status_code, response.content)
         return response
 

@@ -121,7 +121,7 @@ class Campaigns:
         response = self._connection.request(
             "POST",
             address("campaigns", campaign_id, "observations"),
-            content=_pieces(file.content, sent),
+            content=lambda: _pieces(file.content, sent),
             headers=headers,
             timeout=UPLOAD_TIMEOUT_S,
         )

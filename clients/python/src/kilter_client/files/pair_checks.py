@@ -20,6 +20,8 @@ from kilter_client.files.recording import Floats, Recording
 
 NOT_CHECKED = "the pairing was not checked against the robot's model: name the robot with --robot or --model"
 MOST_LEFT_OUT = 0.1
+# What coordinates are multiplied by to be right, their unit, and the unit they were declared in.
+UNITS = ((1e3, "m", "mm"), (1e-3, "mm", "m"), (25.4, "inch", "mm"), (10.0, "cm", "mm"))
 SHOWN = 4
 SAMPLE = 150
 
@@ -126,12 +128,21 @@ def _refuse_step(path: Path, step: Step, checks: Checks) -> str:
     return checks.refuse(path, step.said(), remedy)
 
 
+def _fits(arm: Arm, q: Floats, points: Floats) -> bool:
+    """Whether the model explains four of five pairs."""
+    found = check_pairs(arm, q, points)
+    return found is not None and found.found is not None and bool(found.wrong.sum() < 0.2 * len(q))
+
+
 def _explained(arm: Arm, log: JointLog, q: Floats, points: Floats, spans: Floats, pairing: Pairing) -> tuple[str, str]:
     """Say what is wrong with pairs, and the remedy."""
-    back = check_pairs(arm, q[::-1], points)
-    if back is not None and back.found is not None and back.wrong.sum() < 0.2 * len(q):
+    if _fits(arm, q[::-1], points):
         what = f"the poses of {log.path.name} come in the reverse order of the dwells, by the model of {arm.name}"
         return what, "Turn the rows of the log round."
+    unit = next((u for u in UNITS if _fits(arm, q, points * u[0])), None)
+    if unit is not None:
+        what = f"the model of {arm.name} explains the pairs when coordinates are taken {unit[0]:g} times as large"
+        return f"{what}: they look like {unit[1]} declared as {unit[2]}", f"Correct the unit (--unit {unit[1]})."
     if pairing.found is None:
         what = (
             f"the model of {arm.name} explains no stretch of the pairs with {log.path.name}: {pairing.share:.0%} of the "

@@ -7,6 +7,7 @@ import io
 import json
 import re
 from collections.abc import Mapping, Sequence
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,14 @@ import numpy as np
 
 from kilter_client.files.dwells import Thinned
 from kilter_client.files.faults import fault
-from kilter_client.files.knocks import Knock, knocks_of_frames, knocks_of_rows
+from kilter_client.files.knocks import LEAST_MM, Knock, knocks_of_frames, knocks_of_rows
 from kilter_client.files.recording import Floats
 from kilter_client.files.table import CSV_TYPE, JSON_TYPE, Prepared
 
 MARKER = re.compile(r"m([1-9]\d?)([xyz])_(mm|m)")
 SINGLE_ROWS = 2000  # more are averaged in stretches
 SHOWN = 4
+MOST_EXCHANGED = 6  # markers, of which every order is tried
 
 
 def refuse_knocked_rows(path: Path, prepared: Prepared, unchecked: bool) -> list[str]:
@@ -38,9 +40,16 @@ def refuse_knocked_rows(path: Path, prepared: Prepared, unchecked: bool) -> list
     if not found:
         return []
     names = tuple(f"m{k}" for k in numbers)
-    what = "; ".join(knock.said(names, "rows") for knock in found[:SHOWN])
+    exchanged = changed_places(points, found[0]) if points is not None else ()
+    if exchanged:
+        who = " and ".join(repr(names[k]) for k in exchanged)
+        what = f"markers {who} change places between rows {found[0].from_s:.0f} and {found[0].to_s:.0f}"
+    else:
+        what = "; ".join(knock.said(names, "rows") for knock in found[:SHOWN])
     if unchecked:
         return [what]
+    if exchanged:
+        raise fault(path, what, "Exchange their columns from there on. --unchecked sends the file all the same.")
     columns = f"the columns of {names[found[0].markers[0]]}" if len(found[0].markers) == 1 else "its columns"
     remedy = (
         f"Send the rows before and after as campaigns of their own, or leave {columns} out and number the others anew."
@@ -53,6 +62,29 @@ def _knocks(points: Floats) -> list[Knock]:
     if len(points) > SINGLE_ROWS:
         return knocks_of_frames(Thinned(rows, points, 1.0))
     return knocks_of_rows(points, np.stack([rows, rows], axis=1))
+
+
+def changed_places(points: Floats, knock: Knock) -> tuple[int, ...]:
+    """Markers (from 0) whose exchange after a change makes the body of before; none where no exchange does."""
+    at = round(knock.from_s)
+    before, after = (_lengths(part) for part in (points[:at], points[at:]))
+    if len(before) > MOST_EXCHANGED or np.isnan(before).any() or np.isnan(after).any():
+        return ()
+    fitting = [
+        tuple(k for k, other in enumerate(order) if k != other)
+        for order in permutations(range(len(before)))
+        if np.abs(after[np.ix_(order, order)] - before).max() < LEAST_MM
+    ]
+    return min(filter(None, fitting), key=len, default=())  # an even triangle allows more exchanges than were made
+
+
+def _lengths(points: Floats) -> Floats:
+    """Median distances (m, m) between markers (n, m, 3); NaN where two were never seen together."""
+    apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
+    seen = ~np.isnan(apart).all(axis=0)
+    out = np.full(seen.shape, np.nan)
+    out[seen] = np.nanmedian(apart[:, seen], axis=0)
+    return out
 
 
 def _names(prepared: Prepared) -> list[str]:
