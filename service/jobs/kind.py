@@ -60,7 +60,8 @@ class JobKind:
     ``progress(fraction, stage)``, which raises ``CancelledError`` when the job was cancelled, and must call it at
     least once a second. Both import core inside, for the API process lists the kinds without it. ``version_option``
     names the option that holds a version; ``needs_campaigns`` and ``takes_folds`` say what a request must and may have,
-    ``instead_of_campaigns`` which options stand in for campaigns.
+    ``instead_of_campaigns`` which options stand in for campaigns. ``long`` kinds have a queue of their own: whoever
+    identifies does not wait for somebody's hunt.
     """
 
     name: str
@@ -70,3 +71,4 @@ class JobKind:
     needs_campaigns: bool = True
     takes_folds: bool = True
     instead_of_campaigns: tuple[str, ...] = ()
+    long: bool = False

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from dbos import DBOSClient
 
 APPLICATION = "kilter"
-QUEUE = "jobs"
+QUEUE, LONG_QUEUE = "jobs", "long-jobs"  # one job of each runs at a time
 WORKFLOW = "kilter.job"
 # DBOS resumes only jobs of its own application version. This names the shape of the workflow (its steps and what they
 # hand on), not the build: change it when that shape changes. `forget_older` then lets older jobs be started anew.
@@ -38,12 +38,12 @@ class JobQueue:
         self._lock = threading.Lock()
         self._client: DBOSClient | None = None
 
-    def enqueue(self, job_id: str) -> None:
-        """Queue a job; queueing it again changes nothing."""
+    def enqueue(self, job_id: str, *, long: bool = False) -> None:
+        """Queue a job, a ``long`` one beside the others; queueing it again changes nothing."""
         self._open().enqueue(
             {
                 "workflow_name": WORKFLOW,
-                "queue_name": QUEUE,
+                "queue_name": LONG_QUEUE if long else QUEUE,
                 "workflow_id": job_id,
                 "app_version": APPLICATION_VERSION,
             },

@@ -11,7 +11,7 @@ from typing import Any
 from core.errors import CancelledError, CoreError
 from service.db import Database
 from service.jobs import store
-from service.jobs.kind import VersionContent
+from service.jobs.kind import JobKind, VersionContent
 from service.jobs.registry import kind_of
 from service.versions.schemas import CorrectionLimits
 
@@ -24,22 +24,23 @@ MAX_ATTEMPTS = 10  # a job that took the worker down so often would do it for ev
 
 
 class Runner:
-    """Runs jobs one after the other, however many the engine hands out at once."""
+    """Runs one long job and one other at a time, however many the engine hands out at once."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
-        self._slot = threading.Lock()
+        self._slots = {long: threading.Lock() for long in (False, True)}
 
     def compute(self, job_id: str) -> Outcome:
         """First step: the outcome of a job, JSON-able; it is checkpointed and not computed again."""
         tell = Teller(self._database, job_id)
         try:
-            while not self._slot.acquire(timeout=TELL_S):
+            slot = self._slots[self._kind(job_id).long]
+            while not slot.acquire(timeout=TELL_S):
                 tell(0.0, "waiting for another job")
             try:
                 return self._compute(job_id, tell)
             finally:
-                self._slot.release()
+                slot.release()
         except CancelledError:
             return {"state": "cancelled"}
         except CoreError as error:
@@ -48,10 +49,14 @@ class Runner:
             log.exception("job %s failed", job_id)
             return _failed("internal_error", f"Kilter failed. The worker's log has the cause under job {job_id}.")
 
+    def _kind(self, job_id: str) -> JobKind:
+        with self._database.reading() as session:
+            return kind_of(store.row_of(session, job_id).kind)
+
     def _compute(self, job_id: str, tell: Teller) -> Outcome:
+        kind = self._kind(job_id)
         with self._database.transaction() as session:
             attempt = store.begin(session, job_id)
-            kind = kind_of(store.row_of(session, job_id).kind)
         if attempt == 0:
             return {"state": "over"}
         if attempt > MAX_ATTEMPTS:

@@ -33,7 +33,7 @@ def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
     with database.transaction() as session:
         job_id = store.add(session, _checked(session, job, kind), job)  # robot and campaigns are still there
     try:
-        queue.enqueue(job_id)
+        queue.enqueue(job_id, long=kind.long)
     except Exception:  # whatever the job engine lacks (it has not started yet), the worker's sweep finds the row
         log.warning("job %s waits for the worker to find it", job_id, exc_info=True)
     return get(database, job_id)

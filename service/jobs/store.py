@@ -113,10 +113,10 @@ def advance(session: Session, job_id: str, fraction: float, stage: str) -> bool:
 
 
 def unfinished(session: Session, older_than_s: float) -> list[tuple[str, str]]:
-    """Return id and state of the jobs that are not over and not brand-new."""
+    """Return id and kind of the jobs that are not over and not brand-new."""
     before = now() - timedelta(seconds=older_than_s)
-    query = select(JobRow.id, JobRow.state).where(JobRow.state.not_in(FINAL), JobRow.created_at < before)
-    return [(job_id, state) for job_id, state in session.execute(query)]
+    query = select(JobRow.id, JobRow.kind).where(JobRow.state.not_in(FINAL), JobRow.created_at < before)
+    return [(job_id, kind) for job_id, kind in session.execute(query)]
 
 
 def load(session: Session, job_id: str) -> JobInput:

@@ -13,7 +13,8 @@ from service.db import Database, revision
 from service.health import store as health
 from service.jobs import store
 from service.jobs.engine_rows import json_only
-from service.jobs.queue import APPLICATION, APPLICATION_VERSION, QUEUE, WORKFLOW, EngineRow, JobQueue
+from service.jobs.queue import APPLICATION, APPLICATION_VERSION, LONG_QUEUE, QUEUE, WORKFLOW, EngineRow, JobQueue
+from service.jobs.registry import kind_of
 from service.jobs.runner import Outcome, Runner
 from service.settings import Settings
 
@@ -79,7 +80,8 @@ def _launch(settings: Settings, runner: Runner, name: str) -> None:
         finish(job_id, compute(job_id))
 
     DBOS.launch()
-    DBOS.register_queue(QUEUE, worker_concurrency=1, polling_interval_sec=QUEUE_POLL_S)
+    for queue in (QUEUE, LONG_QUEUE):
+        DBOS.register_queue(queue, worker_concurrency=1, polling_interval_sec=QUEUE_POLL_S)
     log.info("worker %s takes jobs", name)
 
 
@@ -92,11 +94,11 @@ def _sweep(database: Database, queue: JobQueue) -> None:
     """Hand over jobs the engine does not know, and close those it gave up."""
     with database.reading() as session:
         waiting = store.unfinished(session, FOUND_AFTER_S)
-    for job_id, _ in waiting:
+    for job_id, kind in waiting:
         row = queue.row(job_id)
         if row is None:
             log.warning("job %s was not in the queue: it is now", job_id)
-            queue.enqueue(job_id)
+            queue.enqueue(job_id, long=kind_of(kind).long)
         elif row.status == "CANCELLED":
             with database.transaction() as session:
                 store.cancel(session, job_id)

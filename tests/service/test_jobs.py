@@ -105,6 +105,21 @@ def test_a_running_job_is_cancelled_within_seconds(
     assert worker.stop() == 0
 
 
+def test_an_identification_does_not_wait_for_a_hunt(
+    client: httpx.Client, katana: Any, worker: Any, until: Until
+) -> None:
+    many, few = katana.campaign(client, 10_000), katana.campaign(client, 60, seed=2)
+    worker.start()
+    hunt = submit(client, kind="gap", campaigns=[many])
+    until(lambda: state(client, hunt) == "running", seconds=60)
+    done = finished(client, submit(client, campaigns=[few], options={"level": 1}), until)
+    assert done["state"] == "succeeded", done
+    assert state(client, hunt) == "running"
+    client.post(f"/v1/jobs/{hunt['id']}/cancel").raise_for_status()
+    until(lambda: state(client, hunt) == "cancelled", seconds=30)
+    assert worker.stop() == 0
+
+
 def test_kill_9_resumes_and_leaves_one_version(client: httpx.Client, katana: Any, worker: Any, until: Until) -> None:
     campaign = katana.campaign(client, 200)
     worker.start()

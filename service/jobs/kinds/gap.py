@@ -125,4 +125,4 @@ def _options(options: dict[str, Any]) -> GapOptions:
         raise OptionError(f"The options cannot be read: {error}.") from error
 
 
-GAP = JobKind("gap", check, run, version_option=START, takes_folds=False)
+GAP = JobKind("gap", check, run, version_option=START, takes_folds=False, long=True)
