@@ -212,4 +212,4 @@ def with_curvature(objective: Objective[P], values: Floats, H: Floats) -> Floats
         M[:, k] = V.T @ (slopes[1] - slopes[0]) / (2.0 * DIFFERENCE)
     M[np.ix_(weak, weak)] = 0.5 * (M[np.ix_(weak, weak)] + M[np.ix_(weak, weak)].T)
     M[weak, :] = M[:, weak].T
-    return np.asarray(V @ M @ V.T)
+    return np.asarray(V @ M @ V.T) if np.all(np.isfinite(M)) else H
