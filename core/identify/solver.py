@@ -24,7 +24,8 @@ Progress = Callable[[int, float], None]
 
 MAX_ITERATIONS = 60
 PATIENCE = 4  # slow steps of Levenberg and Marquardt before the second derivative is taken
-SLOW = 0.2  # share of the loss that a step must take off not to be slow
+SLOW = 0.2  # share of the loss that a step must take off not to be slow,
+FADING = 0.1  # or gain less than this share of the step before: so a descent ends that is about to
 ROUNDING = 1e-13  # share of the loss that a step must promise to be worth taking
 LAST = 1e-9  # share below which the step is taken and the model not asked again: it is linear that near
 STEP_TOLERANCE = 1e-9  # largest step, in prior sigmas, that counts as converged
@@ -110,7 +111,7 @@ def minimise(
         NotConvergedError: numbers that are not finite.
 
     """
-    values, damping, slow, last = start, FIRST_DAMPING, 0, np.zeros(0)
+    values, damping, slow, last, before = start, FIRST_DAMPING, 0, np.zeros(0), np.inf
     for iteration in range(1, MAX_ITERATIONS + 1):
         if not np.isfinite(here.loss):
             raise NotConvergedError("The residuals are not finite: check the observations for impossible values.")
@@ -127,7 +128,8 @@ def minimise(
         values, here, damping, last = taken.values, taken.point, taken.damping, taken.step
         if taken.last or gained < enough * here.loss:
             return Minimum(values, here, iteration, last)
-        slow += gained < SLOW * here.loss
+        slow += FADING * before < gained < SLOW * here.loss
+        before = gained
     return Minimum(values, here, MAX_ITERATIONS, last, False)
 
 
