@@ -16,6 +16,7 @@ from core.robots import robot_from_document
 from service.corrector.active import Active, version_number
 from service.corrector.process import Corrector
 from service.settings import Settings
+from tests.corrector.live import open_stream
 
 EFFECTS = ("clearance_tilt", "backlash_load", "axial_compliance", "backlash")
 
@@ -114,5 +115,7 @@ def corrector(source: MemorySource, tmp_path_factory: pytest.TempPathFactory) ->
     settings = Settings(data=folder, zenoh_listen="tcp/127.0.0.1:0", site="test")
     running = Corrector(settings, source)
     running.start()
+    with open_stream(running, "first", connect_timeout_s=60.0):
+        pass  # opened once the version is known: frames that come before are answered NO_VERSION
     yield running
     running.stop()

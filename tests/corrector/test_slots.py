@@ -25,6 +25,8 @@ def small(source: object, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     settings = Settings(data=tmp_path_factory.mktemp("data"), zenoh_listen="tcp/127.0.0.1:0", site="test")
     running = Corrector(settings, source, Rules(slots=4, idle_ns=round(IDLE_S * 1e9)))  # type: ignore[arg-type]
     running.start()
+    with open_stream(running, "first", connect_timeout_s=60.0):
+        pass  # opened once the version is known: frames that come before are answered NO_VERSION
     yield running
     running.stop()
 
