@@ -171,16 +171,16 @@ def rms(errors: Floats, lower: Floats, joints: bool = False) -> float:
 
 def train_rms(world: World, columns: Sequence[int]) -> float:
     """Rms error (m or rad) of the visits at a set of columns, geometry re-fitted."""
-    setting = world.setting
-    r = residual_given(world, columns).reshape(-1, setting.whitener.shape[-1])
-    e = np.einsum("vij,vj->vi", np.linalg.inv(setting.whitener), r)[setting.used]
-    return rms(e, np.eye(e.shape[1]), isinstance(setting.source, LinkSource))
+    return _rms_of(world.setting, residual_given(world, columns))
 
 
 def fit_rms(world: World) -> float:
     """Rms error (m or rad) of the visits at the values of the fit itself: what a version that holds them leaves."""
-    setting = world.setting
-    r = world.raw.reshape(-1, setting.whitener.shape[-1])
+    return _rms_of(world.setting, world.raw)
+
+
+def _rms_of(setting: Setting, whitened: Floats) -> float:
+    r = whitened.reshape(-1, setting.whitener.shape[-1])
     e = np.einsum("vij,vj->vi", np.linalg.inv(setting.whitener), r)[setting.used]
     return rms(e, np.eye(e.shape[1]), isinstance(setting.source, LinkSource))
 

@@ -47,8 +47,11 @@ class Setting:
 
     def whitened(self, values: Floats) -> Floats:
         """Whitened residuals (V, m), zero where nothing was seen or the visit does not count."""
-        r = np.nan_to_num(self.source.residual(values))
-        return np.asarray(np.einsum("vij,vj->vi", self.whitener, r) * self.used[:, None])
+        return self.white(self.source.residual(values))
+
+    def white(self, residual: Floats) -> Floats:
+        """The same of residuals (V, m) that are known."""
+        return np.asarray(np.einsum("vij,vj->vi", self.whitener, np.nan_to_num(residual)) * self.used[:, None])
 
 
 @dataclass(frozen=True)
@@ -171,7 +174,7 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     ``only`` keeps these library columns, in this order, and holds the rest of the library at its values.
     """
     linear = setting.source.linear(values, batch, only)
-    r = (np.einsum("vij,vj->vi", setting.whitener, np.nan_to_num(linear.r)) * setting.used[:, None]).reshape(-1)
+    r = setting.white(linear.r).reshape(-1)
     G = _white(setting, linear.G)
     W = _white(setting, linear.W)
     norm = np.linalg.norm(W, axis=0)
@@ -254,8 +257,7 @@ class Descent:
         """Linearise there."""
         source = self.setting.source
         linear = source.linear(values, None, self.free)
-        white = np.einsum("vij,vj->vi", self.setting.whitener, np.nan_to_num(linear.r))
-        r = (white * self.setting.used[:, None]).reshape(-1)
+        r = self.setting.white(linear.r).reshape(-1)
         J = np.hstack([_white(self.setting, linear.G), _white(self.setting, linear.W)]) * self._sigma
         away = self._away(values)
         return Fitted(r, J, 0.5 * float(r @ r + away @ away))

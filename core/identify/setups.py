@@ -20,7 +20,7 @@ from core.errors import OptionError, TooFewPosesError
 from core.frames import FRAME_ANGLE_PRIOR_RAD, FRAME_LENGTH_PRIOR_M, increment
 from core.identify.estimate import estimate
 from core.identify.least_squares import Fit
-from core.identify.options import IdentifyOptions
+from core.identify.options import FRAME_NAMES, IdentifyOptions
 from core.identify.seeing import seen
 from core.identify.worse import PoseErrors
 from core.measurement import Measurement
@@ -35,7 +35,6 @@ from core.transforms import inverse, rotation_log
 Floats = NDArray[np.float64]
 Stages = Mapping[str, Calibration]
 
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 FEWEST_POSES = 4  # three fit any triangle: nothing would be left to see an error by
 ROUNDS = 3  # of registering base and tool in turn, for the start
 
@@ -57,7 +56,7 @@ class SetupFrames(Effect):
         return tuple(
             Parameter(f"setup_{code}_{name}", "rad" if name[0] == "r" else "m", 0.0, sigma)
             for code in self.codes[1:]
-            for name, sigma in zip(AXES, [FRAME_LENGTH_PRIOR_M] * 3 + [FRAME_ANGLE_PRIOR_RAD] * 3, strict=True)
+            for name, sigma in zip(FRAME_NAMES, [FRAME_LENGTH_PRIOR_M] * 3 + [FRAME_ANGLE_PRIOR_RAD] * 3, strict=True)
         )
 
     def local(self, batch: Batch, values: Floats) -> Local:
@@ -125,7 +124,7 @@ class Frames:
         values = dict(zip(calibration.names, calibration.values, strict=True))
         T = calibration.model.folded(calibration.values)[0].T_base
         for code, lay in list(self.lays.items())[1:]:
-            six = np.array([values[f"setup_{code}_{name}"] for name in AXES])
+            six = np.array([values[f"setup_{code}_{name}"] for name in FRAME_NAMES])
             out.append(_apart(code, "train", T, inverse(lay) @ T @ increment(six)))
         return out
 
