@@ -7,6 +7,7 @@ the noise estimate anew, and by flipping the signs of whole poses, whichever is 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,6 +28,7 @@ Bools = NDArray[np.bool_]
 CAUTION = 0.5
 STRICTER = 1e-3  # the most that sign flips may tighten the limit of the bootstrap
 FEWEST_FLIPS = 12  # poses below which sign flips cannot reach a 1 % level
+_NUMBERS = itertools.count()
 ALMOST_ALL = 0.999  # leverage beyond which a residual says nothing
 
 
@@ -71,6 +73,11 @@ class Scorer:
         return Scorer(tuple(candidates), tuple(blocks), absolute, freedom)
 
     @cached_property
+    def _number(self) -> int:
+        """A number no other scorer has, unlike an address, which is given again."""
+        return next(_NUMBERS)
+
+    @cached_property
     def empirical(self) -> Bools:
         """Candidates (K,) of the empirical tier."""
         return np.array([c.empirical for c in self.candidates], dtype=bool)
@@ -90,17 +97,17 @@ class Scorer:
 
     def _halves(self, gram: Gram) -> list[tuple[Floats, Ints]]:
         """Per block, roots (K, d, d) of the inverse of each candidate's own matrix, and its rank (K,)."""
-        key = ("halves", id(self))
-        if key not in gram.cache:
-            made = []
+
+        def made() -> list[tuple[Floats, Ints]]:
+            out = []
             for block in self.blocks:
-                w, V = np.linalg.eigh(gram.A[block.columns[:, :, None], block.columns[:, None, :]])
+                w, V = np.linalg.eigh(gram.blocks(block.columns))
                 keep = w > VISIBLE
                 root = np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)
-                made.append((V * root[:, None, :], keep.sum(axis=1)))
-            gram.cache[key] = made
-        found: list[tuple[Floats, Ints]] = gram.cache[key]
-        return found
+                out.append((V * root[:, None, :], keep.sum(axis=1)))
+            return out
+
+        return gram.kept(("halves", self._number), (), made)
 
     def scores(self, gram: Gram) -> Scores:
         """Scores of the data themselves."""
