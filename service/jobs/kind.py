@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 from service.versions.schemas import CorrectionLimits
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from core.model import Calibration
     from core.observations import Observations
     from core.robot import Robot
@@ -21,7 +24,8 @@ class JobInput:
     """All a kind needs, loaded from the database. ``validation`` is what the job names: rows, a fraction, folds.
 
     ``devices`` are those of all campaigns. ``version_id``, ``calibration`` and ``covariance`` are those of the version
-    the options name (``JobKind.version_option``).
+    the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint readings of all
+    the robot's campaigns, and ``origin``, the result of the job that made the version.
     """
 
     robot: Robot
@@ -32,6 +36,8 @@ class JobInput:
     calibration: Calibration | None = None
     covariance: dict[str, Any] | None = None
     devices: dict[str, str] = field(default_factory=dict)
+    driven: NDArray[np.float64] | None = None
+    origin: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,7 @@ class JobKind:
     least once a second. Both import core inside, for the API process lists the kinds without it. ``version_option``
     names the option that holds a version; ``needs_campaigns`` and ``takes_folds`` say what a request must and may have,
     ``instead_of_campaigns`` which options stand in for campaigns. ``long`` kinds have a queue of their own: whoever
-    identifies does not wait for somebody's hunt.
+    identifies does not wait for somebody's hunt. ``history`` kinds want to know where the arm was driven before.
     """
 
     name: str
@@ -72,3 +78,4 @@ class JobKind:
     takes_folds: bool = True
     instead_of_campaigns: tuple[str, ...] = ()
     long: bool = False
+    history: bool = False

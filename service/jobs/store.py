@@ -11,7 +11,7 @@ from sqlalchemy import select, update
 
 from service.campaigns import store as campaigns
 from service.db import Session
-from service.db.tables import JobRow, RobotRow, now
+from service.db.tables import JobRow, RobotRow, VersionRow, now
 from service.errors import ServiceError
 from service.jobs.kind import JobInput, VersionContent
 from service.jobs.registry import kind_of
@@ -142,7 +142,16 @@ def load(session: Session, job_id: str) -> JobInput:
         calibration=None if named is None else versions.calibration(session, named),
         covariance=None if named is None else versions.covariance(session, named),
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *_listed(validation))},
+        driven=campaigns.driven(session, row.robot_id, robot) if kind.history else None,
+        origin=_origin(session, named) if kind.history and named is not None else None,
     )
+
+
+def _origin(session: Session, version_id: str) -> dict[str, Any] | None:
+    """Result of the job that made a version."""
+    made = session.get(VersionRow, version_id)
+    job = None if made is None else session.get(JobRow, made.job_id)
+    return None if job is None else job.result
 
 
 def _listed(validation: object) -> list[str]:

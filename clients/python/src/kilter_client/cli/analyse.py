@@ -177,6 +177,19 @@ def plan(
     seed: Annotated[int | None, typer.Option(help="Seed of the choice.")] = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to plan with.")] = None,
     noise_mm: Annotated[float | None, typer.Option(help="Noise of a coordinate.")] = None,
+    floor_mm: Annotated[
+        float | None, typer.Option("--floor", metavar="MM", help="Height in the robot's base frame to stay above.")
+    ] = None,
+    box: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z,X,Y,Z", help="Lowest and highest corner (mm) of a box the tool stays in."),
+    ] = None,
+    anywhere: Annotated[
+        bool, typer.Option("--anywhere", help="Within the limits, also where the robot was never driven.")
+    ] = False,
+    payload_kg: Annotated[
+        str | None, typer.Option(metavar="KG,KG", help="Loads at hand, where an effect feels them.")
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the poses as CSV.", dir_okay=False)
     ] = None,
@@ -194,6 +207,10 @@ def plan(
         seed=seed,
         version=start,
         noise_mm=noise_mm,
+        floor_mm=floor_mm,
+        box_mm=_corners(box),
+        within="limits" if anywhere else None,
+        payloads_kg=None if payload_kg is None else arguments.numbers("--payload-kg", payload_kg),
     )
 
     def files(job: dict[str, Any]) -> None:
@@ -201,6 +218,16 @@ def plan(
             write_poses(output, (job.get("result") or {}).get("csv"), as_json)
 
     run_job("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files)
+
+
+def _corners(text: str | None) -> list[list[float]] | None:
+    """Understand --box."""
+    if text is None:
+        return None
+    given = arguments.numbers("--box", text)
+    if len(given) != 6:
+        raise UsageError(f"--box {text}: give six numbers, the lowest and the highest corner in mm.")
+    return [given[:3], given[3:]]
 
 
 def needs_result(no_wait: bool, **files: Path | None) -> None:

@@ -83,6 +83,19 @@ def three(name: str, text: str | None) -> list[float] | None:
     return [part for part in found if part is not None]
 
 
+def numbers(name: str, text: str) -> list[float]:
+    """Understand numbers given as ``a,b``.
+
+    Raises:
+        UsageError: something that is no number.
+
+    """
+    found = [_number(part) for part in text.split(",")]
+    if None in found:
+        raise UsageError(f"{name} {text}: give numbers with commas between them, for example 0,2.5.")
+    return [part for part in found if part is not None]
+
+
 def effects(texts: Iterable[str] | None) -> list[str | dict[str, Any]]:
     """Understand --effects: ids as ``a,b``, or a JSON document of one effect with its joints."""
     found: list[str | dict[str, Any]] = []
