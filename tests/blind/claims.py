@@ -58,8 +58,15 @@ def right(effect: Named, truth: Truth) -> bool:
     """Whether a claim holds: a confirmed name is a hidden one's, a confirmed class holds a hidden one.
 
     A family found joint by joint is right at each of its joints; a slow motion of base or instrument where they did
-    move; a wrong payload where it is wrong.
+    move; a wrong payload where it is wrong. Of joints that the data do not show nothing is claimed.
     """
+    shown = effect.get("seen_joints")
+    if shown and list(shown) != list(effect.get("joints") or ()):
+        return _right(effect, truth) or _right({**effect, "joints": list(shown)}, truth)
+    return _right(effect, truth)
+
+
+def _right(effect: Named, truth: Truth) -> bool:
     hidden = truth["effects"]
     if beside_the_point(effect, truth) or any(named(effect, h) or member(effect, h) for h in hidden):
         return True

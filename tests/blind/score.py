@@ -89,12 +89,17 @@ def _names(records: Sequence[Record]) -> list[Figure]:
 
 def _numbers(records: Sequence[Record], done: Sequence[Record]) -> list[Figure]:
     alone = [r for r in records if len(r["truth"]["effects"]) == 1 and r["truth"]["effects"][0]["lam"] >= STRONG]
-    predicted = [(int(k), int(n)) for r in done for k, n in (r["report"].get("predictive") or {}).get("poses", ())]
+    predicted = [(int(k), int(n)) for r in done for k, n in (_predictive(r) or {}).get("poses") or ()]
     return [
         share("95 % intervals of parameters that hold the truth", "94 – 96 % of 2000", intervals(records)),
         by_pose("95 % predictive intervals that hold held-out coordinates", "93 – 97 % of 2000", predicted),
         Figure("hold-out gap closure, pooled", "≥ 95 %", value=100.0 * closure(alone), unit=" %", n=len(alone)),
     ]
+
+
+def _predictive(r: Record) -> Mapping[str, Any] | None:
+    report = r["report"]
+    return report.get("predictive") or report["gap"].get("predictive")
 
 
 def _sets(records: Sequence[Record]) -> list[Figure]:
