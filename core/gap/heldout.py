@@ -198,6 +198,7 @@ def noise_document(setting: Setting) -> dict[str, Any]:
         f"re_approach_{unit}": None if noise.between is None else noise.between * scale,
         "covariance": (noise.row * np.outer(scales, scales)).tolist(),
         "correlated_samples": setting.inflation,
+        "drift": None if noise.drift is None else noise.drift.to_document(unit, scale),
     }  # fmt: skip
 
 

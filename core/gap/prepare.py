@@ -16,6 +16,7 @@ from core.gap.candidates import Library, library_of
 from core.gap.noise import FIT, Noise, fit_noise, repeat_noise, spikes, stated_noise
 from core.gap.options import GapOptions
 from core.gap.outliers import outliers
+from core.gap.remarks import clock_warnings, identical_repeats, noise_warnings
 from core.gap.source import LinkSource, Source, ToolSource
 from core.gap.trajectory import (
     FEWEST_ROWS,
@@ -82,6 +83,7 @@ class Workshop:
         """
         kept = self._without_copies()
         rows = self.rows.select(kept)
+        self.warnings += clock_warnings(rows)
         moving = is_trajectory(rows)
         self.tell(0.02, "fitting the geometry")
         windows = windows_of(rows)
@@ -100,6 +102,7 @@ class Workshop:
         source = _on(source, visits.observations)
         self.tell(0.3, "noise from repeats")
         noise = self._noise(source, values, rows, visits)
+        self.warnings += noise_warnings(noise, isinstance(source, LinkSource))
         setting = Setting(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
         world = self._enough(refit(setting, values, [], partial(self.tell, 0.45, "fitting the geometry again")))
         self.tell(0.6, "looking for outliers")
@@ -122,6 +125,20 @@ class Workshop:
             self._warn(
                 "copied_rows", f"{count} rows are exact copies of others and were left out: a copy is no repeat."
             )
+        return self._without_identical(kept)
+
+    def _without_identical(self, kept: Bools) -> Bools:
+        """The same for repeats that measured exactly what an earlier one did, at another time: no instrument does that."""
+        rows = self.rows.select(kept)
+        again = np.zeros(len(rows), dtype=bool) if is_trajectory(rows) else identical_repeats(rows)
+        if again.any():
+            self._warn(
+                "repeats_identical",
+                f"{int(again.sum())} repeats measured exactly what an earlier row of their pose did (first in row "
+                f"{int(np.flatnonzero(kept)[again][0]) + 1}) and were left out: without scatter they are copies, held "
+                "readings or simulated, and say nothing of noise. Measure the poses again.",
+            )
+            kept[np.flatnonzero(kept)[again]] = False
         return kept
 
     def _source(self, visits: Visits) -> tuple[Source, Floats, Library]:
@@ -191,7 +208,7 @@ class Workshop:
                     "no_re_approach",
                     "Repeats were taken without leaving the pose, so how well the arm comes back is not known: unless "
                     "what is left is as small as these repeats, every verdict is relative to the scatter of the fit. "
-                    "Approach ten poses anew three times each.",
+                    "Approach ten poses anew three times each, with another pose in between.",
                 )
                 # Markers of one tool are all off by what the model lacks; how they shake against each other says nothing of it.
                 return _weights(found, source) if size > POSE else found
@@ -201,7 +218,7 @@ class Workshop:
         self._warn(
             "no_repeats",
             "No pose was repeated often enough, so the noise is that of the fit itself: every verdict is relative to "
-            "it, and none can be more than provisional. Repeat ten poses three times, leaving them in between.",
+            "it, and none can be more than provisional. Repeat ten poses three times, with another pose in between.",
         )
         lost = min(0.9, len(source.prior_mean) / max(visit_residual.size, 1))
         return _weights(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost), source)

@@ -125,7 +125,10 @@ class _Run:
             smallest_detectable=smallest_rows(prepared.library, judged),
             next_poses=self._next_poses(found, effects), negative_control=control,
             alias_matrix=alias_matrix(world, candidates, found.chosen), noise=noise_document(found.world.setting),
-            warnings=(*prepared.warnings, *self._unsearched(), *self._large(found), *self._worse(found, held, kept)),
+            warnings=(
+                *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
+                *self._worse(found, held, kept),
+            ),
             figures=figures(found, rows, gap), library=prepared.library,
         )  # fmt: skip
 
