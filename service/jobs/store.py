@@ -60,6 +60,7 @@ def get(session: Session, job_id: str) -> Job:
         **_summary(session, row).model_dump(),
         campaigns=request.campaigns,
         validation=request.validation,
+        confirmation=request.confirmation,
         options=request.options,
         attempts=row.attempts,
         result=row.result,
@@ -144,6 +145,7 @@ def load(session: Session, job_id: str) -> JobInput:
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *_listed(validation))},
         driven=campaigns.driven(session, row.robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
+        confirmation={c: campaigns.observations(session, c, robot) for c in request.confirmation},
     )
 
 
@@ -203,8 +205,10 @@ def _finish(row: JobRow, state: str, stage: str, fraction: float) -> None:
 def used_by(session: Session, job_id: str) -> list[dict[str, Any]]:
     """Return the campaigns a job uses, with the hashes of what was uploaded so far."""
     request = NewJob(**row_of(session, job_id).request)
-    held = request.validation if isinstance(request.validation, list) else []
-    return [_used(session, c, "train") for c in request.campaigns] + [_used(session, c, "validation") for c in held]
+    named = {
+        "train": request.campaigns, "validation": _listed(request.validation), "confirmation": request.confirmation,
+    }  # fmt: skip
+    return [_used(session, campaign, use) for use, campaigns_ in named.items() for campaign in campaigns_]
 
 
 def _version(row: JobRow, content: VersionContent, used: list[dict[str, Any]]) -> NewVersion:

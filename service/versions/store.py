@@ -59,17 +59,22 @@ class ActiveVersion:
     max_position: float
 
 
+HELD_OUT = "held_out_fraction"  # what a job held out by itself, in the report of its version
+
+
 @dataclass(frozen=True)
 class Training:
     """What a version was fitted to: campaigns with the hashes of their uploads, in the order of the fit.
 
-    ``fraction`` of the poses was held out by a job of ``kind`` with ``seed``; None when all were fitted.
+    ``fraction`` of the poses was held out by a job of ``kind`` with ``seed``; None when all were fitted. ``unasked`` says
+    that the job held them out by its own rule.
     """
 
     kind: str
     campaigns: tuple[tuple[str, tuple[str, ...]], ...]
     fraction: float | None
     seed: int
+    unasked: bool = False
 
 
 def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
@@ -237,8 +242,10 @@ def trainings(session: Session, version_id: str) -> list[Training]:
         request = session.get_one(JobRow, following.job_id)
         held, options = request.request.get("validation"), request.request.get("options", {})
         used = [(c["id"], tuple(c["sha256"])) for c in following.campaigns if c["use"] == "train"]
-        fraction = held if isinstance(held, float) else None
-        found.append(Training(request.kind, tuple(dict.fromkeys(used)), fraction, int(options.get("seed", 0))))
+        asked = held if isinstance(held, float) and held > 0.0 else None
+        unasked = following.report.get(HELD_OUT) if held is None else None
+        campaigns, seed = tuple(dict.fromkeys(used)), int(options.get("seed", 0))
+        found.append(Training(request.kind, campaigns, asked or unasked, seed, unasked is not None))
         following = None if following.parent_id is None else session.get(VersionRow, following.parent_id)
     return found
 

@@ -134,19 +134,21 @@ class _Trained:
             ]
             whole = Observations.concatenate(campaigns.numbered(parts))
             inside = np.zeros(len(whole), dtype=bool)
-            inside[_draw(training.kind, whole, fraction, training.seed)] = True
+            inside[_draw(training, whole, fraction)] = True
         except (CoreError, KeyError):
             return None
         ends = np.cumsum([len(part) for part in parts])[:-1]
         return dict(zip((c for c, _ in training.campaigns), np.split(inside, ends), strict=True))
 
 
-def _draw(kind: str, rows: Observations, fraction: float, seed: int) -> Ints:
-    """Indices of the rows that a job of this kind fits when a fraction is held out."""
-    from core.gap.trajectory import hold_out
+def _draw(training: Training, rows: Observations, fraction: float) -> Ints:
+    """Indices of the rows that a job fits when a fraction is held out."""
+    from core.gap.holding import held_out
     from core.identify.holdout import split
 
-    return {"identify": split, "gap": hold_out}[kind](rows, fraction, seed)[0]
+    if training.kind == "gap":
+        return held_out(rows, None if training.unasked else fraction, training.seed)[0]
+    return split(rows, fraction, training.seed)[0]
 
 
 def _free(rows: Observations, trained: Bools, poses: Ints) -> Bools:

@@ -98,7 +98,7 @@ def test_each_held_out_motion_has_encoder_offsets_of_its_own():
 
 def test_the_error_of_joints_is_per_joint():
     robot, rows = motion(7, 1e-4)
-    report = find_gap(robot, rows, QUICK)
+    report = find_gap(robot, rows, QUICK, validation=0)
     raw = rows.link_q - rows.q
     assert report.gap["before_deg"] == pytest.approx(np.degrees(np.sqrt(np.mean(np.var(raw, axis=0)))), rel=0.01)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,7 +10,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import arguments
-from kilter_client.cli.arguments import CampaignIds, Json, MoreOptions, NoWait, Robot, ValidationText
+from kilter_client.cli.arguments import CampaignIds, ConfirmationIds, Json, MoreOptions, NoWait, Robot, ValidationText
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.results import show_job
@@ -99,6 +99,7 @@ def gap(
     robot: Robot,
     campaign: CampaignIds = None,
     validation: ValidationText = None,
+    confirmation: ConfirmationIds = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to start from.")] = None,
     alpha: Annotated[float | None, typer.Option(help="Chance of any false name; the server's default is 0.01.")] = None,
     effects: Annotated[
@@ -147,7 +148,8 @@ def gap(
         if figures is not None:
             _write_figures(figures, result.get("figures") or {}, as_json)
 
-    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files)
+    again = arguments.split_names(confirmation)
+    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files, confirmation=again)
 
 
 def evaluate(
@@ -264,6 +266,7 @@ def run_job(
     as_json: bool,
     needs_campaign: bool = True,
     files: Callable[[dict[str, Any]], None] | None = None,
+    confirmation: Sequence[str] = (),
 ) -> None:
     """Submit a job, follow it, and print it."""
     ids = arguments.split_names(campaign)
@@ -271,7 +274,7 @@ def run_job(
         raise UsageError(f"Name at least one --campaign ID: `kilter campaigns {robot}` lists them.")
     held_out = arguments.validation(validation)
     with Kilter() as kilter:
-        job = kilter.jobs.submit(kind, robot, ids, held_out, options)
+        job = kilter.jobs.submit(kind, robot, ids, held_out, options, confirmation)
         if not no_wait:
             note(f"job {job['id']}", as_json)
             with job_bar(kind, as_json) as progress:
