@@ -63,13 +63,18 @@ class ActiveVersion:
 class Training:
     """What a version was fitted to: campaigns with the hashes of their uploads, in the order of the fit.
 
-    ``fraction`` of the poses was held out by a job of ``kind`` with ``seed``; None when all were fitted.
+    ``fraction`` of the poses was held out by a job of ``kind`` with ``seed``; None when all were fitted. ``rounded``:
+    poses were told by rounded readings then.
     """
 
     kind: str
     campaigns: tuple[tuple[str, tuple[str, ...]], ...]
     fraction: float | None
     seed: int
+    rounded: bool = False
+
+
+POSES, BY_DISTANCE = "poses", "by distance"  # versions without it were split by rounded readings
 
 
 def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
@@ -85,7 +90,7 @@ def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
             job_id=job_id,
             sha256=_digest({"calibration": new.calibration, "limits": new.limits}),
             calibration=new.calibration,
-            report=new.report,
+            report={**new.report, POSES: BY_DISTANCE},
             covariance=new.covariance,
             campaigns=new.campaigns,
             limits=new.limits,
@@ -238,7 +243,8 @@ def trainings(session: Session, version_id: str) -> list[Training]:
         held, options = request.request.get("validation"), request.request.get("options", {})
         used = [(c["id"], tuple(c["sha256"])) for c in following.campaigns if c["use"] == "train"]
         fraction = held if isinstance(held, float) else None
-        found.append(Training(request.kind, tuple(dict.fromkeys(used)), fraction, int(options.get("seed", 0))))
+        rounded = POSES not in following.report
+        found.append(Training(request.kind, tuple(dict.fromkeys(used)), fraction, int(options.get("seed", 0)), rounded))
         following = None if following.parent_id is None else session.get(VersionRow, following.parent_id)
     return found
 
