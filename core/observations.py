@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import ObservationError
-from core.poses import numbered_poses
+from core.poses import numbered_poses, numbered_rows
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -105,6 +105,23 @@ class Observations:
         if self.pose_id is not None:
             return np.unique(self.pose_id, return_inverse=True)[1].astype(np.int64)
         return numbered_poses(self.q)
+
+    def conditions(self) -> Ints:
+        """Number what repeats must share beside the pose, shape (N,): pose, approach, payload and session together."""
+        columns = [self.pose_groups().astype(np.float64)[:, None]]
+        columns += [c.reshape(len(c), -1).astype(np.float64) for c in (self.direction, self.payload_kg, self.session,
+                                                                       self.setup) if c is not None]  # fmt: skip
+        return numbered_rows(np.unique(np.hstack(columns), return_inverse=True)[1].reshape(len(self), -1))
+
+    def visits(self) -> Ints:
+        """Number the visits, shape (N,): rows of one pose that follow each other under the same conditions are one.
+
+        No clock parts them: without motion between them shots share how the arm settled, however long they took.
+        """
+        condition = self.conditions()
+        new = np.ones(len(self), dtype=bool)
+        new[1:] = condition[1:] != condition[:-1]
+        return np.asarray(np.cumsum(new) - 1)
 
     def _present(self) -> dict[str, NDArray[Any]]:
         return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
