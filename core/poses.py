@@ -9,8 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from core.kernels import neighbours
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -75,6 +73,8 @@ def last_motion(q: Floats) -> Floats:
 
 def _linked(q: Floats) -> Ints:
     """Components (N,) of the rows linked to their neighbours; rows of one cell of a grid are linked without a search."""
+    from core.kernels import neighbours  # compiled: not at the start of the API process
+
     cell = _hashed(np.floor(q / NEAR).astype(np.int64))
     count = np.bincount(cell)
     middle = np.stack([np.bincount(cell, weights=column) for column in q.T], axis=1) / count[:, None]

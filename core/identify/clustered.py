@@ -91,7 +91,7 @@ def _shared(A: Floats, r: Floats, groups: Ints, lost: float) -> Floats:
     own = apart.T @ apart / max(len(r) - len(count), 1)
     common = lost * mean.T @ mean / len(count)
     if len(r) > len(count):
-        common = _positive(common - own * float(np.mean(1.0 / count)))
+        common = _bounded(common - own * float(np.mean(1.0 / count)), own, int(count.max()))
     order = np.argsort(groups, kind="stable")
     whole = np.add.reduceat(A[order], np.searchsorted(groups[order], np.arange(len(count))))
     return np.asarray(
@@ -131,9 +131,17 @@ def _mixed(shared: Floats, scores: Floats, unseen: Floats) -> Floats:
     return np.asarray(back @ (share * np.eye(len(seen)) + (1.0 - share) * seen) @ back.T)
 
 
-def _positive(matrix: Floats) -> Floats:
-    w, V = np.linalg.eigh(matrix)
-    return np.asarray((V * np.maximum(w, 0.0)) @ V.T)
+def _bounded(common: Floats, own: Floats, most: int) -> Floats:
+    """What rows share, as estimated; where chance makes it negative, no further than the mean of ``most`` rows allows.
+
+    Cut off at zero it would be too large on average.
+    """
+    w, V = np.linalg.eigh(own)
+    root = V * np.sqrt(np.maximum(w, SMALL * max(float(w[-1]), SMALL)))
+    relative = np.linalg.solve(root, np.linalg.solve(root, common).T)
+    size, turn = np.linalg.eigh(0.5 * (relative + relative.T))
+    sides = root @ turn
+    return np.asarray((sides * np.maximum(size, -0.9 / most)) @ sides.T)
 
 
 def _batches(A: Floats, r: Floats, groups: Ints) -> Iterator[tuple[Floats, Floats]]:

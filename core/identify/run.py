@@ -23,6 +23,7 @@ from core.identify.methods import fit_by_method
 from core.identify.noise import Repeats
 from core.identify.options import IdentifyOptions
 from core.identify.plausibility import refuse_foreign
+from core.identify.predictive import Predictive, left_of, predictive
 from core.identify.reference import named, refuse_contradicted, registered, wanted_frames
 from core.identify.report import null_rows, parameter_rows, warnings_of
 from core.identify.seeing import seen
@@ -50,6 +51,7 @@ class Identification:
     noise_m: float
     noise_source: str
     repeats: Repeats
+    predictive: Predictive
     null_directions: tuple[NullDirection, ...]
     warnings: tuple[dict[str, Any], ...]
     method: str = "least_squares"
@@ -76,7 +78,11 @@ class Identification:
             "metrics": self.metrics,
             "noise_mm": self.noise_m * 1e3,
             "noise_source": self.noise_source,
-            "noise": {"residuals_mm": left_over(self.fit) * 1e3, **self.repeats.to_document()},
+            "noise": {
+                "residuals_mm": left_of(self.fit) * 1e3,
+                "inadequacy_mm": self.predictive.inadequacy * 1e3,
+                **self.repeats.to_document(),
+            },
             "warnings": list(self.warnings),
             "iterations": self.fit.iterations,
             "method": {"name": self.method, **self.fit.report},
@@ -170,9 +176,10 @@ def _reported(
         calibration=calibration,
         fit=fit,
         metrics=metrics,
-        noise_m=left_over(fit) if sigma is None else sigma,
+        noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
         noise_source="residuals of the fit" if sigma is None else "repeats",
         repeats=repeats,
+        predictive=predictive(fit, repeats, None if options.noise_mm is None else options.noise_mm * 1e-3),
         null_directions=null_directions(fit.J, fit.names, fit.problem.prior_sigma),
         warnings=(*warnings_of(fit, train, repeats), *(() if learned is None else (learned.warning(),))),
         method=options.method,
@@ -192,11 +199,6 @@ def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, tell: Progress) -
         found = bootstrap(plain, options.seed, tell)
     arm = of_the_arm(fit)
     return replace(found, lower=found.lower[arm], upper=found.upper[arm], stands_in=found.stands_in[arm])
-
-
-def left_over(fit: Fit) -> float:
-    """Standard deviation (m) of a coordinate about the fit, wrong rows left out where the loss knows them."""
-    return float(np.mean(fit.problem.weights.points))
 
 
 def _together(fit: Fit) -> dict[str, Any]:

@@ -20,8 +20,8 @@ Progress = Callable[[float, str], None]
 class JobInput:
     """All a kind needs, loaded from the database. ``validation`` is what the job names: rows, a fraction, folds.
 
-    ``devices`` are those of all campaigns. ``version_id``, ``calibration`` and ``covariance`` are those of the version
-    the options name (``JobKind.version_option``).
+    ``devices`` are those of all campaigns. ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
+    the version the options name (``JobKind.version_option``).
     """
 
     robot: Robot
@@ -31,6 +31,7 @@ class JobInput:
     version_id: str | None = None
     calibration: Calibration | None = None
     covariance: dict[str, Any] | None = None
+    report: dict[str, Any] | None = None
     devices: dict[str, str] = field(default_factory=dict)
 
 

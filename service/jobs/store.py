@@ -141,6 +141,7 @@ def load(session: Session, job_id: str) -> JobInput:
         version_id=named,
         calibration=None if named is None else versions.calibration(session, named),
         covariance=None if named is None else versions.covariance(session, named),
+        report=None if named is None else dict(versions.row_of(session, named).report),
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *_listed(validation))},
     )
 

@@ -26,6 +26,7 @@ from service.versions.schemas import (
 )
 
 if TYPE_CHECKING:
+    from core.identify.predictive import Predictive
     from core.model import Calibration
 
 
@@ -157,6 +158,14 @@ def calibration(session: Session, version_id: str) -> Calibration:
 def covariance(session: Session, version_id: str) -> dict[str, Any]:
     """Return what a version knows about its parameters: {names, matrix, units}, empty when it was not identified."""
     return dict(row_of(session, version_id).covariance)
+
+
+def known(session: Session, version_id: str) -> Predictive | None:
+    """Return how far a version says the arm may be from it; None when it has no covariance."""
+    from core.identify.predictive import Predictive
+
+    row = row_of(session, version_id)
+    return Predictive.from_document(row.covariance, row.report)
 
 
 def active_stamp(session: Session) -> int:
