@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from core.errors import ObservationError
 from core.identifiability import NullDirection, null_directions
+from core.identify.clustered import clustered
 from core.identify.holdout import Folds, fold_splits, split
 from core.identify.influence import influence_of
 from core.identify.intervals import Intervals, bootstrap, profile
@@ -19,9 +20,10 @@ from core.identify.learned import Learned, gated
 from core.identify.least_squares import Fit
 from core.identify.marker_turns import refuse_feigned_turns
 from core.identify.methods import fit_by_method
-from core.identify.noise import repeat_sigma
+from core.identify.noise import Repeats
 from core.identify.options import IdentifyOptions
 from core.identify.plausibility import refuse_foreign
+from core.identify.predictive import Predictive, left_of, predictive
 from core.identify.reference import named, refuse_contradicted, registered, wanted_frames
 from core.identify.report import null_rows, parameter_rows, warnings_of
 from core.identify.seeing import seen
@@ -48,6 +50,8 @@ class Identification:
     metrics: dict[str, Any]
     noise_m: float
     noise_source: str
+    repeats: Repeats
+    predictive: Predictive
     null_directions: tuple[NullDirection, ...]
     warnings: tuple[dict[str, Any], ...]
     method: str = "least_squares"
@@ -74,6 +78,11 @@ class Identification:
             "metrics": self.metrics,
             "noise_mm": self.noise_m * 1e3,
             "noise_source": self.noise_source,
+            "noise": {
+                "residuals_mm": left_of(self.fit) * 1e3,
+                "inadequacy_mm": self.predictive.inadequacy * 1e3,
+                **self.repeats.to_document(),
+            },
             "warnings": list(self.warnings),
             "iterations": self.fit.iterations,
             "method": {"name": self.method, **self.fit.report},
@@ -158,8 +167,10 @@ def _reported(
     learned: Learned | None = None,
 ) -> Identification:
     """What was found, with all that is said about it."""
-    sigma = repeat_sigma(train)
-    intervals = _intervals(fit, options, tell)
+    repeats = Repeats.of(train, fit.residual)
+    sigma = repeats.between
+    plain, fit = fit, clustered(fit)
+    intervals = _intervals(plain, fit, options, tell)
     fit = marginal(fit)
     return Identification(
         calibration=calibration,
@@ -167,8 +178,10 @@ def _reported(
         metrics=metrics,
         noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
         noise_source="residuals of the fit" if sigma is None else "repeats",
+        repeats=repeats,
+        predictive=predictive(fit, repeats, None if options.noise_mm is None else options.noise_mm * 1e-3),
         null_directions=null_directions(fit.J, fit.names, fit.problem.prior_sigma),
-        warnings=(*warnings_of(fit, train, sigma), *(() if learned is None else (learned.warning(),))),
+        warnings=(*warnings_of(fit, train, repeats), *(() if learned is None else (learned.warning(),))),
         method=options.method,
         influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
         intervals=intervals,
@@ -176,10 +189,14 @@ def _reported(
     )
 
 
-def _intervals(fit: Fit, options: IdentifyOptions, tell: Progress) -> Intervals | None:
+def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, tell: Progress) -> Intervals | None:
+    """Intervals of a fit; a profile, whose likelihood takes rows as independent, is widened to what the poses show."""
     if options.intervals is None:
         return None
-    found = profile(fit, tell) if options.intervals == "profile" else bootstrap(fit, options.seed, tell)
+    if options.intervals == "profile":
+        found = profile(plain, tell).widened(fit.sigma / plain.sigma)
+    else:
+        found = bootstrap(plain, options.seed, tell)
     arm = of_the_arm(fit)
     return replace(found, lower=found.lower[arm], upper=found.upper[arm], stands_in=found.stands_in[arm])
 

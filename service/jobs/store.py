@@ -142,6 +142,7 @@ def load(session: Session, job_id: str) -> JobInput:
         version_id=named,
         calibration=None if named is None else versions.calibration(session, named),
         covariance=None if named is None else versions.covariance(session, named),
+        report=None if named is None else dict(versions.row_of(session, named).report),
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *_listed(validation))},
         driven=campaigns.driven(session, row.robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,

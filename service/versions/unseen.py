@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from core.robot import Robot
 
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 MOST_ROWS = 1_000_000  # read of campaigns nobody trained on, the newest first: some seconds
@@ -115,17 +116,16 @@ class _Trained:
         whole = self.archive.named(campaign_id, self.hashes)
         return whole | self.rows.get(campaign_id, np.zeros(len(whole), dtype=bool))
 
-    def poses(self) -> Ints:
-        """Joint readings (N, n) of all rows that were fitted."""
-        from core.observations import readings
-
+    def poses(self) -> Floats:
+        """Joints (N, n) of all rows that were fitted."""
         parts = [(self.archive.rows(campaign_id), mask) for campaign_id, mask in self.rows.items()]
-        fitted = [readings(rows.q[mask]) for rows, mask in parts if rows is not None]
-        return np.concatenate([np.zeros((0, self.archive.robot.n_joints), dtype=np.int64), *fitted])
+        fitted = [rows.q[mask] for rows, mask in parts if rows is not None]
+        return np.concatenate([np.zeros((0, self.archive.robot.n_joints)), *fitted])
 
     def _split(self, training: Training, fraction: float) -> dict[str, Bools] | None:
         """Rows fitted of each campaign's named uploads, as the job drew them; None when that cannot be told any more."""
         from core.observations import Observations
+        from core.poses import rounded_poses
 
         try:
             parts = [
@@ -133,6 +133,8 @@ class _Trained:
                 for c, hashes in training.campaigns
             ]
             whole = Observations.concatenate(campaigns.numbered(parts))
+            if training.rounded and whole.pose_id is None:
+                whole = replace(whole, pose_id=rounded_poses(whole.q))
             inside = np.zeros(len(whole), dtype=bool)
             inside[_draw(training, whole, fraction)] = True
         except (CoreError, KeyError):
@@ -151,11 +153,11 @@ def _draw(training: Training, rows: Observations, fraction: float) -> Ints:
     return split(rows, fraction, training.seed)[0]
 
 
-def _free(rows: Observations, trained: Bools, poses: Ints) -> Bools:
+def _free(rows: Observations, trained: Bools, poses: Floats) -> Bools:
     """Rows whose whole pose is neither fitted nor at the joint readings of a pose that was."""
-    from core.observations import numbered_rows, readings
+    from core.poses import numbered_poses
 
-    numbers = numbered_rows(np.concatenate([poses, readings(rows.q)]))
+    numbers = numbered_poses(np.concatenate([poses, rows.q]))
     seen = trained | np.isin(numbers[len(poses) :], numbers[: len(poses)])
     groups = numbers[len(poses) :] if rows.pose_id is None else rows.pose_groups()
     return np.asarray(~np.isin(groups, np.unique(groups[seen])))

@@ -51,7 +51,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     report["base_refitted"] = setups.named(report["base_refitted"])
     warning = setups.warning(report["base_refitted"])
     report["warnings"] += [*([] if warning is None else [warning]), *remarks]
-    covariance = {"names": list(found.free_names), "matrix": found.covariance.tolist(), "units": "SI"}
+    covariance = found.predictive.to_document()
     content = VersionContent(
         found.calibration.to_document(), report, covariance, version_limits(job.options.get(LIMITS))
     )

@@ -59,7 +59,10 @@ def identify(
         Literal["base", "none"] | None,
         typer.Option(help="A base to every campaign and session, or one to all; by default a sheet has its own."),
     ] = None,
-    loss: Annotated[Literal["linear", "huber"] | None, typer.Option(help="huber forgives outliers.")] = None,
+    loss: Annotated[
+        Literal["linear", "huber", "tukey"] | None,
+        typer.Option(help="huber forgives outliers, tukey lets them go."),
+    ] = None,
     reference: Reference = None,
     intervals: Annotated[
         Literal["bootstrap", "profile"] | None, typer.Option(help="95 % intervals that do not rest on the sigmas.")
