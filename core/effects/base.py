@@ -18,7 +18,9 @@ from core.robot import Robot
 Floats = NDArray[np.float64]
 
 PRISMATIC_LEVER_M = 0.1  # what the prior of a radian becomes at a prismatic joint
-_PRISMATIC_UNITS = {"rad": "m", "rad/(N m)": "m/N"}
+_PRISMATIC_UNITS = {
+    "rad": "m", "rad/(N m)": "m/N", "rad/(N m)2": "m/N2", "rad/s": "m/s", "rad/K": "m/K",
+}  # fmt: skip
 _COLUMNS = {
     "direction": "dir1 ... dirn",
     "qd": "qd1_deg_s ... qdn_deg_s",
