@@ -136,7 +136,8 @@ class Effect(ABC):
     The class says what a search for missing effects must know: ``needs`` (columns), ``stage``, ``signs`` ("positive"
     when physics fixes the sign of the parameters), ``aliases`` (ids whose signatures come nearest), ``remedy`` (what
     to measure so that it can be tested or told apart), ``empirical`` (a shape without a cause), ``at_joints`` (whether
-    ``joints`` choose where it acts), and ``learned`` (never searched; kept only if it predicts held-out poses better).
+    ``joints`` choose where it acts), ``learned`` (never searched; kept only if it predicts held-out poses better), and
+    ``supple`` (imitates many others, so that holding their shape says nothing).
     """
 
     id: ClassVar[str]
@@ -152,6 +153,7 @@ class Effect(ABC):
     empirical: ClassVar[bool] = False
     at_joints: ClassVar[bool] = True
     learned: ClassVar[bool] = False
+    supple: ClassVar[bool] = False
     counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents
 
     joints: tuple[int, ...] | None = None

@@ -35,6 +35,7 @@ class RandomWalk(Effect):
     aliases = ("drift", "settling", "session_shift")
     remedy = "revisit a reference pose between the others, and visit those in random order"
     at_joints = False
+    supple = True
 
     knots_s: tuple[float, ...] = ()
 

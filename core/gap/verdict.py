@@ -47,7 +47,7 @@ class Judged:
 
 def judge(hunt: Hunt, evidence: Evidence, adequate: bool | None, library: Library) -> Judged:
     """Pass one candidate through the gates: confirmed, class_confirmed, or provisional."""
-    rivals = tuple(a for a in evidence.aliases if not a.candidate.empirical)
+    rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
     gates = {
         "physical": not evidence.candidate.empirical,
         "adequate": bool(adequate),
@@ -83,7 +83,8 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy) -> st
     )
     said = {
         "no_gap": "Nothing in the library stands out of the noise.",
-        "closed": f"{names}: with this the model agrees with the measurements within their noise.",
+        "closed": f"{names}: confirmed among the causes of the library. With this the model agrees with the measurements "
+        "within their noise.",
         "provisional": f"{names}: likely, but not every test was passed.",
         "unexplained": "Something is left that no known effect explains."
         + (f" In part it looks like {names}." if names else ""),
