@@ -82,6 +82,7 @@ def effect_row(judged: Judged, library: Library, misfit: Misfit) -> dict[str, An
         **evidence.candidate.named(),
         "verdict": judged.verdict,
         "empirical": evidence.candidate.empirical,
+        "class": next((a.member for a in judged.alias_set if a.member), None),
         "alias_set": [alias_row(a) for a in judged.alias_set],
         "parameters": [
             amplitude_row(library, a.column, a.value, a.sigma, (a.low, a.high)) | {"seen": a.seen}

@@ -267,7 +267,7 @@ class _Run:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
         if not effects:
             return []
-        open_ = [(j, [a for a in j.alias_set if a.correlation < SAME]) for j in effects]
+        open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member]) for j in effects]
         asked = next(((j, a) for j, a in open_ if a), None)
         if asked is None:
             weak = [j for j in effects if j.verdict == "provisional"]

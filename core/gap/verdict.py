@@ -55,7 +55,7 @@ class Judged:
 
 def judge(hunt: Hunt, evidence: Evidence, fit: Adequacy, misfit: Misfit, library: Library) -> Judged:
     """Pass one candidate through the gates: replicated, confirmed, class_confirmed, or provisional."""
-    rivals = tuple(a for a in evidence.aliases if not a.candidate.empirical)
+    rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
     numbers = _numbers(hunt, evidence, fit, library, bool(rivals))
     told = evidence.replication
     gates = {
@@ -136,8 +136,8 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
     left = "within their noise" if not misfit.too_small else "but for a difference too small to matter"
     said = {
         "no_gap": "Nothing in the library stands out of the noise.",
-        "closed": f"{names}: with this the model agrees with the measurements {left}. "
-        + "This holds among the causes of the library.",
+        "closed": f"{names}: confirmed among the causes of the library. With this the model agrees with the measurements "
+        f"{left}.",
         "provisional": f"{names}: likely, but not every test was passed.",
         "unexplained": "Something is left that no known effect explains."
         + (f" In part it looks like {names}." if names else ""),

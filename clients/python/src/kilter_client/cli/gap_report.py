@@ -65,6 +65,8 @@ def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
     head_row = ("effect", "joints", "verdict", f"gain {unit}", "p", "or one of", "parameter", "amplitude", "interval")
     show_rows(head_row, rows, title="What is missing")
     for effect in effects:
+        if effect.get("class"):
+            say(f"  {_name(effect)} stands for its class: {effect['class']}")
         failed = [name for name, passed in (effect.get("gates") or {}).items() if not passed]
         if failed:
             say(f"  {_name(effect)} is not more than {effect['verdict']}: not passed {', '.join(failed)}")
