@@ -8,30 +8,33 @@ import numpy as np
 import pytest
 
 from core.gap import GapOptions, plan_separation
-from core.gap.next_poses import Proposal, _Question
+from core.gap.next_poses import _Question
 from core.gap.plan import _found
 from core.gap.prepare import Workshop
 from core.model import Calibration
 from core.observations import Observations
+from core.robots import robot_from_document
 from tests.blind.generator import Options, tracker
 from tests.blind.generator.arm import Arm, Deflection, built
 from tests.blind.generator.arms import ARMS
-from tests.blind.generator.campaign import Campaign, Truth, _columns
-from tests.blind.generator.cases import Case
-from tests.blind.generator.physics import LIBRARY
-from tests.blind.generator.visits import Visits, plan
-from tests.blind.to_core import observations_of, robot_of
 
 COMPLIANCE = 2e-6  # rad / N m
-OPTIONS = Options(payload="one", revisited=0.3)
+POSES, REPEATS = 30, 3
+READINGS = Options(repeats=REPEATS)
 STATED = GapOptions(noise_mm=0.015)
 
 
-def measured(arm: Arm, visits: Visits, rng: np.random.Generator) -> Observations:
-    d = Deflection.none(len(visits), arm.n)
-    LIBRARY["axial_compliance"](arm, visits, (1,)).act(np.array([COMPLIANCE]), d)
-    readings, _ = tracker.read(arm.positions(visits.q, d), OPTIONS, rng)
-    return observations_of(_columns(visits, readings)[0])
+def measured(arm: Arm, q: np.ndarray, payload: np.ndarray, first: int, rng: np.random.Generator) -> Observations:
+    """Three readings at each pose of an arm whose second joint gives way to its load."""
+    d = Deflection.none(len(q), arm.n)
+    d.dq[:, 1] = COMPLIANCE * arm.load(q, payload).moment[:, 1, 2]
+    readings, _ = tracker.read(arm.positions(q, d), READINGS, rng)
+    count = len(q) * REPEATS
+    return Observations(
+        q=np.repeat(q, REPEATS, axis=0), position=readings.reshape(-1, 3), payload_kg=np.repeat(payload, REPEATS),
+        t=30.0 * first + 10.0 * np.arange(count), pose_id=np.repeat(first + np.arange(len(q)), REPEATS),
+        temperature_c=np.full(count, 21.0), direction=np.ones((count, arm.n)),
+    )  # fmt: skip
 
 
 def information(start: Calibration, rows: Observations, amount: float) -> float:
@@ -49,31 +52,16 @@ def test_the_information_promised_is_the_information_got(kind: str) -> None:
     rng = np.random.default_rng(7)
     drawn = ARMS["elbow"]()
     arm = built(drawn, rng)
-    visits = plan(arm, 30, OPTIONS, rng)
-    rows = measured(arm, visits, rng)
-    case = Case("promise", "elbow", (), (), 60, OPTIONS, "named", 7)
-    robot = robot_of(Campaign(case, drawn.document(drawn.mass), {}, Truth((), "", (), False, 0.0, ())))
+    q = rng.uniform(*np.array(drawn.limits).T, (POSES, arm.n))
+    rows = measured(arm, q, np.full(POSES, 5.0), 0, rng)
+    robot = robot_from_document(drawn.document(drawn.mass))
     start = Calibration.nominal(robot)
     made = plan_separation(robot, rows, ("axial_compliance", (1,)), ("link_bending", (1,)), count=16, options=STATED)
     proposal = next(p for p in made.proposals if p.kind == kind)
-    both = Observations.concatenate([rows, later(arm, proposal, rows, rng)])
+    assert proposal.rows.payload_kg is not None
+    new = measured(arm, proposal.rows.q, proposal.rows.payload_kg, POSES, rng)
+    both = Observations.concatenate([rows, new])
     before, after = information(start, rows, 1e-6), information(start, both, 1e-6)
     promised = proposal.after[-1] / proposal.before
     assert promised > 1.2
     assert promised - 1.0 == pytest.approx(after / before - 1.0, rel=0.25)
-
-
-def later(arm: Arm, proposal: Proposal, rows: Observations, rng: np.random.Generator) -> Observations:
-    p = proposal.rows
-    n = len(p)
-    assert rows.t is not None
-    assert rows.pose_id is not None
-    assert p.payload_kg is not None
-    side = rng.choice([-1.0, 1.0], p.q.shape)
-    visits = Visits(
-        p.q, side, p.payload_kg, np.full(n, 21.0), rows.t.max() + 30.0 * np.arange(1, n + 1),
-        np.zeros(n, dtype=np.int64), np.arange(n), arm.load(p.q, p.payload_kg),
-    )  # fmt: skip
-    new = measured(arm, visits, rng)
-    assert new.pose_id is not None
-    return replace(new, pose_id=new.pose_id + rows.pose_id.max() + 1)
