@@ -19,8 +19,8 @@ from tests.blind.score import Record
 
 EFFECTS = ("clearance_tilt", "backlash_load")
 ROUNDS = 3  # pairs of each effect and arm
-POSES = 80
-LAM = 300.0
+POSES = 118
+LAMS = (6000.0, 1500.0, 300.0)  # by round: the larger the effect, the more a sign that is wrong stands out
 RIGHT, WRONG = "right", "wrong"
 HEAD = "| masses | cases | named exactly | closed | extra wrong names | unknown shapes | confirmed but wrong |"
 
@@ -37,7 +37,9 @@ def pairs(seed: int = 0, rounds: int = ROUNDS, mass_error: float = 0.1, com_erro
                 turned = joints[n % len(joints) :] + joints[: n % len(joints)]
                 sets = tuple((Hidden(effect, (j,)),) for j in turned)
                 number = 1000 * seed + 100 * n + 10 * EFFECTS.index(effect) + a
-                case = Case("", robot, sets[0], (LAM,), POSES, Options(), "named", number, (), True, sets[1:])
+                case = Case(
+                    "", robot, sets[0], (LAMS[n % len(LAMS)],), POSES, Options(), "named", number, (), True, sets[1:]
+                )
                 off = Options(mass_error=mass_error, com_error_mm=com_error_mm)
                 name = f"{n}-{effect}-{robot}"
                 yield replace(case, name=f"{RIGHT}-{name}")

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,29 +27,41 @@ KEPT = (
     "load_model", "warnings",
 )  # fmt: skip
 PROCESSES = 2
+LIMIT_S = 300.0  # processor time after which a hunt counts as failed
 RECORDS = Path(__file__).resolve().parents[2] / "build"
 QUIET = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
-def run_case(case: Case) -> dict[str, Any]:
+class TooLongError(Exception):
+    """A hunt that took longer than it may."""
+
+
+def run_case(case: Case, limit_s: float = LIMIT_S) -> dict[str, Any]:
     """Generate a case, let the finder at it, and keep what both say."""
-    return hunted(generate(case), case.name)
+    return hunted(generate(case), case.name, limit_s)
 
 
-def hunted(campaign: Campaign, name: str, **options: Any) -> dict[str, Any]:
-    """Let the finder at a campaign, and keep what it says beside the truth."""
+def hunted(campaign: Campaign, name: str, limit_s: float = LIMIT_S) -> dict[str, Any]:
+    """Let the finder at a campaign, and keep what it says beside the truth. Seconds are the processor's."""
     record = {
         "name": name, "case": asdict(campaign.case), "truth": campaign.truth.to_document(), "report": None,
         "error": None,
     }  # fmt: skip
-    began = time.perf_counter()
+    began = time.process_time()
+
+    def tell(fraction: float, stage: str) -> None:
+        if time.process_time() - began > limit_s:
+            raise TooLongError(stage)
+
     try:
         rows = observations_of(campaign.columns)
-        report = find_gap(robot_of(campaign), rows, GapOptions(next_poses=1, **options), **_second(campaign))
+        report = find_gap(robot_of(campaign), rows, GapOptions(next_poses=1), progress=tell, **_second(campaign))
     except CoreError as error:
-        return {**record, "error": f"{error.code}: {error.message}", "seconds": time.perf_counter() - began}
+        return {**record, "error": f"{error.code}: {error.message}", "seconds": time.process_time() - began}
+    except TooLongError as error:
+        return {**record, "error": f"too_long: {error}", "seconds": time.process_time() - began}
     document = {key: value for key, value in report.to_document().items() if key in KEPT}
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     # Through JSON, so that a run just made and one read back from the file look alike.
     return dict(json.loads(json.dumps({**record, "report": document, "seconds": seconds}, default=float)))
 
@@ -102,9 +115,11 @@ def main() -> None:
     parser.add_argument("--records", type=Path, default=None, help="file of records; a run goes on from what it holds")
     parser.add_argument("--page", type=Path, default=PAGE)
     parser.add_argument("--processes", type=int, default=PROCESSES)
+    parser.add_argument("--limit", type=float, default=LIMIT_S, help="processor seconds after which a hunt failed")
     arguments = parser.parse_args()
     path = arguments.records or RECORDS / f"blind-{arguments.seed}.jsonl"
-    records = run(list(cases(arguments.seed, arguments.n)), path, arguments.processes)
+    one = partial(run_case, limit_s=arguments.limit)
+    records = run(list(cases(arguments.seed, arguments.n)), path, arguments.processes, one)
     write_page(records, arguments.seed, arguments.page)
     for figure in figures(records):
         print(figure.row())

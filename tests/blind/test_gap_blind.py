@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import islice
 from typing import Any
 
 import pytest
@@ -20,32 +19,34 @@ from tests.blind.generator.physics import PER_JOINT, WHOLE_ARM
 from tests.blind.run import run
 from tests.blind.score import figures
 
-RUNS = 30
 SEED = 20240229
 pytestmark = pytest.mark.timeout(1200)  # the sample takes two minutes on a quiet machine
 
 
+QUOTA = {"no_gap": 12, "named": 12, "outside": 3, "undecidable": 3}
 OLD = {*PER_JOINT, *WHOLE_ARM, "joint_coupling", "gravity_spring"}  # what has always been in the library
 
 
 def eased() -> Iterator[Case]:
     """Cases with stable repeats and masses within 5 %, that hide long known effects and no smooth curves."""
-    for case in cases(SEED, 10 * RUNS, poses=(30, 60)):
-        sets = [s for s in (case.hidden, *case.alternatives) if all(h.id in OLD for h in s)]
-        if any(h.id in SMOOTH for h in case.hidden):
+    left = dict(QUOTA)
+    for case in cases(SEED, 400, poses=(30, 60)):
+        known = [s for s in (case.hidden, *case.alternatives) if all(h.id in OLD for h in s)]
+        if case.expectation == "outside" and case.hidden[0].id not in SMOOTH:
+            known = [case.hidden]
+        if not known or not left[case.expectation]:
             continue
-        if sets or case.expectation == "outside":
-            sets = sets or [case.hidden]
-            easy = Options(
-                approach=case.options.approach, payload=case.options.payload, temperature=case.options.temperature,
-                sessions=case.options.sessions, mass_error=0.05, com_error_mm=2.0,
-            )  # fmt: skip
-            yield replace(case, options=easy, hidden=sets[0], alternatives=tuple(sets[1:]))
+        left[case.expectation] -= 1
+        easy = Options(
+            approach=case.options.approach, payload=case.options.payload, temperature=case.options.temperature,
+            sessions=case.options.sessions, mass_error=0.05, com_error_mm=2.0,
+        )  # fmt: skip
+        yield replace(case, options=easy, hidden=known[0], alternatives=tuple(known[1:]))
 
 
 @pytest.fixture(scope="module")
 def records(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    return run(list(islice(eased(), RUNS)), tmp_path_factory.mktemp("blind") / "records.jsonl")
+    return run(list(eased()), tmp_path_factory.mktemp("blind") / "records.jsonl")
 
 
 @pytest.fixture(scope="module")
@@ -87,5 +88,5 @@ def test_strong_effects_are_seen_and_named(by_title: dict[str, Figure]) -> None:
 
 def test_what_cannot_be_told_is_not_told(by_title: dict[str, Figure]) -> None:
     figure = by_title["undecidable said undecidable"]
-    assert figure.n >= 1
+    assert figure.n >= 2
     assert figure.share >= 0.5

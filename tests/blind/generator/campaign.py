@@ -89,7 +89,7 @@ def _larger(case: Case, effects: list[TruthEffect]) -> tuple[float, ...] | None:
     for asked, e in zip(case.lam, effects, strict=True):
         needed = max(STRONG, DECIDABLE / max(1.0 - e.rho, 1e-9)) * ENOUGH
         out.append(asked * max(1.0, needed / max(e.lam_partial, 1e-9)))
-    return tuple(out) if max(out) < MOST_LAM else None
+    return tuple(out) if max(out) < max(MOST_LAM, *case.lam) * 1.01 else None
 
 
 def _scene(case: Case) -> _Scene:

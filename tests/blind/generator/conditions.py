@@ -26,7 +26,7 @@ def conditions(rng: Rng, joints: int) -> Options:
         approach_um=float(rng.uniform(4.0, 12.0)),
         foot_m=float(rng.uniform(2.0, 4.0) if rng.uniform() < 0.7 else rng.uniform(4.0, 8.0)),
         lean_deg=float(rng.uniform(0.0, 0.3)),
-        confirmation=bool(rng.uniform() < 0.4),
+        confirmation=bool(rng.uniform() < 0.5),
     )
     drawn = _believing(drawn, rng)
     if rng.uniform() < 0.35:
