@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from core.gap import GapOptions
+from core.gap import GapOptions, find_gap
 from core.gap.prepare import Workshop
+from core.gap.renewal import renewed
+from core.gap.world import refit
 from core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
 ROBOT = katana()
+QUICK = GapOptions(resamples=10, permutations=3, bootstraps=299, next_poses=1)
 PHYSICAL = ("backlash", "axial_compliance", "eccentricity", "second_harmonic", "encoder_scale")
 
 
@@ -78,3 +82,37 @@ def test_no_effect_is_taken_for_wrong_readings(kind, seed, revisits):
 def test_no_effect_of_the_library_is_either(hidden):
     rows = campaign(ROBOT, [hidden], seed=3, poses=100)
     assert not aside(prepared(rows), len(rows)).any()
+
+
+HIDDEN = [("backlash", (1,), (1e-2,)), ("second_harmonic", (4,), (4e-4, 3e-4))]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.15])
+def test_without_repeats_the_noise_shrinks_with_every_name_and_wrong_readings_come_out(share):
+    """The first effect is a hundred times the noise: frozen at the first fit it hides the second and all wrong readings."""
+    rows, bad = spoilt(campaign(ROBOT, HIDDEN, seed=0, revisits=0, poses=100), share, 0)
+    report = find_gap(ROBOT, rows, replace(QUICK, effects=PHYSICAL))
+    assert {j.evidence.candidate.label for j in report.effects} == {"backlash j2", "second_harmonic j5"}
+    assert report.gap["noise_mm"] == pytest.approx(0.02, rel=0.15)
+    assert [w["visits"] for w in report.warnings if w["code"] == "outliers"] == ([int(bad.sum())] if share else [])
+    steps = [s["chi2_per_freedom"] for s in report.gap["steps"]]
+    assert steps == sorted(steps, reverse=True)
+    assert all(j.verdict == "provisional" for j in report.effects)
+
+
+def test_a_visit_set_aside_comes_back_when_what_is_named_explains_it():
+    rows = campaign(ROBOT, [HIDDEN[0]], seed=1, poses=100)
+    made = prepared(rows)
+    world = made.world
+    good = np.ones(len(world.setting.used), dtype=bool)
+    good[[3, 8, 20]] = False
+    (k,) = [k for k, p in enumerate(made.library.parameters) if p.name == "backlash_2"]
+    without = refit(replace(world.setting, used=good), world.values, [k])
+    assert renewed(without, [k]).setting.used.all()
+    assert renewed(world, [k]) is world
+
+
+def test_the_same_rows_give_the_same_hunt():
+    rows, _ = spoilt(campaign(ROBOT, HIDDEN, seed=2, revisits=0, poses=60), 0.1, 3)
+    one, other = (find_gap(ROBOT, rows, replace(QUICK, effects=PHYSICAL)).to_document() for _ in range(2))
+    assert json.dumps(one, sort_keys=True) == json.dumps(other, sort_keys=True)
