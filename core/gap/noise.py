@@ -162,13 +162,22 @@ def stated_noise(sigma: Floats | float, visits: Visits, size: int) -> Noise:
 
 def fit_noise(visit_residual: Floats, visits: Visits, used: Bools, lost: float) -> Noise:
     """Scatter of the fit itself: no repeats, so the scale is relative. ``lost`` is the share of freedom it took."""
+    return _scatter(visit_residual, used, lost, _lengths(visit_residual.shape[1], visits))
+
+
+def refitted(noise: Noise, visit_residual: Floats, used: Bools, lost: float) -> Noise:
+    """The same at another fit of the same visits."""
+    return _scatter(visit_residual, used, lost, noise.lengths)
+
+
+def _scatter(visit_residual: Floats, used: Bools, lost: float, lengths: int | None) -> Noise:
     kept = np.nan_to_num(visit_residual[used])
     size = np.abs(kept - np.median(kept, axis=0))
     robust = np.median(size, axis=0) / 0.6745 + SMALLEST
     inside = kept[(size / robust).max(axis=1) < SPIKE]
     cov = _shrunk(inside.T @ inside / max(len(inside) * (1.0 - lost), 1.0), len(inside))
-    each = np.broadcast_to(cov, (len(visits), *cov.shape)).copy()
-    return Noise(each, cov, 0.0, False, FIT, lengths=_lengths(len(cov), visits))
+    each = np.broadcast_to(cov, (len(visit_residual), *cov.shape)).copy()
+    return Noise(each, cov, 0.0, False, FIT, lengths=lengths)
 
 
 def _noise(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from core.gap.clock import clock_of
 from core.gap.noise import Noise
 from core.gap.visits import conditions
+from core.gap.world import World
 from core.observations import Observations
 
 Bools = NDArray[np.bool_]
@@ -73,3 +74,14 @@ def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
             "message": "The repeats are too few, or all far apart in time, so noise and drift cannot be told apart: noise is "
             "this at most, and no claim is confirmed by it. Repeat ten poses with only one other pose in between.",
         }
+
+
+def outlier_warnings(world: World) -> Iterator[Warning_]:
+    """Say how many visits were set aside."""
+    used = world.setting.used
+    if not used.all():
+        yield {
+            "code": "outliers", "visits": int(np.sum(~used)),
+            "message": f"{int(np.sum(~used))} of {len(used)} visits could be explained by nothing in the library and were set "
+            "aside.",
+        }  # fmt: skip

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from core.errors import OptionError
 from core.gap.adequacy import Adequacy, adequacy
 from core.gap.aliases import SAME, Alias, aliases_of
-from core.gap.candidates import Library, with_testable
+from core.gap.candidates import Candidate, Library, with_testable
 from core.gap.control import Control, controls, false_names
 from core.gap.figures import figures
 from core.gap.foreign_links import refuse_foreign_links
@@ -34,7 +34,8 @@ from core.gap.stability import inclusion
 from core.gap.stored import Stored, stored
 from core.gap.testability import Testability, alias_matrix, smallest_rows, testability, untestable
 from core.gap.verdict import Evidence, Judged, judge, run_verdict, sentence
-from core.gap.where import where
+from core.gap.where import Place, where
+from core.gap.world import World
 from core.identify.plausibility import refuse_foreign
 from core.identify.report import large_residual
 from core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, worse, worse_warning
@@ -46,6 +47,7 @@ from core.robot import Robot
 Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
+HUNTS = 2  # the second where the noise of the first showed that more could be tested
 LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
 
 
@@ -125,17 +127,32 @@ class _Run:
 
     def report(self) -> GapReport:
         prepared, world = self.prepared, self.prepared.world
-        rows = prepared.visits.observations
         self.tell(0.15, "where the model is wrong")
-        places = where(world, rows, self.options.seed, prepared.moving)
+        places = where(world, prepared.visits.observations, self.options.seed, prepared.moving)
         judged = testability(world, prepared.library)
-        candidates = with_testable(prepared.library, judged.able)
-        trusted = world.setting.trusted
-        freedom = world.setting.noise.freedom if world.setting.noise.absolute else np.inf
-        scorer = Scorer.of(candidates, trusted, freedom)
-        limits = np.array([max(abs(p.lower), abs(p.upper)) for p in prepared.library.parameters])
-        found = hunt(world.setting, world, scorer, limits, self.options, _part(self.tell, 0.2, 0.5))
-        found = shrunk(settled(found, self.options.alpha), world)
+        for _ in range(HUNTS):
+            candidates = with_testable(prepared.library, judged.able)
+            found = settled(self._hunted(prepared.world, candidates), self.options.alpha)
+            prepared = prepared.judged_by(found.world)
+            # Without repeats the noise shrinks as effects enter, and what could not show in it may show now.
+            again = testability(prepared.world, prepared.library)
+            more, judged = bool(np.any(again.able & ~judged.able)), again
+            if not more or not found.chosen:
+                break
+        return replace(self, prepared=prepared)._told(shrunk(found, prepared.world), places, judged, candidates)
+
+    def _hunted(self, world: World, candidates: tuple[Candidate, ...]) -> Hunt:
+        noise = world.setting.noise
+        scorer = Scorer.of(candidates, world.setting.trusted, noise.freedom if noise.absolute else np.inf)
+        limits = np.array([max(abs(p.lower), abs(p.upper)) for p in self.prepared.library.parameters])
+        return hunt(world.setting, world, scorer, limits, self.options, _part(self.tell, 0.2, 0.5))
+
+    def _told(
+        self, found: Hunt, places: tuple[Place, ...], judged: Testability, candidates: tuple[Candidate, ...]
+    ) -> GapReport:
+        """The report on what was found; the preparation is that with the noise and outliers of the last fit."""
+        prepared, world = self.prepared, self.prepared.world
+        rows = prepared.visits.observations
         fit = adequacy(found.world, prepared.visits.condition, found.columns)
         kept = stored(found, self.begin, prepared.rows, self.options)
         left = misfit(found, fit, rows, self.options)

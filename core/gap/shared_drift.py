@@ -64,7 +64,9 @@ class Shared:
     def of(r: Floats, condition: Ints, clocks: Clocks, points: Floats | None) -> Shared:
         """Take one clock after another, the likeliest first, while chance does not explain it."""
         many = np.bincount(condition)[condition] > 1
-        size, motion = r.shape[1], _motions(len(r), r.shape[1], points)
+        # One place for all visits of a condition: else what a wrong reading moved the place by would count as a motion.
+        places = None if points is None else points - centred(points, condition)
+        size, motion = r.shape[1], _motions(len(r), r.shape[1], places)
         scalars = float(size * (many.sum() - len(np.unique(condition[many]))))
         each, timed = clocks.values(many)
         left, taken, first, amounts = r, 0.0, 1.0, np.zeros((len(each), motion.shape[2]))
@@ -92,7 +94,8 @@ def _tried(
     """Chance of a motion along a clock, and its amount (k,), from the repeats without their spikes."""
     moved = motion * (clock - clock.mean())[:, None, None]
     columns = centred(moved.reshape(len(r), -1), condition).reshape(motion.shape)
-    away, kept, amount = centred(r, condition), many, np.zeros(motion.shape[2])
+    away, amount = centred(r, condition), np.zeros(motion.shape[2])
+    kept = many & _near(np.abs(away).max(axis=1), many)
     seen = np.sum(columns[many] ** 2, axis=(0, 1)) > SEEN * float(np.sum(moved**2)) + np.finfo(float).tiny
     if not seen.any():
         return 1.0, amount
@@ -100,13 +103,18 @@ def _tried(
         A = columns[kept][:, :, seen].reshape(-1, int(seen.sum()))
         amount[seen] = np.linalg.lstsq(A, away[kept].reshape(-1), rcond=SEEN)[0]
         rest = np.abs(away - columns @ amount).max(axis=1)
-        kept = many & (rest <= SPIKE * np.median(rest[many]) / 0.6745)
+        kept = many & _near(rest, many)
     before, after = (float(np.sum(v[kept] ** 2)) for v in (away, away - columns @ amount))
     taken = float(seen.sum())
     free = scalars - taken - r.shape[1] * float(many.sum() - kept.sum())
     if free < 1.0 or after <= 0.0:
         return 1.0, amount
     return float(f.sf((before - after) / taken / (after / free), taken, free)), amount
+
+
+def _near(size: Floats, many: Bools) -> Bools:
+    """Which sizes (V,) are no spikes among those of the repeats."""
+    return np.asarray(size <= SPIKE * np.median(size[many]) / 0.6745)
 
 
 def _size(motion: Floats, amounts: Floats, each: Floats) -> float:
