@@ -11,6 +11,7 @@ from core.gap.options import GapOptions
 from core.gap.prepare import Workshop
 from core.gap.scan import Scorer, null_of, residual_given
 from core.gap.select import Selector
+from core.gap.tails import tail
 from core.gap.testability import testability as judged
 from core.gap.world import Gram, fitted, refit
 from core.model import Calibration
@@ -52,6 +53,17 @@ def test_scores_are_those_of_a_fit_with_each_candidate(prepared, scorer):
             continue
         u, size, _ = np.linalg.svd(world.W[:, columns], full_matrices=False)
         assert S[0, place] == pytest.approx(np.sum((u[:, size**2 > 1e-7].T @ world.y) ** 2), abs=1e-6)
+
+
+@pytest.mark.parametrize(("d", "freedom"), [(1, 20), (4, 20), (2, np.inf)])
+def test_tails_are_those_of_draws(d, freedom):
+    """A variance from twenty numbers makes large ratios a hundred times as frequent as chi-square says."""
+    rng = np.random.default_rng(1)
+    ratio = rng.chisquare(d, 400_000)
+    if np.isfinite(freedom):
+        ratio /= rng.chisquare(freedom, len(ratio)) / freedom
+    for share in (0.1, 1e-3):
+        assert tail(np.quantile(ratio, 1.0 - share), d, freedom) == pytest.approx(share, rel=0.15)
 
 
 def test_noise_alone_is_named_once_in_a_hundred(prepared, scorer):
