@@ -82,12 +82,15 @@ class Predictive:
         """
         frames = {f"{frame}_{k}" for frame in refit for k in FRAME_NAMES}
         free, C = self._of(calibration.names, frames)
-        J = _mean_jacobian(calibration, measurement, free)
-        noise = np.full((len(J), 3), self.noise**2 + self.inadequacy**2)
+        noise = self.noise**2 + self.inadequacy**2
         if refit:
+            J = np.concatenate([part for _, part in _mean_jacobians(calibration, measurement, free)])
             J, lever = _beside(J, np.array([calibration.names[k] in frames for k in free]))
-            noise *= 1.0 - lever
-        return _widths(J, C, noise)
+            return _widths(J, C, noise * (1.0 - lever))
+        out = np.empty((len(measurement.observations), 3))
+        for where, J in _mean_jacobians(calibration, measurement, free):
+            out[where] = _widths(J, C, noise)
+        return out
 
     def _of(self, names: Sequence[str], more: Collection[str] = ()) -> tuple[Ints, Floats]:
         """Where the known of these names stand, with ``more`` that count as known exactly, and their covariance."""
@@ -146,17 +149,15 @@ def _of_report(report: Mapping[str, Any]) -> tuple[float, float]:
     return float(np.sqrt(max(left**2 - noise**2, 0.0))), noise
 
 
-def _mean_jacobian(calibration: Calibration, measurement: Measurement, free: Ints) -> Floats:
-    """Jacobian (N, 3, F) of the mean of the markers that a row shows, or of its point."""
-    rows, out = measurement.observations, np.empty((len(measurement.observations), 3, len(free)))
-    for part in _slices(len(rows)):
-        here = replace(measurement, observations=rows.select(part))
+def _mean_jacobians(calibration: Calibration, measurement: Measurement, free: Ints) -> Iterator[tuple[slice, Floats]]:
+    """Jacobians (n, 3, F) of the mean of the markers that a row shows, or of its point, slice by slice."""
+    for part in _slices(len(measurement.observations)):
+        here = replace(measurement, observations=measurement.observations.select(part))
         found = here.residual(*calibration.model.jacobian(here.observations, calibration.values, free))
         assert found.d_points is not None
         seen = ~np.isnan(found.points).any(axis=2)
         share = seen / np.maximum(seen.sum(axis=1, keepdims=True), 1)
-        out[part] = np.einsum("nmip,nm->nip", found.d_points, share)
-    return out
+        yield part, np.einsum("nmip,nm->nip", found.d_points, share)
 
 
 def _widths(J: Floats, C: Floats, more: float | Floats) -> Floats:

@@ -24,6 +24,7 @@ from core.identify.noise import Repeats
 from core.identify.options import IdentifyOptions
 from core.identify.plausibility import refuse_foreign
 from core.identify.predictive import Predictive, left_of, predictive
+from core.identify.redescending import set_aside
 from core.identify.reference import named, refuse_contradicted, registered, wanted_frames
 from core.identify.report import null_rows, parameter_rows, warnings_of
 from core.identify.seeing import seen
@@ -37,6 +38,7 @@ from core.observations import Observations
 from core.robot import Robot
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 Progress = Callable[[float, str], None]
 Validation = Observations | float | Folds | None
 
@@ -59,6 +61,18 @@ class Identification:
     intervals: Intervals | None = None
     learned: Learned | None = None
     own_frames: tuple[OwnFrame, ...] = ()
+    inside: Ints | None = None  # rows of those given that were fitted, all when None
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Standard deviations (m, rad) of points and turns by which residuals were weighed."""
+        return float(np.mean(self.fit.problem.weights.points)), float(np.mean(self.fit.problem.weights.turns))
+
+    @property
+    def set_aside(self) -> list[dict[str, Any]]:
+        """Rows of those given, counted from 0, that count less than half in the fit."""
+        found = set_aside(self.fit)
+        return found if self.inside is None else [{**one, "row": int(self.inside[one["row"]])} for one in found]
 
     @property
     def covariance(self) -> Floats:
@@ -74,6 +88,8 @@ class Identification:
         """The identify result of the contract: mm, degrees, names, units."""
         return {
             "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
+            "scale": {"point_mm": self.scale[0] * 1e3, "turn_deg": float(np.degrees(self.scale[1]))},
+            "set_aside": self.set_aside,
             "null_directions": null_rows(self.null_directions),
             "metrics": self.metrics,
             "noise_mm": self.noise_m * 1e3,
@@ -127,6 +143,7 @@ def identify(
     tell(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
     compared: PoseErrors | None = None
+    inside: Ints | None = None
     if isinstance(validation, Folds):
         held, compared = _cross_validated(nominal, begin, train, validation, options, tell, prior)
     elif isinstance(validation, float):
@@ -144,8 +161,7 @@ def identify(
     own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):
         plain = geometry_alone(begin, measurement, options)
-        held, compared, new = held_out(stages, plain, frames, validation, options, measurement)
-        own += new
+        held, compared, own[len(own) :] = held_out(stages, plain, frames, validation, options, measurement)
     tell(0.95, "identifiability")
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
@@ -154,7 +170,7 @@ def identify(
         without_frames(calibration), fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned
     )
     said = (*result.warnings, *remarks, *(compared.warnings() if compared else ()))
-    return replace(result, own_frames=tuple(own), warnings=said)
+    return replace(result, own_frames=tuple(own), warnings=said, inside=inside)
 
 
 def _reported(

@@ -61,6 +61,13 @@ class Archive:
         uploads = campaigns.uploads_of(self.session, campaign_id)
         return np.repeat([u.sha256 in hashes for u in uploads], [u.rows for u in uploads]).astype(bool)
 
+    def fitted(self, version: str, campaign_id: str) -> Bools:
+        """Mark the rows of a campaign that a version, or one that it continues, was fitted to."""
+        trained = _Trained(self)
+        for training in store.trainings(self.session, version):
+            trained.add(training)
+        return trained.mask(campaign_id)
+
     def unseen(self, versions: Iterable[str]) -> Unseen:
         """Rows at poses none of these versions was fitted to."""
         trained = _Trained(self)
