@@ -20,6 +20,7 @@ from core.effects.gear_error import GearError
 from core.effects.gravity_spring import GravitySpring
 from core.effects.joint_coupling import JointCoupling
 from core.effects.link_bending import LinkBending
+from core.effects.load_error import LoadError
 from core.effects.measurement_scale import MeasurementScale
 from core.effects.payload_error import PayloadError
 from core.effects.radial_compliance import RadialCompliance
@@ -58,6 +59,7 @@ _ALL: tuple[type[Effect], ...] = (
     UnknownJointCurve,
     UnknownField,
     UnknownResidual,
+    LoadError,
 )
 
 EFFECTS: Mapping[str, type[Effect]] = MappingProxyType({effect.id: effect for effect in _ALL})

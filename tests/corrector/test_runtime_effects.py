@@ -70,7 +70,7 @@ def landing(calibration: Calibration, program: CorrectionProgram, dynamic: bool)
 
 
 def test_every_effect_has_its_place() -> None:
-    assert set(AT_RUN_TIME) | set(NAMED) | set(OF_THE_INSTRUMENT) | {"payload_error"} == set(EFFECTS)
+    assert set(AT_RUN_TIME) | set(NAMED) | set(OF_THE_INSTRUMENT) | {"payload_error", "load_error"} == set(EFFECTS)
 
 
 @pytest.mark.parametrize("name", AT_RUN_TIME)
