@@ -22,7 +22,7 @@ from core.folding import Folded, fold, standing_moment, write_bodies, write_move
 from core.kernels import correction as kernel
 from core.model import Calibration, RobotModel
 from core.robot import Joint, Robot
-from core.runtime_effects import Conditions, Written, write_effect
+from core.runtime_effects import Conditions, Written, weighed_anew, write_effect
 from core.transforms import rotation_exp
 
 Floats = NDArray[np.float64]
@@ -252,10 +252,11 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     actual = fold(
         robot, [moved[e.name] if e.name else e.value for e in robot.chain.elements], seen, np.asarray(folded.T_tool)
     )
+    robot, carried = weighed_anew(folded, values, options.payload_kg, options.payload_com)
     m = len(nominal.constants) - 1
     head = np.zeros((m + 1, kernel.COLUMNS))
     write_moves(head, nominal, actual)
-    write_bodies(head, robot, nominal, options.payload_kg, options.payload_com)
+    write_bodies(head, robot, nominal, *carried)
     written = Written(
         robot,
         Conditions(options.least_softening_nm, options.payload_kg, options.temperature_c),

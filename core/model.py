@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.chain import Element
-from core.effects import BASE, TOOL, Batch, Effect, Local, effect_from_document
+from core.columns import ToolColumns, Total
+from core.effects import Batch, Effect, effect_from_document
 from core.errors import ObservationError
-from core.frames import FRAME_AXES, frame_parameters, increment
+from core.frames import frame_parameters, increment
 from core.kernels import kinematics
+from core.load_slopes import LoadSlopes
+from core.loaded import Reader
+from core.model_program import Program, model_program
 from core.moments import Loads, axial_loads, loads_of, payload_sensitivity
 from core.observations import Observations
 from core.parameters import Parameter, indices, refuse_collisions
@@ -33,19 +36,6 @@ class Prediction:
 
     position: Floats
     rotation: Floats
-
-
-@dataclass(frozen=True)
-class Program:
-    """The model's elements (base increments, chain, tool increments) as kernel arrays, parameters aside."""
-
-    axis: Ints
-    joint: Ints
-    ratio: Floats
-    value: Floats
-    slot: Ints
-    tool_at: int
-    element_of: Ints  # element of each geometric parameter
 
 
 @dataclass(frozen=True)
@@ -113,24 +103,7 @@ class RobotModel:
     @cached_property
     def program(self) -> Program:
         """Kernel arrays of base increments, chain and tool increments."""
-        chain = self.robot.chain.elements
-        frame = [Element(axis) for axis, _ in FRAME_AXES]
-        elements = [*frame, *chain, *frame]
-        slot = np.full(len(elements), -1, dtype=np.int64)
-        for j, k in enumerate(self.robot.chain.primary):
-            slot[6 + k] = j
-        slot[5], slot[-1] = self.robot.n_joints, self.robot.n_joints + 1
-        named = [6 + k for k in self.robot.chain.named]
-        tool_at = 6 + len(chain)
-        return Program(
-            axis=np.array([e.axis for e in elements], dtype=np.int64),
-            joint=np.array([-1 if e.joint is None else e.joint for e in elements], dtype=np.int64),
-            ratio=np.array([e.ratio for e in elements]),
-            value=np.array([e.value for e in elements], dtype=np.float64),
-            slot=slot,
-            tool_at=tool_at,
-            element_of=np.array([*range(6), *named, *range(tool_at, tool_at + 6)], dtype=np.int64),
-        )
+        return model_program(self.robot.chain)
 
     def batch(self, observations: Observations) -> Batch:
         """Conditions of the rows with the load on each joint, from the nominal chain and the joint readings.
@@ -151,7 +124,12 @@ class RobotModel:
             link_vectors=self.robot.chain.link_vectors, direction=o.direction, qd=o.qd, qdd=o.qdd, t=o.t,
             temperature_c=o.temperature_c, payload_kg=o.payload_kg, session=o.session,
             payload_axial=payload_sensitivity(self.robot, o) if "payload_kg" in self._needs else None, setup=o.setup,
+            slopes=LoadSlopes(self.robot, o) if any(e.changes_loads for e in self.effects) else None,
         )  # fmt: skip
+
+    @cached_property
+    def _reader(self) -> Reader:
+        return Reader(self.effects, self._slices)
 
     @cached_property
     def _needs(self) -> frozenset[str]:
@@ -184,14 +162,32 @@ class RobotModel:
         """
         batch = self._as_batch(observations)
         free = np.arange(len(self.names)) if free is None else free
-        total = self._local(batch, values)
+        total = self._local(batch, values, free)
         prediction, J, JQ, JX = self._screws(batch, values, total, free[free < self.n_geometric], 6 if turns else 3)
         if np.any(free >= self.n_geometric):
-            J = np.concatenate([J, self._effect_columns(total, free, JQ, JX, prediction.position)], axis=2)
+            columns = self._columns(JQ, JX)
+            own = self._effect_columns(total, free, columns, prediction.position)
+            self._add_loads(own, batch, values, free, columns)
+            J = np.concatenate([J, own], axis=2)
         if total.stretch is None:
             return prediction, J
         J[:, :3] *= total.stretch[:, :, None]
         return Prediction(prediction.position * total.stretch, prediction.rotation), J
+
+    def loaded(self, batch: Batch, values: Floats) -> Batch:
+        """The rows with the loads that load errors among the effects leave."""
+        return self._reader.loaded(batch, values)
+
+    def doubts(self, observations: Observations | Batch, values: Floats) -> tuple[Prediction, Floats]:
+        """Poses and (N, 6, S) the independent displacements of one standard deviation that blurred loads leave open."""
+        batch = self._as_batch(observations)
+        prediction, _, JQ, JX = self._screws(batch, values, self._local(batch, values), np.zeros(0, dtype=np.int64))
+        here = self._reader.loaded(batch, values)
+        found = [d for effect, where in self._reader for d in effect.doubt(here, values[where])]
+        out = np.zeros((*JQ.shape[:2], len(found)))
+        for k, d in enumerate(found):
+            self._columns(JQ, JX).put(out, k, d)
+        return prediction, out
 
     def joint_jacobian(self, observations: Observations | Batch, values: Floats) -> tuple[Prediction, Floats]:
         """Poses and their derivative (N, 6, n) by the joint readings, the effects held still."""
@@ -240,13 +236,17 @@ class RobotModel:
         out[self.program.element_of] = values[: self.n_geometric]
         return out
 
-    def _local(self, batch: Batch, values: Floats) -> _Total:
-        """Sum of the local corrections, with each effect's own."""
+    def _local(self, batch: Batch, values: Floats, free: Ints | None = None) -> Total:
+        """Sum of the local corrections, with each effect's own where it has values or ``free`` parameters."""
         rows, n = batch.q.shape
         dq, stretch = np.zeros((rows, n)), None
         xi = np.zeros((0, n + 2, 6))
         parts = []
-        for effect, where in zip(self.effects, self._slices.values(), strict=True):
+        batch = self._reader.loaded(batch, values)
+        for effect, where in self._reader:
+            idle = free is not None and not np.any((free >= where.start) & (free < where.stop))
+            if idle and not np.any(values[where]):
+                continue
             local = effect.local(batch, values[where])
             parts.append((where.start, local))
             dq = dq if local.dq is None else dq + local.dq
@@ -257,7 +257,7 @@ class RobotModel:
                 xi[:, :n] += 0.0 if local.xi is None else self._in_element_frames(local.xi)
                 xi[:, n] += 0.0 if local.base is None else local.base
                 xi[:, n + 1] += 0.0 if local.tool is None else local.tool
-        return _Total(dq, xi, stretch, tuple(parts))
+        return Total(dq, xi, stretch, tuple(parts))
 
     def _in_element_frames(self, xi: Floats) -> Floats:
         """Turn twists (N, n, 6) from the joint frames into the frames after the joints' elements."""
@@ -268,7 +268,7 @@ class RobotModel:
         return np.asarray(np.einsum("jab,njkb->njka", frames, split).reshape(xi.shape))
 
     def _screws(
-        self, batch: Batch, values: Floats, total: _Total, geometric: Ints, each: int = 6
+        self, batch: Batch, values: Floats, total: Total, geometric: Ints, each: int = 6
     ) -> tuple[Prediction, Floats, Floats, Floats]:
         rows, n = batch.q.shape
         p = self.program
@@ -283,41 +283,36 @@ class RobotModel:
         )  # fmt: skip
         return Prediction(position, rotation), JE, JQ, JX
 
-    def _effect_columns(self, total: _Total, free: Ints, JQ: Floats, JX: Floats, position: Floats) -> Floats:
+    def _effect_columns(self, total: Total, free: Ints, columns: ToolColumns, position: Floats) -> Floats:
         """Chain rule: tool columns of the free effect parameters from the local derivatives."""
         place = {int(k): c for c, k in enumerate(free[free >= self.n_geometric])}
-        out = np.zeros((*JQ.shape[:2], len(place)))
+        out = np.zeros((*columns.JQ.shape[:2], len(place)))
         for start, local in total.parts:
             for d in local.derivatives:
                 c = place.get(start + d.parameter)
                 if c is None:
                     continue
-                if d.dq is not None:
-                    out[:, :, c] += JQ[:, :, d.joint] * d.dq[:, None]
-                if d.xi is not None:
-                    out[:, :, c] += self._twist_column(d.joint, d.xi, JX)
+                columns.put(out, c, d)
                 if d.scale is not None:
                     assert total.stretch is not None
                     # The stretch that multiplies all columns afterwards must not multiply its own derivative.
                     out[:, :3, c] += position / total.stretch * d.scale[:, None]
         return out
 
-    def _twist_column(self, joint: int, xi: Floats, JX: Floats) -> Floats:
-        n = self.robot.n_joints
-        slot = {BASE: n, TOOL: n + 1}.get(joint, joint)
-        if slot < n:
-            xi = (xi.reshape(-1, 2, 3) @ self.robot.chain.program.joint_frame[slot].T).reshape(-1, 6)
-        return np.asarray(np.einsum("nij,nj->ni", JX[:, :, 6 * slot : 6 * slot + 6], xi))
+    def _add_loads(self, out: Floats, batch: Batch, values: Floats, free: Ints, columns: ToolColumns) -> None:
+        """Chain rule for the load errors: they change the loads that the other effects read."""
+        place = {int(k): c for c, k in enumerate(free[free >= self.n_geometric])}
+        errors = self._reader.load_errors(batch, place)
+        if not errors or batch.slopes is None:
+            return
+        own = [place[k] for k, _ in errors]
+        for slope in self._reader.slopes(batch, values):
+            load = batch.slopes.of(slope.name, slope.part)[[c for _, c in errors]]
+            for moved, j in columns.by_loads(slope.local):
+                out[:, :, own] += moved[:, :, None] * (load if j is None else load[..., j]).T[:, None, :]
 
-
-@dataclass(frozen=True)
-class _Total:
-    """Summed local corrections: ``dq (N, n)``, twists ``xi (N, n + 2, 6)`` (empty when none), position ``stretch (N, 1)``."""
-
-    dq: Floats
-    xi: Floats
-    stretch: Floats | None
-    parts: tuple[tuple[int, Local], ...]
+    def _columns(self, JQ: Floats, JX: Floats) -> ToolColumns:
+        return ToolColumns(self.robot.chain.program.joint_frame, JQ, JX)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ activated: its share of the error stays.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -32,6 +32,7 @@ from core.effects.hardening import Hardening
 from core.effects.joint_coupling import JointCoupling
 from core.effects.link_bending import LinkBending, bent
 from core.effects.link_growth import LinkGrowth
+from core.effects.load_error import LoadError
 from core.effects.payload_error import PayloadError
 from core.effects.radial_compliance import RadialCompliance
 from core.effects.reading_tilt import ReadingTilt
@@ -43,6 +44,8 @@ from core.effects.unknown_joint_curve import UnknownJointCurve
 from core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from core.effects.zero_thermal import ZeroThermal
 from core.kernels import correction as kernel
+from core.load_slopes import EACH, weighed, with_masses, with_payload
+from core.model import RobotModel
 from core.robot import Robot
 
 Floats = NDArray[np.float64]
@@ -111,23 +114,34 @@ def _pairs(written: Written, effect: Effect, values: Floats) -> list[tuple[int, 
     return list(zip(effect.acting(written.robot.n_joints), values.tolist(), strict=True))
 
 
+def _softening(written: Written, effect: ClearanceTilt | BacklashLoad) -> dict[int, float]:
+    """Half-width of the sign at each joint: one of the effect's own, and at least what the stream asks for."""
+    joints = effect.acting(written.robot.n_joints)
+    own = effect.softening_nm
+    widths = own if isinstance(own, tuple) else (own,) * len(joints)
+    least = written.conditions.least_softening_nm
+    return {j: max(width, least) for j, width in zip(joints, widths, strict=True)}
+
+
 def _tilt(written: Written, effect: ClearanceTilt, values: Floats) -> bool:
     if not written.free(kernel.TILT, effect.acting(written.robot.n_joints)):
         return False
+    widths = _softening(written, effect)
     for j, value in _pairs(written, effect, values):
         row = written.joints[j]
         row[kernel.TILT] = math.tan(value)
         row[kernel.TILT_SHARE] = 0.0 if effect.share == "thesis" else 1.0
-        row[kernel.TILT_SOFT] = max(effect.softening_nm, written.conditions.least_softening_nm)
+        row[kernel.TILT_SOFT] = widths[j]
     return True
 
 
 def _play(written: Written, effect: BacklashLoad, values: Floats) -> bool:
     if not written.free(kernel.PLAY, effect.acting(written.robot.n_joints)):
         return False
+    widths = _softening(written, effect)
     for j, value in _pairs(written, effect, values):
         written.joints[j, kernel.PLAY] = value
-        written.joints[j, kernel.PLAY_SOFT] = max(effect.softening_nm, written.conditions.least_softening_nm)
+        written.joints[j, kernel.PLAY_SOFT] = widths[j]
     return True
 
 
@@ -296,6 +310,23 @@ def _payload(written: Written, effect: PayloadError, values: Floats) -> bool:
     return written.conditions.payload_kg == 0.0  # it acts in rows that carry a payload; without one there is nothing
 
 
+def _masses(written: Written, effect: LoadError, values: Floats) -> bool:
+    return True  # the bodies of the program are written with them
+
+
+def weighed_anew(
+    model: RobotModel, values: Floats, payload_kg: float, payload_com: Sequence[float]
+) -> tuple[Robot, tuple[float, Sequence[float]]]:
+    """The robot with the masses that its load errors leave, and mass and place of the payload."""
+    robot = model.robot
+    for effect, where in zip(model.effects, model.effect_slices().values(), strict=True):
+        if isinstance(effect, LoadError):
+            own, split = values[where].tolist(), EACH * len(weighed(robot))
+            payload_kg, payload_com = with_payload(payload_kg, payload_com, own[split:])
+            robot = with_masses(robot, own[:split])
+    return robot, (payload_kg, payload_com)
+
+
 _WRITERS: Mapping[str, _Writer] = {
     ClearanceTilt.id: _tilt,
     BacklashLoad.id: _play,
@@ -323,4 +354,5 @@ _WRITERS: Mapping[str, _Writer] = {
     Hardening.id: _adds(kernel.HARDENING),
     DirectionCompliance.id: _adds(kernel.SIDED),
     ReadingTilt.id: _reading,
+    LoadError.id: _masses,
 }

@@ -15,7 +15,7 @@ from core.conventions import PARALLEL_RAD, Row
 from core.conversions.screws import Screws, chain_frames, screws_of_chain
 from core.conversions.tables import link_table
 from core.errors import OptionError, RobotError
-from core.robot import Joint, Link, Robot
+from core.robot import CENTRE_M, MASS_SHARE, Joint, Link, Robot
 from core.robots import robot_from_document
 from core.transforms import inverse, xyz_rpy_from_pose
 
@@ -49,6 +49,9 @@ def robot_document(robot: Robot, convention: str) -> Document:
         **WRITERS[convention](robot),
     }
     _refuse_other_poses(robot, document)
+    share, centre = robot.payload_sigma
+    stated = {"payload_sigma": {"mass_percent": 100.0 * share, "com_mm": 1e3 * centre}}
+    document |= stated if robot.payload_sigma != (MASS_SHARE, CENTRE_M) else {}
     return document | ({"links": _links(robot, document)} if robot.links else {})
 
 
@@ -221,6 +224,8 @@ def _link(link: Link, T: Floats) -> Document:
         "mass_kg": link.mass,
         "com_mm": _plain(1e3 * (R @ link.com + T[:3, 3])),
         "inertia_kg_m2": [float(value) for value in six],
+        **({} if link.mass_sigma is None else {"mass_sigma_kg": link.mass_sigma}),
+        **({} if link.com_sigma is None else {"com_sigma_mm": 1e3 * link.com_sigma}),
     }
 
 

@@ -17,6 +17,7 @@ class AxialCompliance(Effect):
     summary = "joint compliance about the axis, proportional to the load moment"
     source = "thesis eq. 4.15, 5.19"
     needs = frozenset({"moments"})
+    reads = (("axial", (0,)),)
     signs = "positive"
     aliases = ("link_bending", "radial_compliance", "gravity_spring", "eccentricity")
     remedy = "repeat old poses with a second payload: geometry cancels, the load does not"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import ObservationError, OptionError
+from core.load_slopes import LoadSlopes
 from core.observations import Observations
 from core.parameters import Parameter
 from core.robot import Robot
@@ -39,7 +41,9 @@ class Batch:
     the axis of a revolute joint (N·m), the force along that of a prismatic one (N). ``end_wrench``, ``base_wrench`` and
     ``tool_point`` are those of :class:`~core.moments.Loads`, ``link_vectors (n + 1, 3)`` those of the chain.
     ``payload_axial (N, n, 4)`` is what one more kilogram at the payload's place adds to ``axial``, and one more kg·m of
-    first moment along each tool axis; it comes with ``payload_kg``.
+    first moment along each tool axis; it comes with ``payload_kg``. ``slopes`` say how the loads follow errors of the
+    masses, where the model has such errors. ``blur (n, 2)`` N·m is how uncertain the load across and about each joint is
+    where it changes its sign: a sign is then read as its expectation.
 
     An effect declares what it reads in ``needs``: the loads as "moments", measured columns by name. ``q``,
     ``tool_point`` and ``link_vectors`` are always there; anything not measured is None.
@@ -61,6 +65,17 @@ class Batch:
     session: NDArray[np.int64] | None = None
     payload_axial: Floats | None = None
     setup: NDArray[np.int64] | None = None
+    slopes: LoadSlopes | None = None
+    blur: Floats | None = None
+
+    def with_loads(self, change: Floats) -> Batch:
+        """The same rows with load errors ``change (K,)`` in the order of ``slopes``."""
+        assert self.slopes is not None
+        wrench = self.wrench + np.tensordot(change, self.slopes.joints, axes=1)
+        axial = self.axial + np.tensordot(change, self.slopes.moments[..., 2], axes=1)
+        ends = self.end_wrench + np.tensordot(change, self.slopes.ends, axes=1)
+        base = self.base_wrench + np.tensordot(change, self.slopes.base, axes=1)
+        return replace(self, wrench=wrench, axial=axial, end_wrench=ends, base_wrench=base)
 
     @property
     def moment(self) -> Floats:
@@ -136,8 +151,11 @@ class Effect(ABC):
     The class says what a search for missing effects must know: ``needs`` (columns), ``stage``, ``signs`` ("positive"
     when physics fixes the sign of the parameters), ``aliases`` (ids whose signatures come nearest), ``remedy`` (what
     to measure so that it can be tested or told apart), ``empirical`` (a shape without a cause), ``at_joints`` (whether
-    ``joints`` choose where it acts), ``learned`` (never searched; kept only if it predicts held-out poses better), and
-    ``supple`` (imitates many others, so that holding their shape says nothing).
+    ``joints`` choose where it acts), ``learned`` (never searched; kept only if it predicts held-out poses better),
+    ``supple`` (imitates many others, so that holding their shape says nothing), and ``nuisance`` (never searched; carried
+    beside the others with its prior). One that ``changes_loads`` moves nothing of its own: the others read the loads that
+    it leaves. ``reads`` names the loads of the batch that an effect reads and their components; what it does at a joint
+    follows that joint's loads alone.
     """
 
     id: ClassVar[str]
@@ -154,6 +172,9 @@ class Effect(ABC):
     at_joints: ClassVar[bool] = True
     learned: ClassVar[bool] = False
     supple: ClassVar[bool] = False
+    nuisance: ClassVar[bool] = False
+    changes_loads: ClassVar[bool] = False
+    reads: ClassVar[tuple[tuple[str, tuple[int, ...]], ...]] = ()
     counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents
 
     joints: tuple[int, ...] | None = None
@@ -173,6 +194,18 @@ class Effect(ABC):
     @abstractmethod
     def local(self, batch: Batch, values: Floats) -> Local:
         """Local corrections and their derivatives at ``values (P,)``."""
+
+    def load_columns(self, slopes: LoadSlopes) -> tuple[int, ...]:
+        """Which load errors its parameters are, one each, of an effect that ``changes_loads``; -1 for none of these rows."""
+        return ()
+
+    def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
+        """What blurred loads leave open: independent corrections of one standard deviation each."""
+        return ()
+
+    def softened(self, batch: Batch) -> Self:
+        """The effect as it is in this batch: what a blur softens is soft without it too."""
+        return self
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Fill in what the configuration leaves open, from the robot and, where given, the rows to identify it on.
@@ -293,6 +326,16 @@ class Effect(ABC):
 def soft_sign(x: Floats, width: float) -> Floats:
     """sign(x), or tanh(x / width) when ``width`` > 0: a sign read from a noisy moment is not a step."""
     return np.sign(x) if width <= 0.0 else np.tanh(x / width)
+
+
+# A tanh of this width, in standard deviations, rises through zero as the expectation of the sign does, erf(x / √2 σ).
+BLUR_WIDTH = math.sqrt(math.pi / 2.0)
+
+
+def width_of(softening_nm: float | tuple[float, ...], place: int, joint: int, batch: Batch, about: bool) -> float:
+    """Half-width N·m of a sign: that of the configuration (per acting joint), or of the batch's blur where it is wider."""
+    own = softening_nm[place] if isinstance(softening_nm, tuple) else softening_nm
+    return own if batch.blur is None else max(own, BLUR_WIDTH * float(batch.blur[joint, int(about)]))
 
 
 def _plain(value: Any, shift: int) -> Any:

@@ -19,6 +19,7 @@ class BaseCompliance(Effect):
     summary = "tilt of base or pedestal under the moment of the arm"
     source = "base and pedestal compliance"
     needs = frozenset({"moments"})
+    reads = (("base_wrench", (3, 4)),)
     stage = "base"
     signs = "positive"
     aliases = ("axial_compliance", "radial_compliance", "link_bending", "clearance_tilt")

@@ -19,6 +19,7 @@ class DirectionCompliance(Effect):
     summary = "compliance differs with the direction of approach"
     source = "hysteresis of gears, loading and unloading branch: Seyfferth et al. 1995; Tuttle 1992"
     needs = frozenset({"moments", "direction"})
+    reads = (("axial", (0,)),)
     aliases = ("axial_compliance", "backlash", "backlash_load")
     remedy = "approach the same poses from both sides, with two payloads"
 

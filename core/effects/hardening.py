@@ -22,6 +22,7 @@ class Hardening(Effect):
     summary = "gear gets stiffer under load, beside its compliance"
     source = "Harmonic Drive: stiffness K1 < K2 < K3 by load; the curve's first two terms"
     needs = frozenset({"moments"})
+    reads = (("axial", (0,)),)
     signs = "positive"
     aliases = ("axial_compliance", "backlash_load", "direction_compliance")
     remedy = "repeat poses with three payloads or more, one of them none"

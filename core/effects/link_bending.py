@@ -33,6 +33,7 @@ class LinkBending(Effect):
     summary = "bending of a link under its own weight and the load at its end"
     source = "Euler-Bernoulli cantilever; Klimchik et al. 2014 on which link stiffnesses can be told apart"
     needs = frozenset({"moments"})
+    reads = (("wrench", (0, 1, 2, 3, 4, 5)), ("end_wrench", (0, 1, 2, 3, 4, 5)))
     signs = "positive"
     aliases = ("axial_compliance", "radial_compliance", "base_compliance", "gravity_spring")
     remedy = "usually not separable from the next joint's compliance: put a reflector on the link, or accept the class"

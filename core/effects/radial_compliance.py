@@ -19,6 +19,7 @@ class RadialCompliance(Effect):
     summary = "tilt of the bearing in proportion to the transverse load moment"
     source = "Li, Gao and Liu 2020, axial and radial deformation of joints"
     needs = frozenset({"moments"})
+    reads = (("wrench", (3, 4)),)
     signs = "positive"
     aliases = ("axial_compliance", "link_bending", "base_compliance", "clearance_tilt")
     remedy = "load the arm from the side or with a second payload, at many azimuths of the joint"

@@ -23,6 +23,7 @@ class ReadingTilt(Effect):
         "thesis, future work: encoder readings affected by the tilt of the joint; first order in the load across it"
     )
     needs = frozenset({"moments"})
+    reads = (("wrench", (3, 4)),)
     aliases = ("axial_compliance", "radial_compliance", "clearance_tilt", "eccentricity")
     remedy = "put a second encoder head opposite the first: the mean of both does not see the tilt"
 

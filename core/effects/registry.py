@@ -24,6 +24,7 @@ from core.effects.hardening import Hardening
 from core.effects.joint_coupling import JointCoupling
 from core.effects.link_bending import LinkBending
 from core.effects.link_growth import LinkGrowth
+from core.effects.load_error import LoadError
 from core.effects.measurement_scale import MeasurementScale
 from core.effects.payload_error import PayloadError
 from core.effects.radial_compliance import RadialCompliance
@@ -80,6 +81,7 @@ _ALL: tuple[type[Effect], ...] = (
     UnknownJointCurve,
     UnknownField,
     UnknownResidual,
+    LoadError,
 )
 
 EFFECTS: Mapping[str, type[Effect]] = MappingProxyType({effect.id: effect for effect in _ALL})

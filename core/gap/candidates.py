@@ -84,12 +84,15 @@ def library_of(robot: Robot, rows: Observations, started: Sequence[str] = (), on
     unknown = [k for k in only if k not in EFFECTS]
     if unknown:
         raise OptionError(f"There is no effect {unknown[0]!r}. There are: {', '.join(EFFECTS)}.", option="effects")
+    carried = [k for k in only if EFFECTS[k].nuisance]
+    if carried:
+        raise OptionError(f"{carried[0]} is carried by every hunt, not searched: leave it out.", option="effects")
     learned = [k for k in only if EFFECTS[k].learned]
     if learned:
         raise OptionError(f"{learned[0]} is learned, not searched: give it to an identification.", option="effects")
     shelf = _Shelf(robot, rows, frozenset(started))
     for effect_id, kind in EFFECTS.items():
-        if effect_id in only or (not only and not kind.learned):
+        if effect_id in only or (not only and not kind.learned and not kind.nuisance):
             shelf.add(kind)
     return Library(tuple(shelf.effects), tuple(shelf.parameters), tuple(shelf.candidates), tuple(shelf.refused))
 

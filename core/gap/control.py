@@ -101,7 +101,7 @@ def _label_named(hunt: Hunt, place: int, label: str, order: Ints) -> bool:
     shuffled = replace(batch, **{n: v[order] for n in LABELS[label] if (v := getattr(batch, n)) is not None})
     rest = hunt.selector.columns([k for k in hunt.chosen if k != place])
     columns = hunt.selector.scorer.candidates[place].columns
-    other = world_at(world.setting, world.values, shuffled, columns).W_raw
+    other = world.soft(world_at(world.setting, world.values, shuffled, columns).W_raw)
     basis = world.basis(rest)
     return _named(hunt, place, other - basis @ (basis.T @ other), residual_given(world, rest))
 
@@ -113,7 +113,7 @@ def _poses_named(hunt: Hunt, place: int, order: Ints) -> bool:
     size = world.setting.whitener.shape[-1]
     r = residual_given(world, rest).reshape(-1, size)[order].reshape(-1)
     basis = world.basis(rest)
-    W = _only(hunt.selector.scorer.candidates[place], world.W_raw)
+    W = world.soft(_only(hunt.selector.scorer.candidates[place], world.W_raw))
     return _named(hunt, place, W - basis @ (basis.T @ W), r - basis @ (basis.T @ r))
 
 

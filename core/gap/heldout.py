@@ -205,7 +205,7 @@ def on_rows(source: Source, rows: Observations, hunt: Hunt, fitted: Floats) -> t
         known = dict(zip(source.model.names, fitted, strict=True))
         values = np.array([known[p.name] for p in model.parameters])
         measurement = Measurement.of(rows, source.measurement.marker_points)
-        return ToolSource.of(model, measurement, source.free, 0), values
+        return ToolSource.of(model, measurement, source.free, 0).blurred(source.batch.blur), values
     assert isinstance(source, LinkSource)
     return source.on(rows), fitted
 

@@ -68,7 +68,9 @@ def _combined(
         started = model.names[model.n_geometric : len(model.names) - source.n_library]
         fitted = [*[None] * source.n_offsets, *started, *library]
         rows |= _of_zeros(source, begin, len(fitted))
-    rows |= {name: np.eye(len(fitted))[k] for k, name in enumerate(fitted) if name is not None}
+    # A version without load effects has no load errors either: what the data say of masses is then nothing.
+    known = set(stored.names)
+    rows |= {name: np.eye(len(fitted))[k] for k, name in enumerate(fitted) if name is not None and name in known}
     order = sorted(rows, key=lambda name: int(indices(stored.names, [name])[0]))
     return tuple(order), np.array([rows[name] for name in order]).reshape(len(order), len(fitted))
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from core.errors import NotConvergedError, ObservationError, TooFewPosesError
 from core.gap.candidates import Library, library_of
+from core.gap.masses import blurred, tool_source
 from core.gap.noise import Noise, fit_noise, repeat_noise, spikes, stated_noise
 from core.gap.options import GapOptions
 from core.gap.remarks import clock_warnings, identical_repeats, noise_warnings, outlier_warnings
@@ -110,7 +111,7 @@ class Workshop:
                 kept[np.flatnonzero(kept)[spiky]] = False
                 rows = rows.select(~spiky)
                 visits = visits_of(rows)
-        source = _on(source, visits.observations)
+        source = blurred(_on(source, visits.observations), values)
         self.tell(0.3, "noise from repeats")
         noise = self._noise(source, values, rows, visits)
         self.warnings += noise_warnings(noise, isinstance(source, LinkSource))
@@ -165,9 +166,7 @@ class Workshop:
         fit = self._geometry(measurement, identify)
         model = fit.problem.model
         library = library_of(self.start.robot, rows, model.names, options.effects)
-        whole = RobotModel(model.robot, (*model.effects, *library.effects), model.T_base, model.T_tool)
-        source = ToolSource.of(whole, measurement, fit.problem.free, len(library.parameters))
-        return source, np.concatenate([fit.values, np.zeros(len(library.parameters))]), library
+        return *tool_source(model, fit.values, fit.problem.free, measurement, library), library
 
     def _geometry(self, measurement: Measurement, options: IdentifyOptions) -> Fit:
         """Robust fit of the geometry, a plain one where that has no end, else base and tool registered to start from."""
@@ -232,7 +231,7 @@ class Workshop:
             "No pose was repeated often enough, so the noise is that of the fit itself: every verdict is relative to "
             "it, and none can be more than provisional. Repeat ten poses three times, with another pose in between.",
         )
-        lost = min(0.9, len(source.prior_mean) / max(visit_residual.size, 1))
+        lost = min(0.9, int(np.sum(~source.soft)) / max(visit_residual.size, 1))
         return _weights(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost), source)
 
     def _enough(self, world: World) -> World:

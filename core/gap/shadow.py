@@ -35,7 +35,7 @@ def bumped(hunt: Hunt, place: int, rows_q: Floats) -> bool:
     S = world.gram.reduction(selector.columns(hunt.chosen)) - world.gram.reduction(rest)
     own = S / variance - FAIR * len(candidate.columns)
     (joint,) = candidate.joints or (0,)
-    columns = _columns(hunt, source, joint, rows_q[:, joint])
+    columns = world.soft(_columns(hunt, source, joint, rows_q[:, joint]))
     columns = columns - basis @ (basis.T @ columns)
     size = np.sum(columns**2, axis=0)
     seen = size > 1e-6 * size.max(initial=1e-300)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ from core.observations import Observations
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,10 @@ class Source(Protocol):
     @property
     def batch(self) -> Batch:
         """Conditions of the rows."""
+
+    @property
+    def soft(self) -> Bools:
+        """Which of the geometry (P,) are load errors: known about as well by their priors as by the data."""
 
     def residual(self, values: Floats) -> Floats:
         """Residuals (V, m), NaN where nothing was seen."""
@@ -90,9 +96,32 @@ class ToolSource:
             np.array([p.prior_sigma for p in library]),
         )  # fmt: skip
 
+    @cached_property
+    def soft(self) -> Bools:
+        """Which of the free parameters are load errors."""
+        out = np.zeros(len(self.model.names), dtype=bool)
+        for effect, where in zip(self.model.effects, self.model.effect_slices().values(), strict=True):
+            out[where] = effect.nuisance
+        return out[self.free]
+
     def on(self, measurement: Measurement) -> ToolSource:
         """The same model on other rows."""
-        return replace(self, measurement=measurement, batch=self.model.batch(measurement.observations))
+        batch = replace(self.model.batch(measurement.observations), blur=self.batch.blur)
+        return replace(self, measurement=measurement, batch=batch)
+
+    def blurred(self, blur: Floats | None) -> ToolSource:
+        """The same rows with loads as uncertain as ``blur (n, 2)`` where they change their sign."""
+        return replace(self, batch=replace(self.batch, blur=blur))
+
+    def doubt(self, values: Floats) -> Floats:
+        """Covariance (V, m, m) of the residuals that the blurred signs leave open."""
+        prediction, J = self.model.doubts(self.batch, values)
+        if not J.shape[2]:
+            size = self.residual(values).shape[1]
+            return np.zeros((len(J), size, size))
+        residual = self.measurement.residual(prediction, J)
+        D = _derivatives(residual, J.shape[2])
+        return np.asarray(np.einsum("vik,vjk->vij", D, D))
 
     def residual(self, values: Floats) -> Floats:
         """Residuals (V, m)."""
@@ -106,11 +135,7 @@ class ToolSource:
         columns = np.concatenate([self.free, start + wanted[order]])
         prediction, J = self.model.jacobian(batch or self.batch, values, columns)
         residual = self.measurement.residual(prediction, J)
-        assert residual.d_points is not None
-        parts = [residual.d_points.reshape(len(J), -1, len(columns))]
-        if residual.d_turns is not None:
-            parts.append(residual.d_turns)
-        D = np.concatenate(parts, axis=1)
+        D = _derivatives(residual, len(columns))
         r = _stacked(residual)
         D[np.isnan(r)] = 0.0
         return Linear(r, D[:, :, : len(self.free)], D[:, :, len(self.free) :][:, :, np.argsort(order)])
@@ -171,6 +196,11 @@ class LinkSource:
         batch = with_torque(self.model.batch(observations), observations)
         segment = np.minimum(segments(observations), self.segment.max())
         return replace(self, observations=observations, batch=batch, segment=segment)
+
+    @property
+    def soft(self) -> Bools:
+        """No load errors: a torque is measured, or encoders say too little of masses."""
+        return np.zeros(len(self.prior_mean), dtype=bool)
 
     @property
     def n_offsets(self) -> int:
@@ -259,6 +289,15 @@ def zeros(begin: Calibration) -> dict[str, tuple[int, float]]:
         return {}
     elements = ((j, chain.elements[k]) for j, k in enumerate(chain.primary))
     return {e.name: (j, e.ratio) for j, e in elements if e.name is not None}
+
+
+def _derivatives(residual: Residual, columns: int) -> Floats:
+    """Derivatives (V, m, columns) of the prediction, points first."""
+    assert residual.d_points is not None
+    parts = [residual.d_points.reshape(len(residual.points), -1, columns)]
+    if residual.d_turns is not None:
+        parts.append(residual.d_turns)
+    return np.concatenate(parts, axis=1)
 
 
 def _stacked(residual: Residual) -> Floats:

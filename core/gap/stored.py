@@ -10,6 +10,7 @@ import numpy as np
 from core.effects import Effect
 from core.gap.candidates import Candidate
 from core.gap.hunt import Hunt
+from core.gap.masses import with_masses
 from core.gap.options import GapOptions
 from core.gap.posterior import Posterior, posterior
 from core.gap.source import LinkSource, ToolSource, calibrated
@@ -95,7 +96,7 @@ def _model(found: Hunt, begin: Calibration, rows: Observations) -> RobotModel:
     """The robot with the effects of the start and those named, in the frames of the fit."""
     source = found.world.setting.source
     candidates = [found.selector.scorer.candidates[k] for k in found.chosen]
-    effects = (*begin.model.effects, *_merged(candidates, begin, rows))
+    effects = with_masses((*begin.model.effects, *_merged(candidates, begin, rows)), source)
     frames = source.model if isinstance(source, ToolSource) else begin.model
     return RobotModel(begin.robot, effects, frames.T_base, frames.T_tool)
 

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from core.effects import Batch
 from core.gap.noise import Noise
 from core.gap.recent import Recent
-from core.gap.source import Source
+from core.gap.soft import Soft
+from core.gap.source import Source, ToolSource
 from core.identify.solver import BEND, minimise
 
 Floats = NDArray[np.float64]
@@ -29,7 +30,9 @@ T = TypeVar("T")
 
 SEEN = 0.5  # data sigmas that one prior sigma of a geometric direction moves; below, the prior knows it better than the data
 VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
-STILL = 1e-2  # change of the fit, in sigmas over all data, that counts as converged
+PASSES = 3  # re-fits with the scatter of doubtful signs, which follows the size of the effects
+CHANGED = 0.05  # of the noise variance: less scatter more or less changes no weight that matters
+STILL = 1e-1  # change of the fit, in sigmas over all data, that counts as converged
 
 
 @dataclass(frozen=True)
@@ -42,10 +45,26 @@ class Setting:
     group: Ints
     inflation: float = 1.0  # variance of a sum over its variance if samples were independent (trajectories)
     trusted: bool = True  # whether the whitened scale is a floor for every test (repeats, or a measured correlation)
+    doubt: Floats | None = None  # covariance (V, m, m) beside the noise: signs of loads near zero
     whitener: Floats = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "whitener", self.noise.whiteners() / np.sqrt(self.inflation))
+        noise = self.noise if self.doubt is None else replace(self.noise, visit=self.noise.visit + self.doubt)
+        object.__setattr__(self, "whitener", noise.whiteners() / np.sqrt(self.inflation))
+
+    @property
+    def widened(self) -> float:
+        """Logarithm of how much the doubt widens the noise, over the visits that count."""
+        if self.doubt is None:
+            return 0.0
+        alone = self.noise.whiteners() / np.sqrt(self.inflation)
+        each = np.linalg.slogdet(alone)[1] - np.linalg.slogdet(self.whitener)[1]
+        return float(2.0 * np.sum(each[self.used]))
+
+    @property
+    def hard(self) -> Bools:
+        """Geometry (P,) that is projected off; the rest are load errors, which the priors hold."""
+        return ~self.source.soft
 
     def whitened(self, values: Floats) -> Floats:
         """Whitened residuals (V, m), zero where nothing was seen or the visit does not count."""
@@ -76,6 +95,7 @@ class World:
     raw: Floats  # whitened residual at ``values`` (R,)
     G: Floats  # whitened geometric columns (R, P)
     W_raw: Floats  # whitened unit columns before projection (R, Q)
+    soft: Soft
 
     @property
     def size(self) -> Floats:
@@ -90,8 +110,13 @@ class World:
 
     @property
     def chi2(self) -> float:
-        """Chi-square of the residual at ``values``, nothing taken out."""
-        return float(self.raw @ self.raw)
+        """Chi-square of the residual at ``values``, nothing taken out, with what the load errors cost by their priors.
+
+        Where doubtful signs widen the noise, what that takes off counts as a Gaussian's norm does: nothing is explained
+        by looking away.
+        """
+        away = _away(self.setting.source, self.values)[self.setting.source.soft]
+        return float(self.raw @ self.raw + away @ away) + self.setting.widened
 
     @cached_property
     def gram(self) -> Gram:
@@ -204,14 +229,26 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     norm = np.linalg.norm(W, axis=0)
     unit = np.where(norm > 0.0, norm, 1.0)
     W = W / unit
-    U = _seen(G * setting.source.prior_sigma)
-    library = setting.source.library(values)
+    source, hard = setting.source, setting.hard
+    B = G[:, ~hard] * source.prior_sigma[~hard]
+    soft = Soft.of(B)
+    U = _seen(soft((G * source.prior_sigma)[:, hard]))
+    library = source.library(values)
     y = r + W @ ((library if only is None else library[list(only)]) * unit)
-    Wp = W - U @ (U.T @ W)
+    # The load errors, too, are taken back into the data: their prior is about what was stated, not about the last fit.
+    y = soft(y + B @ _away(source, values)[~hard]) if len(soft.shrink) else y
+    W_soft = soft(W)
+    Wp = W_soft - U @ (U.T @ W_soft)
     yp = y - U @ (U.T @ y)
     # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
     nu = float(setting.used.sum() * setting.whitener.shape[-1] / setting.inflation - U.shape[1])
-    return World(setting, values, yp, Wp, U, np.where(norm > 0.0, 1.0 / unit, 0.0), nu, Wp.T @ Wp, Wp.T @ yp, r, G, W)
+    scale = np.where(norm > 0.0, 1.0 / unit, 0.0)
+    return World(setting, values, yp, Wp, U, scale, nu, Wp.T @ Wp, Wp.T @ yp, r, G, W, soft)
+
+
+def _away(source: Source, values: Floats) -> Floats:
+    """How far (P,) the geometry is from its priors, in prior sigmas."""
+    return np.asarray((source.geometry(values) - source.prior_mean) / source.prior_sigma)
 
 
 def go_on() -> None:
@@ -221,8 +258,25 @@ def go_on() -> None:
 def refit(setting: Setting, values: Floats, columns: Sequence[int], tick: Tick = go_on) -> World:
     """Nonlinear re-fit of geometry and the library ``columns``, each with its prior, from ``values``."""
     values = solved(setting, values, columns, tick=tick)[0]
+    for _ in range(PASSES):
+        other = doubted(setting, values)
+        if other is setting:
+            break
+        setting, values = other, solved(other, values, columns, tick=tick)[0]
     tick()
     return world_at(setting, values)
+
+
+def doubted(setting: Setting, values: Floats) -> Setting:
+    """The setting with the scatter that doubtful signs of loads have at these values; itself where it has not changed."""
+    source = setting.source
+    if not isinstance(source, ToolSource) or source.batch.blur is None:
+        return setting
+    doubt = source.doubt(values)
+    before = 0.0 if setting.doubt is None else setting.doubt
+    if np.max(np.abs(doubt - before), initial=0.0) <= CHANGED * np.max(np.trace(setting.noise.visit, axis1=1, axis2=2)):
+        return setting
+    return replace(setting, doubt=doubt if np.any(doubt) else None)
 
 
 def solved(

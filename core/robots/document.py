@@ -12,7 +12,7 @@ from core.conventions import Row, dh_elements, mdh_elements, s_model_elements
 from core.errors import RobotError
 from core.robot import STANDARD_GRAVITY, Joint, Robot
 from core.robots.complete import Read, read_places, read_poe
-from core.robots.parts import MM, Document, joint_of, links_of, pose_of
+from core.robots.parts import MM, Document, joint_of, links_of, payload_sigma_of, pose_of
 from core.robots.presets import preset_document
 
 
@@ -43,6 +43,7 @@ def robot_from_document(document: Document) -> Robot:
         gravity=np.array([0.0, 0.0, -STANDARD_GRAVITY] if gravity is None else gravity, dtype=np.float64),
         T_base=pose_of(document.get("base")),
         T_tool=pose_of(document.get("tool")),
+        payload_sigma=payload_sigma_of(document.get("payload_sigma")),
     )
 
 
@@ -63,7 +64,7 @@ def _read(document: Document, convention: str) -> Read:
 
 
 TABLES = {"dh": dh_elements, "mdh": mdh_elements, "s_model": s_model_elements}
-_OVERRIDABLE = {"name", "gravity_m_s2", "tool", "base", "links"}
+_OVERRIDABLE = {"name", "gravity_m_s2", "tool", "base", "links", "payload_sigma"}
 
 
 def _from_rows(document: Document, convention: str) -> tuple[tuple[Joint, ...], Chain, tuple[int, ...]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import RobotError
-from core.robot import Joint, Link
+from core.robot import CENTRE_M, MASS_SHARE, Joint, Link
 from core.transforms import pose_from_xyz_rpy
 
 MM = 1e-3
@@ -60,14 +60,40 @@ def links_of(links: Sequence[Document], frames: tuple[int, ...]) -> tuple[Link, 
     return tuple(_link(i, link, frame) for i, (link, frame) in enumerate(zip(links, frames, strict=False)))
 
 
+def payload_sigma_of(document: Document | None) -> tuple[float, float]:
+    """How well payloads are known: share of the mass, and m of the place.
+
+    Raises:
+        RobotError: a width that is not above 0.
+
+    """
+    given = {k: v for k, v in (document or {}).items() if v is not None}
+    for name, value in given.items():
+        if not value > 0:
+            message = f"payload_sigma.{name} is {value}: give a standard deviation above 0, or leave it out."
+            raise RobotError(message, field=f"payload_sigma.{name}")
+    percent, centre = given.get("mass_percent"), given.get("com_mm")
+    return (
+        MASS_SHARE if percent is None else float(percent) / 100.0,
+        CENTRE_M if centre is None else float(centre) * MM,
+    )
+
+
 def _link(i: int, link: Document, element: int) -> Link:
     mass = float(link.get("mass_kg") or 0.0)
     if mass < 0:
         raise RobotError(f"links[{i}] has a mass of {mass} kg: a mass cannot be negative.", field=f"links[{i}].mass_kg")
+    for name in ("mass_sigma_kg", "com_sigma_mm"):
+        if link.get(name) is not None and not link[name] > 0:
+            message = f"links[{i}] has a {name} of {link[name]}: give a standard deviation above 0, or leave it out."
+            raise RobotError(message, field=f"links[{i}].{name}")
+    mass_sigma, com_sigma = link.get("mass_sigma_kg"), link.get("com_sigma_mm")
     xx, yy, zz, xy, xz, yz = link.get("inertia_kg_m2") or (0.0,) * 6
     return Link(
         element=element,
         mass=mass,
         com=np.array(link.get("com_mm") or (0.0, 0.0, 0.0), dtype=np.float64) * MM,
         inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=np.float64),
+        mass_sigma=None if mass_sigma is None else float(mass_sigma),
+        com_sigma=None if com_sigma is None else float(com_sigma) * MM,
     )

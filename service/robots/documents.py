@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 
 from core.errors import RobotError
 
+KEPT = ("gravity_m_s2", "tool", "base", "links", "payload_sigma")
+
 
 class CoreDocument(NamedTuple):
     """A document for core, and what of the posted one it leaves out."""
@@ -27,7 +29,7 @@ def core_document(posted: dict[str, Any]) -> CoreDocument:
 
     result = chain_document(posted["urdf"], posted["base_link"], posted["tip_link"], posted["name"])
     document = dict(result.document)
-    document.update((key, posted[key]) for key in ("gravity_m_s2", "tool", "base", "links") if key in posted)
+    document.update((key, posted[key]) for key in KEPT if key in posted)
     document["joints"] = _with_extras(document["joints"], posted.get("joints") or [])
     notes = []
     if result.held_joints:

@@ -46,11 +46,16 @@ MAX_AXES = 4 * MAX_JOINTS  # a joint may drive several
 
 
 class Link(Strict):
-    """Mass, centre of mass, and inertia about it as xx, yy, zz, xy, xz, yz, in the link's frame."""
+    """Mass, centre of mass, and inertia about it as xx, yy, zz, xy, xz, yz, in the link's frame.
+
+    ``mass_sigma_kg`` and ``com_sigma_mm`` are standard deviations; a tenth of the mass and 10 mm when left out.
+    """
 
     mass_kg: Annotated[FiniteFloat, Field(ge=0)] = 0.0
     com_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
     inertia_kg_m2: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] = (0.0,) * 6
+    mass_sigma_kg: Annotated[FiniteFloat, Field(gt=0)] | None = None
+    com_sigma_mm: Annotated[FiniteFloat, Field(gt=0)] | None = None
 
 
 class Element(Strict):
@@ -86,6 +91,13 @@ class MdhRow(Strict):
     type: Literal["revolute", "prismatic"] = "revolute"
 
 
+class PayloadSigma(Strict):
+    """How well payloads are known, as standard deviations; 10 % and 10 mm when left out."""
+
+    mass_percent: Annotated[FiniteFloat, Field(gt=0)] | None = None
+    com_mm: Annotated[FiniteFloat, Field(gt=0)] | None = None
+
+
 class _Robot(Strict):
     name: Name
     source: Annotated[str, Field(max_length=2000)] | None = None
@@ -93,6 +105,7 @@ class _Robot(Strict):
     links: Annotated[list[Link], Field(max_length=MAX_JOINTS)] | None = None
     tool: Pose | None = None
     base: Pose | None = None
+    payload_sigma: PayloadSigma | None = None
 
 
 class ChainRobot(_Robot):
