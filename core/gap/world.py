@@ -27,6 +27,7 @@ Tick = Callable[[], None]
 
 SEEN = 0.5  # data sigmas that one prior sigma of a geometric direction moves; below, the prior knows it better than the data
 VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
+MOST_CONDITIONED = 300  # conditioned matrices that are kept; those not used for longest go first
 STILL = 1e-2  # change of the fit, in sigmas over all data, that counts as converged
 
 
@@ -159,9 +160,16 @@ class Gram:
         if key not in self.cache:
             K = self.A[:, index] @ self.inverse(columns)[0]
             A = self.A - K @ self.A[index]
+            self._forget()
             self.cache[key] = (K, 0.5 * (A + A.T), {})
-        K, A, cache = self.cache[key]
+        K, A, cache = self.cache[key] = self.cache.pop(key)  # used last, forgotten last
         return Gram(A, self.c - K @ self.c[index], self.yy - self.reduction(index), self.nu - self.rank(index), cache)
+
+    def _forget(self) -> None:
+        """Make room: a search over many sets conditions on thousands, a megabyte each with what hangs on them."""
+        kept = [key for key in self.cache if isinstance(key, tuple) and key[:1] == ("given",)]
+        for key in kept[: max(0, len(kept) - MOST_CONDITIONED + 1)]:
+            del self.cache[key]
 
     def with_data(self, c: Floats, yy: float) -> Gram:
         """The same candidates with other data."""

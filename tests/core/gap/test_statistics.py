@@ -12,7 +12,7 @@ from core.gap.prepare import Workshop
 from core.gap.scan import Scorer, null_of, residual_given
 from core.gap.select import Selector
 from core.gap.testability import testability as judged
-from core.gap.world import Gram, fitted, refit
+from core.gap.world import MOST_CONDITIONED, Gram, fitted, refit
 from core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
@@ -40,6 +40,20 @@ def test_conditioning_is_a_projection():
     np.testing.assert_allclose(given.c, other.T @ rest, atol=1e-10)
     assert given.yy == pytest.approx(rest @ rest)
     assert given.nu == 58.0
+
+
+def test_conditioning_on_many_sets_keeps_few_of_them():
+    """A hunt that tried thousands of sets held gigabytes of matrices."""
+    rng = np.random.default_rng(0)
+    W, y = rng.normal(size=(80, 40)), rng.normal(size=80)
+    gram = Gram(W.T @ W, W.T @ y, float(y @ y), 80.0)
+    first = gram.given([0, 1]).A
+    for i in range(40):
+        for j in range(i):
+            gram.given([i, j])
+            gram.given([0, 1])
+    assert sum(key[:1] == ("given",) for key in gram.cache) <= MOST_CONDITIONED
+    assert gram.given([0, 1]).A is first  # what is used is kept
 
 
 def test_scores_are_those_of_a_fit_with_each_candidate(prepared, scorer):
