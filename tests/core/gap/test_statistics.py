@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from core.gap.candidates import with_testable
 from core.gap.hunt import hunt
+from core.gap.likeness import correlation, correlations
 from core.gap.options import GapOptions
 from core.gap.prepare import Workshop
 from core.gap.scan import Scorer, null_of, residual_given
@@ -40,6 +42,23 @@ def test_conditioning_is_a_projection():
     np.testing.assert_allclose(given.c, other.T @ rest, atol=1e-10)
     assert given.yy == pytest.approx(rest @ rest)
     assert given.nu == 58.0
+
+
+def test_correlations_of_all_pairs_are_those_of_each():
+    """Against principal angles; the sixth column is another one's double, the seventh is nothing."""
+    rng = np.random.default_rng(3)
+    W = rng.normal(size=(50, 6))
+    W = np.column_stack([W, W[:, 2], np.zeros(50)])
+    spaces = [(0,), (1, 2), (6,), (2, 6), (3, 4, 5), (7,)]
+    found = correlations(W.T @ W, spaces)
+    for i, one in enumerate(spaces):
+        for j, other in enumerate(spaces):
+            a, b = (one, other) if len(one) <= len(other) else (other, one)
+            angles = scipy.linalg.subspace_angles(W[:, a], W[:, b]) if 7 not in (*a, *b) else []
+            rank = np.linalg.matrix_rank(W[:, a])
+            expected = np.sqrt(np.sum(np.cos(angles) ** 2) / rank) if len(angles) else 0.0
+            assert found[i, j] == pytest.approx(expected, abs=1e-7), (one, other)
+            assert correlation(W.T @ W, one, other) == pytest.approx(expected, abs=1e-7)
 
 
 def test_conditioning_on_many_sets_keeps_few_of_them():
