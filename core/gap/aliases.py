@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from core.gap.cancelling import cancelling_members
 from core.gap.candidates import FAMILY, Candidate
 from core.gap.hunt import Hunt
 from core.gap.likeness import HELD, SAME, Alias, correlation
 from core.gap.select import MARGIN
-from core.gap.smooth import own_curve, smooth_members
+from core.gap.smooth import is_curve, own_curve, smooth_members
 
 Floats = NDArray[np.float64]
 
@@ -49,8 +50,15 @@ def aliases_of(hunt: Hunt, place: int) -> tuple[Alias, ...]:
         found.append(Alias(int(k), rival, behind, rho, wrong))
     singles = {(a.candidate.id, k) for a in found if a.candidate.level != FAMILY for k in a.candidate.columns}
     found = [a for a in found if a.candidate.level != FAMILY or chosen.level == FAMILY or not _listed(a, singles)]
+    if is_curve(chosen):  # whether a smooth curve takes the name away is decided there, joint by joint
+        found = [a for a in found if a.candidate.id != UnknownSmoothCurve.id or not _within(a.candidate, chosen)]
     members = smooth_members(hunt, place) or cancelling_members(hunt, place)
     return tuple(found) if not members else _with_members(found, members)
+
+
+def _within(one: Candidate, other: Candidate) -> bool:
+    """Whether the joints of one are among those of the other."""
+    return set(one.joints or ()) <= set(other.joints or ())
 
 
 def _with_members(found: list[Alias], members: tuple[Alias, ...]) -> tuple[Alias, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +43,23 @@ def correlation(A: Floats, one: tuple[int, ...], other: tuple[int, ...]) -> floa
     a, b = (one, other) if len(one) <= len(other) else (other, one)
     cross = first.T @ A[np.ix_(a, b)] @ second
     return float(min(1.0, np.sqrt(np.sum(cross**2) / first.shape[1])))
+
+
+def correlations(A: Floats, spaces: Sequence[tuple[int, ...]]) -> Floats:
+    """:func:`correlation` of every two spaces (K, K): each one's root is taken once, not once for each pair."""
+    halves = [_half(A, columns) for columns in spaces]
+    ranks = np.array([half.shape[1] for half in halves], dtype=np.int64)
+    roots = np.zeros((len(A), int(ranks.sum())))
+    starts = np.cumsum(ranks) - ranks
+    for start, half, columns in zip(starts, halves, spaces, strict=True):
+        roots[list(columns), start : start + half.shape[1]] = half
+    space = np.repeat(np.arange(len(spaces)), ranks)
+    member = (space == np.arange(len(spaces))[:, None]) * 1.0
+    shared = member @ (roots.T @ A @ roots) ** 2 @ member.T
+    sizes = np.array([len(columns) for columns in spaces])
+    smaller = np.where(sizes[:, None] <= sizes, ranks[:, None], ranks)
+    known = (ranks[:, None] > 0) & (ranks > 0)
+    return np.asarray(np.where(known, np.minimum(1.0, np.sqrt(shared / np.maximum(smaller, 1))), 0.0))
 
 
 def _half(A: Floats, columns: tuple[int, ...]) -> Floats:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from core.gap.candidates import with_testable
 from core.gap.hunt import hunt
+from core.gap.likeness import correlation, correlations
 from core.gap.options import GapOptions
 from core.gap.prepare import Workshop
 from core.gap.scan import Scorer, null_of, residual_given
 from core.gap.select import Selector
 from core.gap.tails import tail
 from core.gap.testability import testability as judged
-from core.gap.world import Gram, fitted, refit
+from core.gap.world import MOST_CONDITIONED, Gram, fitted, refit
 from core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
@@ -41,6 +43,37 @@ def test_conditioning_is_a_projection():
     np.testing.assert_allclose(given.c, other.T @ rest, atol=1e-10)
     assert given.yy == pytest.approx(rest @ rest)
     assert given.nu == 58.0
+
+
+def test_correlations_of_all_pairs_are_those_of_each():
+    """Against principal angles; the sixth column is another one's double, the seventh is nothing."""
+    rng = np.random.default_rng(3)
+    W = rng.normal(size=(50, 6))
+    W = np.column_stack([W, W[:, 2], np.zeros(50)])
+    spaces = [(0,), (1, 2), (6,), (2, 6), (3, 4, 5), (7,)]
+    found = correlations(W.T @ W, spaces)
+    for i, one in enumerate(spaces):
+        for j, other in enumerate(spaces):
+            a, b = (one, other) if len(one) <= len(other) else (other, one)
+            angles = scipy.linalg.subspace_angles(W[:, a], W[:, b]) if 7 not in (*a, *b) else []
+            rank = np.linalg.matrix_rank(W[:, a])
+            expected = np.sqrt(np.sum(np.cos(angles) ** 2) / rank) if len(angles) else 0.0
+            assert found[i, j] == pytest.approx(expected, abs=1e-7), (one, other)
+            assert correlation(W.T @ W, one, other) == pytest.approx(expected, abs=1e-7)
+
+
+def test_conditioning_on_many_sets_keeps_few_of_them():
+    """A hunt that tried thousands of sets held gigabytes of matrices."""
+    rng = np.random.default_rng(0)
+    W, y = rng.normal(size=(80, 40)), rng.normal(size=80)
+    gram = Gram(W.T @ W, W.T @ y, float(y @ y), 80.0)
+    first = gram.given([0, 1]).A
+    for i in range(40):
+        for j in range(i):
+            gram.given([i, j])
+            gram.given([0, 1])
+    assert sum(key[:1] == ("given",) for key in gram.cache) <= MOST_CONDITIONED
+    assert gram.given([0, 1]).A is first  # what is used is kept
 
 
 def test_scores_are_those_of_a_fit_with_each_candidate(prepared, scorer):
