@@ -21,7 +21,7 @@ EFFECTS = ("clearance_tilt", "backlash_load")
 ROUNDS = 3  # pairs of each effect and arm
 FIRST = 2  # joints further out are tried first: the load on the inner ones seldom comes near zero
 POSES = 118
-LAMS = (6000.0, 1500.0, 300.0)  # by round: the larger the effect, the more a sign that is wrong stands out
+LAMS = (100_000.0, 20_000.0, 3000.0)  # by round: play of a tenth of a degree, a twentieth, a fiftieth or so
 RIGHT, WRONG = "right", "wrong"
 HEAD = "| masses | cases | named exactly | closed | extra wrong names | unknown shapes | confirmed but wrong |"
 
