@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.gap.noise import FIT, refitted
-from core.gap.outliers import outliers
+from core.gap.outliers import LARGE, outliers, stands_out
 from core.gap.source import ToolSource
 from core.gap.world import Setting, World, refit, world_at
 
@@ -32,8 +32,10 @@ def renewed(world: World, columns: Sequence[int]) -> World:
         return world
     every = replace(setting, used=np.ones(len(setting.used), dtype=bool))
     every = _with_noise(every, world, columns, setting.used)
-    whole = world_at(every, world.values)
-    used = ~outliers(whole, columns)
+    if len(setting.used) > LARGE and setting.used.all() and not stands_out(every, world.values):
+        used = setting.used
+    else:
+        used = ~outliers(world_at(every, world.values), columns)
     after = _with_noise(replace(every, used=used), world, columns, used)
     ratio = after.noise.coordinate / max(setting.noise.coordinate, 1e-300)
     if np.array_equal(used, setting.used) and abs(ratio - 1.0) < CHANGED:

@@ -20,7 +20,9 @@ Floats = NDArray[np.float64]
 EFFICIENCY = 0.95  # of the fit where no row is wrong
 COARSEST = 4.0  # times the last limit at which the descent begins, at least
 STEP = 0.7  # factor on the limit from one pass to the next
-SETTLED = 1e-3  # change of weights that ends the descent
+FARTHEST = 12.0  # the same at most: beyond, a row is wrong whatever the first fit was bent by
+STILL = 1e-2  # change of weights that ends the descent
+SETTLED = 1e-3  # the same of a scale
 PASSES = 40
 BULK = 3.0  # scales within which the final scale is read
 SMALLEST = 1e-12
@@ -104,13 +106,14 @@ def redescended(sizes: Callable[[Floats], Floats], start: Floats, dimension: int
     """
     final = tukey_limit(dimension)
     size, weight = start, np.ones(len(start))
-    coarse = max(COARSEST, float(start.max(initial=0.0)) / max(final * scale_of(start, dimension), SMALLEST))
+    farthest = float(start.max(initial=0.0)) / max(final * scale_of(start, dimension), SMALLEST)
+    coarse = min(max(COARSEST, farthest), FARTHEST)
     for _ in range(PASSES):
         scale = max(scale_of(size, dimension), SMALLEST)
         if coarse <= 1.0:
             scale = max(bulk_scale(size, dimension, scale), SMALLEST)
         after = Loss("tukey", max(coarse, 1.0) * final * scale).weight(size)
-        still = coarse <= 1.0 and float(np.abs(after - weight).max(initial=0.0)) < SETTLED
+        still = coarse <= 1.0 and float(np.abs(after - weight).max(initial=0.0)) < STILL
         weight = after
         if still:
             break
