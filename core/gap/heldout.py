@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
 
 from core.gap.adequacy import gain, left_out_errors, left_out_floor
 from core.gap.hunt import Hunt
@@ -28,6 +30,8 @@ Bools = NDArray[np.bool_]
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is no measurement
 SPIKES = 0.02  # share of such rows above which they are what the model cannot predict, no broken beams: all then count
+
+SPIKES_SURE = 0.99  # chance that so many broken beams at that share are no more than counted
 
 
 @dataclass(frozen=True)
@@ -104,9 +108,7 @@ class Bench:
             lower = _root(np.mean(noise.visit[used], axis=0) * world.setting.inflation)
             floor = left_out_floor(world, columns)
             return HeldOut(before, after, lower, floor, "leave one pose out", 0, world.setting.inflation)
-        spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
-        if np.mean(spike) > SPIKES:
-            spike[:] = False
+        spike = ~self.kept
         spread = self._spread()
         floor = 1.0 + (world.U.shape[1] + len(columns)) / max(world.rows, 1)
         if spread is not None:
@@ -117,6 +119,18 @@ class Bench:
         grown = world.setting.inflation if self.moving else 1.0
         told = None if spread is None else self._predictive(after, spread, ~spike)
         return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), grown, told)
+
+    @cached_property
+    def kept(self) -> Bools:
+        """Held-out rows that are measurements: all but spikes, unless those are more than broken beams make by chance.
+
+        A share alone would call one broken beam among thirty rows structure, and let it decide what the others cannot.
+        """
+        before, after = self.errors([]), self.errors(self.hunt.columns)
+        spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
+        if self.rows is None or np.sum(spike) > binom.ppf(SPIKES_SURE, len(spike), SPIKES):
+            return np.ones(len(spike), dtype=bool)
+        return np.asarray(~spike)
 
     def _spread(self) -> Floats | None:
         """Covariance (N, m, m) of the predictions of the held-out rows by that of the fit; None for joint data."""
@@ -156,8 +170,8 @@ class Bench:
     def gain_of(self, place: int) -> tuple[float, float]:
         """Gain by one chosen candidate beyond the others, and its standard error."""
         rest = self.hunt.selector.columns([k for k in self.hunt.chosen if k != place])
-        without, with_ = self.errors(rest), self.errors(self.hunt.columns)
-        return gain(without, with_, self._groups())
+        without, with_ = self.errors(rest)[self.kept], self.errors(self.hunt.columns)[self.kept]
+        return gain(without, with_, self._groups()[self.kept])
 
     def _groups(self) -> Ints:
         """Pose of each held-out row; of motions the block."""

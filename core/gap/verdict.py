@@ -14,8 +14,8 @@ from core.gap.hunt import Hunt
 from core.gap.intervals import Amplitude
 from core.gap.matters import Misfit
 from core.gap.replication import Replication
+from core.gap.stability import INCLUDED
 
-INCLUDED = 0.8
 SURE_GAIN = 2.0  # standard errors
 SHADOWED = 0.3  # correlation with an unknown curve above which a named effect may be part of it
 CONTRADICTS = 2.0  # standard deviations on the wrong side of zero, or beyond the plausible range

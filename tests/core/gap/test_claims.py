@@ -88,6 +88,17 @@ def test_held_out_coordinates_lie_within_their_predictive_intervals(robot):
     assert find_gap(robot, campaign(robot, [CURVE], poses=50), QUICK).predictive is None
 
 
+def test_one_broken_beam_among_the_held_out_poses_decides_nothing(robot):
+    rows = campaign(robot, [CURVE], poses=80, seed=1)
+    clean = find_gap(robot, rows, QUICK)
+    broken = replace(rows, position=rows.position.copy())
+    broken.position[held_out(rows, None, 0)[1][3]] += 2e-3
+    report = find_gap(robot, broken, QUICK)
+    assert report.gap["held_out_set_aside"] == 1
+    assert [j.verdict for j in report.effects] == [j.verdict for j in clean.effects] == ["confirmed"]
+    assert report.gap["closure"] == pytest.approx(clean.gap["closure"], abs=0.1)
+
+
 def test_what_is_seen_again_with_the_same_amplitude_is_replicated(robot, small):
     alone = find_gap(robot, small, QUICK)
     assert [j.verdict for j in alone.effects] == ["provisional"]
