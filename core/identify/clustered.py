@@ -33,9 +33,11 @@ def clustered(fit: Fit) -> Fit:
     """The fit with the covariance clustered by pose, and the ``freedom`` of its scale.
 
     It is scaled so that 1.96 sigma are half the 95 % interval of Student's t. Distances between poses and contacts have
-    no rows of their own: their fits are returned as they are.
+    no rows of their own: their fits are returned as they are, and so are those that are clustered already.
     """
     problem = fit.problem
+    if fit.freedom is not None:
+        return fit
     groups = problem.measurement.observations.pose_groups()
     if not problem.measurement.sees_base or len(fit.residual.points) != len(groups):
         return fit
