@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from core.identify.least_squares import HOLD, HUBER_SIGMAS, Fit
 from core.identify.redescending import dimension_of, row_sizes
 from core.identify.robust import Loss, tukey_limit
+from core.identify.settling import levers, scatter_of_poses
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,9 +34,11 @@ def clustered(fit: Fit) -> Fit:
     """The fit with the covariance clustered by pose, and the ``freedom`` of its scale.
 
     It is scaled so that 1.96 sigma are half the 95 % interval of Student's t. Distances between poses and contacts have
-    no rows of their own: their fits are returned as they are.
+    no rows of their own: their fits are returned as they are, and so are those that are clustered already.
     """
     problem = fit.problem
+    if fit.freedom is not None:
+        return fit
     groups = problem.measurement.observations.pose_groups()
     if not problem.measurement.sees_base or len(fit.residual.points) != len(groups):
         return fit
@@ -49,7 +52,7 @@ def clustered(fit: Fit) -> Fit:
     bread = np.linalg.inv(bend * total + known + eye + HOLD * held.T @ held)
     numbers = len(np.unique(groups)) * problem.measurement.each
     left = max(numbers - bend * float(np.trace(bread @ total)), 1.0)
-    shared = _shared(A, r, groups, numbers / left)
+    shared = _shared(A, r, levers(fit), groups, numbers / left)
     meat = _mixed(shared, *_by_pose(A, r, groups, bread))
     rest = eye - bread @ (bend * total + known)
     around = bread @ (meat + known) @ bread + rest @ rest.T
@@ -80,10 +83,10 @@ def by_row(fit: Fit) -> tuple[Floats, Floats]:
     return np.concatenate(J, axis=1), np.concatenate(r, axis=1)
 
 
-def _shared(A: Floats, r: Floats, groups: Ints, lost: float) -> Floats:
-    """Covariance (F, F) of the scores, had all poses the same scatter: shared by the rows of a pose, and each row's own.
+def _shared(A: Floats, r: Floats, L: Floats, groups: Ints, lost: float) -> Floats:
+    """Covariance (F, F) of the scores, had all poses scatter alike: shared by the rows of a pose, and each row's own.
 
-    ``lost`` makes up for what the parameters took from the poses.
+    ``L (N, R, n)`` are the levers of the joints; ``lost`` makes up for what the parameters took from the poses.
     """
     count = np.bincount(groups)
     mean = np.stack([np.bincount(groups, weights=column) for column in r.T], axis=1) / count[:, None]
@@ -93,9 +96,13 @@ def _shared(A: Floats, r: Floats, groups: Ints, lost: float) -> Floats:
     if len(r) > len(count):
         common = _bounded(common - own * float(np.mean(1.0 / count)), own, int(count.max()))
     order = np.argsort(groups, kind="stable")
-    whole = np.add.reduceat(A[order], np.searchsorted(groups[order], np.arange(len(count))))
+    start = np.searchsorted(groups[order], np.arange(len(count)))
+    whole = np.add.reduceat(A[order], start)
+    lever = np.add.reduceat(L[order], start) / count[:, None, None]
+    # The fit takes its share of the scatter; what rows have of their own is known already.
+    each = scatter_of_poses(np.sqrt(lost) * mean, lever, common, own / count[:, None, None])
     return np.asarray(
-        np.einsum("gip,ij,gjq->pq", whole, common, whole, optimize=True)
+        np.einsum("gip,gij,gjq->pq", whole, each, whole, optimize=True)
         + np.einsum("nip,ij,njq->pq", A, own, A, optimize=True)
     )
 
