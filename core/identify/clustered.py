@@ -45,11 +45,11 @@ def clustered(fit: Fit) -> Fit:
     A, r = by_row(fit)
     before = fit.J[A.shape[0] * A.shape[1] :] * problem.prior_sigma  # what a filter knew is no evidence of these rows
     known = before.T @ before
-    total = np.einsum("nrp,nrq->pq", A, A)
+    total = _products(A, A)
     eye = np.eye(len(total))
     held = eye[:0] if problem.held is None else problem.held
     bend = bend_of(fit)
-    bread = np.linalg.inv(bend * total + known + eye + HOLD * held.T @ held)
+    bread: Floats = np.asarray(np.linalg.inv(bend * total + known + eye + HOLD * held.T @ held), dtype=np.float64)
     numbers = len(np.unique(groups)) * problem.measurement.each
     left = max(numbers - bend * float(np.trace(bread @ total)), 1.0)
     shared = _shared(A, r, levers(fit), groups, numbers / left)
@@ -101,10 +101,12 @@ def _shared(A: Floats, r: Floats, L: Floats, groups: Ints, lost: float) -> Float
     lever = np.add.reduceat(L[order], start) / count[:, None, None]
     # The fit takes its share of the scatter; what rows have of their own is known already.
     each = scatter_of_poses(np.sqrt(lost) * mean, lever, common, own / count[:, None, None])
-    return np.asarray(
-        np.einsum("gip,gij,gjq->pq", whole, each, whole, optimize=True)
-        + np.einsum("nip,ij,njq->pq", A, own, A, optimize=True)
-    )
+    return _products(whole, each @ whole) + _products(A, own @ A)
+
+
+def _products(a: Floats, b: Floats) -> Floats:
+    """Sum over the first two axes of (N, R, F) times (N, R, F): (F, F)."""
+    return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
 
 
 def _by_pose(A: Floats, r: Floats, groups: Ints, bread: Floats) -> tuple[Floats, Floats]:
