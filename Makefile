@@ -8,7 +8,7 @@ IMAGE ?= kilter
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind thesis silent-rows image fmt clean
+.PHONY: help setup demo serve test check bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds thesis silent-rows image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -78,6 +78,12 @@ test-faults: $(KERNELS) ## kill, stop and cut off everything around the stream, 
 
 blind: $(READY) ## find hidden physics in N simulated campaigns and write docs/reference/gap-finder-benchmark.md (N=1000)
 	$(BIN)/python -m tests.blind.run --n $(or $(N),1000)
+
+blind-pairs: $(READY) ## hunt the same campaigns with right and with wrong masses (ROUNDS=3)
+	$(BIN)/python -m tests.blind.pairs --rounds $(or $(ROUNDS),3)
+
+blind-thresholds: $(READY) ## score every threshold of the gap finder at half and double (SEARCH=1: also those of the search, hours)
+	$(BIN)/python -m tests.blind.thresholds --write $(if $(SEARCH),--search)
 
 thesis: $(KERNELS) ## do the thesis's experiments again on simulated arms and write their pages
 	$(BIN)/python -m tools.thesis_reproduction

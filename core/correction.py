@@ -23,6 +23,7 @@ from core.kernels import correction as kernel
 from core.model import Calibration, RobotModel
 from core.robot import Joint, Robot
 from core.runtime_effects import Conditions, Written, weighed_anew, write_effect
+from core.transforms import rotation_exp
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -273,12 +274,13 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
 
 def _write_foot(head: Floats, scalars: Floats, written: Written, seen: Floats, nominal: Folded) -> list[Floats]:
     """Let the base frame (4, 4) move: a constant shift at once, a pedestal that gives way as a row of its own."""
-    if written.pedestal is None and not np.any(written.foot):
+    if written.pedestal is None and not np.any(written.foot) and not np.any(written.lean):
         return []
     first = head[0, kernel.IDENTIFIED : kernel.IDENTIFIED + 12]
     above = np.linalg.solve(seen, np.vstack([np.column_stack([first[:9].reshape(3, 3), first[9:]]), [0, 0, 0, 1]]))
     foot = seen.copy()
     foot[:3, 3] += seen[:3, :3] @ written.foot
+    foot[:3, :3] = seen[:3, :3] @ rotation_exp(written.lean)
     if written.pedestal is None:
         first[:] = _flat(foot @ above)
         return []

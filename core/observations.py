@@ -11,29 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import ObservationError
+from core.poses import numbered_poses, numbered_rows
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-SAME_POSE_RAD = 1e-5  # joint vectors closer than this (0.6 thousandths of a degree) are repeats of one pose
-
-
-def readings(q: Floats) -> Ints:
-    """Joint vectors (N, n) in steps of ``SAME_POSE_RAD``: repeats of a pose are equal."""
-    return np.asarray(np.round(q / SAME_POSE_RAD).astype(np.int64))
-
-
-def numbered_rows(keys: Ints) -> Ints:
-    """Number the rows (N, n) in ascending order, equal ones alike.
-
-    As ``np.unique`` along axis 0, which sorts whole rows without letting any other thread run: a second for 200 000 rows.
-    """
-    order = np.lexsort(keys.T[::-1])
-    new = np.ones(len(keys), dtype=bool)
-    new[1:] = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)
-    out = np.empty(len(keys), dtype=np.int64)
-    out[order] = np.cumsum(new) - 1
-    return out
 
 
 @dataclass(frozen=True)
@@ -116,14 +97,31 @@ class Observations:
         return Observations(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     def pose_groups(self) -> Ints:
-        """Number the poses, shape (N,): rows of one ``pose_id``, else rows with the same joint readings, share one."""
+        """Number the poses, shape (N,): rows of one ``pose_id``, else rows with nearly the same joint readings, share one."""
         return self._groups
 
     @cached_property
     def _groups(self) -> Ints:
         if self.pose_id is not None:
             return np.unique(self.pose_id, return_inverse=True)[1].astype(np.int64)
-        return numbered_rows(readings(self.q))
+        return numbered_poses(self.q)
+
+    def conditions(self) -> Ints:
+        """Number what repeats must share beside the pose, shape (N,): pose, approach, payload and session together."""
+        columns = [self.pose_groups().astype(np.float64)[:, None]]
+        columns += [c.reshape(len(c), -1).astype(np.float64) for c in (self.direction, self.payload_kg, self.session,
+                                                                       self.setup) if c is not None]  # fmt: skip
+        return numbered_rows(np.unique(np.hstack(columns), return_inverse=True)[1].reshape(len(self), -1))
+
+    def visits(self) -> Ints:
+        """Number the visits, shape (N,): rows of one pose that follow each other under the same conditions are one.
+
+        No clock parts them: without motion between them shots share how the arm settled, however long they took.
+        """
+        condition = self.conditions()
+        new = np.ones(len(self), dtype=bool)
+        new[1:] = condition[1:] != condition[:-1]
+        return np.asarray(np.cumsum(new) - 1)
 
     def _present(self) -> dict[str, NDArray[Any]]:
         return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}

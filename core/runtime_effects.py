@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from core.effects import Effect
@@ -20,20 +21,28 @@ from core.effects.backlash import Backlash
 from core.effects.backlash_load import BacklashLoad
 from core.effects.base_compliance import BaseCompliance
 from core.effects.clearance_tilt import ClearanceTilt
+from core.effects.column_bending import ColumnBending
+from core.effects.direction_compliance import DirectionCompliance
 from core.effects.eccentricity import Eccentricity
 from core.effects.encoder_scale import EncoderScale
 from core.effects.friction_windup import FrictionWindup
 from core.effects.gear_error import GearError
 from core.effects.gravity_spring import GravitySpring
+from core.effects.hardening import Hardening
 from core.effects.joint_coupling import JointCoupling
 from core.effects.link_bending import LinkBending, bent
+from core.effects.link_growth import LinkGrowth
 from core.effects.load_error import LoadError
 from core.effects.payload_error import PayloadError
 from core.effects.radial_compliance import RadialCompliance
+from core.effects.reading_tilt import ReadingTilt
 from core.effects.second_harmonic import SecondHarmonic
 from core.effects.thermal_growth import ThermalGrowth
+from core.effects.tool_sag import ToolSag, sagging
 from core.effects.tracking_lag import TrackingLag
 from core.effects.unknown_joint_curve import UnknownJointCurve
+from core.effects.unknown_smooth_curve import UnknownSmoothCurve
+from core.effects.zero_thermal import ZeroThermal
 from core.kernels import correction as kernel
 from core.load_slopes import EACH, weighed, with_masses, with_payload
 from core.model import RobotModel
@@ -62,6 +71,7 @@ class Written:
     beams: list[Floats] = field(default_factory=list)
     pedestal: tuple[float, float] | None = None
     foot: Floats = field(default_factory=lambda: np.zeros(3))  # shift of the base frame, m
+    lean: Floats = field(default_factory=lambda: np.zeros(3))  # turn of the base frame, rad
 
     def curve(self, joint: int, shape: float, a: float, b: float = 0.0, **columns: float) -> None:
         """Add a curve of ``joint``; columns by their name in the kernel, the driver being the joint itself."""
@@ -72,6 +82,19 @@ class Written:
         row[kernel.FACTOR] = columns.get("factor", 1.0)
         if a != 0.0 or b != 0.0:
             self.curves.append(row)
+
+    def beam(self, joint: int, of_joint: Floats, of_end: Floats, link: Floats) -> None:
+        """Add the twist of ``joint`` by matrices (6, 6) of the wrench on it, and of that on the end of its ``link (3,)``.
+
+        The kernel moves the wrench to the end of the link: once for each row with a link, so give none where no moment
+        at the end counts.
+        """
+        rows = np.zeros((2, kernel.COLUMNS))
+        rows[0, :36], rows[1, :36] = of_joint.ravel(), of_end.ravel()
+        rows[0, kernel.BEAM_JOINT] = joint
+        rows[0, kernel.BEAM_LINK : kernel.BEAM_LINK + 3] = link
+        self.beams.extend(rows)
+        self.joints[joint, kernel.TWISTED] = 1.0
 
     def free(self, column: int, joints: tuple[int, ...]) -> bool:
         """Whether a column that holds one effect only is still empty at these joints."""
@@ -166,6 +189,20 @@ def _joint_curve(written: Written, effect: UnknownJointCurve, values: Floats) ->
     return True
 
 
+def _smooth(written: Written, effect: UnknownSmoothCurve, values: Floats) -> bool:
+    acting = effect.acting(written.robot.n_joints)
+    ranges = zip(acting, effect.centres or (), effect.halves or (), strict=True)
+    for place, (j, centre, half) in enumerate(ranges):
+        series = np.zeros(kernel.HIGHEST - kernel.POWERS + 1)
+        series[list(effect.orders)] = values[place :: len(acting)]
+        written.curve(j, kernel.POLYNOMIAL, 1.0)
+        powers = legendre.leg2poly(series)
+        row = written.curves[-1]
+        row[kernel.EXTRA : kernel.EXTRA + 2] = centre, half
+        row[kernel.POWERS : kernel.POWERS + len(powers)] = powers
+    return True
+
+
 def _spring(written: Written, effect: GravitySpring, values: Floats) -> bool:
     if effect.arms_m is None:
         return _harmonic(1.0)(written, effect, values)
@@ -203,13 +240,7 @@ def _bending(written: Written, effect: LinkBending, values: Floats) -> bool:
     none, unit = np.zeros((6, 6)), np.eye(6)
     for (j, value), centre in zip(_pairs(written, effect, values), effect.centres_m or (), strict=True):
         link = robot.chain.link_vectors[j]
-        rows = np.zeros((2, kernel.COLUMNS))
-        rows[0, :36] = value * bent(link, centre, unit, none).T.ravel()
-        rows[1, :36] = value * bent(link, centre, none, unit).T.ravel()
-        rows[0, kernel.BEAM_JOINT] = j
-        rows[0, kernel.BEAM_LINK : kernel.BEAM_LINK + 3] = link
-        written.beams.extend(rows)
-        written.joints[j, kernel.TWISTED] = 1.0
+        written.beam(j, value * bent(link, centre, unit, none).T, value * bent(link, centre, none, unit).T, link)
     return True
 
 
@@ -228,6 +259,50 @@ def _growth(written: Written, effect: ThermalGrowth, values: Floats) -> bool:
     written.joints[:, kernel.XI : kernel.XI + 3] += grown[:-1]
     written.joints[:, kernel.TWISTED] = 1.0
     written.foot += grown[-1]
+    return True
+
+
+def _link_growth(written: Written, effect: LinkGrowth, values: Floats) -> bool:
+    if written.conditions.temperature_c is None:
+        return False
+    warmer = written.conditions.temperature_c - effect.reference_c
+    for j, value in _pairs(written, effect, values):
+        written.joints[j, kernel.XI : kernel.XI + 3] += value * warmer * written.robot.chain.link_vectors[j]
+        written.joints[j, kernel.TWISTED] = 1.0
+    return True
+
+
+def _zeros(written: Written, effect: ZeroThermal, values: Floats) -> bool:
+    if written.conditions.temperature_c is None:
+        return False
+    for j, value in _pairs(written, effect, values):
+        written.joints[j, kernel.DQ] += value * (written.conditions.temperature_c - effect.reference_c)
+    return True
+
+
+def _column(written: Written, effect: ColumnBending, values: Floats) -> bool:
+    if written.conditions.temperature_c is None:
+        return False
+    written.lean[:2] += values * (written.conditions.temperature_c - effect.reference_c)
+    return True
+
+
+def _reading(written: Written, effect: ReadingTilt, values: Floats) -> bool:
+    """What a load across the axis adds to the joint: a twist along or about z, linear in the wrench on the joint."""
+    acting = effect.acting(written.robot.n_joints)
+    for place, j in enumerate(acting):
+        turns = np.zeros((6, 6))
+        turns[5 if written.robot.joints[j].kind == "revolute" else 2, 3:5] = values[place :: len(acting)]
+        written.beam(j, turns, np.zeros((6, 6)), np.zeros(3))
+    return True
+
+
+def _sag(written: Written, effect: ToolSag, values: Floats) -> bool:
+    if written.conditions.payload_kg == 0.0:
+        return True  # nothing hangs on the tool
+    moved = np.zeros((6, 6))
+    moved[:3, :3] = float(values[0]) * sagging(effect.axis or (0.0, 0.0, 1.0)).T
+    written.beam(written.robot.n_joints - 1, np.zeros((6, 6)), moved, np.zeros(3))
     return True
 
 
@@ -263,6 +338,7 @@ _WRITERS: Mapping[str, _Writer] = {
     SecondHarmonic.id: _harmonic(2.0),
     GearError.id: _gear,
     UnknownJointCurve.id: _joint_curve,
+    UnknownSmoothCurve.id: _smooth,
     GravitySpring.id: _spring,
     EncoderScale.id: _scale,
     JointCoupling.id: _coupling,
@@ -271,5 +347,12 @@ _WRITERS: Mapping[str, _Writer] = {
     BaseCompliance.id: _pedestal,
     ThermalGrowth.id: _growth,
     PayloadError.id: _payload,
+    ZeroThermal.id: _zeros,
+    LinkGrowth.id: _link_growth,
+    ColumnBending.id: _column,
+    ToolSag.id: _sag,
+    Hardening.id: _adds(kernel.HARDENING),
+    DirectionCompliance.id: _adds(kernel.SIDED),
+    ReadingTilt.id: _reading,
     LoadError.id: _masses,
 }

@@ -62,6 +62,11 @@ def rotation_log(R: Floats) -> Floats:
     return np.asarray(Rotation.from_matrix(R).as_rotvec())
 
 
+def rotation_exp(w: Floats) -> Floats:
+    """Turn (3, 3) by a rotation vector."""
+    return np.asarray(Rotation.from_rotvec(w).as_matrix())
+
+
 def skew(v: Floats) -> Floats:
     """Cross-product matrices (N, 3, 3) of vectors (N, 3)."""
     out = np.zeros((len(v), 3, 3))

@@ -11,6 +11,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "robot_invalid": (400, "The robot description cannot be a serial arm"),
     "observations_invalid": (400, "The measurements cannot be what their columns say"),
     "foreign_observations": (400, "The observations look mixed up"),
+    "rows_shared": (400, "The same rows were searched and shall judge"),
     "option_invalid": (400, "An option does not exist or does not fit"),
     "markers_collinear": (400, "The markers lie in one line"),
     "markers_swapped": (400, "Markers have changed places"),

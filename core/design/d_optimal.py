@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from core.design.order import short_way
+from core.design.region import Region
 from core.effects import Effect
-from core.errors import RobotError
 from core.identify.options import IdentifyOptions
 from core.model import Calibration, RobotModel
 from core.observations import Observations
@@ -17,8 +19,6 @@ from core.robot import Robot
 Floats = NDArray[np.float64]
 
 POOL = 600
-BATCH, BATCHES = 20_000, 30  # random poses tried to fill a box
-MARGIN_SHARE = 0.03  # of each joint's range kept free at both ends: room for a correction
 
 
 def d_optimal_poses(
@@ -28,20 +28,25 @@ def d_optimal_poses(
     noise: float = 5e-5,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
-    box: Floats | None = None,
-) -> Floats:
-    """Joints (count, n) that maximise the determinant of the information, within the priors, of position measurements.
+    region: Region | None = None,
+    payloads_kg: Sequence[float] = (),
+) -> Observations:
+    """Rows (count) that maximise the determinant of the information, within the priors, of position measurements.
 
-    ``effects`` are looked for beside those of ``start``; ``noise`` is the standard deviation of a coordinate in m. With a
-    ``box (2, 3)`` m, lowest and highest corner in the frame of the measurements, the tool stays in it.
+    ``effects`` are looked for beside those of ``start``; ``noise`` is the standard deviation of a coordinate in m. Poses
+    are in ``region`` (within the limits when None), in the order of a short way. A row has ``direction`` where an effect
+    needs it, from either side, and ``payload_kg`` where loads matter and ``payloads_kg`` are at hand.
 
     Raises:
-        RobotError: joint limits are missing, or hardly a pose has its tool in the box.
+        RobotError: joint limits are missing, or hardly a pose is in the region.
 
     """
-    rng, wanted = np.random.default_rng(seed), max(POOL, 3 * count)
-    pool = random_poses(start.robot, wanted, rng) if box is None else poses_within(start, box, wanted, rng)
-    X = _information_roots(start, pool, effects, noise)
+    rng = np.random.default_rng(seed)
+    whole, values, free = _looked_for(start, effects)
+    needs = frozenset[str]().union(*(e.needs for e in whole.effects))
+    pool = _conditions((region or Region.of(start)).draw(max(POOL, 3 * count), rng), needs, payloads_kg, rng)
+    J = whole.jacobian(_complete(pool, needs), values, free)[1][:, :3]
+    X = J * np.array([whole.parameters[k].prior_sigma for k in free]) / noise
     C = np.eye(X.shape[2])
     picked: list[int] = []
     for k in range(count):
@@ -54,7 +59,8 @@ def d_optimal_poses(
         C = C - XC[best].T @ np.linalg.solve(S[best], XC[best])
         if progress is not None:
             progress((k + 1) / count)
-    return pool[picked]
+    chosen = pool.select(np.array(picked))
+    return chosen.select(short_way(chosen.q, np.ptp(np.clip(start.robot.limits, -np.pi, np.pi), axis=1)))
 
 
 def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Floats:
@@ -64,44 +70,38 @@ def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Floats:
         RobotError: joint limits are missing.
 
     """
-    low, high = robot.limits.T
-    if not np.isfinite(robot.limits).all():
-        raise RobotError("Planning poses needs the limits of every joint: give limits_deg.", field="joints")
-    margin = MARGIN_SHARE * (high - low)
-    return np.asarray(rng.uniform(low + margin, high - margin, (count, robot.n_joints)))
+    return Region.of(Calibration.nominal(robot)).draw(count, rng)
 
 
-def poses_within(start: Calibration, box: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """Joints (count, n) at random within the limits, the tool within the ``box (2, 3)`` m.
-
-    Raises:
-        RobotError: joint limits are missing, or fewer than one pose in a thousand has its tool there.
-
-    """
-    found: list[Floats] = []
-    for _ in range(BATCHES):
-        q = random_poses(start.robot, BATCH, rng)
-        p = start.predict(Observations(q)).position
-        found.append(q[((p >= box[0]) & (p <= box[1])).all(axis=1)])
-        if sum(map(len, found)) >= count:
-            return np.concatenate(found)[:count]
-    raise RobotError(
-        f"Of {BATCHES * BATCH} random poses only {sum(map(len, found))} have the tool in the box, {count} are needed: "
-        "give a larger box, in the frame of the measurements, or fewer poses.",
-        field="box_mm",
+def _conditions(
+    q: Floats, needs: frozenset[str], payloads_kg: Sequence[float], rng: np.random.Generator
+) -> Observations:
+    """Rows at ``q``, from either side and under the payloads at hand where an effect feels them."""
+    loads = bool(needs & {"moments", "payload_kg"}) and len(payloads_kg) > 0
+    return Observations(
+        q,
+        direction=rng.choice([-1.0, 1.0], q.shape) if "direction" in needs else None,
+        payload_kg=rng.choice(np.asarray(payloads_kg, dtype=np.float64), len(q)) if loads else None,
     )
 
 
-def _information_roots(start: Calibration, pool: Floats, effects: Sequence[Effect], noise: float) -> Floats:
-    """Derivatives (N, 3, P) of the position by each free parameter's prior sigma, in units of the noise."""
+def _complete(rows: Observations, needs: frozenset[str]) -> Observations:
+    """Rows with constants for what a pose cannot choose, so that the effects can be evaluated."""
+    n = len(rows)
+    made = {
+        "qd": np.zeros_like(rows.q), "qdd": np.zeros_like(rows.q), "t": np.zeros(n), "temperature_c": np.full(n, 20.0),
+        "payload_kg": np.zeros(n), "session": np.zeros(n, dtype=np.int64), "direction": np.zeros_like(rows.q),
+    }  # fmt: skip
+    return replace(rows, **{name: made[name] for name in needs if name in made and getattr(rows, name) is None})
+
+
+def _looked_for(start: Calibration, effects: Sequence[Effect]) -> tuple[RobotModel, Floats, NDArray[np.int64]]:
+    """The start's model with the effects it lacks, its values, and what an identification would free."""
     model, values = start.model.folded(start.values)
-    rows = Observations(pool, direction=np.where(np.arange(len(pool))[:, None] % 2, 1.0, -1.0) * np.ones_like(pool))
     missing = tuple(effect for effect in effects if not _has(model, effect))
     whole = RobotModel(model.robot, (*model.effects, *missing), model.T_base, model.T_tool)
-    whole_values = np.concatenate([values, whole.values0()[len(values) :]])
-    free = IdentifyOptions().free_parameters(whole, sees_orientation=False)
-    J = whole.jacobian(rows, whole_values, free)[1][:, :3]
-    return np.asarray(J * np.array([whole.parameters[k].prior_sigma for k in free]) / noise)
+    values = np.concatenate([values, whole.values0()[len(values) :]])
+    return whole, values, IdentifyOptions().free_parameters(whole, sees_orientation=False)
 
 
 def _has(model: RobotModel, effect: Effect) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from core.design.region import Region
 from core.errors import RobotError
 from core.inverse import reach
 from core.model import RobotModel
@@ -51,14 +52,16 @@ class Cube:
         return np.asarray(self.centre + INWARD * self.side * (along + across))
 
 
-def iso_poses(robot: Robot, count: int = 118, seed: int = 0) -> Floats:
+def iso_poses(robot: Robot, count: int = 118, seed: int = 0, region: Region | None = None) -> Floats:
     """Joints (count, n) of poses on the diagonal planes of the largest cube, every joint moving between poses.
+
+    Poses, and the cube, keep to the floor and the box of ``region``.
 
     Raises:
         RobotError: joint limits are missing, or no cube of the workspace can be reached.
 
     """
-    samples, points = _workspace(robot, seed)
+    samples, points = _workspace(robot, seed, region)
     cube = largest_cube(points)
     rng = np.random.default_rng(seed)
     tree = KDTree(points)
@@ -67,6 +70,7 @@ def iso_poses(robot: Robot, count: int = 118, seed: int = 0) -> Floats:
         targets = cube.on_diagonals(4 * count, rng)
         near = tree.query(targets, k=CANDIDATES)[1]
         q, arrived = reach(robot, np.repeat(targets, CANDIDATES, axis=0), samples[near.reshape(-1)])
+        arrived = arrived & _clear(region, q)
         found = len(poses)
         for mine, ok in zip(q.reshape(-1, CANDIDATES, robot.n_joints), arrived.reshape(-1, CANDIDATES), strict=True):
             if len(poses) < count and ok.any():
@@ -76,8 +80,10 @@ def iso_poses(robot: Robot, count: int = 118, seed: int = 0) -> Floats:
     return np.array(poses)
 
 
-def five_poses(robot: Robot, plane: int = 0, seed: int = 0) -> Floats:
+def five_poses(robot: Robot, plane: int = 0, seed: int = 0, region: Region | None = None) -> Floats:
     """Joints (5, n) of P1 to P5 on a diagonal plane of the largest cube, in which all five can be reached.
+
+    They keep to the floor and the box of ``region``.
 
     Visited from P5 down to P1, every joint moves between them where the arm allows it.
 
@@ -85,12 +91,13 @@ def five_poses(robot: Robot, plane: int = 0, seed: int = 0) -> Floats:
         RobotError: joint limits are missing, or no cube has five poses that can be reached.
 
     """
-    samples, points = _workspace(robot, seed)
+    samples, points = _workspace(robot, seed, region)
     cube, tree = largest_cube(points), KDTree(points)
     for _ in range(TRIES):
         near = tree.query(cube.five(plane), k=4 * CANDIDATES)[1]
         targets = np.repeat(cube.five(plane), 4 * CANDIDATES, axis=0)
         q, arrived = reach(robot, targets, samples[near.reshape(-1)])
+        arrived = arrived & _clear(region, q)
         tried, ok = q.reshape(5, -1, robot.n_joints), arrived.reshape(5, -1)
         if ok.any(axis=1).all():
             visited: list[Floats] = []
@@ -123,11 +130,18 @@ def largest_cube(points: Floats) -> Cube:
     raise RobotError("No cube fits into the workspace: check lengths and joint limits.")
 
 
-def _workspace(robot: Robot, seed: int) -> tuple[Floats, Floats]:
+def _clear(region: Region | None, q: Floats) -> NDArray[np.bool_]:
+    return np.ones(len(q), dtype=bool) if region is None else region.clear(q)
+
+
+def _workspace(robot: Robot, seed: int, region: Region | None) -> tuple[Floats, Floats]:
     limits = robot.limits
     if not np.isfinite(limits).all():
         raise RobotError("ISO 9283 poses need the limits of every joint: give limits_deg.", field="joints")
     samples = np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (SAMPLES, robot.n_joints))
+    samples = samples[_clear(region, samples)]
+    if len(samples) < 0.001 * SAMPLES:
+        raise RobotError("Hardly a pose keeps to the floor and the box: give more room.", field="box_mm")
     model = RobotModel(robot)
     return samples, model.predict(Observations(samples), model.values0()).position
 

@@ -20,7 +20,9 @@ from core.robot import Robot
 Floats = NDArray[np.float64]
 
 PRISMATIC_LEVER_M = 0.1  # what the prior of a radian becomes at a prismatic joint
-_PRISMATIC_UNITS = {"rad": "m", "rad/(N m)": "m/N"}
+_PRISMATIC_UNITS = {
+    "rad": "m", "rad/(N m)": "m/N", "rad/(N m)2": "m/N2", "rad/s": "m/s", "rad/K": "m/K",
+}  # fmt: skip
 _COLUMNS = {
     "direction": "dir1 ... dirn",
     "qd": "qd1_deg_s ... qdn_deg_s",
@@ -149,10 +151,11 @@ class Effect(ABC):
     The class says what a search for missing effects must know: ``needs`` (columns), ``stage``, ``signs`` ("positive"
     when physics fixes the sign of the parameters), ``aliases`` (ids whose signatures come nearest), ``remedy`` (what
     to measure so that it can be tested or told apart), ``empirical`` (a shape without a cause), ``at_joints`` (whether
-    ``joints`` choose where it acts), ``learned`` (never searched; kept only if it predicts held-out poses better), and
-    ``nuisance`` (never searched; carried beside the others with its prior). One that ``changes_loads`` moves nothing of
-    its own: the others read the loads that it leaves. ``reads`` names the loads of the batch that an effect reads and
-    their components; what it does at a joint follows that joint's loads alone.
+    ``joints`` choose where it acts), ``learned`` (never searched; kept only if it predicts held-out poses better),
+    ``supple`` (imitates many others, so that holding their shape says nothing), and ``nuisance`` (never searched; carried
+    beside the others with its prior). One that ``changes_loads`` moves nothing of its own: the others read the loads that
+    it leaves. ``reads`` names the loads of the batch that an effect reads and their components; what it does at a joint
+    follows that joint's loads alone.
     """
 
     id: ClassVar[str]
@@ -168,6 +171,7 @@ class Effect(ABC):
     empirical: ClassVar[bool] = False
     at_joints: ClassVar[bool] = True
     learned: ClassVar[bool] = False
+    supple: ClassVar[bool] = False
     nuisance: ClassVar[bool] = False
     changes_loads: ClassVar[bool] = False
     reads: ClassVar[tuple[tuple[str, tuple[int, ...]], ...]] = ()

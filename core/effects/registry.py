@@ -12,26 +12,37 @@ from core.effects.backlash_load import BacklashLoad
 from core.effects.base import Effect
 from core.effects.base_compliance import BaseCompliance
 from core.effects.clearance_tilt import ClearanceTilt
+from core.effects.column_bending import ColumnBending
+from core.effects.direction_compliance import DirectionCompliance
 from core.effects.drift import Drift
 from core.effects.eccentricity import Eccentricity
 from core.effects.encoder_scale import EncoderScale
 from core.effects.friction_windup import FrictionWindup
 from core.effects.gear_error import GearError
 from core.effects.gravity_spring import GravitySpring
+from core.effects.hardening import Hardening
 from core.effects.joint_coupling import JointCoupling
 from core.effects.link_bending import LinkBending
+from core.effects.link_growth import LinkGrowth
 from core.effects.load_error import LoadError
 from core.effects.measurement_scale import MeasurementScale
 from core.effects.payload_error import PayloadError
 from core.effects.radial_compliance import RadialCompliance
+from core.effects.random_walk import RandomWalk
+from core.effects.reading_tilt import ReadingTilt
 from core.effects.second_harmonic import SecondHarmonic
 from core.effects.session_shift import SessionShift
+from core.effects.settling import Settling
 from core.effects.thermal_growth import ThermalGrowth
 from core.effects.time_offset import TimeOffset
+from core.effects.tool_sag import ToolSag
 from core.effects.tracking_lag import TrackingLag
 from core.effects.unknown_field import UnknownField
 from core.effects.unknown_joint_curve import UnknownJointCurve
 from core.effects.unknown_residual import UnknownResidual
+from core.effects.unknown_smooth_curve import UnknownSmoothCurve
+from core.effects.zero_drift import ZeroDrift
+from core.effects.zero_thermal import ZeroThermal
 from core.errors import OptionError
 
 _ALL: tuple[type[Effect], ...] = (
@@ -56,6 +67,17 @@ _ALL: tuple[type[Effect], ...] = (
     Drift,
     MeasurementScale,
     SessionShift,
+    ZeroDrift,
+    ZeroThermal,
+    LinkGrowth,
+    Settling,
+    RandomWalk,
+    ColumnBending,
+    ToolSag,
+    Hardening,
+    DirectionCompliance,
+    ReadingTilt,
+    UnknownSmoothCurve,
     UnknownJointCurve,
     UnknownField,
     UnknownResidual,

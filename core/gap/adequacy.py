@@ -18,6 +18,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 ADEQUATE = 0.01
+TOO_SMALL = 0.001  # chance of a residual so far below the noise, from which the noise is none
 CLOSED_LEVERAGE = 1.0 - 1e-6
 
 
@@ -25,8 +26,11 @@ CLOSED_LEVERAGE = 1.0 - 1e-6
 class Adequacy:
     """Chi-square of the residual with its freedom, lack of fit F and its p; p is None where noise is relative.
 
+    ``p_value_low`` is the chance of a residual as small or smaller: one far below the noise says that the noise is none
+    (repeats that drifted, a sigma stated too large), and nothing can be confirmed by it.
     ``least`` says that the noise is that within visits: the least it can be. A residual no larger proves the model
     adequate and the approach exact; a larger one may be either the model's or the approach's, and proves nothing.
+    ``most`` says that it may hold drift: a larger residual proves the model wrong, a smaller one proves nothing.
     """
 
     chi2: float
@@ -34,19 +38,42 @@ class Adequacy:
     lack_of_fit: float
     p_value: float | None
     least: bool = False
+    p_value_low: float | None = None
+    most: bool = False
+
+    @property
+    def too_large(self) -> bool:
+        """Whether the residual refutes the noise: it is smaller than noise of that size could leave."""
+        return self.p_value_low is not None and self.p_value_low <= TOO_SMALL
 
     @property
     def adequate(self) -> bool | None:
-        """Whether noise explains what is left; None when the noise itself came from the fit."""
+        """Whether noise explains what is left; None when the noise came from the fit, or is refuted or a bound only."""
         if self.p_value is None or (self.least and self.p_value <= ADEQUATE):
             return None
+        if self.too_large or (self.most and self.p_value > ADEQUATE):
+            return None
         return self.p_value > ADEQUATE
+
+    def warnings(self) -> tuple[dict[str, Any], ...]:
+        """What to know before trusting the noise."""
+        if not self.too_large:
+            return ()
+        ratio = float(np.sqrt(max(self.lack_of_fit, 0.0)))
+        return (
+            {
+                "code": "noise_too_large", "ratio": ratio,
+                "message": f"What is left is {ratio:.2f} times the noise, less than noise of that size leaves: the repeats "
+                "drifted or were disturbed, or a stated sigma is too large. No claim rests on the size of this noise. "
+                "Repeat ten poses with one other pose in between, or state the sigma of the instrument.",
+            },
+        )  # fmt: skip
 
     def to_document(self) -> dict[str, Any]:
         """Plain numbers."""
         return {
             "chi2": self.chi2, "freedom": self.nu, "chi2_per_freedom": self.chi2 / max(self.nu, 1.0),
-            "lack_of_fit_f": self.lack_of_fit, "p_value": self.p_value,
+            "lack_of_fit_f": self.lack_of_fit, "p_value": self.p_value, "p_value_low": self.p_value_low,
         }  # fmt: skip
 
 
@@ -59,8 +86,9 @@ def adequacy(world: World, condition: Ints, chosen: Sequence[int]) -> Adequacy:
     noise = world.setting.noise
     if not noise.absolute and noise.source != WITHIN:
         return Adequacy(left.yy, left.nu, lof, None)
-    p = chi2.sf(lof * lof_freedom, lof_freedom) if np.isinf(noise.freedom) else f.sf(lof, lof_freedom, noise.freedom)
-    return Adequacy(left.yy, left.nu, lof, float(p), not noise.absolute)
+    law = chi2(lof_freedom, scale=1.0 / lof_freedom) if np.isinf(noise.freedom) else f(lof_freedom, noise.freedom)
+    high, low = float(law.sf(lof)), float(law.cdf(lof))
+    return Adequacy(left.yy, left.nu, lof, high, not noise.absolute, low, noise.most)
 
 
 def left_out_errors(world: World, chosen: Sequence[int]) -> Floats:

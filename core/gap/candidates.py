@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from core.effects import EFFECTS, Effect
 from core.effects.joint_coupling import JointCoupling
+from core.effects.settling import Settling, time_constants
 from core.effects.unknown_joint_curve import UnknownJointCurve
+from core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -114,9 +116,10 @@ class _Shelf:
             columns = " and no ".join(sorted(missing))
             self.refused.append(Untestable(kind.id, None, f"The observations have no {columns}.", kind.remedy))
             return
-        for config in _variants(kind, self.robot):
+        for config in _variants(kind, self.robot, self.rows):
             try:
                 whole = kind(**config).on(self.robot, self.rows)
+                whole.parameters(self.robot)
             except OptionError as error:
                 self.refused.append(Untestable(kind.id, None, error.message, kind.remedy))
                 continue
@@ -141,6 +144,8 @@ class _Shelf:
             return
         cut = len(single) < len(whole.acting(self.robot.n_joints))
         self._put(kind(**{**config, "joints": tuple(single)}).on(self.robot, self.rows) if cut else whole)
+        if kind is UnknownSmoothCurve:
+            return  # one order alone is no smooth curve: the first is a scale error
         for j, effect in single.items():
             self.candidates.append(self._candidate((effect,), (j,), JOINT))
         if len(single) > 1 and not kind.empirical and "drivers" not in config:
@@ -160,6 +165,8 @@ class _Shelf:
 
     def _add_whole_curves(self, kind: type[Effect]) -> None:
         """The unknown curve of a joint in all its orders at once, beside order by order."""
+        if kind is UnknownSmoothCurve:
+            self._add_smooth_curves()
         if kind is not UnknownJointCurve:
             return
         own = [c for c in self.candidates if c.id == kind.id and c.effects[0].orders]  # type: ignore[attr-defined]
@@ -168,9 +175,30 @@ class _Shelf:
             if len(parts) > 1:
                 self.candidates.append(self._candidate(parts, j, JOINT))
 
+    def _add_smooth_curves(self) -> None:
+        """Smooth curves of a joint from orders 1 and 2 up to all."""
+        orders = [e for e in self.effects if isinstance(e, UnknownSmoothCurve)]
+        for j in sorted({j for e in orders for j in e.joints or ()}):
+            parts = [_at_joint(e, j) for e in orders if j in (e.joints or ())]
+            for most in range(2, len(parts) + 1):
+                self.candidates.append(self._candidate(tuple(parts[:most]), (j,), JOINT))
 
-def _variants(kind: type[Effect], robot: Robot) -> list[dict[str, Any]]:
-    """Configurations: the default, drivers two joints before, the unknown curve order by order and in pairs."""
+
+def _at_joint(effect: UnknownSmoothCurve, joint: int) -> UnknownSmoothCurve:
+    """The curve of one of its joints alone, on the same range."""
+    k = (effect.joints or ()).index(joint)
+    centres, halves = effect.centres or (), effect.halves or ()
+    return replace(effect, joints=(joint,), centres=(centres[k],), halves=(halves[k],))
+
+
+def _variants(kind: type[Effect], robot: Robot, rows: Observations) -> list[dict[str, Any]]:
+    """Configurations: the default, drivers two joints before, unknown curves order by order and in pairs, settling at
+    several paces.
+    """
+    if kind is UnknownSmoothCurve:
+        return [{"orders": (m,)} for m in UnknownSmoothCurve().orders]
+    if kind is Settling and rows.t is not None and len(rows):
+        return [{"tau_s": tau} for tau in time_constants(float(np.ptp(rows.t)))]
     if kind is UnknownJointCurve:
         alone = [{"orders": (m,)} for m in UnknownJointCurve().orders]
         return alone + [{"orders": (), "partner": p} for p in range(robot.n_joints)]

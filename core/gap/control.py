@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from core.gap.candidates import Candidate
 from core.gap.hunt import Hunt
-from core.gap.scan import residual_given
+from core.gap.scan import residual_given, summed
+from core.gap.tails import tail
 from core.gap.world import world_at
 
 Floats = NDArray[np.float64]
@@ -124,9 +124,33 @@ def _only(candidate: Candidate, W: Floats) -> Floats:
 def _named(hunt: Hunt, place: int, W: Floats, r: Floats) -> bool:
     u, s, _ = np.linalg.svd(W, full_matrices=False)
     u = u[:, s > 1e-3]
-    if not u.shape[1]:
+    d = u.shape[1]
+    if not d:
         return False
-    taken = u.T @ r
-    S = float(taken @ taken)
-    variance = max(1.0, (float(r @ r) - S) / max(hunt.world.nu - u.shape[1], 1.0))
-    return bool(chi2.sf(S / variance, u.shape[1]) < hunt.critical)
+    setting = hunt.world.setting
+    if setting.inflation > 1.0:
+        blocks = setting.group[hunt.world.row_visit]
+        return bool(tail(*by_blocks(u, r, blocks)) < hunt.critical)
+    S = float(np.sum((u.T @ r) ** 2))
+    free = max(hunt.world.nu - d, 1.0)
+    variance = max(1.0, (float(r @ r) - S) / free)
+    scorer = hunt.selector.scorer
+    return bool(tail(S / variance, d, scorer.known(free)) < hunt.critical)
+
+
+def by_blocks(u: Floats, r: Floats, blocks: Ints) -> tuple[float, int, float]:
+    """Chi-square of the sum of the blocks' shares u'r by their own scatter, its directions, and its freedom.
+
+    The residual still holds the effect, and is then as smooth as the motion: its samples are far from independent,
+    whatever the noise is. A shuffled label matches a true delay in a few cycles by chance, which a test that counts
+    samples calls certain. Blocks that were shuffled are independent of one another.
+    """
+    share = summed(u * r[:, None], blocks, int(blocks.max()) + 1)
+    share = share[np.any(share != 0.0, axis=1)]
+    count, d = len(share), u.shape[1]
+    if count <= d + 1:
+        return 0.0, d, 1.0
+    apart = share - share.mean(axis=0)
+    total = share.sum(axis=0)
+    size = float(total @ np.linalg.pinv(apart.T @ apart * count / (count - 1), hermitian=True) @ total)
+    return size * (count - d) / (count - 1), d, float(count - d)  # Hotelling's T as chi-square over an estimate

@@ -36,7 +36,7 @@ def contributions(hunt: Hunt) -> list[dict[str, Any]]:
     out = []
     for place in hunt.chosen:
         candidate = hunt.selector.scorer.candidates[place]
-        moved = _moved(hunt.world, hunt.columns, candidate.columns)[hunt.world.setting.used]
+        moved = moved_by(hunt.world, hunt.columns, candidate.columns)[hunt.world.setting.used]
         size = np.abs(moved).max(axis=1) if _joint_data(hunt) else np.linalg.norm(moved[:, :3], axis=1)
         out.append({
             "label": candidate.label, **candidate.named(),
@@ -46,7 +46,7 @@ def contributions(hunt: Hunt) -> list[dict[str, Any]]:
     return out
 
 
-def _moved(world: World, columns: Sequence[int], own: Sequence[int]) -> Floats:
+def moved_by(world: World, columns: Sequence[int], own: Sequence[int]) -> Floats:
     """Displacement (V, m) in m or rad by the library columns ``own`` at their fitted values."""
     values, _ = fitted(world, columns)
     amount = np.array([values[list(columns).index(k)] * world.size[k] for k in own])
@@ -80,7 +80,7 @@ def _by_angle(hunt: Hunt, rows: Observations, j: int) -> dict[str, Any]:
            for k in hunt.selector.scorer.candidates[c].columns]  # fmt: skip
     order = np.argsort(rows.q[:, j], kind="stable")
     order = order[world.setting.used[order]][:: max(1, len(order) // MOST_POINTS)]
-    curve = _moved(world, hunt.columns, sorted(set(own))) if own else np.zeros((len(rows), along.shape[1]))
+    curve = moved_by(world, hunt.columns, sorted(set(own))) if own else np.zeros((len(rows), along.shape[1]))
 
     def drawn(values: Floats) -> list[float]:
         return [round(float(v), 6) for v in (np.sum(values * along, axis=1) * _unit(hunt))[order]]

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
 
 from core.gap.adequacy import gain, left_out_errors, left_out_floor
 from core.gap.hunt import Hunt
+from core.gap.intervals import inflation, interval_width
+from core.gap.posterior import SMALLEST, Posterior
 from core.gap.prepare import Prepared, windowed
 from core.gap.scan import residual_given
 from core.gap.source import LinkSource, Source, ToolSource
@@ -22,9 +26,12 @@ from core.observations import Observations
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is no measurement
 SPIKES = 0.02  # share of such rows above which they are what the model cannot predict, no broken beams: all then count
+
+SPIKES_SURE = 0.99  # chance that so many broken beams at that share are no more than counted
 
 
 @dataclass(frozen=True)
@@ -43,13 +50,19 @@ class HeldOut:
     how: str
     set_aside: int = 0
     inflation: float = 1.0
+    predictive: dict[str, Any] | None = None
 
 
 class Bench:
-    """Predicts held-out poses by any set of library columns, fitted to the training rows only."""
+    """Predicts held-out poses by any set of library columns, fitted to the training rows only.
 
-    def __init__(self, hunt: Hunt, prepared: Prepared, validation: Observations | None) -> None:
-        self.hunt, self.prepared = hunt, prepared
+    ``fit`` is what the data say of all that was fitted: how far predictions of other poses may be off for it.
+    """
+
+    def __init__(
+        self, hunt: Hunt, prepared: Prepared, validation: Observations | None, fit: Posterior | None = None
+    ) -> None:
+        self.hunt, self.prepared, self.fit = hunt, prepared, fit
         self.rows = validation
         self.moving = prepared.moving and validation is not None and is_trajectory(validation)
         if self.moving and validation is not None:
@@ -76,6 +89,11 @@ class Bench:
             r = referenced(r, segments(self.rows))
         return np.asarray(r @ np.linalg.inv(self._lower()).T)
 
+    @property
+    def poses(self) -> int:
+        """Held-out poses (of motions blocks) that took no part in choosing."""
+        return 0 if self.rows is None else len(np.unique(self._groups()))
+
     def _lower(self) -> Floats:
         """Root (m, m) of the noise covariance of a held-out row."""
         setting = self.hunt.world.setting
@@ -90,15 +108,56 @@ class Bench:
             lower = _root(np.mean(noise.visit[used], axis=0) * world.setting.inflation)
             floor = left_out_floor(world, columns)
             return HeldOut(before, after, lower, floor, "leave one pose out", 0, world.setting.inflation)
-        spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
+        spike = ~self.kept
+        spread = self._spread()
         floor = 1.0 + (world.U.shape[1] + len(columns)) / max(world.rows, 1)
-        if np.mean(spike) > SPIKES:
-            spike[:] = False
+        if spread is not None:
+            floor = _floor(spread[~spike] / max(inflation(self.hunt), SMALLEST) ** 2, self._lower())
         how = "validation observations"
         if self.moving and isinstance(world.setting.source, LinkSource):
             how += ", with the encoder offsets of each motion fitted to it"
-        inflation = world.setting.inflation if self.moving else 1.0
-        return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), inflation)
+        grown = world.setting.inflation if self.moving else 1.0
+        told = None if spread is None else self._predictive(after, spread, ~spike)
+        return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), grown, told)
+
+    @cached_property
+    def kept(self) -> Bools:
+        """Held-out rows that are measurements: all but spikes, unless those are more than broken beams make by chance.
+
+        A share alone would call one broken beam among thirty rows structure, and let it decide what the others cannot.
+        """
+        before, after = self.errors([]), self.errors(self.hunt.columns)
+        spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
+        if self.rows is None or np.sum(spike) > binom.ppf(SPIKES_SURE, len(spike), SPIKES):
+            return np.ones(len(spike), dtype=bool)
+        return np.asarray(~spike)
+
+    def _spread(self) -> Floats | None:
+        """Covariance (N, m, m) of the predictions of the held-out rows by that of the fit; None for joint data."""
+        source, world = self.hunt.world.setting.source, self.hunt.world
+        if self.rows is None or self.fit is None or not isinstance(source, ToolSource):
+            return None
+        other, values = on_rows(source, self.rows, self.hunt, world.values)
+        assert isinstance(other, ToolSource)
+        return predicted_covariance(other, values, self.fit)
+
+    def _predictive(self, after: Floats, spread: Floats, kept: Bools) -> dict[str, Any]:
+        """How many held-out coordinates lie in their 95 % intervals: fit, noise, and what the noise does not explain."""
+        lower, grown = self._lower(), max(1.0, inflation(self.hunt))
+        noise = lower @ lower.T * grown**2
+        sigma = np.sqrt(np.diagonal(spread + noise, axis1=1, axis2=2))
+        seen = np.isfinite(self._measured()) & kept[:, None]
+        inside = (np.abs(after @ lower.T) <= interval_width(self.hunt) * sigma) & seen
+        group = np.unique(self._groups(), return_inverse=True)[1]
+        by_pose = [np.bincount(group, np.sum(m, axis=1)).astype(int).tolist() for m in (inside, seen)]
+        poses = [list(pose) for pose in zip(*by_pose, strict=True) if pose[1]]
+        return {"inside": int(inside.sum()), "of": int(seen.sum()), "poses": poses}
+
+    def _measured(self) -> Floats:
+        """Residuals (N, m) of the held-out rows, NaN where nothing was seen."""
+        assert self.rows is not None
+        source, values = on_rows(self.hunt.world.setting.source, self.rows, self.hunt, self.hunt.world.values)
+        return source.residual(values)
 
     def by_pose(self) -> tuple[Floats, Floats]:
         """Whitened rms errors (G,) of the held-out poses by geometry alone and by everything named."""
@@ -111,8 +170,8 @@ class Bench:
     def gain_of(self, place: int) -> tuple[float, float]:
         """Gain by one chosen candidate beyond the others, and its standard error."""
         rest = self.hunt.selector.columns([k for k in self.hunt.chosen if k != place])
-        without, with_ = self.errors(rest), self.errors(self.hunt.columns)
-        return gain(without, with_, self._groups())
+        without, with_ = self.errors(rest)[self.kept], self.errors(self.hunt.columns)[self.kept]
+        return gain(without, with_, self._groups()[self.kept])
 
     def _groups(self) -> Ints:
         """Pose of each held-out row; of motions the block."""
@@ -125,6 +184,21 @@ class Bench:
             share = len(self.rows) / (len(self.rows) + len(setting.used))
             return blocks(len(self.rows), share * setting.inflation)
         return self.rows.pose_groups()
+
+
+def predicted_covariance(source: ToolSource, values: Floats, fit: Posterior) -> Floats:
+    """Covariance (N, m, m) of a model's predictions of its rows, by the covariance of what was fitted."""
+    index = [k for k, name in enumerate(source.model.names) if name in fit.names]
+    own = [fit.names.index(source.model.names[k]) for k in index]
+    J = replace(source, free=np.array(index, dtype=np.int64)).linear(values, None, []).G
+    return np.asarray(J @ fit.covariance[np.ix_(own, own)] @ J.transpose(0, 2, 1))
+
+
+def _floor(spread: Floats, lower: Floats) -> float:
+    """Variance of held-out errors in units of noise when the model is perfect: the noise, and its estimation."""
+    back = np.linalg.inv(lower)
+    white = back @ spread @ back.T
+    return 1.0 + float(np.mean(np.trace(white, axis1=1, axis2=2))) / len(lower)
 
 
 def referenced(residual: Floats, motion: Ints) -> Floats:
@@ -185,6 +259,13 @@ def _rms_of(setting: Setting, whitened: Floats) -> float:
     return rms(e, np.eye(e.shape[1]), isinstance(setting.source, LinkSource))
 
 
+def noise_rms(setting: Setting) -> float:
+    """Rms length in space (m; rad of a joint) that the noise alone gives a visit."""
+    size = setting.whitener.shape[-1]
+    root = _root(np.mean(setting.noise.visit, axis=0)).T * np.sqrt(size)
+    return rms(root, np.eye(size), isinstance(setting.source, LinkSource))
+
+
 def noise_document(setting: Setting) -> dict[str, Any]:
     """The noise: standard deviations of a coordinate, and the covariance of a single row (of poses mm, then deg)."""
     noise, joint = setting.noise, isinstance(setting.source, LinkSource)
@@ -198,6 +279,7 @@ def noise_document(setting: Setting) -> dict[str, Any]:
         f"re_approach_{unit}": None if noise.between is None else noise.between * scale,
         "covariance": (noise.row * np.outer(scales, scales)).tolist(),
         "correlated_samples": setting.inflation,
+        "drift": None if noise.drift is None else noise.drift.to_document(unit, scale),
     }  # fmt: skip
 
 
@@ -211,7 +293,7 @@ def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any
     size = world.setting.whitener.shape[-1]
     joint = isinstance(world.setting.source, LinkSource)
     coordinate = world.setting.noise.coordinate
-    noise = rms(_root(np.mean(world.setting.noise.visit, axis=0)).T * np.sqrt(size), np.eye(size), joint)
+    noise = noise_rms(world.setting)
     r0, r1 = rms(held.before, held.lower, joint), rms(held.after, held.lower, joint)
     sigma = rms(np.eye(size) * np.sqrt(size * held.floor), held.lower / np.sqrt(held.inflation), joint)
     if not world.setting.trusted:
@@ -231,7 +313,13 @@ def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any
     if joint:
         out |= {f"{k}_mm": None for k in ("before", "after", "noise", "validation_before", "validation_after")}
     steps = [{"names": list(s.names), "chi2_per_freedom": s.chi2_per_freedom} for s in hunt.steps]
-    return out | {"closure": closure, "held_out": held.how, "held_out_set_aside": held.set_aside, "steps": steps}
+    return out | {
+        "closure": closure,
+        "held_out": held.how,
+        "held_out_set_aside": held.set_aside,
+        "predictive": held.predictive,
+        "steps": steps,
+    }
 
 
 def _root(covariance: Floats) -> Floats:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.gap.options import GapOptions
+from core.gap.renewal import renewed, under
 from core.gap.scan import Null, Scorer, null_of
 from core.gap.select import Selector
 from core.gap.world import Setting, World, refit
@@ -50,15 +51,18 @@ def hunt(setting: Setting, world: World, scorer: Scorer, limits: Floats, options
     entered early can keep out the causes that together explain more: if one is left, causes are hunted alone as well.
     """
     selector = Selector(scorer, world.rows, limits * world.size)
-    found = _climbed(world, selector, options, tell)
+    found = _climbed(world, selector, limits, options, tell)
     if not selector.shapes(found.chosen):
         return found
-    causes = _climbed(world, selector.causes, options, tell)
-    return replace(causes, selector=selector) if _explains_more(causes, found) else found
+    causes = _climbed(world, selector.causes, limits, options, tell)
+    causes = replace(causes, world=under(found.world.setting, causes.world, causes.columns))
+    return replace(causes, selector=found.selector) if _explains_more(causes, found) else found
 
 
-def _climbed(world: World, selector: Selector, options: GapOptions, tell: Tell) -> Hunt:
+def _climbed(world: World, selector: Selector, limits: Floats, options: GapOptions, tell: Tell) -> Hunt:
+    """Climb from the geometry; after every re-fit noise and outliers are judged anew by what is named by then."""
     chosen: tuple[int, ...] = ()
+    begin = world
     scorer = selector.scorer
     first: Null | None = None
     steps = [step_of(world, selector, chosen)]
@@ -79,8 +83,10 @@ def _climbed(world: World, selector: Selector, options: GapOptions, tell: Tell) 
         other = refit(world.setting, world.values, selector.columns(after), partial(tell, *now))
         if worse(selector, (other, after), (world, chosen)):
             continue  # the set does not do what the linear world promised
-        world, chosen = other, after
-        steps.append(step_of(world, selector, chosen))
+        world, chosen = renewed(other, selector.columns(after)), after
+        if world is not other:
+            selector = replace(selector, rows=world.rows, limits=limits * world.size)
+        steps.append(_in_units_of(begin, world, step_of(world, selector, chosen)))
     assert first is not None
     return Hunt(world, selector, chosen, first, first.critical(options.alpha), tuple(steps))
 
@@ -104,6 +110,12 @@ def _explains_more(one: Hunt, other: Hunt) -> bool:
         for h in (one, other)
     ]
     return bool(one.chosen) and cost[0] < cost[1]
+
+
+def _in_units_of(begin: World, world: World, step: Step) -> Step:
+    """A step in the noise of the first: noise that was re-estimated would make every step leave as much."""
+    ratio = world.setting.noise.coordinate / begin.setting.noise.coordinate
+    return replace(step, chi2_per_freedom=step.chi2_per_freedom * ratio**2)
 
 
 def step_of(world: World, selector: Selector, chosen: tuple[int, ...]) -> Step:

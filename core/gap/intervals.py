@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from scipy.stats import t
 
 from core.gap.hunt import Hunt
+from core.gap.source import LinkSource, ToolSource
+from core.gap.tails import tail
 from core.gap.world import fitted, solved
 
 Floats = NDArray[np.float64]
@@ -29,6 +31,11 @@ class Amplitude:
     low: float
     high: float
 
+    @property
+    def seen(self) -> bool:
+        """Whether the data show it: its own interval does not hold zero."""
+        return not self.low <= 0.0 <= self.high
+
 
 def amplitudes(hunt: Hunt, tell: Callable[[float], None]) -> dict[int, Amplitude]:
     """Amplitude of every chosen column, inflated by what noise leaves unexplained: max(1, chi²/nu)."""
@@ -36,11 +43,7 @@ def amplitudes(hunt: Hunt, tell: Callable[[float], None]) -> dict[int, Amplitude
     if not columns:
         return {}
     left = world.gram.given(columns)
-    absolute, grown = world.setting.trusted, inflation(hunt)
-    # The scale is known as well as the repeats know it, or as what is left does when there are none.
-    noise = world.setting.noise
-    known = (noise.freedom if noise.absolute else np.inf) if absolute else left.nu
-    width = float(t.isf((1 - LEVEL) / 2, max(known, 1.0)))
+    grown, width = inflation(hunt), interval_width(hunt)
     values, covariance = fitted(world, columns)
     out = {}
     for n, k in enumerate(columns):
@@ -51,6 +54,19 @@ def amplitudes(hunt: Hunt, tell: Callable[[float], None]) -> dict[int, Amplitude
             low, high = (_end(hunt, k, float(values[n]), float(end), left.yy, width * grown) for end in (low, high))
         out[k] = Amplitude(k, float(values[n]), sigma, float(low), float(high))
     return out
+
+
+def interval_width(hunt: Hunt) -> float:
+    """Standard deviations from the middle of a 95 % interval to its ends."""
+    return float(t.isf((1 - LEVEL) / 2, max(scale_freedom(hunt), 1.0)))
+
+
+def scale_freedom(hunt: Hunt) -> float:
+    """Numbers that the scale of the noise rests on: those of the repeats, or what is left where there are none."""
+    noise = hunt.world.setting.noise
+    if not hunt.world.setting.trusted:
+        return hunt.world.gram.given(hunt.columns).nu
+    return noise.freedom if noise.absolute else np.inf
 
 
 def inflation(hunt: Hunt) -> float:
@@ -67,3 +83,29 @@ def _end(hunt: Hunt, k: int, best: float, end: float, least: float, target: floa
     if rise <= 0.0:
         return end
     return best + (end - best) * float(np.clip(target / np.sqrt(rise), 0.5, 2.0))
+
+
+def seen_joints(hunt: Hunt, place: int) -> tuple[tuple[int, ...] | None, bool]:
+    """Joints at which the data show a chosen candidate (None: it acts at none), and whether they show any of it.
+
+    The parameters of a joint are judged together: sine and cosine of a short range are each uncertain, and the curve is not.
+    """
+    candidate, columns = hunt.selector.scorer.candidates[place], hunt.columns
+    source = hunt.world.setting.source
+    assert isinstance(source, ToolSource | LinkSource)
+    values, covariance = fitted(hunt.world, columns)
+    wide, freedom = covariance * inflation(hunt) ** 2, scale_freedom(hunt)
+
+    def shown(own: Sequence[int]) -> bool:
+        index = [columns.index(k) for k in own]
+        size = values[index] @ np.linalg.pinv(wide[np.ix_(index, index)], hermitian=True) @ values[index]
+        return bool(tail(size, len(index), freedom) < 1.0 - LEVEL)
+
+    if candidate.joints is None:
+        return None, shown(candidate.columns)
+    joints, start = set[int](), 0
+    for effect in candidate.effects:
+        own = candidate.columns[start : start + len(effect.parameters(source.model.robot))]
+        start += len(own)
+        joints |= set(effect.joints or ()) if shown(own) else set()
+    return tuple(j for j in candidate.joints if j in joints), bool(joints)

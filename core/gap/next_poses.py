@@ -14,18 +14,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.design.order import short_way
+from core.design.region import Region
 from core.gap.candidates import Candidate
 from core.gap.source import ToolSource
 from core.gap.world import World
 from core.measurement import Measurement
+from core.model import Calibration
 from core.observations import Observations
 from core.robot import Robot
 
 Floats = NDArray[np.float64]
 
 POOL = 250
-WIDEST_RAD = np.pi
-MARGIN_SHARE = 0.03  # of the joint range kept free at both ends
+WARMER_K = 5.0
+LATER_S = 600.0
 CHANGE_FIRST = 0.9  # a condition change is proposed first from this share of the new poses' information
 SPARE_LOAD = 0.1  # of the arm's mass, where no load was ever carried
 
@@ -43,23 +46,31 @@ class Proposal:
 
 def separate(
     world: World, rows: Observations, target: Candidate, rivals: Sequence[Candidate], others: Sequence[int],
-    amplitudes: Floats, count: int, seed: int,
+    amplitudes: Floats, count: int, seed: int, region: Region | None = None,
 ) -> tuple[Proposal, ...]:  # fmt: skip
     """Best poses for telling ``target`` (with its fitted ``amplitudes``) from its rivals, best proposal first.
 
-    ``others`` are library columns of the other named effects. Only tool measurements can be planned for.
+    ``others`` are library columns of the other named effects. New poses are in ``region``, else where ``rows`` were.
+    Only tool measurements can be planned for.
     """
     source = world.setting.source
     if not isinstance(source, ToolSource) or count < 1:
         return ()
+    model = Calibration(source.model, world.values)
+    region = region or Region.of(model, rows.q)
+    needs = frozenset[str]().union(*(c.effects[0].needs for c in (target, *rivals)))
     question = _Question(world, target, tuple(k for c in rivals for k in c.columns), tuple(others), amplitudes)
     rng = np.random.default_rng(seed)
-    new = _greedy(question, _pool(rows, source, rng), count, "new", "")
-    changed = [_greedy(question, old, count, "repeat", change) for change, old in _changes(rows, source, rng)]
-    best = max(changed, key=lambda p: p.after[-1], default=None)
+    new = _greedy(question, _pool(rows, region, needs, rng), count, "new", "")
+    old = rows.select(np.flatnonzero(region.clear(rows.q)))
+    changes = _changes(old, source, needs, rng) if len(old) else []
+    made = [
+        _ordered(question, p, needs) for p in (new, *(_greedy(question, o, count, "repeat", w) for w, o in changes))
+    ]
+    best = max(made[1:], key=lambda p: p.after[-1], default=None)
     if best is None:
-        return (new,)
-    return (best, new) if best.after[-1] >= CHANGE_FIRST * new.after[-1] else (new, best)
+        return (made[0],)
+    return (best, made[0]) if best.after[-1] >= CHANGE_FIRST * made[0].after[-1] else (made[0], best)
 
 
 def rows_of(proposals: Sequence[Proposal], names: tuple[str, str], robot: Robot) -> list[dict[str, Any]]:
@@ -111,11 +122,11 @@ class _Question:
         return H
 
     def rows(self, observations: Observations) -> Floats:
-        """Whitened columns (V, m, p) of poses not measured yet."""
+        """Whitened columns (V, m, p) of poses not measured yet, visited as the others were on average."""
         source = self.world.setting.source
         assert isinstance(source, ToolSource)
         linear = source.on(_imagined(source, observations, self.world.values)).linear(self.world.values)
-        noise = self.world.setting.noise.row
+        noise = np.mean(self.world.setting.noise.visit[self.world.setting.used], axis=0)
         L = np.linalg.inv(np.linalg.cholesky(noise + 1e-18 * np.eye(len(noise))))
         return self.columns(L @ linear.G, L @ linear.W)
 
@@ -138,6 +149,23 @@ def _greedy(question: _Question, pool: Observations, count: int, kind: str, chan
     return Proposal(pool.select(np.array(picked, dtype=np.int64)), kind, change, before, tuple(after))
 
 
+def _ordered(question: _Question, proposal: Proposal, needs: frozenset[str]) -> Proposal:
+    """The same poses in the order of a short way, with what is known after each, and only the conditions that matter."""
+    rows = proposal.rows
+    robot = question.world.setting.source.model.robot  # type: ignore[attr-defined]
+    rows = rows.select(short_way(rows.q, np.ptp(np.clip(robot.limits, -np.pi, np.pi), axis=1)))
+    H, after = question.information(), []
+    for X in question.rows(rows):
+        H = H + X.T @ X
+        after.append(1.0 / float(np.linalg.inv(H)[0, 0]))
+    if "direction" not in needs:
+        rows = replace(rows, direction=None)
+    loads = rows.payload_kg is not None and len(np.unique(rows.payload_kg)) > 1
+    if not (needs & {"moments", "payload_kg"}) and not loads:
+        rows = replace(rows, payload_kg=None)
+    return replace(proposal, rows=rows, after=tuple(after))
+
+
 def _imagined(source: ToolSource, rows: Observations, values: Floats) -> Measurement:
     """Measurements exactly as the model predicts, of the same kind as the real ones."""
     prediction = source.model.predict(rows, values)
@@ -149,41 +177,44 @@ def _imagined(source: ToolSource, rows: Observations, values: Floats) -> Measure
     return Measurement(replace(rows, position=prediction.position, rotation=rotation))
 
 
-def _pool(rows: Observations, source: ToolSource, rng: np.random.Generator) -> Observations:
-    """Random poses in the joint ranges, under the loads and directions that were used before."""
-    low, high = _ranges(rows, source)
-    q = rng.uniform(low, high, size=(POOL, rows.q.shape[1]))
-    loads = [0.0] if rows.payload_kg is None else np.unique(rows.payload_kg).tolist()
+def _pool(rows: Observations, region: Region, needs: frozenset[str], rng: np.random.Generator) -> Observations:
+    """Random poses in the region, under the loads that were used before, from either side where that matters."""
+    q = region.draw(POOL, rng)
+    loads = np.zeros(1) if rows.payload_kg is None else np.unique(rows.payload_kg)
+    if not needs & {"moments", "payload_kg"}:
+        loads = loads[:1]
     made = _conditions(rows, q, rng.choice(loads, POOL))
     if rows.direction is None:
         return made
-    used = np.unique(rows.direction, axis=0)
-    return replace(made, direction=used[rng.integers(len(used), size=POOL)])
+    return replace(made, direction=rng.choice([-1.0, 1.0], q.shape))
 
 
-def _ranges(rows: Observations, source: ToolSource) -> tuple[Floats, Floats]:
-    limits = source.model.robot.limits
-    seen_low, seen_high = rows.q.min(axis=0), rows.q.max(axis=0)
-    low = np.where(np.isfinite(limits[:, 0]), np.maximum(limits[:, 0], -WIDEST_RAD), seen_low)
-    high = np.where(np.isfinite(limits[:, 1]), np.minimum(limits[:, 1], WIDEST_RAD), seen_high)
-    margin = MARGIN_SHARE * (high - low)
-    return low + margin, high - margin
-
-
-def _changes(rows: Observations, source: ToolSource, rng: np.random.Generator) -> list[tuple[str, Observations]]:
-    """Old poses under another load, and from the other side."""
+def _changes(
+    rows: Observations, source: ToolSource, needs: frozenset[str], rng: np.random.Generator
+) -> list[tuple[str, Observations]]:
+    """Old poses under other conditions that the effects feel: another load, side, temperature, time."""
     first = np.unique(rows.pose_groups(), return_index=True)[1]
     index = np.sort(rng.permutation(first)[:POOL])
     q = rows.q[index]
     direction = None if rows.direction is None else rows.direction[index]
     load = np.zeros(len(q)) if rows.payload_kg is None else rows.payload_kg[index]
+    same = replace(_conditions(rows, q, load), direction=direction)
     out = []
-    other = _other_load(load, source)
-    words = f"repeat these poses with {', '.join(f'{v:.3g} kg' for v in np.unique(other))}"
-    out.append((words, replace(_conditions(rows, q, other), direction=direction)))
-    if direction is not None:
-        words = "repeat these poses approached from the other side"
-        out.append((words, replace(_conditions(rows, q, load), direction=-direction)))
+    if needs & {"moments", "payload_kg"}:
+        other = _other_load(load, source)
+        words = f"repeat these poses with {', '.join(f'{v:.3g} kg' for v in np.unique(other))}"
+        out.append((words, replace(_conditions(rows, q, other), direction=direction)))
+    if "direction" in needs and direction is not None:
+        out.append(("repeat these poses approached from the other side", replace(same, direction=-direction)))
+    if "temperature_c" in needs and rows.temperature_c is not None:
+        warm = float(rows.temperature_c.max()) + WARMER_K
+        words = f"repeat these poses at {warm:.0f} degrees"
+        out.append((words, replace(same, temperature_c=np.full(len(q), warm))))
+    if "t" in needs and rows.t is not None:
+        late = float(rows.t.max() + max(np.ptp(rows.t), LATER_S))
+        out.append(
+            ("repeat these poses later, as long after as the campaign took", replace(same, t=np.full(len(q), late)))
+        )
     return out
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from core.gap.drift import Drift, Repeats, blocks_of, repeats_of
 from core.gap.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -36,7 +37,8 @@ class Noise:
 
     ``freedom`` is the number of independent scalars behind it; ``absolute`` says it does not come from the fit.
     ``within`` and ``between`` are standard deviations of a coordinate (m, or rad for joint data), None when unknown;
-    of poses ``lengths`` says how many of the m scalars are lengths, None for all of them.
+    of poses ``lengths`` says how many of the m scalars are lengths, None for all of them. ``drift`` is what repeats told
+    of drift; ``most`` says that they cannot tell it from noise, so that noise is this at most.
     """
 
     visit: Floats
@@ -47,6 +49,8 @@ class Noise:
     within: float | None = None
     between: float | None = None
     lengths: int | None = None
+    drift: Drift | None = None
+    most: bool = False
 
     @property
     def coordinate(self) -> float:
@@ -100,31 +104,49 @@ def repeat_noise(residual: Floats, visit_residual: Floats, visits: Visits, point
     """Noise from repeats, None when there are too few.
 
     ``residual (N, m)`` of the rows and ``visit_residual (V, m)`` of the visit means at a fit: between repeats only
-    their differences count, so the model cancels. ``points (V, 3)`` are the measured positions, from which a
-    tracker's line of sight is tried against one covariance for the whole room.
+    their differences count, so the model cancels; what drifted between them is told from noise by how far they are apart.
+    ``points (V, 3)`` are the measured positions, from which a tracker's line of sight is tried against one covariance
+    for the whole room.
     """
     if np.isnan(residual).any():
         residual, visit_residual = np.nan_to_num(residual), np.nan_to_num(visit_residual)
     within, k_within = _pooled(residual, visits.visit)
-    between, k_between = _pooled(visit_residual, visits.condition)
+    share, lengths = 1.0 / visits.count, _lengths(residual.shape[1], visits)
+    repeats = repeats_of(visit_residual, visits, points, lengths)
+    k_between = repeats.vectors if repeats else 0.0
     if k_within + k_between < FEWEST:
         return None
-    share, lengths = 1.0 / visits.count, _lengths(residual.shape[1], visits)
     at = None if points is None else points
     rows_cov = _spread(within, k_within, None if at is None else at[visits.visit], at)
-    if k_between < FEWEST:
+    if repeats is None or k_between < FEWEST:
         # Rows of one visit say nothing of the next approach: their shape is used, their scale cannot be relied on.
         made = _noise(rows_cov * share[:, None, None], rows_cov.mean(axis=0), k_within, lengths, rows_cov, None)
         return replace(made, absolute=False, source=WITHIN)
+    total = _between(repeats, lengths)
     if k_within < FEWEST:
-        total = _spread(between, k_between, at, at)
-        visit = np.broadcast_to(total, (len(visits), *total.shape[1:])).copy()
-        return _noise(visit, total.mean(axis=0), k_between, lengths, None, total)
+        seen = _spread(total, k_between, at, at)
+        visit = np.broadcast_to(seen, (len(visits), *seen.shape[1:])).copy()
+        made = _noise(visit, seen.mean(axis=0), k_between, lengths, None, seen)
+        return replace(made, drift=repeats.drift, most=repeats.most)
     known = np.mean(rows_cov * share[:, None, None], axis=0)
-    extra = _positive(_shrunk(_second(between[0]) - known, k_between))
+    extra = _positive(_shrunk(_second(total[0]) - known, k_between))
     visit = extra + rows_cov * share[:, None, None]
     # The scale of the sum is that of the repeated approaches, however well the rows within a visit are known.
-    return _noise(visit, extra + rows_cov.mean(axis=0), k_between, lengths, rows_cov, extra)
+    made = _noise(visit, extra + rows_cov.mean(axis=0), k_between, lengths, rows_cov, extra)
+    return replace(made, drift=repeats.drift, most=repeats.most)
+
+
+def _between(repeats: Repeats, lengths: int | None) -> tuple[Floats, Ints]:
+    """Deviations of repeats whose mean squares are the variances found, with their visits; equal ones where none are left."""
+    deviation, index, size = repeats.deviation, repeats.index, repeats.deviation.shape[1]
+    if len(deviation) < FEWEST:
+        deviation, index = np.eye(size) * np.sqrt(size), np.zeros(size, dtype=np.int64)
+    scaled = np.zeros_like(deviation)
+    for block, variance in zip(blocks_of(size, lengths), repeats.variance, strict=True):
+        scaled[:, block] = deviation[:, block] * np.sqrt(
+            variance / max(float(np.mean(deviation[:, block] ** 2)), 1e-300)
+        )
+    return scaled, index
 
 
 def stated_noise(sigma: Floats | float, visits: Visits, size: int) -> Noise:
@@ -140,13 +162,22 @@ def stated_noise(sigma: Floats | float, visits: Visits, size: int) -> Noise:
 
 def fit_noise(visit_residual: Floats, visits: Visits, used: Bools, lost: float) -> Noise:
     """Scatter of the fit itself: no repeats, so the scale is relative. ``lost`` is the share of freedom it took."""
+    return _scatter(visit_residual, used, lost, _lengths(visit_residual.shape[1], visits))
+
+
+def refitted(noise: Noise, visit_residual: Floats, used: Bools, lost: float) -> Noise:
+    """The same at another fit of the same visits."""
+    return _scatter(visit_residual, used, lost, noise.lengths)
+
+
+def _scatter(visit_residual: Floats, used: Bools, lost: float, lengths: int | None) -> Noise:
     kept = np.nan_to_num(visit_residual[used])
     size = np.abs(kept - np.median(kept, axis=0))
     robust = np.median(size, axis=0) / 0.6745 + SMALLEST
     inside = kept[(size / robust).max(axis=1) < SPIKE]
     cov = _shrunk(inside.T @ inside / max(len(inside) * (1.0 - lost), 1.0), len(inside))
-    each = np.broadcast_to(cov, (len(visits), *cov.shape)).copy()
-    return Noise(each, cov, 0.0, False, FIT, lengths=_lengths(len(cov), visits))
+    each = np.broadcast_to(cov, (len(visit_residual), *cov.shape)).copy()
+    return Noise(each, cov, 0.0, False, FIT, lengths=lengths)
 
 
 def _noise(
@@ -194,7 +225,7 @@ def _pooled(values: Floats, group: Ints) -> tuple[tuple[Floats, Ints], int]:
     return (deviation[index], index.astype(np.int64)), independent
 
 
-def _spread(pooled: tuple[Floats, Ints], vectors: int, rows_at: Floats | None, visits_at: Floats | None) -> Floats:
+def _spread(pooled: tuple[Floats, Ints], vectors: float, rows_at: Floats | None, visits_at: Floats | None) -> Floats:
     """Covariance at each visit (V, m, m): one for the room, or by the line of sight when that fits better."""
     deviation, index = pooled
     room = _shrunk(_second(deviation), vectors) if vectors else np.eye(deviation.shape[1])

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from core.errors import NotConvergedError, ObservationError, TooFewPosesError
 from core.gap.candidates import Library, library_of
 from core.gap.masses import blurred, tool_source
-from core.gap.noise import FIT, Noise, fit_noise, repeat_noise, spikes, stated_noise
+from core.gap.noise import Noise, fit_noise, repeat_noise, spikes, stated_noise
 from core.gap.options import GapOptions
-from core.gap.outliers import outliers
+from core.gap.remarks import clock_warnings, identical_repeats, noise_warnings, outlier_warnings
+from core.gap.renewal import renewed, under
 from core.gap.source import LinkSource, Source, ToolSource
 from core.gap.trajectory import (
     FEWEST_ROWS,
@@ -46,6 +47,7 @@ CHUNK = 20_000
 NOT_FITTED = "geometry_not_fitted"
 LIKE_NEIGHBOURS = 1.5  # correlation length, in poses, from which poses in a row are not independent
 POSE = 6  # numbers of a pose; visits with more show markers
+ROUNDS = 3  # fits of the geometry without outliers, each judged by the one before
 SPARE = 6  # scalars beyond the geometry below which nothing can be tested
 
 
@@ -62,6 +64,16 @@ class Prepared:
     moving: bool
     width: int  # rows in a window of a motion
     warnings: tuple[dict[str, Any], ...]
+
+    def judged_by(self, found: World) -> Prepared:
+        """The same with noise and outliers as the hunt judged them at its end, the geometry fitted to what is left."""
+        if found.setting is self.world.setting:
+            return self
+        world = under(found.setting, self.world)
+        said = tuple(w for w in self.warnings if w["code"] != "outliers")
+        outlying = np.setdiff1d(self.outlying, _outlying(self.kept, self.visits, self.world))
+        outlying = np.union1d(outlying, _outlying(self.kept, self.visits, world)).astype(np.int64)
+        return replace(self, world=world, outlying=outlying, warnings=(*said, *outlier_warnings(world)))
 
 
 @dataclass
@@ -83,6 +95,7 @@ class Workshop:
         """
         kept = self._without_copies()
         rows = self.rows.select(kept)
+        self.warnings += clock_warnings(rows)
         moving = is_trajectory(rows)
         self.tell(0.02, "fitting the geometry")
         windows = windows_of(rows)
@@ -101,14 +114,16 @@ class Workshop:
         source = blurred(_on(source, visits.observations), values)
         self.tell(0.3, "noise from repeats")
         noise = self._noise(source, values, rows, visits)
+        self.warnings += noise_warnings(noise, isinstance(source, LinkSource))
         setting = Setting(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
         world = self._enough(refit(setting, values, [], partial(self.tell, 0.45, "fitting the geometry again")))
         self.tell(0.6, "looking for outliers")
-        world = self._correlated(world, visits) if moving else self._without_outliers(world, visits)
+        world = self._correlated(world, visits) if moving else self._without_outliers(world)
         if not moving and not world.setting.trusted and len(visits) >= FEWEST_ROWS:
             world = self._in_order(world, visits)
         outlying = _outlying(kept, visits, world)
-        return Prepared(world, library, visits, rows, kept, outlying, moving, windows.width, tuple(self.warnings))
+        said = (*self.warnings, *outlier_warnings(world))
+        return Prepared(world, library, visits, rows, kept, outlying, moving, windows.width, said)
 
     def _without_copies(self) -> Bools:
         """Rows that are not exact copies of an earlier one: a copy would make the noise look like nothing."""
@@ -123,6 +138,20 @@ class Workshop:
             self._warn(
                 "copied_rows", f"{count} rows are exact copies of others and were left out: a copy is no repeat."
             )
+        return self._without_identical(kept)
+
+    def _without_identical(self, kept: Bools) -> Bools:
+        """The same for repeats that measured exactly what an earlier one did, at another time: no instrument does that."""
+        rows = self.rows.select(kept)
+        again = np.zeros(len(rows), dtype=bool) if is_trajectory(rows) else identical_repeats(rows)
+        if again.any():
+            self._warn(
+                "repeats_identical",
+                f"{int(again.sum())} repeats measured exactly what an earlier row of their pose did (first in row "
+                f"{int(np.flatnonzero(kept)[again][0]) + 1}) and were left out: without scatter they are copies, held "
+                "readings or simulated, and say nothing of noise. Measure the poses again.",
+            )
+            kept[np.flatnonzero(kept)[again]] = False
         return kept
 
     def _source(self, visits: Visits) -> tuple[Source, Floats, Library]:
@@ -190,7 +219,7 @@ class Workshop:
                     "no_re_approach",
                     "Repeats were taken without leaving the pose, so how well the arm comes back is not known: unless "
                     "what is left is as small as these repeats, every verdict is relative to the scatter of the fit. "
-                    "Approach ten poses anew three times each.",
+                    "Approach ten poses anew three times each, with another pose in between.",
                 )
                 # Markers of one tool are all off by what the model lacks; how they shake against each other says nothing of it.
                 return _weights(found, source) if size > POSE else found
@@ -200,7 +229,7 @@ class Workshop:
         self._warn(
             "no_repeats",
             "No pose was repeated often enough, so the noise is that of the fit itself: every verdict is relative to "
-            "it, and none can be more than provisional. Repeat ten poses three times, leaving them in between.",
+            "it, and none can be more than provisional. Repeat ten poses three times, with another pose in between.",
         )
         lost = min(0.9, int(np.sum(~source.soft)) / max(visit_residual.size, 1))
         return _weights(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost), source)
@@ -215,20 +244,14 @@ class Workshop:
             )
         return world
 
-    def _without_outliers(self, world: World, visits: Visits) -> World:
-        far = outliers(world)
-        if not far.any():
-            return world
-        self._warn(
-            "outliers",
-            f"{int(far.sum())} of {len(far)} visits could be explained by nothing in the library and were set aside.",
-        )
-        setting = replace(world.setting, used=~far)
-        if setting.noise.source == FIT:
-            lost = int(np.sum(setting.hard)) / max(world.nu, 1.0)
-            noise = fit_noise(setting.source.residual(world.values), visits, ~far, min(0.9, lost))
-            setting = replace(setting, noise=_weights(noise, setting.source))
-        return refit(setting, world.values, [], partial(self.tell, 0.8, "fitting without outliers"))
+    def _without_outliers(self, world: World) -> World:
+        for _ in range(ROUNDS):
+            after = renewed(world, ())
+            if after is world:
+                break
+            self.tell(0.7, "fitting without outliers")
+            world = after
+        return world
 
     def _correlated(self, world: World, visits: Visits) -> World:
         """Noise and its correlation from what the whole library could not explain; blocks instead of poses."""

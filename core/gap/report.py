@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from core.gap.adequacy import Adequacy
 from core.gap.aliases import Alias
 from core.gap.candidates import Library, Untestable
+from core.gap.matters import Misfit
+from core.gap.remedies import to_confirm
 from core.gap.stored import Stored
 from core.gap.verdict import Judged
 from core.gap.where import Place
@@ -29,6 +33,8 @@ class GapReport:
     where: tuple[Place, ...]
     gap: dict[str, Any]
     adequacy: Adequacy
+    misfit: Misfit
+    predictive: dict[str, Any] | None
     not_testable: tuple[Untestable, ...]
     smallest_detectable: list[dict[str, Any]]
     next_poses: list[dict[str, Any]]
@@ -49,10 +55,11 @@ class GapReport:
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
-            "effects": [effect_row(j, self.library) for j in self.effects],
+            "effects": [effect_row(j, self.library, self.misfit) for j in self.effects],
             "where": [place_row(p) for p in _shown(self.where)],
             "gap": self.gap,
-            "adequacy": self.adequacy.to_document(),
+            "predictive": self.predictive,
+            "adequacy": self.adequacy.to_document() | self.misfit.to_document(),
             "noise": self.noise,
             "not_testable": [untestable_row(u) for u in self.not_testable],
             "smallest_detectable": self.smallest_detectable,
@@ -65,23 +72,33 @@ class GapReport:
         }
 
 
-def effect_row(judged: Judged, library: Library) -> dict[str, Any]:
+def effect_row(judged: Judged, library: Library, misfit: Misfit) -> dict[str, Any]:
     """One named effect."""
     evidence = judged.evidence
     gain, error = evidence.held_out
+    told = evidence.replication
+    units = {p.name: p.unit for p in library.parameters}
     return {
         **evidence.candidate.named(),
         "verdict": judged.verdict,
         "empirical": evidence.candidate.empirical,
+        "class": next((a.member for a in judged.alias_set if a.member), None),
         "alias_set": [alias_row(a) for a in judged.alias_set],
         "parameters": [
-            amplitude_row(library, a.column, a.value, a.sigma, (a.low, a.high)) for a in evidence.amplitudes
+            amplitude_row(library, a.column, a.value, a.sigma, (a.low, a.high)) | {"seen": a.seen}
+            for a in evidence.amplitudes
         ],
+        "seen_joints": None if evidence.seen_joints is None else [j + 1 for j in evidence.seen_joints],
         "gain_mm": evidence.gain_mm,
+        "moves_mm": evidence.moves_mm if np.isfinite(evidence.moves_mm) else None,
+        "too_small_to_matter": not misfit.matters(evidence.moves_mm),
         "p_value": evidence.p_value,
         "inclusion": evidence.inclusion[1 if judged.alias_set else 0],
         "held_out_gain": {"gain": gain, "standard_error": error},
         "gates": judged.gates,
+        "evidence": judged.numbers,
+        "replication": None if told is None else told.to_document(units),
+        "to_confirm": to_confirm(judged),
     }
 
 

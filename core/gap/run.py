@@ -9,18 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.errors import OptionError
 from core.gap.adequacy import Adequacy, adequacy
 from core.gap.aliases import SAME, Alias, aliases_of
-from core.gap.candidates import Library, with_testable
+from core.gap.candidates import Candidate, Library, with_testable
 from core.gap.control import Control, controls, false_names
 from core.gap.figures import figures
 from core.gap.foreign_links import refuse_foreign_links
 from core.gap.heldout import Bench, fit_rms, gap_document, noise_document, train_rms
+from core.gap.holding import parted
 from core.gap.hunt import Hunt, hunt
-from core.gap.intervals import Amplitude, amplitudes
+from core.gap.intervals import Amplitude, amplitudes, seen_joints
+from core.gap.matters import Misfit, misfit, moves_mm
 from core.gap.next_poses import rows_of, separate
 from core.gap.options import GapOptions
 from core.gap.prepare import Prepared, Workshop
+from core.gap.replication import Confirmation, Replication, refuse_unfit, replication
 from core.gap.report import GapReport
 from core.gap.scan import Scorer
 from core.gap.settle import chance, settled, shrunk
@@ -29,9 +33,9 @@ from core.gap.source import LinkSource, ToolSource
 from core.gap.stability import inclusion
 from core.gap.stored import Stored, stored
 from core.gap.testability import Testability, alias_matrix, smallest_rows, testability, untestable
-from core.gap.trajectory import hold_out
 from core.gap.verdict import Evidence, Judged, judge, run_verdict, sentence
-from core.gap.where import where
+from core.gap.where import Place, where
+from core.gap.world import World
 from core.identify.plausibility import refuse_foreign
 from core.identify.report import large_residual
 from core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, worse, worse_warning
@@ -43,6 +47,7 @@ from core.robot import Robot
 Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
+HUNTS = 2  # the second where the noise of the first showed that more could be tested
 LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
 
 
@@ -53,29 +58,48 @@ def find_gap(
     start: Calibration | None = None,
     validation: Observations | float | None = None,
     progress: Progress | None = None,
+    confirmation: Observations | None = None,
 ) -> GapReport:
     """Find where the model is wrong, name what is missing, add it, and show the gap shrink on poses never used.
 
     ``start`` is the model to begin with (nominal geometry without one); its effects are kept and re-fitted.
-    ``validation`` is other observations, a fraction of the poses to hold out, or None: then one pose is left out at a
-    time. ``progress(fraction, stage)`` may raise to cancel.
+    ``validation`` is other observations, or a fraction of the poses to hold out before anything is chosen; None holds
+    out a quarter where there are 60 poses or more, and 0 none: then one pose is left out at a time, and nothing can be
+    confirmed. ``confirmation`` is a campaign of another day or set-up: base and tool are fitted to it, nothing is chosen
+    there, and what it shows with the same amplitude is replicated. ``progress(fraction, stage)`` may raise to cancel.
 
     Raises:
-        TooFewPosesError: the geometry alone needs more poses. ObservationError: nothing measured, or
-        ``foreign_observations``.
-        OptionError: options that do not exist or fit.
+        TooFewPosesError: the geometry alone needs more poses, or base and tool of the confirmation. ObservationError:
+        nothing measured, ``foreign_observations``, or ``rows_shared``. OptionError: options that do not exist or fit, or a
+        start of another robot.
 
     """
     options = options or GapOptions()
     tell = progress or (lambda fraction, stage: None)
-    if isinstance(validation, float):
-        inside, outside = hold_out(observations, validation, options.seed)
-        observations, validation = observations.select(inside), observations.select(outside)
-    begin = start or Calibration.nominal(robot)
+    begin = _beginning(robot, start)
+    if confirmation is not None:
+        for rows in (observations, validation):
+            if isinstance(rows, Observations):
+                refuse_unfit(robot, rows, confirmation)
+        _of_this_robot(begin, confirmation)
     remarks = _of_this_robot(begin, observations)
+    observations, validation = parted(observations, validation, options.seed)
     prepared = Workshop(begin, observations, options, _part(tell, 0.0, 0.15)).run()
-    report = _Run(robot, begin, prepared, options, validation, tell).report()
+    report = _Run(robot, begin, prepared, options, validation, confirmation, tell).report()
     return replace(report, warnings=(*report.warnings, *remarks))
+
+
+def _beginning(robot: Robot, start: Calibration | None) -> Calibration:
+    """Refuse a start of another robot: its chain would be searched, and what differs named as physics."""
+    if start is None:
+        return Calibration.nominal(robot)
+    if (start.robot.name, start.robot.chain.elements) != (robot.name, robot.chain.elements):
+        raise OptionError(
+            f"The start is a version of robot {start.robot.name!r}, the rows are of {robot.name!r}: name a version of "
+            f"{robot.name!r}, or leave start out.",
+            option="start",
+        )
+    return start
 
 
 def _of_this_robot(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
@@ -98,40 +122,64 @@ class _Run:
     prepared: Prepared
     options: GapOptions
     validation: Observations | None
+    confirmation: Observations | None
     tell: Progress
 
     def report(self) -> GapReport:
         prepared, world = self.prepared, self.prepared.world
-        rows = prepared.visits.observations
         self.tell(0.15, "where the model is wrong")
-        places = where(world, rows, self.options.seed, prepared.moving)
+        places = where(world, prepared.visits.observations, self.options.seed, prepared.moving)
         judged = testability(world, prepared.library)
-        candidates = with_testable(prepared.library, judged.able)
-        trusted = world.setting.trusted
-        freedom = world.setting.noise.freedom if world.setting.noise.absolute else np.inf
-        scorer = Scorer.of(candidates, trusted, freedom)
-        limits = np.array([max(abs(p.lower), abs(p.upper)) for p in prepared.library.parameters])
-        found = hunt(world.setting, world, scorer, limits, self.options, _part(self.tell, 0.2, 0.5))
-        found = shrunk(settled(found, self.options.alpha), world)
+        for _ in range(HUNTS):
+            candidates = with_testable(prepared.library, judged.able)
+            found = settled(self._hunted(prepared.world, candidates), self.options.alpha)
+            prepared = prepared.judged_by(found.world)
+            # Without repeats the noise shrinks as effects enter, and what could not show in it may show now.
+            again = testability(prepared.world, prepared.library)
+            more, judged = bool(np.any(again.able & ~judged.able)), again
+            if not more or not found.chosen:
+                break
+        return replace(self, prepared=prepared)._told(shrunk(found, prepared.world), places, judged, candidates)
+
+    def _hunted(self, world: World, candidates: tuple[Candidate, ...]) -> Hunt:
+        noise = world.setting.noise
+        scorer = Scorer.of(candidates, world.setting.trusted, noise.freedom if noise.absolute else np.inf)
+        limits = np.array([max(abs(p.lower), abs(p.upper)) for p in self.prepared.library.parameters])
+        return hunt(world.setting, world, scorer, limits, self.options, _part(self.tell, 0.2, 0.5))
+
+    def _told(
+        self, found: Hunt, places: tuple[Place, ...], judged: Testability, candidates: tuple[Candidate, ...]
+    ) -> GapReport:
+        """The report on what was found; the preparation is that with the noise and outliers of the last fit."""
+        prepared, world = self.prepared, self.prepared.world
+        rows = prepared.visits.observations
         fit = adequacy(found.world, prepared.visits.condition, found.columns)
-        effects, control, held = self._judged(found, fit)
-        verdict = run_verdict(effects, fit)
-        gap = gap_document(prepared, found, held.report())
         kept = stored(found, self.begin, prepared.rows, self.options)
+        left = misfit(found, fit, rows, self.options)
+        effects, control, held = self._judged(found, fit, left, kept)
+        verdict = run_verdict(effects, fit, left)
+        judging = held.report()
+        gap = gap_document(prepared, found, judging)
         self.tell(0.95, "next poses and pictures")
         return GapReport(
-            stored=kept, verdict=verdict, sentence=sentence(verdict, effects, fit), effects=effects, where=places,
-            gap=gap, adequacy=fit, not_testable=untestable(prepared.library, judged, world, rows),
+            stored=kept, verdict=verdict, sentence=sentence(verdict, effects, fit, left), effects=effects, where=places,
+            gap=gap, adequacy=fit, misfit=left, predictive=judging.predictive,
+            not_testable=untestable(prepared.library, judged, world, rows),
             smallest_detectable=smallest_rows(prepared.library, judged),
             next_poses=self._next_poses(found, effects), negative_control=control,
             alias_matrix=alias_matrix(world, candidates, found.chosen), noise=noise_document(found.world.setting),
-            warnings=(*prepared.warnings, *self._unsearched(), *self._large(found), *self._worse(found, held, kept)),
+            warnings=(
+                *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
+                *self._worse(found, held, kept),
+            ),
             figures=figures(found, rows, gap), library=prepared.library,
         )  # fmt: skip
 
-    def _judged(self, found: Hunt, fit: Adequacy) -> tuple[tuple[Judged, ...], dict[str, Any], Bench]:
+    def _judged(
+        self, found: Hunt, fit: Adequacy, left: Misfit, kept: Stored
+    ) -> tuple[tuple[Judged, ...], dict[str, Any], Bench]:
         """Evidence for every chosen candidate, and the gates."""
-        held = Bench(found, self.prepared, self.validation)
+        held = Bench(found, self.prepared, self.validation, kept.posterior)
         aliases = {k: aliases_of(found, k) for k in found.chosen}
         classes = {k: tuple(a.place for a in rivals) for k, rivals in aliases.items()}
         part = _part(self.tell, 0.5, 0.7)
@@ -140,15 +188,29 @@ class _Run:
         )
         part = _part(self.tell, 0.7, 0.8)
         shuffled = controls(found, self.options.permutations, self.options.seed, lambda f: part(f, "negative control"))
-        part = _part(self.tell, 0.8, 0.92)
+        part = _part(self.tell, 0.8, 0.9)
         sizes = amplitudes(found, lambda f: part(f, "profile intervals"))
+        moved, again = moves_mm(found), self._replications(found, kept)
         out = []
         for n, k in enumerate(found.chosen):
             self.tell(0.92 + 0.02 * n / len(found.chosen), "held-out poses")
             evidence = self._evidence(found, k, aliases[k], shares[k], shuffled[n], sizes, held)
-            out.append(judge(found, evidence, fit.adequate, self.prepared.library))
+            evidence = replace(evidence, moves_mm=moved[k], replication=again.get(k))
+            out.append(judge(found, evidence, fit, left, self.prepared.library))
         out.sort(key=lambda j: -j.evidence.gain_mm)
         return tuple(out), self._control_document(found, shuffled), held
+
+    def _replications(self, found: Hunt, kept: Stored) -> dict[int, Replication]:
+        """What the confirmation says of every chosen candidate."""
+        if self.confirmation is None or not found.chosen:
+            return {}
+        part = _part(self.tell, 0.9, 0.92)
+        rows, robot = self.confirmation, self.robot
+        seen = Confirmation.of(
+            kept.calibration, kept.posterior, rows, self.options, lambda f, s: part(f, "confirmation")
+        )
+        candidates = found.selector.scorer.candidates
+        return {k: replication(seen, robot, rows, candidates[k], seen_joints(found, k)[0]) for k in found.chosen}
 
     def _evidence(
         self, found: Hunt, place: int, rivals: tuple[Alias, ...], share: tuple[float, float], control: Control,
@@ -158,12 +220,14 @@ class _Run:
         rest = selector.columns([k for k in found.chosen if k != place])
         candidate = selector.scorer.candidates[place]
         unit = 180.0 / np.pi if isinstance(found.world.setting.source, LinkSource) else 1e3
+        joints, any_ = seen_joints(found, place)
         return Evidence(
             place, candidate, rivals, share, held.gain_of(place), control,
             tuple(sizes[c] for c in candidate.columns),
             chance(found, place),
             (train_rms(found.world, rest) - train_rms(found.world, found.columns)) * unit,
             bumped(found, place, self.prepared.visits.observations.q),
+            held.poses, joints, any_,
         )  # fmt: skip
 
     def _control_document(self, found: Hunt, shuffled: tuple[Control, ...]) -> dict[str, Any]:
@@ -220,7 +284,7 @@ class _Run:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
         if not effects:
             return []
-        open_ = [(j, [a for a in j.alias_set if a.correlation < SAME]) for j in effects]
+        open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member]) for j in effects]
         asked = next(((j, a) for j, a in open_ if a), None)
         if asked is None:
             weak = [j for j in effects if j.verdict == "provisional"]

@@ -7,15 +7,16 @@ the noise estimate anew, and by flipping the signs of whole poses, whichever is 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincc
 
 from core.gap.candidates import Candidate
+from core.gap.tails import tail
 from core.gap.world import VISIBLE, Gram, World
 
 Floats = NDArray[np.float64]
@@ -27,6 +28,7 @@ Bools = NDArray[np.bool_]
 CAUTION = 0.5
 STRICTER = 1e-3  # the most that sign flips may tighten the limit of the bootstrap
 FEWEST_FLIPS = 12  # poses below which sign flips cannot reach a 1 % level
+_NUMBERS = itertools.count()
 ALMOST_ALL = 0.999  # leverage beyond which a residual says nothing
 
 
@@ -71,6 +73,11 @@ class Scorer:
         return Scorer(tuple(candidates), tuple(blocks), absolute, freedom)
 
     @cached_property
+    def _number(self) -> int:
+        """A number no other scorer has, unlike an address, which is given again."""
+        return next(_NUMBERS)
+
+    @cached_property
     def empirical(self) -> Bools:
         """Candidates (K,) of the empirical tier."""
         return np.array([c.empirical for c in self.candidates], dtype=bool)
@@ -90,23 +97,23 @@ class Scorer:
 
     def _halves(self, gram: Gram) -> list[tuple[Floats, Ints]]:
         """Per block, roots (K, d, d) of the inverse of each candidate's own matrix, and its rank (K,)."""
-        key = ("halves", id(self))
-        if key not in gram.cache:
-            made = []
+
+        def made() -> list[tuple[Floats, Ints]]:
+            out = []
             for block in self.blocks:
-                w, V = np.linalg.eigh(gram.A[block.columns[:, :, None], block.columns[:, None, :]])
+                w, V = np.linalg.eigh(gram.blocks(block.columns))
                 keep = w > VISIBLE
                 root = np.where(keep, 1.0 / np.sqrt(np.where(keep, w, 1.0)), 0.0)
-                made.append((V * root[:, None, :], keep.sum(axis=1)))
-            gram.cache[key] = made
-        found: list[tuple[Floats, Ints]] = gram.cache[key]
-        return found
+                out.append((V * root[:, None, :], keep.sum(axis=1)))
+            return out
+
+        return gram.kept(("halves", self._number), (), made)
 
     def scores(self, gram: Gram) -> Scores:
         """Scores of the data themselves."""
         S, d = self.reductions(gram, gram.c[None])
         T = self.scaled(S, d, np.array([gram.yy]), gram.nu, np.ones(1))[0]
-        return Scores(S[0], d, T, self.tail(T[None], d)[0])
+        return Scores(S[0], d, T, self.tail(T[None], d, gram.nu)[0])
 
     def scaled(self, S: Floats, d: Ints, yy: Floats, nu: float, noise: Floats) -> Floats:
         """S over the noise variance: that of what is left, or pooled with that of the repeats (``noise``, about 1)."""
@@ -125,19 +132,26 @@ class Scorer:
         share = free / (free + self.freedom) if np.isfinite(self.freedom) else 0.0
         return np.asarray(np.maximum(left, share * left + (1.0 - share) * noise))
 
-    def tail(self, T: Floats, d: Ints) -> Floats:
-        """Tail probability of chi-square (B, K), half of it where the sign is known, 1 where nothing is left."""
-        p = gammaincc(np.maximum(d, 1) / 2.0, T / 2.0)
+    def known(self, free: Floats | float) -> Floats:
+        """Numbers that the noise variance rests on: what is left (``free``), and the repeats; infinite when it is stated."""
+        if not self.absolute:
+            return np.asarray(free, dtype=np.float64)
+        return np.asarray(free, dtype=np.float64) + self.freedom
+
+    def tail(self, T: Floats, d: Ints, nu: float) -> Floats:
+        """Tail probability (B, K) given ``nu`` numbers free, half of it where the sign is known, 1 where nothing is left."""
+        p = tail(T, d, self.known(np.maximum(nu - d, 1.0)))
         p = np.where(self.one_sided, 0.5 * p, p)
         return np.asarray(np.where((d > 0) & (T > 0.0), p, 1.0))
 
-    def best_tail(self, T: Floats, d: Ints) -> Floats:
+    def best_tail(self, T: Floats, d: Ints, nu: float) -> Floats:
         """Smallest tail probability (B,): the largest T of each kind decides, so few tails are computed."""
         one = self.one_sided
         best = np.ones(len(T))
         for kind in {(int(k), bool(o)) for k, o in zip(d, one, strict=True) if k > 0}:
             own = (d == kind[0]) & (one == kind[1])
-            best = np.minimum(best, gammaincc(kind[0] / 2.0, T[:, own].max(axis=1) / 2.0) * (0.5 if kind[1] else 1.0))
+            known = self.known(max(nu - kind[0], 1.0))
+            best = np.minimum(best, tail(T[:, own].max(axis=1), kind[0], known) * (0.5 if kind[1] else 1.0))
         return best
 
     @cached_property
@@ -190,7 +204,7 @@ def bootstrap(gram: Gram, scorer: Scorer, draws: int, rng: np.random.Generator) 
     S, d = scorer.reductions(gram, (z * np.sqrt(w[keep])) @ V[:, keep].T)
     finite = np.isfinite(scorer.freedom) and scorer.freedom > 0
     noise = rng.chisquare(scorer.freedom, draws) / scorer.freedom if finite else np.ones(draws)
-    return scorer.best_tail(scorer.scaled(S, d, yy, gram.nu, noise), d)
+    return scorer.best_tail(scorer.scaled(S, d, yy, gram.nu, noise), d, gram.nu)
 
 
 def _flips(
@@ -213,7 +227,7 @@ def _flips(
     c = flips @ summed(W * r[:, None], rows, poses)
     yy = float(r @ r) - np.sum((flips @ summed(basis * r[:, None], rows, poses)) ** 2, axis=1)
     S, d = scorer.reductions(gram, c)
-    return scorer.best_tail(scorer.scaled(S, d, np.maximum(yy, 0.0), gram.nu, np.ones(draws)), d)
+    return scorer.best_tail(scorer.scaled(S, d, np.maximum(yy, 0.0), gram.nu, np.ones(draws)), d, gram.nu)
 
 
 def residual_given(world: World, chosen: Sequence[int]) -> Floats:

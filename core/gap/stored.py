@@ -112,7 +112,9 @@ def _merged(chosen: list[Candidate], begin: Calibration, rows: Observations) -> 
         if kind.at_joints and "drivers" not in kind.counted and "partner" not in kind.counted:
             joints = tuple(sorted({j for e in parts for j in e.joints or ()}))
             whole = kind(joints=joints).on(robot, rows)
-            if {p.name for p in whole.parameters(robot)} == wanted:
+            # What a configuration took from the rows, as a range or the first time, must be that of the hunt.
+            alike = all(kind(joints=e.joints).on(robot, rows) == e for e in parts)
+            if alike and {p.name for p in whole.parameters(robot)} == wanted:
                 out.append(whole)
                 continue
         out += list(dict.fromkeys(parts))

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.gap.aliases import correlation
 from core.gap.candidates import FAMILY, Candidate, Library, Untestable
+from core.gap.likeness import correlations
 from core.gap.world import VISIBLE, World
 from core.identify.report import WIRE
 from core.observations import Observations
@@ -84,13 +84,8 @@ def alias_matrix(world: World, candidates: Sequence[Candidate], first: Sequence[
     """Correlations after geometry: a matrix over the chosen and their nearest, and every close pair of the library."""
     tested = [c for c in candidates if c.level != FAMILY]
     single = [c for c in tested if not c.empirical]
-    C = np.array(
-        [
-            [correlation(world.A, a.columns, b.columns) if i < j else 0.0 for j, b in enumerate(single)]
-            for i, a in enumerate(single)
-        ]
-    )
-    C = C + C.T + np.eye(len(single)) if len(single) else np.zeros((0, 0))
+    C = correlations(world.A, [c.columns for c in single])
+    np.fill_diagonal(C, 1.0)
     pairs = [
         {"first": single[i].named(), "second": single[j].named(), "correlation": round(float(C[i, j]), 4)}
         for i, j in zip(*np.where(np.triu(C, 1) > ALIASED), strict=True)

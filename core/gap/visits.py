@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.gap.clock import came_back, clock_of
 from core.observations import Observations
 from core.transforms import nearest_rotation
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-PAUSE = 0.5  # of the usual time between poses, above which a repeat was approached anew
 
 
 @dataclass(frozen=True)
@@ -34,31 +33,36 @@ class Visits:
 
 
 def visits_of(rows: Observations) -> Visits:
-    """Group the rows of one pose that follow each other under the same conditions, and average each group."""
+    """Group the rows of one pose that follow each other under the same conditions, and average each group.
+
+    A visit ends only where the arm moved in between: where another pose or condition was measured, or joint readings show
+    that it left and came back. Shots after a pause are no new approach, however long it was.
+    """
     pose = rows.pose_groups()
-    condition = _conditions(rows, pose)
+    condition = conditions(rows)
+    clock = clock_of(rows)
+    in_order = condition[clock.order]
     new = np.ones(len(rows), dtype=bool)
-    new[1:] = (condition[1:] != condition[:-1]) | _left(rows, condition)
-    visit = np.cumsum(new).astype(np.int64) - 1
-    first = np.flatnonzero(new)
-    count = np.bincount(visit)
+    new[1:] = (in_order[1:] != in_order[:-1]) | came_back(rows, clock, in_order)
+    run = np.empty(len(rows), dtype=np.int64)
+    run[clock.order] = np.cumsum(new) - 1
+    first, visit, count = _numbered(run)
     averaged = rows.select(first) if count.max() == 1 else _averaged(rows, visit, first, count)
     return Visits(averaged, visit, count, pose[first], condition[first])
 
 
-def _left(rows: Observations, condition: Ints) -> NDArray[np.bool_]:
-    """Where (N - 1,) the arm left the pose and came back although nothing else changed: the clock shows a long pause."""
-    if rows.t is None:
-        return np.zeros(max(len(rows) - 1, 0), dtype=bool)
-    pause = np.abs(np.diff(rows.t))
-    changed = condition[1:] != condition[:-1]
-    if not changed.any() or changed.all():
-        return np.zeros(len(pause), dtype=bool)
-    return np.asarray(pause > PAUSE * np.median(pause[changed]))
+def _numbered(run: Ints) -> tuple[Ints, Ints, Ints]:
+    """First row (V,) of each run, the number (N,) of its run of every row in the order of the rows, and its rows (V,)."""
+    _, first, inverse, count = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
+    order = np.argsort(first, kind="stable")
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    return first[order].astype(np.int64), place[inverse.reshape(-1)], count[order].astype(np.int64)
 
 
-def _conditions(rows: Observations, pose: Ints) -> Ints:
-    columns = [pose.astype(np.float64)[:, None]]
+def conditions(rows: Observations) -> Ints:
+    """Number (N,) pose together with direction, load and session: rows that should agree."""
+    columns = [rows.pose_groups().astype(np.float64)[:, None]]
     if rows.direction is not None:
         columns.append(rows.direction)
     columns += [c[:, None].astype(np.float64) for c in (rows.payload_kg, rows.session) if c is not None]

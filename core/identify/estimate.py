@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from core.errors import TooFewPosesError
 from core.identify.least_squares import Fit, Problem, Weights, fit_at, normal_equations, solve
 from core.identify.options import IdentifyOptions
+from core.identify.redescending import redescend
 from core.measurement import Measurement, Residual
 from core.model import Calibration, RobotModel
 from core.registration import register
@@ -31,12 +32,20 @@ PLAIN = 1e12  # square of a singular value up to which normal equations tell UNS
 
 
 def registration_only(start: Calibration, measurement: Measurement, loss: str = "linear") -> Calibration:
-    """Fit only base and tool to the measurement, the chain and the effects held: what frame fitting alone can do."""
+    """Fit only base and tool to the measurement, the chain and the effects held: what frame fitting alone can do.
+
+    A loss that lets rows go is not for an arm whose errors are not fitted: Huber's stands in.
+    """
     options = IdentifyOptions(
-        loss=loss, fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :]
+        loss=bounded(loss), fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :]
     )
     fit = estimate(start, measurement, options)
     return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+
+
+def bounded(loss: str) -> str:
+    """The loss for a model that need not be right: it lets no row go."""
+    return "huber" if loss == "tukey" else loss
 
 
 def estimate(
@@ -56,6 +65,8 @@ def estimate(
         TooFewPosesError: fewer measured numbers than free parameters; says how many poses are needed.
 
     """
+    if options.loss == "tukey":
+        return _redescended(estimate(start, measurement, replace(options, loss="huber"), progress, anchor))
     problem, values = prepared(start, measurement, options, anchor=anchor)
     stated = None if options.noise_mm is None else options.noise_mm * 1e-3
     still = problem.anchor if problem.anchor is not None else values[problem.free]
@@ -84,6 +95,13 @@ def estimate(
         if len(blind) != len(held):
             values, known, held = _returned(fit, blind, still), None if len(blind) else known, blind
     return replace(fit, iterations=walked)
+
+
+def _redescended(first: Fit) -> Fit:
+    fit, found = redescend(first)
+    left_out = int(np.count_nonzero(found.weight == 0.0))
+    report = {**first.report, "rows_left_out": left_out}
+    return replace(fit, iterations=first.iterations + fit.iterations, report=report)
 
 
 def _promised(fit: Fit, stated: float | None) -> tuple[tuple[float, float], Floats]:
@@ -212,7 +230,7 @@ def scatter(fit: Fit) -> tuple[float, float]:
     points = residual.points[~np.isnan(residual.points)]
     # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
     robust, plain = np.median(np.abs(points)) / 0.6745, np.sqrt(np.mean(points**2))
-    size = float(robust if problem.loss == "huber" else plain) * math.sqrt(problem.measurement.redundancy)
+    size = float(robust if problem.loss != "linear" else plain) * math.sqrt(problem.measurement.redundancy)
     turns = 0.0 if residual.turns is None else float(np.sqrt(np.mean(residual.turns**2)))
     return size / math.sqrt(freedom), turns / math.sqrt(freedom)
 

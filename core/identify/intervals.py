@@ -34,6 +34,10 @@ class Intervals:
     upper: Floats
     stands_in: NDArray[np.bool_]
 
+    def widened(self, factor: Floats) -> Intervals:
+        """The intervals of each parameter times a factor (F,)."""
+        return replace(self, lower=self.lower * factor, upper=self.upper * factor)
+
 
 def bootstrap(fit: Fit, seed: int, tell: Tell, resamples: int = RESAMPLES) -> Intervals:
     """Resample whole poses and refit from the fitted values, each refit one Gauss-Newton step.

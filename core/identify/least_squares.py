@@ -30,15 +30,20 @@ HOLD = 1e8  # stiffness of a held direction against a prior of 1
 
 @dataclass(frozen=True)
 class Weights:
-    """Standard deviations that whiten the residuals: ``points`` m (scalar or (N, 1, 3)), ``turns`` rad."""
+    """Standard deviations that whiten the residuals: ``points`` m (scalar or (N, 1, 3)), ``turns`` rad.
+
+    ``rows (N,)`` in [0, 1] say how much each row counts with loss "tukey"; all count fully when None.
+    """
 
     points: float | Floats
     turns: float = 1.0
+    rows: Floats | None = None
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What to fit: a model's ``free`` parameters (indices) to a measurement. ``loss`` is "linear" or "huber" (per point).
+    """What to fit: a model's ``free`` parameters (indices) to a measurement. ``loss`` is "linear", "huber" (per point)
+    or "tukey", whose weights of the rows are given.
 
     ``held (K, F)`` are orthonormal directions, in prior sigmas, along which the parameters stay at ``anchor (F,)``.
     """
@@ -60,9 +65,10 @@ class Problem:
         object.__setattr__(self, "prior_mean", np.array([p.value for p in parameters]))
         object.__setattr__(self, "prior_sigma", np.array([p.prior_sigma for p in parameters]))
 
-    def reweighted(self, weights: Weights, held: Floats | None) -> Problem:
-        """Return the same problem with other weights and held directions; the batch is shared."""
+    def reweighted(self, weights: Weights, held: Floats | None, loss: str | None = None) -> Problem:
+        """Return the same problem with other weights, held directions and perhaps loss; the batch is shared."""
         other = copy.copy(self)
+        object.__setattr__(other, "loss", loss or self.loss)
         object.__setattr__(other, "weights", weights)
         object.__setattr__(other, "held", held)
         return other
@@ -133,6 +139,9 @@ class Problem:
         self, points: Floats, turns: Floats | None, root: Callable[[Floats], Floats]
     ) -> tuple[Floats | None, Floats | None]:
         """Roots of the weights (N, m, 1) of points and (N, 1) of turns, None where all are one."""
+        if self.loss == "tukey" and self.weights.rows is not None:
+            of_rows = np.sqrt(self.weights.rows)[:, None]
+            return of_rows[:, :, None], None if turns is None else of_rows
         if self.loss != "huber":
             return None, None
         of_points = root(np.linalg.norm(points, axis=2, keepdims=True))
@@ -156,7 +165,10 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Fit:
-    """A converged fit. ``J (R, F)`` is whitened; ``covariance (F, F)`` includes the priors."""
+    """A converged fit. ``J (R, F)`` is whitened; ``covariance (F, F)`` includes the priors.
+
+    ``freedom`` is that of the covariance's scale, None where the rows are taken as independent.
+    """
 
     problem: Problem
     values: Floats
@@ -166,6 +178,7 @@ class Fit:
     effective: float
     iterations: int
     residual: Residual
+    freedom: float | None = None
     report: Mapping[str, Any] = field(default_factory=dict)  # what the method tells besides, JSON-able
 
     @property

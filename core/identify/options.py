@@ -16,6 +16,7 @@ from core.model import RobotModel
 
 FULL_TILTING = ("clearance_tilt", "backlash_load", "axial_compliance")
 NO_MINIMUM = ("linear_least_squares", "pose_pseudo_inverse", "influence")
+LETS_ROWS_GO = ("least_squares", "global_search")
 METHODS = ("least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search", "linear_least_squares")
 
 
@@ -30,7 +31,8 @@ class IdentifyOptions:
     sockets, {"1-2": 400.0}. ``tilt_first`` holds the
     effects while the geometry is identified (thesis 4.22, 5.20): those of the starting version, else those fitted first.
     ``search_mm`` and ``search_deg`` are half the box of a global search. ``intervals`` "bootstrap" or "profile" adds 95 %
-    intervals that do not rest on the covariance. ``noise_mm`` is the standard
+    intervals that do not rest on the covariance. ``loss`` "huber"
+    bounds what a wrong row pulls, "tukey" lets it go. ``noise_mm`` is the standard
     deviation of a coordinate when it is known; otherwise it is estimated. ``reference`` says in which frames a correction
     should put the tool where the nominal robot would be: "robot" (its own base and tool: the measurements were taken in
     them), "registration" (where the nominal robot fits the measurements best), or "auto": the robot's own for a frame
@@ -61,7 +63,7 @@ class IdentifyOptions:
         self._one_of("method", METHODS)
         self._one_of("base", ("free", "fixed", "removed"))
         self._one_of("tool", ("free", "fixed"))
-        self._one_of("loss", ("linear", "huber"))
+        self._one_of("loss", ("linear", "huber", "tukey"))
         self._one_of("intervals", (None, "bootstrap", "profile"))
         self._one_of("reference", ("auto", "robot", "registration"))
         if self.refit not in (None, (), ("base",)):
@@ -85,6 +87,11 @@ class IdentifyOptions:
                 f"Intervals are those of a least-squares minimum, which {self.method} does not end at. Leave intervals "
                 "out, or take method least_squares.",
                 option="intervals",
+            )
+        if self.loss == "tukey" and self.method not in LETS_ROWS_GO:
+            raise OptionError(
+                f'Loss "tukey" goes with method {" or ".join(LETS_ROWS_GO)}, not with {self.method}: take loss "huber".',
+                option="loss",
             )
         if self.level in (1, 2) and self.effects:
             raise OptionError(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import NotConvergedError
+from core.identify.clustered import clustered
 from core.identify.estimate import Progress, prepared, weights_of
 from core.identify.influence import relative_influence, step_of
 from core.identify.least_squares import Fit, Linearised, Problem, fit_at
@@ -105,11 +106,13 @@ def _influence_weights(problem: Problem, J: Floats) -> Floats:
 
 
 def _finished(problem: Problem, values: Floats, sweeps: int, steps: Floats, options: IdentifyOptions) -> Fit:
-    """The fit with its noise, and a covariance widened by how far the poses disagree about the mean."""
+    """The fit with its noise, and a covariance widened by how far the poses disagree about the mean, repeats as one."""
     first = fit_at(problem, values, problem.linearised(values), sweeps)
     problem = problem.reweighted(weights_of(first, options), None)
-    fit = fit_at(problem, values, problem.linearised(values), sweeps)
+    fit = clustered(fit_at(problem, values, problem.linearised(values), sweeps))
+    groups = problem.measurement.observations.pose_groups()
     scaled = (steps - steps.mean(axis=0)) * problem.prior_sigma
-    disagreement = scaled.T @ scaled / (max(len(steps) - 1, 1) * len(steps))
+    together = np.stack([np.bincount(groups, weights=column) for column in scaled.T], axis=1)
+    disagreement = together.T @ together / len(steps) ** 2 * len(together) / max(len(together) - 1, 1)
     report = {"sweeps": sweeps, "settled": sweeps < SWEEPS}
     return replace(fit, covariance=fit.covariance + disagreement, report=report)

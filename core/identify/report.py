@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from core.identifiability import NullDirection, identifiable
 from core.identify.intervals import Intervals
 from core.identify.least_squares import Fit
+from core.identify.noise import Repeats
 from core.identify.spread import spread_of
 from core.marker_checks import bending
 from core.model import Calibration, RobotModel
@@ -82,7 +83,7 @@ def null_rows(directions: Sequence[NullDirection]) -> list[dict[str, Any]]:
     ]
 
 
-def warnings_of(fit: Fit, train: Observations, repeats: float | None) -> Iterator[dict[str, Any]]:
+def warnings_of(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[dict[str, Any]]:
     """What a metrologist should know before trusting the result."""
     for j in still_joints(train):
         name = fit.problem.model.robot.joints[j].name
@@ -105,7 +106,7 @@ def warnings_of(fit: Fit, train: Observations, repeats: float | None) -> Iterato
     if fit.problem.measurement.sees_base and (train.position is not None or train.markers is not None):
         points = fit.problem.model.predict(fit.problem.batch, fit.values).position
         yield from large_residual(_rms(fit.residual.points), points)
-    bent = None if train.markers is None else bending(train.markers, repeats)
+    bent = None if train.markers is None else bending(train.markers, repeats.shots or repeats.between)
     if bent is not None:
         yield {
             "code": "markers_not_rigid",
@@ -113,11 +114,21 @@ def warnings_of(fit: Fit, train: Observations, repeats: float | None) -> Iterato
             "message": f"The distance of markers {bent[0]} and {bent[1]} varies by {bent[2] * 1e3:.2f} mm (standard "
             "deviation): the set bends, or one of them is loose. Fasten them; until then errors below that mean little.",
         }
-    if repeats is None:
+    if repeats.between is None:
+        only = "No pose was repeated" if repeats.shots is None else (
+            "Poses were only shot several times without motion between, which does not show how the arm comes to rest"
+        )  # fmt: skip
         yield {
             "code": "no_repeats",
-            "message": "No pose was repeated, so the noise is that of the fit itself, model errors included. "
-            "Repeat a few poses to know the instrument's own.",
+            "message": f"{only}, so the noise is that of the fit itself, model errors included. "
+            "Come back to a few poses to know what cannot be predicted.",
+        }
+    if len(repeats.wrong):
+        yield {
+            "code": "repeats_differ",
+            "rows": (repeats.wrong + 1).tolist(),
+            "message": f"{len(repeats.wrong)} rows stand too far from the repeats of their pose to be noise; the first is row "
+            f"{repeats.wrong[0] + 1} of the rows fitted. Remove them, or identify with loss tukey, which lets wrong rows go.",
         }
     loaded = [e.id for e in fit.problem.model.effects if "moments" in e.needs]
     if loaded and not np.any(fit.problem.batch.wrench):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from core.errors import ObservationError
 from core.identifiability import NullDirection, null_directions
+from core.identify.clustered import clustered
 from core.identify.holdout import Folds, fold_splits, split
 from core.identify.influence import influence_of
 from core.identify.intervals import Intervals, bootstrap, profile
@@ -19,9 +20,11 @@ from core.identify.learned import Learned, gated
 from core.identify.least_squares import Fit
 from core.identify.marker_turns import refuse_feigned_turns
 from core.identify.methods import fit_by_method
-from core.identify.noise import repeat_sigma
+from core.identify.noise import Repeats
 from core.identify.options import IdentifyOptions
 from core.identify.plausibility import refuse_foreign
+from core.identify.predictive import Predictive, left_of, predictive
+from core.identify.redescending import set_aside
 from core.identify.reference import named, refuse_contradicted, registered, wanted_frames
 from core.identify.report import null_rows, parameter_rows, warnings_of
 from core.identify.seeing import seen
@@ -35,6 +38,7 @@ from core.observations import Observations
 from core.robot import Robot
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 Progress = Callable[[float, str], None]
 Validation = Observations | float | Folds | None
 
@@ -48,6 +52,8 @@ class Identification:
     metrics: dict[str, Any]
     noise_m: float
     noise_source: str
+    repeats: Repeats
+    predictive: Predictive
     null_directions: tuple[NullDirection, ...]
     warnings: tuple[dict[str, Any], ...]
     method: str = "least_squares"
@@ -55,6 +61,18 @@ class Identification:
     intervals: Intervals | None = None
     learned: Learned | None = None
     own_frames: tuple[OwnFrame, ...] = ()
+    inside: Ints | None = None  # rows of those given that were fitted, all when None
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Standard deviations (m, rad) of points and turns by which residuals were weighed."""
+        return float(np.mean(self.fit.problem.weights.points)), float(np.mean(self.fit.problem.weights.turns))
+
+    @property
+    def set_aside(self) -> list[dict[str, Any]]:
+        """Rows of those given, counted from 0, that count less than half in the fit."""
+        found = set_aside(self.fit)
+        return found if self.inside is None else [{**one, "row": int(self.inside[one["row"]])} for one in found]
 
     @property
     def covariance(self) -> Floats:
@@ -70,10 +88,17 @@ class Identification:
         """The identify result of the contract: mm, degrees, names, units."""
         return {
             "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
+            "scale": {"point_mm": self.scale[0] * 1e3, "turn_deg": float(np.degrees(self.scale[1]))},
+            "set_aside": self.set_aside,
             "null_directions": null_rows(self.null_directions),
             "metrics": self.metrics,
             "noise_mm": self.noise_m * 1e3,
             "noise_source": self.noise_source,
+            "noise": {
+                "residuals_mm": left_of(self.fit) * 1e3,
+                "inadequacy_mm": self.predictive.inadequacy * 1e3,
+                **self.repeats.to_document(),
+            },
             "warnings": list(self.warnings),
             "iterations": self.fit.iterations,
             "method": {"name": self.method, **self.fit.report},
@@ -118,6 +143,7 @@ def identify(
     tell(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
     compared: PoseErrors | None = None
+    inside: Ints | None = None
     if isinstance(validation, Folds):
         held, compared = _cross_validated(nominal, begin, train, validation, options, tell, prior)
     elif isinstance(validation, float):
@@ -135,8 +161,7 @@ def identify(
     own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):
         plain = geometry_alone(begin, measurement, options)
-        held, compared, new = held_out(stages, plain, frames, validation, options, measurement)
-        own += new
+        held, compared, own[len(own) :] = held_out(stages, plain, frames, validation, options, measurement)
     tell(0.95, "identifiability")
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
@@ -145,7 +170,7 @@ def identify(
         without_frames(calibration), fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned
     )
     said = (*result.warnings, *remarks, *(compared.warnings() if compared else ()))
-    return replace(result, own_frames=tuple(own), warnings=said)
+    return replace(result, own_frames=tuple(own), warnings=said, inside=inside)
 
 
 def _reported(
@@ -158,8 +183,10 @@ def _reported(
     learned: Learned | None = None,
 ) -> Identification:
     """What was found, with all that is said about it."""
-    sigma = repeat_sigma(train)
-    intervals = _intervals(fit, options, tell)
+    repeats = Repeats.of(train, fit.residual)
+    sigma = repeats.between
+    plain, fit = fit, clustered(fit)
+    intervals = _intervals(plain, fit, options, tell)
     fit = marginal(fit)
     return Identification(
         calibration=calibration,
@@ -167,8 +194,10 @@ def _reported(
         metrics=metrics,
         noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
         noise_source="residuals of the fit" if sigma is None else "repeats",
+        repeats=repeats,
+        predictive=predictive(fit, repeats, None if options.noise_mm is None else options.noise_mm * 1e-3),
         null_directions=null_directions(fit.J, fit.names, fit.problem.prior_sigma),
-        warnings=(*warnings_of(fit, train, sigma), *(() if learned is None else (learned.warning(),))),
+        warnings=(*warnings_of(fit, train, repeats), *(() if learned is None else (learned.warning(),))),
         method=options.method,
         influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
         intervals=intervals,
@@ -176,10 +205,14 @@ def _reported(
     )
 
 
-def _intervals(fit: Fit, options: IdentifyOptions, tell: Progress) -> Intervals | None:
+def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, tell: Progress) -> Intervals | None:
+    """Intervals of a fit; a profile, whose likelihood takes rows as independent, is widened to what the poses show."""
     if options.intervals is None:
         return None
-    found = profile(fit, tell) if options.intervals == "profile" else bootstrap(fit, options.seed, tell)
+    if options.intervals == "profile":
+        found = profile(plain, tell).widened(fit.sigma / plain.sigma)
+    else:
+        found = bootstrap(plain, options.seed, tell)
     arm = of_the_arm(fit)
     return replace(found, lower=found.lower[arm], upper=found.upper[arm], stands_in=found.stands_in[arm])
 

@@ -43,6 +43,8 @@ def seen(
 def _refuse(options: IdentifyOptions, what: str) -> None:
     if options.method != "least_squares":
         raise OptionError(f"{what} are identified by method least_squares only.", option="method")
+    if options.loss == "tukey":
+        raise OptionError(f'{what} have no rows to let go one by one: take loss "huber".', option="loss")
     if options.intervals == "bootstrap":
         raise OptionError(f"{what} have no poses to resample one by one: take intervals profile.", option="intervals")
     if any(effect.id == "unknown_residual" for effect in options.make_effects()):

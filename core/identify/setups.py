@@ -18,7 +18,7 @@ from core.effects import BASE, Batch, Effect, Local
 from core.effects.base import Derivative, linear
 from core.errors import OptionError, TooFewPosesError
 from core.frames import FRAME_ANGLE_PRIOR_RAD, FRAME_LENGTH_PRIOR_M, increment
-from core.identify.estimate import estimate
+from core.identify.estimate import bounded, estimate
 from core.identify.least_squares import Fit
 from core.identify.options import FRAME_NAMES, IdentifyOptions
 from core.identify.seeing import seen
@@ -262,7 +262,7 @@ def with_base(calibration: Calibration, measurement: Measurement, loss: str) -> 
     """The calibration with its base fitted to other rows, all else held."""
     alone = without_frames(calibration)
     model, values = alone.model.folded(alone.values)
-    options = IdentifyOptions(fix=model.names[6:], tool="fixed", loss=loss)
+    options = IdentifyOptions(fix=model.names[6:], tool="fixed", loss=bounded(loss))
     fit = estimate(Calibration(model, values, measurement.marker_points), measurement, options)
     return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
 

@@ -28,26 +28,22 @@ INFO = 8  # flags, limit mask, residual m, residual of all rows, error removed x
 NOMINAL, IDENTIFIED, KIND, JOINT, RATIO, PRIMARY, MASS, COM, INERTIA = 0, 12, 24, 25, 26, 27, 28, 29, 32
 # joint rows
 LOWER, UPPER, DQ, XI, TILT, TILT_SOFT, TILT_SHARE, PLAY, PLAY_SOFT = 0, 1, 2, 3, 9, 10, 11, 12, 13
-REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, RADIAL, TWISTED = 14, 15, 16, 17, 18, 19, 20
+REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, RADIAL, TWISTED, HARDENING, SIDED = 14, 15, 16, 17, 18, 19, 20, 21, 22
 # curve rows: a shape of the joint ``DRIVER`` added to the joint ``CURVED``
-CURVED, SHAPE, DRIVER, AMPLITUDE_A, AMPLITUDE_B, FACTOR, EXTRA = 0, 1, 2, 3, 4, 5, 6
-WAVE, LINEAR, SPRING, SINES, LAG = 0.0, 1.0, 2.0, 3.0, 4.0
+CURVED, SHAPE, DRIVER, AMPLITUDE_A, AMPLITUDE_B, FACTOR, EXTRA, POWERS, HIGHEST = 0, 1, 2, 3, 4, 5, 6, 8, 20
+WAVE, LINEAR, SPRING, SINES, LAG, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 # beam rows: twist per wrench on the joint (6, 6), then the same per wrench on the end of the link; link vector
 BEAM, BEAM_JOINT, BEAM_LINK = 0, 36, 37
 # pedestal row: constant transform of the base, then the one up to the first move; compliances, constant moment
 FOOT, ABOVE, PEDESTAL_X, PEDESTAL_Y, STANDING_X, STANDING_Y = 0, 12, 24, 25, 26, 27
 # scalars
-GRAVITY, ROWS, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST = 0, 3, 10, 16, 17, 18, 19
-RAMP, FILTER, HYSTERESIS, LOADED, REACHED, N, M, WEAK = 20, 21, 22, 23, 24, 25, 26, 27
-CURVES, BEAMS, PEDESTAL = 28, 29, 30
-# scratch of a move: nominal frame, then the identified joint line, the sine and cosine of the
-# wanted joints, then force and moment about the base origin of the body on the move (row M: of the payload)
+GRAVITY, ROWS, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST, RAMP, FILTER = 0, 3, 10, 16, 17, 18, 19, 20, 21
+HYSTERESIS, LOADED, REACHED, N, M, WEAK, CURVES, BEAMS, PEDESTAL = 22, 23, 24, 25, 26, 27, 28, 29, 30
+# scratch of a move: nominal frame, identified joint line, sine, cosine wanted, load of its body on the base (M: payload)
 LINE, SINE, COSINE, LOAD, ON_BASE = 12, 18, 19, 20, 26
 # scratch of a joint
-WANTED, COMMAND, SHIFT, LEAN_A, LEAN_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN, COLUMN = (
-    0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 12,
-)  # fmt: skip
-TURN_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW, GUESSED, TWIST, ROOT, END = 18, 19, 20, 21, 22, 28, 34
+WANTED, COMMAND, SHIFT, LEAN_A, LEAN_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN = 0, 1, 2, 3, 4, 5, 6, 9, 10, 11
+COLUMN, TURN_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW, GUESSED, TWIST, ROOT, END = 12, 18, 19, 20, 21, 22, 28, 34
 # scratch of a task row: factor row, residual, multiplier, right-hand side, then damping, matrix and eigenvector rows,
 # and what the first guess adds to the residual
 ERROR, MULTIPLIER, RIGHT, DAMPING, MATRIX, VECTOR, ADDED = 6, 7, 8, 9, 15, 21, 27
@@ -518,8 +514,8 @@ def _signs(P, W, state, n, oj, dt):
     for i in range(n):
         j = oj + i
         a, b = _lean(P, j, W[j, MOMENT], W[j, MOMENT + 1])
-        side = 0.5 * P[j, REVERSAL] * W[j, SIGN]
         about = W[j, MOMENT + 2]
+        side = (0.5 * P[j, REVERSAL] + P[j, SIDED] * about) * W[j, SIGN]
         if P[j, PLAY] != 0.0 and abs(about) > NO_MOMENT:
             side += P[j, PLAY] * _soft_sign(about, P[j, PLAY_SOFT])
         if dt < math.inf:
@@ -551,6 +547,11 @@ def _curves(P, W, n, m, oj):
             W[j, SHIFT] -= P[row, AMPLITUDE_A] * W[d, SPEED_NOW]
         elif shape == SINES:
             W[j, SHIFT] += P[row, AMPLITUDE_A] * math.sin(q) * math.sin(W[j, COMMAND])
+        elif shape == POLYNOMIAL:
+            u, total = min(1.0, max(-1.0, (q - P[row, EXTRA]) / P[row, EXTRA + 1])), 0.0
+            for k in range(HIGHEST - POWERS + 1):
+                total = total * u + P[row, HIGHEST - k]
+            W[j, SHIFT] += total
         else:
             a, b = P[row, EXTRA], P[row, EXTRA + 1]
             s, c = _sine_cosine(q + P[row, EXTRA + 2])
@@ -582,7 +583,8 @@ def _give_way(P, W, n, m, oj):
     """What every joint adds to its command, and the twist behind it, at the loads and signs now in W."""
     for i in range(n):
         j = oj + i
-        W[j, SHIFT] = P[j, DQ] + W[j, SIDE] + P[j, COMPLIANCE] * W[j, MOMENT + 2]
+        about = W[j, MOMENT + 2]
+        W[j, SHIFT] = P[j, DQ] + W[j, SIDE] + (P[j, COMPLIANCE] - P[j, HARDENING] * abs(about)) * about
         for k in range(6):
             W[j, TWIST + k] = P[j, XI + k]
         W[j, TWIST + 3] += W[j, LEAN_A] + P[j, RADIAL] * W[j, MOMENT]

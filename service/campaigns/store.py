@@ -22,6 +22,7 @@ from service.errors import ServiceError
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    from numpy.typing import NDArray
 
     from core.observations import Observations
     from core.robot import Robot
@@ -166,6 +167,18 @@ def observations(session: Session, campaign_id: str, robot: Robot, only: Collect
     columns = read_columns(uploads[0].columns, [joint.kind for joint in robot.joints])
     tables = [table.select(uploads[0].columns) for upload in uploads for table in _tables(session, upload.id)]
     return assemble(concat_tables(tables), columns, row.conditions)
+
+
+def driven(session: Session, robot_id: int, robot: Robot, most: int = 20_000) -> NDArray[np.float64] | None:
+    """Return joint readings (N, n) of all a robot's campaigns, thinned to about ``most``; None without any."""
+    parts = []
+    for campaign in ids_of_robot(session, robot_id):
+        try:
+            parts.append(observations(session, campaign, robot).q)
+        except ObservationError:
+            continue  # nothing was uploaded to it yet
+    whole = np.concatenate(parts) if parts else np.zeros((0, robot.n_joints))
+    return whole[:: -(-len(whole) // most)] if len(whole) else None
 
 
 def numbered(parts: Iterable[Observations]) -> list[Observations]:

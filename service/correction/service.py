@@ -13,8 +13,10 @@ from service.campaigns.assemble import observations
 from service.correction.follow import Corrected, corrected
 from service.correction.formats import read_trajectory, write_trajectory
 from service.correction.ros2 import joint_trajectory
+from service.correction.uncertainty import uncertainty
 from service.corrector.frames import Status
 from service.db import Database, Session
+from service.db.tables import VersionRow
 from service.errors import ServiceError
 from service.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS
 from service.robots import store as robots
@@ -25,7 +27,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from core.correction import CorrectionOptions
-    from core.model import Calibration
 
 Floats = NDArray[np.float64]
 
@@ -52,7 +53,8 @@ def correct(
 
     """
     with database.reading() as session:
-        calibration, options = _calibration(session, robot, version, temperature_c)
+        row, options = _version(session, robot, version, temperature_c)
+        calibration, known = versions.calibration(session, row.id), versions.known(session, row.id)
     kinds = [joint.kind for joint in calibration.robot.joints]
     table, columns = read_trajectory(path, media, kinds, MAX_ROS2_ROWS if form == ROS2 else MAX_TRAJECTORY_ROWS)
     rows = observations(table, columns, {})
@@ -64,12 +66,13 @@ def correct(
     for k, column in enumerate(joints):
         cells = _cells(done.q[:, k] / column.factor)
         table = table.set_column(table.column_names.index(column.name), column.name, cells)
-    return write_trajectory(_with_verdict(table, done), media), done.not_corrected
+    u95 = uncertainty(calibration, rows, done, known, temperature_c)
+    return write_trajectory(_with_verdict(table, done, u95), media), done.not_corrected
 
 
-def _calibration(
+def _version(
     session: Session, robot: str, version: str | None, temperature_c: float | None
-) -> tuple[Calibration, CorrectionOptions]:
+) -> tuple[VersionRow, CorrectionOptions]:
     from core.correction import CorrectionOptions  # loads compiled kernels: not at the start of the API process
 
     stored = robots.get(session, robot)
@@ -92,13 +95,15 @@ def _calibration(
         farthest_m=limits.max_position_mm * 1e-3,
         temperature_c=temperature_c,
     )
-    return versions.calibration(session, version), options
+    return row, options
 
 
-def _with_verdict(table: pa.Table, done: Corrected) -> pa.Table:
+def _with_verdict(table: pa.Table, done: Corrected, u95: Floats) -> pa.Table:
     removed = done.error_removed * 1e3
     for k, axis in enumerate("xyz"):
         table = table.append_column(f"d{axis}_mm", _cells(removed[:, k]))
+    for k, axis in enumerate("xyz"):
+        table = table.append_column(f"u95_{axis}_mm", _cells(u95[:, k] * 1e3))
     return table.append_column("status", [[Status(code).name for code in done.status.tolist()]])
 
 

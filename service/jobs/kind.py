@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 from service.versions.schemas import CorrectionLimits
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from core.model import Calibration
     from core.observations import Observations
     from core.robot import Robot
@@ -19,9 +22,11 @@ Progress = Callable[[float, str], None]
 @dataclass(frozen=True)
 class JobInput:
     """All a kind needs, loaded from the database. ``validation`` is what the job names: rows, a fraction, folds.
+    ``confirmation`` are campaigns in which what was found must be seen again.
 
-    ``devices`` are those of all campaigns. ``version_id``, ``calibration`` and ``covariance`` are those of the version
-    the options name (``JobKind.version_option``).
+    ``devices`` are those of all campaigns. ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
+    the version the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint
+    readings of all the robot's campaigns, and ``origin``, the result of the job that made the version.
     """
 
     robot: Robot
@@ -31,7 +36,11 @@ class JobInput:
     version_id: str | None = None
     calibration: Calibration | None = None
     covariance: dict[str, Any] | None = None
+    report: dict[str, Any] | None = None
     devices: dict[str, str] = field(default_factory=dict)
+    driven: NDArray[np.float64] | None = None
+    origin: dict[str, Any] | None = None
+    confirmation: dict[str, Observations] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -59,9 +68,10 @@ class JobKind:
     ``check`` refuses options at once, before the job is queued; it raises a CoreError. ``run`` computes: it gets
     ``progress(fraction, stage)``, which raises ``CancelledError`` when the job was cancelled, and must call it at
     least once a second. Both import core inside, for the API process lists the kinds without it. ``version_option``
-    names the option that holds a version; ``needs_campaigns`` and ``takes_folds`` say what a request must and may have,
+    names the option that holds a version; ``needs_campaigns``, ``takes_folds`` and ``takes_confirmation`` say what a
+    request must and may have,
     ``instead_of_campaigns`` which options stand in for campaigns. ``long`` kinds have a queue of their own: whoever
-    identifies does not wait for somebody's hunt.
+    identifies does not wait for somebody's hunt. ``history`` kinds want to know where the arm was driven before.
     """
 
     name: str
@@ -70,5 +80,7 @@ class JobKind:
     version_option: str | None = None
     needs_campaigns: bool = True
     takes_folds: bool = True
+    takes_confirmation: bool = False
     instead_of_campaigns: tuple[str, ...] = ()
     long: bool = False
+    history: bool = False

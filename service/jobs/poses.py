@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from core.observations import Observations
     from core.robot import Robot
 
 Floats = NDArray[np.float64]
@@ -29,6 +30,21 @@ class Pose:
     information_factor: float | None = None
     pose_id: int | None = None
     session: int | None = None
+
+
+def poses_of(
+    rows: Observations, kind: str = "new", change: str | None = None, factors: Sequence[float] = ()
+) -> list[Pose]:
+    """Rows of a plan as poses; ``factors`` say how much more is known after each."""
+    return [
+        Pose(
+            q=rows.q[k], kind=kind, change=change,
+            payload_kg=None if rows.payload_kg is None else float(rows.payload_kg[k]),
+            direction=None if rows.direction is None else tuple(int(s) for s in rows.direction[k]),
+            information_factor=round(float(factors[k]), 3) if len(factors) else None,
+        )
+        for k in range(len(rows))
+    ]  # fmt: skip
 
 
 def document_of(robot: Robot, poses: Sequence[Pose]) -> dict[str, Any]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import logging
+import sys
 import threading
 import time
 from dataclasses import asdict
@@ -41,6 +44,7 @@ class Runner:
                 return self._compute(job_id, tell)
             finally:
                 slot.release()
+                give_back()
         except CancelledError:
             return {"state": "cancelled"}
         except CoreError as error:
@@ -104,6 +108,14 @@ class Teller:
             stop = store.advance(session, self._job_id, fraction, stage)
         if stop:
             raise CancelledError(f"Job {self._job_id} was cancelled.")
+
+
+def give_back() -> None:
+    """Give the memory of a job that is over back to the system: the C library would keep it for the next one."""
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if trim is not None:
+        trim(0)
 
 
 def _failed(code: str, message: str) -> Outcome:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from service.limits import MAX_NAMED
 
@@ -25,7 +25,7 @@ class Folds(Strict):
     folds: Annotated[int, Field(ge=2, le=1000)]
 
 
-Fraction = Annotated[float, Field(gt=0, lt=1)]
+Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 
 Id = Annotated[str, Field(max_length=64)]
@@ -33,13 +33,29 @@ Ids = Annotated[list[Id], Field(max_length=MAX_NAMED)]
 
 
 class NewJob(Strict):
-    """A job to run. Which options there are depends on the kind."""
+    """A job to run. Which options there are depends on the kind.
+
+    Campaigns of `confirmation` are measured on another day or set-up: what was found must be seen there again.
+    """
 
     kind: Id
     robot: Id
     campaigns: Ids = []
     validation: Ids | Fraction | Folds | None = None
+    confirmation: Ids = []
     options: dict[str, Any] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _confirmation_among_options(cls, given: Any) -> Any:
+        """Take `options.confirmation` for the field of the same name."""
+        options = given.get("options") if isinstance(given, dict) else None
+        if not isinstance(options, dict) or "confirmation" not in options:
+            return given
+        if given.get("confirmation"):
+            raise ValueError("confirmation is given twice: leave it out of the options")
+        rest = {name: value for name, value in options.items() if name != "confirmation"}
+        return {**given, "options": rest, "confirmation": options["confirmation"] or []}
 
 
 class Progress(Strict):
@@ -75,6 +91,7 @@ class Job(JobSummary):
 
     campaigns: list[str]
     validation: list[str] | Fraction | Folds | None
+    confirmation: list[str] = []
     options: dict[str, Any]
     attempts: int
     result: dict[str, Any] | None

@@ -51,7 +51,7 @@ def _checked(session: Session, job: NewJob, kind: JobKind) -> int:
 
 def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind) -> None:
     held = job.validation if isinstance(job.validation, list) else []
-    for campaign in [*job.campaigns, *held]:
+    for campaign in [*job.campaigns, *held, *job.confirmation]:
         if campaigns.whole_row_of(session, campaign).robot_id != robot_id:
             raise ServiceError(
                 f"Campaign {campaign} is not of robot {job.robot!r}: name campaigns of that robot.",
@@ -75,12 +75,32 @@ def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind
             code="option_invalid",
             option="validation",
         )
-    known = _hashes(session, job.campaigns)
-    shared = sorted(set(known) & set(_hashes(session, held)))
+    if job.validation == 0 and not kind.takes_confirmation:
+        raise ServiceError(
+            f"validation is 0: a {kind.name} job holds nothing out by itself. Leave validation out.",
+            code="option_invalid",
+            option="validation",
+        )
+    if job.confirmation and not kind.takes_confirmation:
+        raise ServiceError(
+            f"A {kind.name} job takes no confirmation: only gap does. Evaluate the version against the campaign instead.",
+            code="option_invalid",
+            option="confirmation",
+        )
+    _refuse_shared(session, job.campaigns, held, "validation", "what was used to identify cannot validate")
+    _refuse_shared(
+        session, [*job.campaigns, *held], job.confirmation, "confirmation", "what chose a name cannot confirm it"
+    )
+
+
+def _refuse_shared(session: Session, ids: list[str], others: list[str], use: str, why: str) -> None:
+    """Refuse campaigns that judge what they are part of: the same one, or the same file in another."""
+    known = {**{campaign: campaign for campaign in ids}, **_hashes(session, ids)}
+    shared = sorted(set(known) & {*others, *_hashes(session, others)})
     if shared:
         raise ServiceError(
-            f"The same rows are in {known[shared[0]]} and in `validation`: what was used to identify cannot "
-            "validate. Name other campaigns, or give a fraction.",
+            f"The same rows are in {known[shared[0]]} and in `{use}`: {why}. Name other campaigns"
+            + (", or give a fraction." if use == "validation" else "."),
             code="campaigns_invalid",
             campaign=known[shared[0]],
         )

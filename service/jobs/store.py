@@ -11,7 +11,7 @@ from sqlalchemy import select, update
 
 from service.campaigns import store as campaigns
 from service.db import Session
-from service.db.tables import JobRow, RobotRow, now
+from service.db.tables import JobRow, RobotRow, VersionRow, now
 from service.errors import ServiceError
 from service.jobs.kind import JobInput, VersionContent
 from service.jobs.registry import kind_of
@@ -60,6 +60,7 @@ def get(session: Session, job_id: str) -> Job:
         **_summary(session, row).model_dump(),
         campaigns=request.campaigns,
         validation=request.validation,
+        confirmation=request.confirmation,
         options=request.options,
         attempts=row.attempts,
         result=row.result,
@@ -141,8 +142,19 @@ def load(session: Session, job_id: str) -> JobInput:
         version_id=named,
         calibration=None if named is None else versions.calibration(session, named),
         covariance=None if named is None else versions.covariance(session, named),
+        report=None if named is None else dict(versions.row_of(session, named).report),
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *_listed(validation))},
+        driven=campaigns.driven(session, row.robot_id, robot) if kind.history else None,
+        origin=_origin(session, named) if kind.history and named is not None else None,
+        confirmation={c: campaigns.observations(session, c, robot) for c in request.confirmation},
     )
+
+
+def _origin(session: Session, version_id: str) -> dict[str, Any] | None:
+    """Result of the job that made a version."""
+    made = session.get(VersionRow, version_id)
+    job = None if made is None else session.get(JobRow, made.job_id)
+    return None if job is None else job.result
 
 
 def _listed(validation: object) -> list[str]:
@@ -194,8 +206,10 @@ def _finish(row: JobRow, state: str, stage: str, fraction: float) -> None:
 def used_by(session: Session, job_id: str) -> list[dict[str, Any]]:
     """Return the campaigns a job uses, with the hashes of what was uploaded so far."""
     request = NewJob(**row_of(session, job_id).request)
-    held = request.validation if isinstance(request.validation, list) else []
-    return [_used(session, c, "train") for c in request.campaigns] + [_used(session, c, "validation") for c in held]
+    named = {
+        "train": request.campaigns, "validation": _listed(request.validation), "confirmation": request.confirmation,
+    }  # fmt: skip
+    return [_used(session, campaign, use) for use, campaigns_ in named.items() for campaign in campaigns_]
 
 
 def _version(row: JobRow, content: VersionContent, used: list[dict[str, Any]]) -> NewVersion:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Response
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Depends, Query, Response
 
 from service.auth.access import Admin
+from service.campaigns.reading import CSV, PARQUET
+from service.limits import MAX_NAMED
 from service.routing import GuardedRoute
 from service.slots import reading_turn
 from service.state import DatabaseOfApp, SettingsOfApp
 from service.versions import activation, service
 from service.versions.schemas import ActivatedVersion, ActivationList, ActivationWish, Version, VersionDiff, VersionList
+
+FILE = {"schema": {"type": "string", "format": "binary"}}
 
 router = APIRouter(prefix="/v1", tags=["versions"], route_class=GuardedRoute)
 
@@ -58,6 +64,29 @@ def activate(
 def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
     """Compare two versions of one robot."""
     return service.diff(database, a, b)
+
+
+@router.get(
+    "/versions/{version}/residuals",
+    response_class=Response,
+    responses={200: {"content": {CSV: FILE, PARQUET: FILE}, "description": "One line per row"}},
+    dependencies=[Depends(reading_turn)],
+)
+def residuals(
+    version: str,
+    database: DatabaseOfApp,
+    campaign: Annotated[list[str] | None, Query(max_length=MAX_NAMED)] = None,
+    format: Literal["csv", "parquet"] = "csv",  # noqa: A002 (the name of the export's parameter)
+) -> Response:
+    """Download what a version leaves of every row, of all campaigns it was made from or of those named.
+
+    Each line has the campaign and the row in it, the error measured minus predicted, its length in standard deviations,
+    half the 95 % interval that expects it, whether the row was set aside, and whether it was held out of the fit.
+    """
+    media = {"csv": CSV, "parquet": PARQUET}[format]
+    content = service.residuals(database, version, campaign or [], media)
+    headers = {"Content-Disposition": f'attachment; filename="{version}-residuals.{format}"'}
+    return Response(content, media_type=media, headers=headers)
 
 
 @router.get("/versions/{version}/export", response_class=Response, dependencies=[Depends(reading_turn)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.exporters.exportable import Exportable
@@ -87,3 +89,10 @@ def exported(database: Database, version_id: str, format_name: str) -> Exported:
         robot = robots.get(session, version.robot)
         document = store.row_of(session, version_id).calibration
     return export(format_name, Exportable(robot.document, version, document))
+
+
+def residuals(database: Database, version_id: str, campaigns: Sequence[str], media: str) -> bytes:
+    """Return what a version leaves of every row of campaigns, as a file."""
+    from service.versions.residuals import residuals as table  # compiled kernels: not at the start of the API process
+
+    return table(database, version_id, campaigns, media)

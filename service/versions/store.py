@@ -26,6 +26,7 @@ from service.versions.schemas import (
 )
 
 if TYPE_CHECKING:
+    from core.identify.predictive import Predictive
     from core.model import Calibration
 
 
@@ -59,17 +60,26 @@ class ActiveVersion:
     max_position: float
 
 
+HELD_OUT = "held_out_fraction"  # what a job held out by itself, in the report of its version
+
+
 @dataclass(frozen=True)
 class Training:
     """What a version was fitted to: campaigns with the hashes of their uploads, in the order of the fit.
 
-    ``fraction`` of the poses was held out by a job of ``kind`` with ``seed``; None when all were fitted.
+    ``fraction`` of the poses was held out by a job of ``kind`` with ``seed``; None when all were fitted. ``unasked`` says
+    that the job held them out by its own rule. ``rounded``: poses were told by rounded readings then.
     """
 
     kind: str
     campaigns: tuple[tuple[str, tuple[str, ...]], ...]
     fraction: float | None
     seed: int
+    unasked: bool = False
+    rounded: bool = False
+
+
+POSES, BY_DISTANCE = "poses", "by distance"  # versions without it were split by rounded readings
 
 
 def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
@@ -85,7 +95,7 @@ def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
             job_id=job_id,
             sha256=_digest({"calibration": new.calibration, "limits": new.limits}),
             calibration=new.calibration,
-            report=new.report,
+            report={**new.report, POSES: BY_DISTANCE},
             covariance=new.covariance,
             campaigns=new.campaigns,
             limits=new.limits,
@@ -152,6 +162,14 @@ def calibration(session: Session, version_id: str) -> Calibration:
 def covariance(session: Session, version_id: str) -> dict[str, Any]:
     """Return what a version knows about its parameters: {names, matrix, units}, empty when it was not identified."""
     return dict(row_of(session, version_id).covariance)
+
+
+def known(session: Session, version_id: str) -> Predictive | None:
+    """Return how far a version says the arm may be from it; None when it has no covariance."""
+    from core.identify.predictive import Predictive
+
+    row = row_of(session, version_id)
+    return Predictive.from_document(row.covariance, row.report)
 
 
 def active_stamp(session: Session) -> int:
@@ -237,8 +255,11 @@ def trainings(session: Session, version_id: str) -> list[Training]:
         request = session.get_one(JobRow, following.job_id)
         held, options = request.request.get("validation"), request.request.get("options", {})
         used = [(c["id"], tuple(c["sha256"])) for c in following.campaigns if c["use"] == "train"]
-        fraction = held if isinstance(held, float) else None
-        found.append(Training(request.kind, tuple(dict.fromkeys(used)), fraction, int(options.get("seed", 0))))
+        asked = held if isinstance(held, float) and held > 0.0 else None
+        unasked = following.report.get(HELD_OUT) if held is None else None
+        campaigns, seed = tuple(dict.fromkeys(used)), int(options.get("seed", 0))
+        rounded = POSES not in following.report
+        found.append(Training(request.kind, campaigns, asked or unasked, seed, unasked is not None, rounded))
         following = None if following.parent_id is None else session.get(VersionRow, following.parent_id)
     return found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from core.robot import Robot
 
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 MOST_ROWS = 1_000_000  # read of campaigns nobody trained on, the newest first: some seconds
@@ -59,6 +60,13 @@ class Archive:
         """Mark the rows of a campaign that came in uploads with these hashes."""
         uploads = campaigns.uploads_of(self.session, campaign_id)
         return np.repeat([u.sha256 in hashes for u in uploads], [u.rows for u in uploads]).astype(bool)
+
+    def fitted(self, version: str, campaign_id: str) -> Bools:
+        """Mark the rows of a campaign that a version, or one that it continues, was fitted to."""
+        trained = _Trained(self)
+        for training in store.trainings(self.session, version):
+            trained.add(training)
+        return trained.mask(campaign_id)
 
     def unseen(self, versions: Iterable[str]) -> Unseen:
         """Rows at poses none of these versions was fitted to."""
@@ -115,17 +123,16 @@ class _Trained:
         whole = self.archive.named(campaign_id, self.hashes)
         return whole | self.rows.get(campaign_id, np.zeros(len(whole), dtype=bool))
 
-    def poses(self) -> Ints:
-        """Joint readings (N, n) of all rows that were fitted."""
-        from core.observations import readings
-
+    def poses(self) -> Floats:
+        """Joints (N, n) of all rows that were fitted."""
         parts = [(self.archive.rows(campaign_id), mask) for campaign_id, mask in self.rows.items()]
-        fitted = [readings(rows.q[mask]) for rows, mask in parts if rows is not None]
-        return np.concatenate([np.zeros((0, self.archive.robot.n_joints), dtype=np.int64), *fitted])
+        fitted = [rows.q[mask] for rows, mask in parts if rows is not None]
+        return np.concatenate([np.zeros((0, self.archive.robot.n_joints)), *fitted])
 
     def _split(self, training: Training, fraction: float) -> dict[str, Bools] | None:
         """Rows fitted of each campaign's named uploads, as the job drew them; None when that cannot be told any more."""
         from core.observations import Observations
+        from core.poses import rounded_poses
 
         try:
             parts = [
@@ -133,27 +140,31 @@ class _Trained:
                 for c, hashes in training.campaigns
             ]
             whole = Observations.concatenate(campaigns.numbered(parts))
+            if training.rounded and whole.pose_id is None:
+                whole = replace(whole, pose_id=rounded_poses(whole.q))
             inside = np.zeros(len(whole), dtype=bool)
-            inside[_draw(training.kind, whole, fraction, training.seed)] = True
+            inside[_draw(training, whole, fraction)] = True
         except (CoreError, KeyError):
             return None
         ends = np.cumsum([len(part) for part in parts])[:-1]
         return dict(zip((c for c, _ in training.campaigns), np.split(inside, ends), strict=True))
 
 
-def _draw(kind: str, rows: Observations, fraction: float, seed: int) -> Ints:
-    """Indices of the rows that a job of this kind fits when a fraction is held out."""
-    from core.gap.trajectory import hold_out
+def _draw(training: Training, rows: Observations, fraction: float) -> Ints:
+    """Indices of the rows that a job fits when a fraction is held out."""
+    from core.gap.holding import held_out
     from core.identify.holdout import split
 
-    return {"identify": split, "gap": hold_out}[kind](rows, fraction, seed)[0]
+    if training.kind == "gap":
+        return held_out(rows, None if training.unasked else fraction, training.seed)[0]
+    return split(rows, fraction, training.seed)[0]
 
 
-def _free(rows: Observations, trained: Bools, poses: Ints) -> Bools:
+def _free(rows: Observations, trained: Bools, poses: Floats) -> Bools:
     """Rows whose whole pose is neither fitted nor at the joint readings of a pose that was."""
-    from core.observations import numbered_rows, readings
+    from core.poses import numbered_poses
 
-    numbers = numbered_rows(np.concatenate([poses, readings(rows.q)]))
+    numbers = numbered_poses(np.concatenate([poses, rows.q]))
     seen = trained | np.isin(numbers[len(poses) :], numbers[: len(poses)])
     groups = numbers[len(poses) :] if rows.pose_id is None else rows.pose_groups()
     return np.asarray(~np.isin(groups, np.unique(groups[seen])))

@@ -6,22 +6,36 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tests.blind.score import EMPIRICAL, Record, figures, named, rho_of, right, sure
+from tests.blind.claims import STRONG, empirical, named, right, sure
+from tests.blind.score import Record, decidable, figures
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "gap-finder-benchmark.md"
 INTRODUCTION = """# How often the gap finder is right
 
 Simulated arms with hidden physics, measured by a simulated laser tracker, given to the gap finder as a robot document
 and a table of observations. The generator (`tests/blind/generator`) shares no code with Kilter: kinematics and loads by
-Pinocchio, finite motions joint by joint, hidden errors of every joint placement, link masses up to 20 % off in two
-cases of five, tracker noise that grows with range and lies across the beam, scatter of each approach, up to 1.5 % wrong
-readings, repeats. Three arms: the Katana 450, a six-axis elbow arm, a seven-axis arm; 30, 60 or 118 poses.
+Pinocchio, finite motions joint by joint, hidden errors of every joint placement, tracker noise that grows with range and
+lies across the beam, scatter of each approach. Three arms: the Katana 450, a six-axis elbow arm, a seven-axis arm; 30, 60
+or 118 poses, the foot 2 to 8 m away and up to 0.3° from level.
+
+No campaign is as its user believes. Link masses are wrong in every case (most by up to 10 %, some by up to 20 %, centres
+by up to 10 mm, the payload by up to 5 % and 8 mm). In some cases half of the joints keep within ±75°; repeats are few, or
+none, or three shots per stop minutes apart, or taken without leaving the pose; a part of the readings is wrong, here and
+there up to 15 % of the visits alike. In every third case that hides nothing, and in every tenth set, base or
+instrument moves slowly (steadily, settling, wandering, with the temperature), so that pooled repeats overstate the noise
+1.4 to 5 times: then that motion may be named, and nothing in the arm. Effects outside the library: smooth curves of one
+joint (a hose, a belt, splines), bumps, fields, errors of the tracker's circles. In every second case another campaign
+of the same arm on another day can replicate what was found.
 
 λ is the non-centrality of an effect: the square of its signature in units of the noise, after everything that geometry
-can imitate has been taken away. ρ is the part of it that the nearest other name can imitate.
+can imitate has been taken away, counted on the poses searched (three quarters of them where there are 60 or more). ρ is
+the part of it that the nearest other name can imitate, with one parameter more at most, or with any number when it can
+imitate all of it. Effects of a set are decidable when each has λ ≥ 30 and λ(1−ρ) ≥ 11 beside the others.
 
-`make blind N={n}` measured this ({runs} runs, seed {seed}). Bounds are exact 95 % bounds (Clopper and Pearson). Times are
-those of a machine that did other work as well: `make bench-gap` measures them alone.
+`make blind N={n}` measured this ({runs} runs, seed {seed}). Bounds are exact 95 % bounds (Clopper and Pearson), by pose
+where several numbers come from one. Times are those of one processor, so that a busy machine does not lengthen them;
+`make bench-gap` measures what a user waits. Of 1000 cases 400 hide nothing in the arm (140 of those drift), 480 hide sets
+of one, two or three decidable effects, 80 are outside the library; 2000 intervals of parameters take 1700 cases.
 
 | figure | aim | found | of | bounds |
 |---|---|---|---|---|
@@ -43,11 +57,11 @@ def _by_effect(records: Sequence[Record]) -> str:
             continue
         for h in r["truth"]["effects"]:
             exact = any(named(e, h) for e in r["report"]["effects"])
-            decidable = h["lam_partial"] * (1.0 - rho_of(h)) >= 11.0
-            tally.setdefault(h["id"], []).append((h["lam_partial"] >= 30.0, decidable, exact))
+            strong = h["lam_partial"] >= STRONG
+            tally.setdefault(h["id"], []).append((strong, strong and decidable(h), exact))
     lines = ["## By effect", "", "| effect | hidden | λ ≥ 30 | decidable | named exactly |", "|---|---|---|---|---|"]
     for effect, rows in sorted(tally.items()):
-        able = [exact for _, decidable, exact in rows if decidable]
+        able = [exact for _, clear, exact in rows if clear]
         lines.append(f"| `{effect}` | {len(rows)} | {sum(s for s, _, _ in rows)} | {len(able)} | {sum(able)} |")
     return "\n".join(lines) + "\n"
 
@@ -59,18 +73,20 @@ def _lies(records: Sequence[Record]) -> str:
         if r["report"] is None:
             lines.append(f"- `{r['name']}` failed: {r['error']}")
             continue
-        expectation, truth = r["truth"]["expectation"], r["truth"]["effects"]
-        if expectation == "undecidable":
+        if r["truth"]["expectation"] == "undecidable":
             continue
-        wrong = [e for e in sure(r["report"]["effects"]) if expectation != "named" or not right(e, truth)]
-        hidden = _labels(truth)
+        wrong = [e for e in sure(r["report"]["effects"]) if not right(e, r["truth"])]
+        hidden = _hidden(r["truth"])
         lines += [f"- `{r['name']}`: said {_label(e)} ({e['verdict']}), hidden was {hidden}" for e in wrong]
     title = "## Confirmed but wrong, and failed"
     return "\n".join([title, "", *(lines or ["None."])]) + "\n"
 
 
-def _labels(effects: Sequence[Mapping[str, Any]]) -> str:
-    return ", ".join(_label(e) for e in effects if e["id"] not in EMPIRICAL) or "nothing"
+def _hidden(truth: Mapping[str, Any]) -> str:
+    said = [_label(e) for e in truth["effects"] if not empirical(e)]
+    if truth["background"]:
+        said.append(f"a base that moves ({truth['background']['kind']})")
+    return ", ".join(said) or "nothing"
 
 
 def _label(effect: Mapping[str, Any]) -> str:

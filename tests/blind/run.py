@@ -3,55 +3,90 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
 import multiprocessing
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from core.errors import CoreError
 from core.gap import GapOptions, find_gap
-from tests.blind.generator import Case, cases, generate
+from tests.blind.generator import Campaign, Case, cases, generate
 from tests.blind.page import PAGE, write_page
 from tests.blind.score import figures
 from tests.blind.to_core import observations_of, robot_of
 
-KEPT = ("verdict", "sentence", "effects", "gap", "not_testable", "adequacy", "noise")
+KEPT = (
+    "verdict", "sentence", "effects", "gap", "not_testable", "adequacy", "noise", "predictive", "confirmation",
+    "load_model", "warnings",
+)  # fmt: skip
 PROCESSES = 2
+LIMIT_S = 300.0  # processor time after which a hunt counts as failed
 RECORDS = Path(__file__).resolve().parents[2] / "build"
 QUIET = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
-def run_case(case: Case) -> dict[str, Any]:
+class TooLongError(Exception):
+    """A hunt that took longer than it may."""
+
+
+def run_case(case: Case, limit_s: float = LIMIT_S) -> dict[str, Any]:
     """Generate a case, let the finder at it, and keep what both say."""
-    campaign = generate(case)
+    return hunted(generate(case), case.name, limit_s)
+
+
+def hunted(campaign: Campaign, name: str, limit_s: float = LIMIT_S) -> dict[str, Any]:
+    """Let the finder at a campaign, and keep what it says beside the truth. Seconds are the processor's."""
     record = {
-        "name": case.name, "case": asdict(case), "truth": campaign.truth.to_document(), "report": None, "error": None,
+        "name": name, "case": asdict(campaign.case), "truth": campaign.truth.to_document(), "report": None,
+        "error": None,
     }  # fmt: skip
-    began = time.perf_counter()
+    began = time.process_time()
+
+    def tell(fraction: float, stage: str) -> None:
+        if time.process_time() - began > limit_s:
+            raise TooLongError(stage)
+
     try:
-        report = find_gap(robot_of(campaign), observations_of(campaign.columns), GapOptions(next_poses=1))
+        rows = observations_of(campaign.columns)
+        report = find_gap(robot_of(campaign), rows, GapOptions(next_poses=1), progress=tell, **_second(campaign))
     except CoreError as error:
-        return {**record, "error": f"{error.code}: {error.message}", "seconds": time.perf_counter() - began}
+        return {**record, "error": f"{error.code}: {error.message}", "seconds": time.process_time() - began}
+    except TooLongError as error:
+        return {**record, "error": f"too_long: {error}", "seconds": time.process_time() - began}
     document = {key: value for key, value in report.to_document().items() if key in KEPT}
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     # Through JSON, so that a run just made and one read back from the file look alike.
     return dict(json.loads(json.dumps({**record, "report": document, "seconds": seconds}, default=float)))
 
 
-def run(wanted: Sequence[Case], path: Path, processes: int = PROCESSES) -> list[dict[str, Any]]:
-    """Run the cases that ``path`` does not hold yet, appending each record to it, and return those of all."""
+def _second(campaign: Campaign) -> dict[str, Any]:
+    """The second campaign, for a finder that can replicate what it found in the first."""
+    if campaign.confirmation is None or "confirmation" not in inspect.signature(find_gap).parameters:
+        return {}
+    return {"confirmation": observations_of(campaign.confirmation)}
+
+
+def run(
+    wanted: Sequence[Case],
+    path: Path,
+    processes: int = PROCESSES,
+    one: Callable[[Case], dict[str, Any]] = run_case,
+) -> list[dict[str, Any]]:
+    """Run ``one`` on the cases that ``path`` does not hold yet, appending each record to it, and return those of all."""
     done = {record["name"]: record for record in _read(path)}
     left = [case for case in wanted if case.name not in done]
     path.parent.mkdir(parents=True, exist_ok=True)
     os.environ.update(QUIET)
     began = time.monotonic()
     with path.open("a") as file, multiprocessing.get_context("spawn").Pool(processes) as pool:
-        for k, record in enumerate(pool.imap_unordered(run_case, left), 1):
+        for k, record in enumerate(pool.imap_unordered(one, left), 1):
             file.write(json.dumps(record) + "\n")
             file.flush()
             done[record["name"]] = record
@@ -79,9 +114,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--records", type=Path, default=None, help="file of records; a run goes on from what it holds")
     parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument("--processes", type=int, default=PROCESSES)
+    parser.add_argument("--limit", type=float, default=LIMIT_S, help="processor seconds after which a hunt failed")
     arguments = parser.parse_args()
     path = arguments.records or RECORDS / f"blind-{arguments.seed}.jsonl"
-    records = run(list(cases(arguments.seed, arguments.n)), path)
+    one = partial(run_case, limit_s=arguments.limit)
+    records = run(list(cases(arguments.seed, arguments.n)), path, arguments.processes, one)
     write_page(records, arguments.seed, arguments.page)
     for figure in figures(records):
         print(figure.row())

@@ -7,7 +7,10 @@ from typing import Any
 
 import pytest
 
-from tests.blind.score import Figure, clopper_pearson, closure, figures, names, right, said_undecidable
+from tests.blind.bounds import Figure, by_pose, clopper_pearson
+from tests.blind.claims import names, said_undecidable
+from tests.blind.claims import right as right_of
+from tests.blind.score import closure, exact, figures
 
 
 def hidden(effect: str, joints: list[int], **joint_lam: float) -> dict[str, Any]:
@@ -17,7 +20,7 @@ def hidden(effect: str, joints: list[int], **joint_lam: float) -> dict[str, Any]
         "joint_lam": {k[1:]: v for k, v in joint_lam.items()},
         "lam": 100.0,
         "lam_partial": 100.0,
-        "rivals": [{"id": "encoder_scale", "joints": [2], "rho": 0.5, "freedom": 1}],
+        "rho": 0.5,
         "parameters": {f"b_{j}": 1.0e-4 for j in joints},
     }
 
@@ -30,10 +33,14 @@ def said(
 
 
 def record(effects: list[dict[str, Any]], truth: list[dict[str, Any]], expectation: str) -> dict[str, Any]:
-    gap = {"validation_before_mm": 0.05, "validation_after_mm": 0.03, "noise_rms_mm": 0.03}
+    gap = {"validation_before_mm": 0.05, "validation_after_mm": 0.03, "validation_noise_rms_mm": 0.03}
     report = {"verdict": "closed", "effects": effects, "gap": gap, "not_testable": []}
-    kept = {"effects": truth, "expectation": expectation, "undecidable": [], "wrong_masses": False}
+    kept = {"effects": truth, "expectation": expectation, "undecidable": [], "background": None, "payload_wrong": False}
     return {"name": "x", "truth": kept, "report": report, "error": None, "seconds": 1.0}
+
+
+def right(effect: dict[str, Any], effects: list[dict[str, Any]], **more: Any) -> bool:
+    return right_of(effect, {"effects": effects, "background": None, "payload_wrong": False, **more})
 
 
 def test_bounds_are_the_exact_ones() -> None:
@@ -66,6 +73,51 @@ def test_a_confirmed_name_must_be_hidden_and_a_class_must_hold_it() -> None:
     assert not right(said("encoder_scale", [2], "confirmed", ("eccentricity", [2])), other)
     family = [hidden("backlash", [1, 2, 3], j1=2.0, j2=40.0, j3=50.0)]
     assert right(said("backlash", [2]), family)
+    again = said("encoder_scale", [2], "replicated", ("eccentricity", [2]))
+    assert right(again, other)
+    assert not right({**again, "alias_set": []}, other)
+
+
+def test_a_slow_motion_of_the_base_may_be_named_where_there_is_one_and_nothing_in_the_arm() -> None:
+    slow = {"kind": "thermal", "id": None}
+    for name in ("drift", "settling", "random_walk", "column_bending"):
+        assert right(said(name, None), [], background=slow)
+        assert not right(said(name, None), [])
+    assert not right(said("eccentricity", [2]), [], background=slow)
+    assert not right(said("zero_drift", [1]), [], background=slow)
+    assert right(said("zero_drift", [1], "class_confirmed", ("drift", [])), [], background=slow)
+    assert right(said("payload_error", None), [], payload_wrong=True)
+    assert not right(said("payload_error", None), [])
+
+
+def test_a_smooth_curve_may_be_called_one_but_not_by_a_cause() -> None:
+    truth = [hidden("hose_torque", [3])]
+    assert not right(said("eccentricity", [3]), truth)
+    assert not right(said("eccentricity", [3], "class_confirmed", ("encoder_scale", [3])), truth)
+    assert right(said("eccentricity", [3], "class_confirmed", ("unknown_joint_curve", [3])), truth)
+    assert not right(said("eccentricity", [2], "class_confirmed", ("unknown_joint_curve", [2])), truth)
+    assert right({**said("eccentricity", [3], "class_confirmed"), "class": "smooth error of joint 3"}, truth)
+
+
+def test_an_exact_set_is_all_that_is_hidden_and_nothing_else() -> None:
+    truth = [hidden("backlash", [3]), hidden("eccentricity", [1])]
+    both = [said("backlash", [3]), said("eccentricity", [1], "provisional")]
+    assert exact(record(both, truth, "named"))
+    assert not exact(record(both[:1], truth, "named"))
+    assert not exact(record([*both, said("drift", None)], truth, "named"))
+    moved = record([*both, said("drift", None)], truth, "named")
+    moved["truth"]["background"] = {"kind": "linear"}
+    assert exact(moved)
+
+
+def test_bounds_by_pose_know_that_coordinates_hang_together() -> None:
+    apart = by_pose("x", "", [(3, 3)] * 95 + [(0, 3)] * 5)
+    assert (apart.k, apart.n) == (285, 300)
+    low, high = apart.bounds()
+    assert low < clopper_pearson(285, 300)[0]
+    assert high > clopper_pearson(285, 300)[1]
+    assert by_pose("x", "", [(1, 1)] * 95 + [(0, 1)] * 5).bounds() == pytest.approx(clopper_pearson(95, 100), abs=1e-6)
+    assert by_pose("x", "", []).row() == "| x |  | – | 0 | |"
 
 
 def test_undecidable_must_be_said() -> None:
@@ -105,10 +157,10 @@ def test_figures_count_what_they_say() -> None:
     assert count["confirmed when nothing is hidden"] == (0, 2)
     assert count["confirmed but wrong, of confirmed names"] == (1, 2)
     assert count["power: a gap is named at λ ≥ 30"] == (2, 2)
-    assert count["exact name when λ(1−ρ) ≥ 11"] == (1, 2)
-    assert count["effect outside the library confirmed"] == (0, 1)
-    assert count["95 % intervals that hold the truth, masses known"] == (1, 1)
-    assert count["exact hidden set, 1 hidden"] == (1, 2)
+    assert count["exact name at λ ≥ 30 and λ(1−ρ) ≥ 11"] == (1, 2)
+    assert count["– the same, smooth and outside cases alone"] == (0, 1)
+    assert count["95 % intervals of parameters that hold the truth"] == (1, 1)
+    assert count["exact hidden set, 1 decidable"] == (1, 2)
     assert count["runs that failed"] == (1, 6)
     assert closure(records[:1]) == pytest.approx(1.0)
 

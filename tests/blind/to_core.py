@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.observations import Observations
-from core.robot import Robot
+from core.robot import Link, Robot
 from core.robots import robot_from_document
 from tests.blind.generator import Campaign
 
+UNIFORM = 3.0**0.5  # half width of an even spread over its standard deviation
+NOT_NOTHING = 1e-4  # kg or m: nobody knows a mass exactly
+
 
 def robot_of(campaign: Campaign) -> Robot:
-    """Kilter's robot, from the document alone."""
-    return robot_from_document(campaign.document)
+    """Kilter's robot, from the document, and in some cases how well its user says that the masses are known."""
+    robot, options = robot_from_document(campaign.document), campaign.case.options
+    if not options.stated_priors or "mass_sigma" not in {f.name for f in fields(Link)}:
+        return robot
+    share, place = options.mass_error / UNIFORM, options.com_error_mm * 1e-3 / UNIFORM
+    links = tuple(replace(link, **_known_to(link.mass * share, place)) for link in robot.links)
+    return replace(robot, links=links)
+
+
+def _known_to(mass_kg: float, place_m: float) -> dict[str, Any]:
+    return {"mass_sigma": max(mass_kg, NOT_NOTHING), "com_sigma": max(place_m, NOT_NOTHING)}
 
 
 def observations_of(columns: Mapping[str, NDArray[Any]]) -> Observations:

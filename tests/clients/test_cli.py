@@ -71,7 +71,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         "sheet", "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
         "identify", "gap", "evaluate", "plan", "joint-parameters",
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "versions", "version", "activate", "rollback", "diff",
-        "activations", "export", "correct", "status",
+        "residuals", "activations", "export", "correct", "status",
     )} == set(COMMANDS)  # fmt: skip
 
 
@@ -132,6 +132,10 @@ def _versions(robot: str, first: str, command: Command, tmp_path: Path) -> None:
     written = command.json("export", first, "-o", tmp_path / "version.json")
     assert written["bytes"] == (tmp_path / "version.json").stat().st_size
     assert "name the file" in command.json("export", first, code=2)["detail"]
+    left = command.json("residuals", first, "--out", tmp_path / "left.parquet")
+    assert (left["format"], left["bytes"]) == ("parquet", (tmp_path / "left.parquet").stat().st_size)
+    assert command("residuals", first).startswith('"campaign","row","dx_mm"')
+    assert "name the file" in command.json("residuals", first, code=2)["detail"]
 
 
 def _correct(robot: str, command: Command, tmp_path: Path) -> None:
@@ -141,7 +145,7 @@ def _correct(robot: str, command: Command, tmp_path: Path) -> None:
     done = command.json("correct", robot, path, "-o", output)
     assert done["status"] == {"OK": 5}
     head, *rows = csv.reader(output.read_text().splitlines())
-    assert ",".join(head) == f"t_s,{joints},dx_mm,dy_mm,dz_mm,status"
+    assert ",".join(head) == f"t_s,{joints},dx_mm,dy_mm,dz_mm,u95_x_mm,u95_y_mm,u95_z_mm,status"
     assert len(rows) == 5
     assert "5 rows" in command("correct", robot, path, "-o", output)
     assert "name the file" in command.json("correct", robot, path, code=2)["detail"]

@@ -61,6 +61,22 @@ def test_another_reflector_needs_its_place_fitted_too(calibrated: tuple[Robot, A
     assert found == pytest.approx(MEAN_OF_NOISE_MM, rel=0.2)
 
 
+def test_every_row_is_told_with_its_error(calibrated: tuple[Robot, Arm, Calibration]) -> None:
+    _, true, calibration = calibrated
+    rng = np.random.default_rng(6)
+    rows = measured(true, np.repeat(joints(true, 30, rng), 2, axis=0), rng, NOISE)
+    found = evaluate(calibration, rows)
+    assert rows.position is not None
+    expected = (rows.position - calibration.predict(rows).position) * 1e3
+    np.testing.assert_allclose(np.stack([found["rows"][f"d{k}_mm"] for k in "xyz"], axis=1), expected, atol=1e-9)
+    assert found["rows"]["row"] == list(range(1, 61))
+    assert len(set(found["rows"]["pose"])) == 30
+    assert found["rows"]["u95_x_mm"] == [None] * 60
+    assert found["within_u95"] is None
+    many = evaluate(calibration, measured(true, joints(true, 4100, rng), rng, NOISE))["rows"]
+    assert (len(many["row"]), many["row"][0], many["row"][-1]) == (2000, 1, 4100)
+
+
 def test_another_refit_is_refused(calibrated: tuple[Robot, Arm, Calibration]) -> None:
     _, true, calibration = calibrated
     rng = np.random.default_rng(4)

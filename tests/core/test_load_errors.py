@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 
 from core.correction import CorrectionOptions, compile_program
+from core.effects import EFFECTS as KNOWN
 from core.effects import make_effect
 from core.load_slopes import LoadSlopes, with_masses
 from core.model import Calibration, RobotModel
@@ -171,3 +172,9 @@ def test_priors_are_those_of_the_robot() -> None:
     assert usual[f"link_mass_{heavy + 1}"] == pytest.approx(0.1 * mass)
     assert usual[f"link_moment_x_{heavy + 1}"] == pytest.approx(0.01 * mass)
     assert usual["load_payload_mass"] == pytest.approx(0.2)
+
+
+def test_every_effect_of_loads_says_which_it_reads() -> None:
+    """Else errors of the masses would pass it by. What sags with the payload alone reads its force at the tool."""
+    reading = {name for name, kind in KNOWN.items() if "moments" in kind.needs and not kind.changes_loads}
+    assert {name for name in reading if not KNOWN[name].reads} <= {"tool_sag"}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from core.errors import ObservationError
-from core.observations import Observations, numbered_rows
+from core.observations import Observations
 
 
 def rows(count: int = 6, **columns: np.ndarray) -> Observations:
@@ -54,11 +54,3 @@ def test_poses_are_told_by_their_id_else_by_their_joints() -> None:
     assert len(set(by_joints.tolist())) == 3
     by_id = Observations(q, pose_id=np.array([7, 7, 9, 7])).pose_groups()
     assert by_id.tolist() == [0, 0, 1, 0]
-
-
-def test_rows_are_numbered_in_ascending_order_and_equal_ones_alike() -> None:
-    rng = np.random.default_rng(3)
-    keys = rng.integers(-2, 3, (400, 3))
-    ordered = sorted({tuple(row) for row in keys.tolist()})
-    assert numbered_rows(keys).tolist() == [ordered.index(tuple(row)) for row in keys.tolist()]
-    assert numbered_rows(keys[:0]).tolist() == []

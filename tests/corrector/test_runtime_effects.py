@@ -23,14 +23,20 @@ CONFIG: dict[str, dict[str, Any]] = {
     "payload_error": {"compliances": (1e-5,) * 6},
     "session_shift": {"sessions": (1, 2)},
     "drift": {"t0_s": 0.0},
+    "zero_drift": {"t0_s": 0.0},
+    "settling": {"t0_s": 0.0, "tau_s": 600.0},
+    "random_walk": {"knots_s": (0.0, 600.0, 1800.0)},
+    "unknown_smooth_curve": {"joints": (1, 3), "centres": (0.2, -0.1), "halves": (1.0, 1.5)},
     "unknown_residual": {"inputs": (1, 2), "length": 1.0, "centres": ((0.1, 0.5), (1.0, -0.4))},
 }
 AT_RUN_TIME = (
     "clearance_tilt", "backlash", "backlash_load", "axial_compliance", "radial_compliance", "eccentricity",
     "second_harmonic", "gear_error", "encoder_scale", "joint_coupling", "gravity_spring", "link_bending",
     "base_compliance", "thermal_growth", "friction_windup", "tracking_lag", "unknown_joint_curve",
+    "zero_thermal", "link_growth", "column_bending", "hardening", "direction_compliance", "reading_tilt",
+    "unknown_smooth_curve",
 )  # fmt: skip
-NAMED = ("drift", "unknown_field", "unknown_residual")
+NAMED = ("drift", "unknown_field", "unknown_residual", "zero_drift", "settling", "random_walk")
 OF_THE_INSTRUMENT = ("time_offset", "measurement_scale", "session_shift")
 
 
@@ -48,7 +54,7 @@ def calibration_with(*names: str) -> Calibration:
     return Calibration(model, values)
 
 
-def landing(calibration: Calibration, program: CorrectionProgram, dynamic: bool) -> np.ndarray:
+def landing(calibration: Calibration, program: CorrectionProgram, dynamic: bool, payload_kg: float = 0.0) -> np.ndarray:
     """Distance (N,) m between the full model at the corrected joints and the wanted points."""
     rng = np.random.default_rng(3)
     q = rng.uniform(-1.3, 1.3, (60, 6))
@@ -63,6 +69,7 @@ def landing(calibration: Calibration, program: CorrectionProgram, dynamic: bool)
         "temperature_c": np.full(60, TEMPERATURE_C),
         "qd": 0.0 * q,
         "qdd": 0.0 * q,
+        "payload_kg": np.full(60, payload_kg),
     } | motion
     wanted = calibration.wanted().predict(Observations(q)).position
     actual = calibration.predict(Observations(result.q, **stated)).position
@@ -70,7 +77,8 @@ def landing(calibration: Calibration, program: CorrectionProgram, dynamic: bool)
 
 
 def test_every_effect_has_its_place() -> None:
-    assert set(AT_RUN_TIME) | set(NAMED) | set(OF_THE_INSTRUMENT) | {"payload_error", "load_error"} == set(EFFECTS)
+    apart = {"payload_error", "tool_sag", "load_error"}
+    assert set(AT_RUN_TIME) | set(NAMED) | set(OF_THE_INSTRUMENT) | apart == set(EFFECTS)
 
 
 @pytest.mark.parametrize("name", AT_RUN_TIME)
@@ -110,6 +118,23 @@ def test_growth_needs_a_temperature_and_a_payload_error_no_payload() -> None:
     loaded = calibration_with("payload_error")
     assert compile_program(loaded).unsupported == ()
     assert compile_program(loaded, CorrectionOptions(payload_kg=1.0)).unsupported == ("payload_error",)
+
+
+def test_a_tool_that_sags_is_held_up_beside_a_link_that_bends() -> None:
+    calibration = calibration_with("tool_sag", "link_bending", "reading_tilt")
+    options = CorrectionOptions(least_softening_nm=0.0, payload_kg=3.0, iterations=20)
+    program = compile_program(calibration, options)
+    assert program.unsupported == ()
+    for dynamic in (False, True):
+        assert landing(calibration, program, dynamic, 3.0).max() < 1e-6
+    alone = compile_program(calibration_with("tool_sag"))
+    assert (alone.supported, alone.unsupported) == (("tool_sag",), ())
+
+
+def test_what_follows_the_temperature_needs_one() -> None:
+    names = ("zero_thermal", "link_growth", "column_bending")
+    program = compile_program(calibration_with(*names))
+    assert program.unsupported == names
 
 
 def test_a_guess_that_goes_on_ends_where_one_from_zero_does() -> None:

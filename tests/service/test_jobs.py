@@ -74,6 +74,10 @@ def test_identify_evaluate_and_follow(client: httpx.Client, katana: Any, worker:
     result = finished(client, job, until)["result"]
     assert result["version_id"] == version["id"]
     assert result["metrics"][other]["identified"]["mean_mm"] == pytest.approx(metrics["identified"]["mean_mm"], rel=0.2)
+    assert result["metrics"][other]["within_u95"] > 0.8
+    rows = result["rows"][other]
+    assert [len(rows[name]) for name in ("row", "pose", "dx_mm", "u95_z_mm")] == [40] * 4
+    assert min(rows["u95_x_mm"]) > 0.0
     refined = submit(client, campaigns=[campaign, other], options={"level": 2, "start": version["id"]})
     child = client.get(f"/v1/versions/{finished(client, refined, until)['result']['version_id']}").json()
     assert child["parent_id"] == version["id"]

@@ -62,6 +62,19 @@ def test_poses_for_every_purpose(client: httpx.Client, katana: Any, worker: Any,
         assert "payload_kg" in found["csv"].splitlines()[0]
 
 
+def test_poses_stay_where_the_robot_was_driven(client: httpx.Client, katana: Any, worker: Any, until: Until) -> None:
+    katana.campaign(client, 60)
+    worker.start()
+    near = planned(client, until, [], purpose="identify", count=8, floor_mm=-50)
+    far = planned(client, until, [], purpose="identify", count=40, within="limits")
+    assert (near["within"], far["within"]) == ("campaigns", "limits")
+    assert near["warnings"][0]["code"] == "collisions_not_checked"
+    body = {"kind": "plan", "robot": "katana", "options": {"purpose": "separate"}}
+    address = client.post("/v1/jobs", json=body).raise_for_status().headers["location"]
+    until(lambda: client.get(address).json()["state"] in FINAL)
+    assert "name two effects" in client.get(address).json()["error"]["message"]
+
+
 def _determines(plan: dict[str, Any]) -> float:
     """Log determinant of the information in the poses about the geometry and eccentricities."""
     from core.effects import make_effect
@@ -91,9 +104,11 @@ def _determines(plan: dict[str, Any]) -> float:
         {"purpose": "identify", "noise_mm": 0},
         {"purpose": "identify", "method": "five_poses"},
         {"purpose": "identify", "box_mm": [[0, 0, 0], [0, 1, 1]]},
-        {"purpose": "iso9283", "box_mm": [[0, 0, 0], [1, 1, 1]]},
-        {"purpose": "separate"},
-        {"purpose": "separate", "effects": ["backlash"]},
+        {"purpose": "iso9283", "within": "reach"},
+        {"purpose": "iso9283", "floor_mm": "low"},
+        {"purpose": "identify", "payloads_kg": [-1]},
+        {"purpose": "identify", "payloads_kg": 5},
+        {"purpose": "separate", "effects": ["backlash", "eccentricity", "drift"]},
         {"purpose": "separate", "effects": ["backlash", {"id": "eccentricity", "joints": [0]}]},
     ],
 )

@@ -18,6 +18,7 @@ from core.compensate import CorrectOptions, correct
 from core.correction import CorrectionOptions, Track, compile_program
 from core.effects import make_effect
 from core.model import Calibration
+from core.observations import Observations
 from core.twin import Twin, thesis_katana
 from service.correction.follow import last_motion
 from service.corrector.active import Active
@@ -37,11 +38,20 @@ class Versions:
 
     database: Database
 
-    def add(self, name: str, calibration: Calibration, **limits: float) -> str:
+    def add(
+        self,
+        name: str,
+        calibration: Calibration,
+        covariance: dict[str, Any] | None = None,
+        said: Any = None,
+        **limits: float,
+    ) -> str:
         document = calibration.to_document()
-        report = {"parameters": [], "metrics": {"train": {"n": 1}}, "noise_mm": 0.01}
+        report = said or {"parameters": [], "metrics": {"train": {"n": 1}}, "noise_mm": 0.01}
         limits = {"max_joint_deg": 1.0, "max_position_mm": 5.0} | limits
-        new = NewVersion(document, report, {"names": [], "matrix": [], "units": "SI"}, [], limits, None, "test")
+        new = NewVersion(
+            document, report, covariance or {"names": [], "matrix": [], "units": "SI"}, [], limits, None, "test"
+        )
         with self.database.transaction() as session:
             session.add(JobRow(id=f"job_{name}", kind="identify", robot_id=1, request={}, state="running"))
             session.flush()
@@ -188,7 +198,8 @@ def test_correction_over_http_is_that_of_stream_and_query(client: httpx.Client, 
     q, t = joints(columns), np.array(columns["t_s"])
 
     out = client.post("/v1/robots/katana/correct", json=columns).json()
-    assert list(out) == [*columns, "dx_mm", "dy_mm", "dz_mm", "status"]
+    assert list(out) == [*columns, "dx_mm", "dy_mm", "dz_mm", "u95_x_mm", "u95_y_mm", "u95_z_mm", "status"]
+    assert {cell for axis in "xyz" for cell in out[f"u95_{axis}_mm"]} == {None}  # nothing is known of this version
     assert out["t_s"] == columns["t_s"]
     assert set(out["status"]) == {"OK"}
     assert np.abs(np.array(out["q2_deg"]) - columns["q2_deg"]).max() > 1e-3
@@ -273,6 +284,41 @@ def test_rows_that_cannot_be_corrected_carry_no_numbers(client: httpx.Client, ve
     out = client.post("/v1/robots/katana/correct", params={"version": version}, json=trajectory(3)).json()
     assert out["status"] == ["CORRECTION_TOO_LARGE"] * 3
     assert out["q1_deg"] == [None] * 3
+
+
+def test_every_corrected_row_says_how_far_the_tool_may_be_off(
+    client: httpx.Client, versions: Versions, twin: Twin
+) -> None:
+    """A base known to 0.1 mm along x, a first joint known to 1 mrad about z: seen at the wanted point by hand."""
+    known = {
+        "names": ["base_x", "theta_offset_1"], "matrix": [[1e-8, 0.0], [0.0, 1e-6]], "units": "SI",
+        "inadequacy_m": 3e-5, "noise_m": 1.0,
+    }  # fmt: skip
+    version = versions.add("known", twin.truth, known)
+    columns = trajectory(30)
+    columns["q2_deg"][7] = 500.0
+    out = client.post("/v1/robots/katana/correct", params={"version": version}, json=columns).json()
+    assert out["status"][7] == "JOINT_LIMIT"
+    assert [out[f"u95_{axis}_mm"][7] for axis in "xyz"] == [None] * 3
+    good = [k for k in range(30) if k != 7]
+    p = twin.truth.wanted().predict(Observations(joints(columns)[good])).position * 1e3 - [55.0, 55.0, 201.5]
+    expected = 1.96 * np.sqrt(
+        np.stack([0.1**2 + (1e-3 * p[:, 1]) ** 2, (1e-3 * p[:, 0]) ** 2, np.zeros(29)], axis=1) + 0.03**2
+    )
+    got = np.stack([[out[f"u95_{axis}_mm"][k] for k in good] for axis in "xyz"], axis=1)
+    np.testing.assert_allclose(got, expected, rtol=0.02)
+
+
+def test_a_version_from_before_says_it_by_what_its_fit_left(
+    client: httpx.Client, versions: Versions, twin: Twin
+) -> None:
+    said = {
+        "parameters": [], "noise_mm": 0.03, "noise_source": "repeats",
+        "metrics": {"train": {"identified": {"rms_mm": 0.05 * 3**0.5}}},
+    }  # fmt: skip
+    version = versions.add("old", twin.truth, {"names": ["base_x"], "matrix": [[0.0]], "units": "SI"}, said)
+    out = client.post("/v1/robots/katana/correct", params={"version": version}, json=trajectory(5)).json()
+    np.testing.assert_allclose(out["u95_z_mm"], 1.96 * 0.04, rtol=1e-3)
 
 
 def test_a_trajectory_for_ros_2(client: httpx.Client, versions: Versions, twin: Twin) -> None:

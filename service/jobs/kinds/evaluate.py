@@ -42,16 +42,20 @@ def check(options: dict[str, Any]) -> None:
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Compare the version named (else the active one, else the robot as drawn) with the rows of every campaign."""
     from core.evaluate import evaluate  # compiled kernels: only the worker needs them
+    from core.identify.predictive import Predictive
     from core.model import Calibration
 
     calibration = job.calibration or Calibration.nominal(job.robot)
     if job.options.get(METRICS) == "iso9283":
         return _iso9283(job, calibration, progress)
-    metrics = {}
-    for number, (campaign, rows) in enumerate(job.campaigns.items()):
+    known = Predictive.from_document(job.covariance or {}, job.report)
+    metrics, rows = {}, {}
+    for number, (campaign, seen) in enumerate(job.campaigns.items()):
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
-        metrics[campaign] = evaluate(calibration, rows, job.options.get(REFIT, []))
-    return JobOutput({"version_id": job.version_id, "refit": job.options.get(REFIT, []), "metrics": metrics})
+        metrics[campaign] = evaluate(calibration, seen, job.options.get(REFIT, []), known)
+        rows[campaign] = metrics[campaign].pop("rows")
+    refit = job.options.get(REFIT, [])
+    return JobOutput({"version_id": job.version_id, "refit": refit, "metrics": metrics, "rows": rows})
 
 
 def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> JobOutput:

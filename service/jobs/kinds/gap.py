@@ -12,6 +12,7 @@ from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionCon
 from service.jobs.pictures import pictures
 from service.jobs.poses import Pose, document_of
 from service.jobs.wire import plain, version_limits
+from service.versions.store import HELD_OUT
 
 if TYPE_CHECKING:
     from core.gap import GapOptions, GapReport
@@ -44,11 +45,14 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
 def _hunt(job: JobInput, progress: Progress) -> JobOutput:
     """Hunt through all campaigns together; the version made holds the named effects and the geometry fitted with them."""
     from core.gap import find_gap  # compiled kernels: only the worker needs them
+    from core.gap.holding import parted, share_of
 
     options = _options(job.options)
-    train, held = _rows(job, options.seed)
+    rows, validation, confirmation = _rows(job)
     progress(0.0, "fitting the geometry")
-    report = find_gap(job.robot, train, options, job.calibration, held, progress)
+    report = find_gap(job.robot, rows, options, job.calibration, validation, progress, confirmation)
+    train, held = parted(rows, validation, options.seed)
+    share = share_of(rows, None) if validation is None and held is not None else None
     found = report.to_document()
     result = plain(
         {
@@ -60,7 +64,7 @@ def _hunt(job: JobInput, progress: Progress) -> JobOutput:
         }
     )
     progress(0.98, "errors of the new version")
-    return JobOutput(result, _version(job, report, train, held))
+    return JobOutput(result, _version(job, report, train, held, share))
 
 
 def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
@@ -79,24 +83,25 @@ def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
     return str(document_of(job.robot, made)["csv"]) if made else None
 
 
-def _rows(job: JobInput, seed: int) -> tuple[Observations, Observations | None]:
-    from core.gap.trajectory import hold_out
+def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Observations | None]:
+    """Rows to search, what to hold out, and the confirmation, poses and sessions numbered apart."""
     from core.observations import Observations
     from service.campaigns.store import numbered
 
-    if isinstance(job.validation, dict):
-        parts = numbered([*job.campaigns.values(), *job.validation.values()])
-        count = len(job.campaigns)
-        return Observations.concatenate(parts[:count]), Observations.concatenate(parts[count:])
-    rows = Observations.concatenate(numbered(job.campaigns.values()))
-    if not isinstance(job.validation, float):
-        return rows, None
-    inside, outside = hold_out(rows, job.validation, seed)
-    return rows.select(inside), rows.select(outside)
+    held = job.validation if isinstance(job.validation, dict) else {}
+    parts = iter(numbered([*job.campaigns.values(), *held.values(), *job.confirmation.values()]))
+    groups = [[next(parts) for _ in campaigns] for campaigns in (job.campaigns, held, job.confirmation)]
+    rows, others, confirmation = (Observations.concatenate(group) if group else None for group in groups)
+    assert rows is not None
+    validation = others if others is not None else job.validation
+    assert validation is None or isinstance(validation, Observations | float)
+    return rows, validation, confirmation
 
 
-def _version(job: JobInput, report: GapReport, train: Observations, held: Observations | None) -> VersionContent:
-    """What an identification stores of its fit, of the hunt's last one."""
+def _version(
+    job: JobInput, report: GapReport, train: Observations, held: Observations | None, share: float | None
+) -> VersionContent:
+    """What an identification stores of its fit, of the hunt's last one; ``share`` of the poses was held out unasked."""
     stored = report.stored
     document = {
         "metrics": stored.metrics(train, held),
@@ -106,6 +111,7 @@ def _version(job: JobInput, report: GapReport, train: Observations, held: Observ
         "noise_source": report.noise["source"],
         "warnings": list(report.warnings),
         "reference": stored.reference(),
+        HELD_OUT: share,
     }
     limits = version_limits(job.options.get(LIMITS))
     return VersionContent(stored.calibration.to_document(), plain(document), plain(stored.covariance()), limits)
@@ -125,4 +131,4 @@ def _options(options: dict[str, Any]) -> GapOptions:
         raise OptionError(f"The options cannot be read: {error}.") from error
 
 
-GAP = JobKind("gap", check, run, version_option=START, takes_folds=False, long=True)
+GAP = JobKind("gap", check, run, version_option=START, takes_folds=False, takes_confirmation=True, long=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from typing import TYPE_CHECKING, Any
 
 from core.errors import OptionError
@@ -49,13 +50,24 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job))
     report = found.to_document()
     report["base_refitted"] = setups.named(report["base_refitted"])
+    report["set_aside"] = _by_campaign(report["set_aside"], {name: len(rows) for name, rows in job.campaigns.items()})
     warning = setups.warning(report["base_refitted"])
     report["warnings"] += [*([] if warning is None else [warning]), *remarks]
-    covariance = {"names": list(found.free_names), "matrix": found.covariance.tolist(), "units": "SI"}
+    covariance = found.predictive.to_document()
     content = VersionContent(
         found.calibration.to_document(), report, covariance, version_limits(job.options.get(LIMITS))
     )
     return JobOutput(report, content)
+
+
+def _by_campaign(rows: list[dict[str, Any]], counts: dict[str, int]) -> list[dict[str, Any]]:
+    """Rows of all campaigns together, as rows of each, counted from 1."""
+    out, names = [], list(counts)
+    starts = [sum(list(counts.values())[:k]) for k in range(len(names))]
+    for one in rows:
+        k = bisect_right(starts, one["row"]) - 1
+        out.append({"campaign": names[k], **one, "row": one["row"] - starts[k] + 1})
+    return out
 
 
 def _prior(job: JobInput) -> Prior | None:

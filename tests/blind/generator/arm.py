@@ -65,13 +65,15 @@ class Load:
 class Arm:
     """A built arm: ``placements (n + 2, 4, 4)`` as made, ``foot (4, 4)`` in the tracker's frame.
 
-    ``up (3,)`` is the vertical in the frame of the foot.
+    ``up (3,)`` is the vertical in the frame of the foot; the payload hangs ``hung (3,)`` m from the tool point, in the
+    tool's frame.
     """
 
     drawn: Drawn
     placements: Floats
     foot: Floats
     up: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    hung: Floats = field(default_factory=lambda: np.zeros(3))
 
     @staticmethod
     def nominal(drawn: Drawn) -> Arm:
@@ -112,7 +114,7 @@ class Arm:
         return np.asarray(p * (1.0 + d.scale[:, None]))
 
     def load(self, q: Floats, payload: Floats) -> Load:
-        """Static loads with a point mass ``payload (V,)`` kg at the tool point."""
+        """Static loads with a point mass ``payload (V,)`` kg at, or near, the tool point."""
         n = self.n
         a, b, c, d, e = np.zeros((5, len(q), n, 3))
         out = Load(a, b, c, d, e, np.zeros((len(q), 3)))
@@ -135,7 +137,7 @@ class Arm:
             model.appendBodyToJoint(parent, pin.Inertia(mass, com, 1e-3 * mass * np.eye(3)), pin.SE3.Identity())
         tool = self.placements[-2] @ self.placements[-1]
         at = pin.SE3(tool[:3, :3], tool[:3, 3])
-        model.appendBodyToJoint(parent, pin.Inertia(payload, np.zeros(3), np.zeros((3, 3))), at)
+        model.appendBodyToJoint(parent, pin.Inertia(payload, self.hung, np.zeros((3, 3))), at)
         model.addFrame(pin.Frame("tool", parent, at, pin.FrameType.OP_FRAME))
         return model
 
@@ -155,7 +157,8 @@ class Arm:
                 out.end_force[v, i], out.end_moment[v, i] = R @ onward.linear, R @ onward.angular
             else:
                 out.end_force[v, i] = payload * down
-                beyond = self.placements[-2][:3, :3] @ self.placements[-1][:3, 3]
+                held = self.placements[-1][:3, 3] + self.placements[-1][:3, :3] @ self.hung
+                beyond = self.placements[-2][:3, :3] @ held
                 out.end_moment[v, i] = np.cross(beyond, payload * down)
         out.base[v] = -data.oMi[1].act(data.f[1]).angular
 
@@ -169,10 +172,11 @@ def _apply(R: Floats, x: Floats) -> Floats:
     return np.asarray(np.einsum("vij,vj->vi", R, x))
 
 
-def built(drawn: Drawn, rng: np.random.Generator) -> Arm:
+def built(drawn: Drawn, rng: np.random.Generator, foot_m: float | None = None, lean_deg: float | None = None) -> Arm:
     """An arm with hidden errors, standing some metres from the tracker, turned at random, its foot not quite level.
 
-    Every placement is off by 0.1-0.5 mm and 0.02-0.1 deg per element, the tool point by a few millimetres.
+    ``foot_m`` is the distance and ``lean_deg`` how far from level, None as usual. Every placement is off by 0.1-0.5 mm
+    and 0.02-0.1 deg per element, the tool point by a few millimetres.
     """
     n = drawn.n
     errors = rng.choice([-1.0, 1.0], (n + 2, 6))
@@ -180,10 +184,13 @@ def built(drawn: Drawn, rng: np.random.Generator) -> Arm:
     errors[:, 3:] *= np.radians(rng.uniform(0.02, 0.1, (n + 2, 3)))
     errors[-1, :3] *= 10.0
     direction = rng.normal(size=3)
-    away = rng.uniform(2.0, 4.0) * direction / np.linalg.norm(direction)
+    usual = rng.uniform(2.0, 4.0)
+    away = (usual if foot_m is None else foot_m) * direction / np.linalg.norm(direction)
     foot = motion(away, _any_turn(rng))
-    lean = turn(np.array([*rng.normal(0.0, np.radians(0.05), 2), 0.0]))
-    return Arm(drawn, drawn.placements @ six(errors), foot, lean[:, 2])
+    tip = rng.normal(0.0, np.radians(0.05), 2)
+    if lean_deg is not None:
+        tip *= np.radians(lean_deg) / np.linalg.norm(tip)
+    return Arm(drawn, drawn.placements @ six(errors), foot, turn(np.array([*tip, 0.0]))[:, 2])
 
 
 def _any_turn(rng: np.random.Generator) -> Floats:

@@ -73,14 +73,14 @@ class Drawn:
         lengths = np.linalg.norm(self.placements[1 : self.n, :3, 3], axis=1)
         return tuple(int(j) for j in np.flatnonzero(lengths > SHORTEST_M))
 
-    def document(self, mass: Floats) -> dict[str, Any]:
-        """Kilter's robot.json with the link masses ``mass (n,)`` that its user believes in."""
+    def document(self, mass: Floats, com: Floats | None = None) -> dict[str, Any]:
+        """Kilter's robot.json with the masses ``mass (n,)`` and centres ``com (n, 3)`` that its user believes in."""
         links = []
-        for own, com, frame in zip(mass, self.com, self.com_frames, strict=True):
+        for own, at, frame in zip(mass, self.com if com is None else com, self.com_frames, strict=True):
             away = np.eye(4)
             for axis, amount in frame:
                 away = away @ _step(axis, amount)
-            there = away[:3, :3].T @ (com - away[:3, 3])
+            there = away[:3, :3].T @ (at - away[:3, 3])
             links.append({"mass_kg": float(own), "com_mm": [float(c) * 1e3 for c in there]})
         joints = [
             {"name": f"j{i + 1}", "limits_deg": [float(a), float(b)], "gear_ratio": gear}

@@ -3,55 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from tests.blind.generator.arms import ARMS
-from tests.blind.generator.physics import PER_JOINT
-from tests.blind.generator.visits import Options
+from tests.blind.generator.background import KINDS as BACKGROUNDS
+from tests.blind.generator.case import Case, Hidden
+from tests.blind.generator.conditions import conditions, drifting
+from tests.blind.generator.library import PER_JOINT
+from tests.blind.generator.outside import OUTSIDE, SMOOTH
 
 Rng = np.random.Generator
 
-
-@dataclass(frozen=True)
-class Hidden:
-    """An effect by id; ``joints`` from 0, empty for the whole arm (for a coupling: driven joint, driver)."""
-
-    id: str
-    joints: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
-class Case:
-    """One blind run. ``lam`` is the non-centrality of each hidden effect after geometry.
-
-    ``expectation``: "no_gap" (nothing to name), "named", "outside" (nothing may be confirmed), "undecidable" (the
-    effects ``undecidable`` are there, or could be, and no honest finder can tell).
-    """
-
-    name: str
-    robot: str
-    hidden: tuple[Hidden, ...]
-    lam: tuple[float, ...]
-    poses: int
-    options: Options
-    expectation: str
-    seed: int
-    undecidable: tuple[Hidden, ...] = field(default=())
-
-
-# Twenty-five cases in the proportions of the benchmark: two fifths hide nothing.
+# Fifty cases in the proportions of the benchmark. Two fifths hide nothing in the arm; a third of those drift.
 PATTERN = (
-    "none", "one", "none", "outside", "two", "none", "all", "undecidable", "none", "one", "decoy", "three", "none",
-    "outside", "one", "none", "two", "undecidable", "none", "all", "decoy", "outside", "one", "none", "two",
+    "none", "one", "two", "three", "drifting", "one", "none", "two", "three", "outside",
+    "none", "one", "decoy", "two", "three", "drifting", "none", "one", "two", "three",
+    "smooth", "none", "drifting", "one", "two", "three", "none", "free", "decoy", "one",
+    "drifting", "two", "three", "none", "smooth", "one", "two", "drifting", "none", "three",
+    "one", "undecidable", "none", "two", "drifting", "three", "decoy", "smooth", "none", "drifting",
 )  # fmt: skip
 
-UPRIGHT_BLIND = {"axial_compliance", "backlash_load"}  # gravity has no moment about joint 1
+UPRIGHT_BLIND = {"axial_compliance", "backlash_load", "hardening", "direction_compliance"}  # gravity turns no joint 1
+PARTNERED = {"hardening", "payload_error"}  # seen beside a compliance only
 LOCAL = (
-    *PER_JOINT, "joint_coupling", "gravity_spring", "base_compliance", "thermal_growth", "drift", "session_shift",
+    *(e for e in PER_JOINT if e not in PARTNERED), "joint_coupling", "base_compliance", "thermal_growth", "drift",
+    "session_shift", "settling", "random_walk", "column_bending", "tool_sag",
 )  # fmt: skip
-FAMILIES = tuple(PER_JOINT)
+FAMILIES = ("clearance_tilt", "backlash", "backlash_load", "axial_compliance", "radial_compliance", "eccentricity",
+            "second_harmonic", "gear_error", "encoder_scale", "link_bending", "friction_windup")  # fmt: skip
+ALTERNATIVES = 5
+FAMILY_SHARE, PARTNER_SHARE, SLOW_SHARE = 0.15, 0.15, 0.1
+SLOW = ("linear", "settling", "walk", "column")
+OF_TIME = {"drift", "settling", "random_walk", "column_bending", "zero_drift"}
 
 
 def cases(seed: int, n: int, poses: tuple[int, ...] = (30, 60, 118)) -> Iterator[Case]:
@@ -59,61 +44,69 @@ def cases(seed: int, n: int, poses: tuple[int, ...] = (30, 60, 118)) -> Iterator
     for k in range(n):
         rng = np.random.default_rng([seed, k])
         kind = PATTERN[k % len(PATTERN)]
-        robot = str(rng.choice(list(ARMS)))
-        case = Case(
-            "", robot, (), (), int(rng.choice([30, 60, 118])), _conditions(rng), "no_gap", int(rng.integers(2**31))
-        )
-        made = KINDS[kind](case, rng)
-        yield replace(made, name=f"{k:04d}-{kind}-{robot}-{made.poses}")
-
-
-def _conditions(rng: Rng) -> Options:
-    return Options(
-        approach=str(rng.choice(["random", "random", "path"])),
-        payload=str(rng.choice(["two", "two", "one"])),
-        temperature=str(rng.choice(["constant", "cycling"])),
-        sessions=int(rng.choice([1, 2])),
-        revisited=float(rng.choice([0.3, 0.5])),
-        wrong_masses=bool(rng.uniform() < 0.4),
-        outliers=float(rng.choice([0.0, 0.0, 0.015])),
-        angle_urad=float(rng.uniform(2.0, 5.0)),
-        approach_um=float(rng.uniform(4.0, 12.0)),
-    )
+        robot, count = str(rng.choice(list(ARMS))), int(rng.choice(poses))
+        options = conditions(rng, ARMS[robot]().n)
+        made = KINDS[kind](Case("", robot, (), (), count, options, "no_gap", int(rng.integers(2**31))), rng)
+        yield replace(made, name=f"{k:04d}-{kind}-{made.robot}-{made.poses}")
 
 
 def _none(case: Case, rng: Rng) -> Case:
     return case
 
 
-def _some(count: int) -> Callable[[Case, Rng], Case]:
+def _decoy(case: Case, rng: Rng) -> Case:
+    """Conditions that go along with pose or time although nothing depends on them."""
+    return replace(case, options=replace(case.options, payload="correlated", temperature="warming", sessions=2))
+
+
+def _drifting(case: Case, rng: Rng) -> Case:
+    """Base or instrument move slowly, so that repeats pooled over the campaign overstate the noise."""
+    return replace(case, options=drifting(case.options, str(rng.choice(BACKGROUNDS)), rng.uniform(1.4, 5.0)))
+
+
+def _set(count: int) -> Callable[[Case, Rng], Case]:
+    """So many effects, each of which can be seen and told from its rivals."""
+
     def make(case: Case, rng: Rng) -> Case:
-        ids = [str(i) for i in rng.choice(LOCAL, count, replace=False)]
-        if {"backlash", "friction_windup"} <= set(ids):
-            ids = [i for i in ids if i != "friction_windup"] + ["eccentricity"]
-        ids = list(dict.fromkeys(ids))
-        return _hiding(case, tuple(_placed(i, case.robot, rng) for i in ids), rng)
+        sets = tuple(_hidden(count, case.robot, rng) for _ in range(ALTERNATIVES))
+        if rng.uniform() < SLOW_SHARE and not any(h.id in OF_TIME for hidden in sets for h in hidden):
+            options = drifting(case.options, str(rng.choice(SLOW)), rng.uniform(1.4, 3.0))
+            case = replace(case, options=options)
+        lam = _sizes(rng, 3, 40.0)
+        return replace(
+            case, hidden=sets[0], alternatives=sets[1:], lam=lam, expectation="named", demanded=True
+        )  # fmt: skip
 
     return make
 
 
-def _all(case: Case, rng: Rng) -> Case:
-    effect = str(rng.choice(FAMILIES))
-    return _hiding(case, (Hidden(effect, tuple(joints_for(effect, case.robot))),), rng)
+def _sizes(rng: Rng, count: int, least: float) -> tuple[float, ...]:
+    return tuple(float(np.exp(rng.uniform(np.log(least), np.log(1000.0)))) for _ in range(count))
 
 
-def _hiding(case: Case, hidden: tuple[Hidden, ...], rng: Rng) -> Case:
-    lam = tuple(float(np.exp(rng.uniform(np.log(15.0), np.log(1000.0)))) for _ in hidden)
-    options = case.options
-    if any(h.id == "thermal_growth" for h in hidden):
-        options = replace(options, temperature="cycling")
-    if any(h.id == "session_shift" for h in hidden):
-        options = replace(options, sessions=2)
-    return replace(case, hidden=hidden, lam=lam, options=options, expectation="named")
+def _hidden(count: int, robot: str, rng: Rng) -> tuple[Hidden, ...]:
+    if count == 1 and rng.uniform() < FAMILY_SHARE:
+        effect = str(rng.choice(FAMILIES))
+        return (Hidden(effect, tuple(joints_for(effect, robot))),)
+    found: list[Hidden] = []
+    if count > 1 and rng.uniform() < PARTNER_SHARE:
+        soft = _placed("axial_compliance", robot, rng)
+        second = str(rng.choice(sorted(PARTNERED)))
+        found = [soft, Hidden(second, soft.joints if second == "hardening" else ())]
+    taken = {h.id for h in found} | ({"axial_compliance"} if found else set())
+    for effect in rng.permutation(LOCAL):
+        if len(found) == count:
+            break
+        twin = {"backlash": "friction_windup", "friction_windup": "backlash"}.get(str(effect), "")
+        if effect not in taken and twin not in taken:
+            found.append(_placed(str(effect), robot, rng))
+            taken.add(str(effect))
+    return tuple(found)
 
 
 def joints_for(effect: str, robot: str) -> list[int]:
     """Joints at which an effect can show at all."""
-    if effect == "link_bending":
+    if effect in ("link_bending", "link_growth"):
         return list(ARMS[robot]().links)
     n = ARMS[robot]().n
     return list(range(1 if effect in UPRIGHT_BLIND else 0, n))
@@ -131,18 +124,26 @@ def _placed(effect: str, robot: str, rng: Rng) -> Hidden:
     return Hidden(effect, (int(rng.choice(joints_for(effect, robot))),))
 
 
-def _outside(case: Case, rng: Rng) -> Case:
-    shape = str(rng.choice(["third_harmonic", "local_bump", "sine_product", "workspace_field", "stick_slip"]))
-    n = ARMS[case.robot]().n
-    joint = int(rng.integers(0, n - 1))
-    joints = {"workspace_field": (), "sine_product": (joint, joint + 1)}.get(shape, (joint,))
-    hidden = (Hidden(shape, joints),)
-    return replace(_hiding(case, hidden, rng), expectation="outside")
+def _free(case: Case, rng: Rng) -> Case:
+    """Any effects of any size: many that cannot be seen or told."""
+    ids = rng.choice([*LOCAL, "gravity_spring"], int(rng.integers(1, 4)), replace=False)
+    hidden = tuple(_placed(str(i), case.robot, rng) for i in ids if i != "friction_windup" or "backlash" not in ids)
+    return replace(case, hidden=hidden, lam=_sizes(rng, len(hidden), 15.0), expectation="named")
+
+
+def _beyond(shapes: tuple[str, ...]) -> Callable[[Case, Rng], Case]:
+    def make(case: Case, rng: Rng) -> Case:
+        shape = str(rng.choice(shapes))
+        joint = int(rng.integers(0, ARMS[case.robot]().n - 1))
+        whole = ("workspace_field", "azimuth_error")
+        joints = () if shape in whole else (joint, joint + 1) if shape == "sine_product" else (joint,)
+        return replace(case, hidden=(Hidden(shape, joints),), lam=_sizes(rng, 1, 15.0), expectation="outside")
+
+    return make
 
 
 def _undecidable(case: Case, rng: Rng) -> Case:
-    kind = str(rng.choice(["one_sided", "scale", "bending", "spring"]))
-    lam = float(np.exp(rng.uniform(np.log(40.0), np.log(300.0))))
+    kind = str(rng.choice(["one_sided", "scale", "bending", "spring", "vertical"]))
     options = case.options
     if kind == "one_sided":
         joint = int(rng.integers(0, ARMS[case.robot]().n))
@@ -152,20 +153,19 @@ def _undecidable(case: Case, rng: Rng) -> Case:
     elif kind == "bending":
         # The elbow arm's first link is short: its bending turns the arm as its second joint does.
         pair = [Hidden("axial_compliance", (1,)), Hidden("link_bending", (0,))]
-        case, options = replace(case, robot="elbow"), replace(options, payload="one")
+        case, options = replace(case, robot="elbow"), replace(options, payload="one", restricted=())
+    elif kind == "vertical":
+        # A zero of the first joint that drifts turns the arm as a foot does that turns.
+        pair = [Hidden("zero_drift", (0,)), Hidden("drift")]
     else:
         pair = [Hidden("gravity_spring", (1,)), Hidden("eccentricity", (1,))]
-    case = replace(case, hidden=(pair[0],), lam=(lam,), options=options)
+    lam = (float(np.exp(rng.uniform(np.log(40.0), np.log(300.0)))),)
+    case = replace(case, hidden=(pair[0],), lam=lam, options=options)
     return replace(case, expectation="undecidable", undecidable=tuple(pair))
 
 
-def _decoy(case: Case, rng: Rng) -> Case:
-    """Conditions that go along with pose or time although nothing depends on them."""
-    options = replace(case.options, payload="correlated", temperature="warming", sessions=2)
-    return replace(case, options=options)
-
-
 KINDS: dict[str, Callable[[Case, Rng], Case]] = {
-    "none": _none, "decoy": _decoy, "one": _some(1), "two": _some(2), "three": _some(3), "all": _all,
-    "outside": _outside, "undecidable": _undecidable,
+    "none": _none, "decoy": _decoy, "drifting": _drifting, "one": _set(1), "two": _set(2), "three": _set(3),
+    "free": _free, "outside": _beyond(tuple(e for e in OUTSIDE if e not in SMOOTH)), "smooth": _beyond(tuple(SMOOTH)),
+    "undecidable": _undecidable,
 }  # fmt: skip

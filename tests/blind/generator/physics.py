@@ -38,14 +38,14 @@ def lever(arm: Arm) -> Floats:
     return np.asarray(np.cumsum(lengths[::-1])[::-1][: arm.n] + 0.05)
 
 
-def _of_angle(arm: Arm, visits: Visits, joints: tuple[int, ...], symbol: str, shape: Floats, positive: bool) -> Physics:
+def of_angle(arm: Arm, visits: Visits, joints: tuple[int, ...], symbol: str, shape: Floats, positive: bool) -> Physics:
     """Joint angle ``amplitude * shape (V, n)`` at each joint."""
 
     def act(values: Floats, d: Deflection) -> None:
         for value, j in zip(values, joints, strict=True):
             d.dq[:, j] += value * shape[:, j]
 
-    return Physics(_named(symbol, joints), _typical(arm, joints, _rms(shape)), positive, act)
+    return Physics(named(symbol, joints), typical(arm, joints, rms(shape)), positive, act)
 
 
 def _of_two(arm: Arm, joints: tuple[int, ...], angle: Floats) -> Physics:
@@ -56,47 +56,49 @@ def _of_two(arm: Arm, joints: tuple[int, ...], angle: Floats) -> Physics:
             d.dq[:, j] += values[2 * k] * np.sin(angle[:, j]) + values[2 * k + 1] * np.cos(angle[:, j])
 
     names = tuple((symbol, j) for j in joints for symbol in ("a", "b"))
-    return Physics(names, np.repeat(_typical(arm, joints, np.ones(arm.n)), 2), False, act)
+    return Physics(names, np.repeat(typical(arm, joints, np.ones(arm.n)), 2), False, act)
 
 
-def _named(symbol: str, joints: tuple[int, ...]) -> tuple[tuple[str, int], ...]:
+def named(symbol: str, joints: tuple[int, ...]) -> tuple[tuple[str, int], ...]:
+    """Names of one parameter per joint."""
     return tuple((symbol, j) for j in joints)
 
 
-def _rms(shape: Floats) -> Floats:
+def rms(shape: Floats) -> Floats:
+    """Size (n,) of the columns of ``shape (V, n)``, never zero."""
     return np.asarray(np.sqrt(np.mean(shape**2, axis=0)) + 1e-12)
 
 
-def _typical(arm: Arm, joints: tuple[int, ...], size: Floats) -> Floats:
+def typical(arm: Arm, joints: tuple[int, ...], size: Floats) -> Floats:
     """Amplitudes that displace the tool alike whichever joint has them: the big gears of an arm are its good ones."""
     return np.asarray(1e-4 / (lever(arm) * size)[list(joints)])
 
 
 def axial_compliance(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
     """The gear gives way to the load about its axis."""
-    return _of_angle(arm, visits, joints, "c", visits.load.moment[:, :, 2], positive=True)
+    return of_angle(arm, visits, joints, "c", visits.load.moment[:, :, 2], positive=True)
 
 
 def backlash(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
     """The arm lags half the play behind its motor: in the library's sign, b s / 2, b is minus the play."""
-    return _of_angle(arm, visits, joints, "b", visits.direction / 2.0, positive=False)
+    return of_angle(arm, visits, joints, "b", visits.direction / 2.0, positive=False)
 
 
 def friction_windup(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
     """The gear stays wound by what friction holds after the last motion."""
-    return _of_angle(arm, visits, joints, "k", visits.direction, positive=False)
+    return of_angle(arm, visits, joints, "k", visits.direction, positive=False)
 
 
 def backlash_load(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
     """The load about the axis rests the gear on one flank (thesis 5.19)."""
     about = visits.load.moment[:, :, 2]
     side = np.where(np.abs(about) > NO_MOMENT, np.sign(about), 0.0)
-    return _of_angle(arm, visits, joints, "b", side, positive=True)
+    return of_angle(arm, visits, joints, "b", side, positive=True)
 
 
 def encoder_scale(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
     """The reading counts wrong."""
-    return _of_angle(arm, visits, joints, "k", visits.q, positive=False)
+    return of_angle(arm, visits, joints, "k", visits.q, positive=False)
 
 
 def joint_coupling(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
@@ -104,7 +106,7 @@ def joint_coupling(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics
     driven, driver = joints
     shape = np.zeros_like(visits.q)
     shape[:, driven] = visits.q[:, driver]
-    return _of_angle(arm, visits, (driven,), "k", shape, positive=False)
+    return of_angle(arm, visits, (driven,), "k", shape, positive=False)
 
 
 def eccentricity(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
@@ -131,8 +133,8 @@ def radial_compliance(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Phys
         for value, j in zip(values, joints, strict=True):
             d.tilt[:, j, :2] += value * across[:, j]
 
-    size = _rms(np.linalg.norm(across, axis=2))
-    return Physics(_named("c", joints), _typical(arm, joints, size), True, act)
+    size = rms(np.linalg.norm(across, axis=2))
+    return Physics(named("c", joints), typical(arm, joints, size), True, act)
 
 
 def clearance_tilt(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
@@ -150,7 +152,7 @@ def clearance_tilt(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics
             d.tilt[:, j, 0] += np.where(loaded, np.sign(x) * h / np.hypot(half, h), 0.0)
             d.tilt[:, j, 1] += np.where(loaded, np.sign(y) * v / np.hypot(half, v), 0.0)
 
-    return Physics(_named("C", joints), _typical(arm, joints, np.ones(arm.n)), True, act)
+    return Physics(named("C", joints), typical(arm, joints, np.ones(arm.n)), True, act)
 
 
 def link_bending(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
@@ -173,8 +175,8 @@ def link_bending(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
             d.bend[:, j] += value * bends[:, j]
             d.sag[:, j] += value * sags[:, j]
 
-    size = _rms(np.linalg.norm(bends, axis=2))
-    return Physics(_named("1/EI", joints), _typical(arm, joints, size), True, act)
+    size = rms(np.linalg.norm(bends, axis=2))
+    return Physics(named("1/EI", joints), typical(arm, joints, size), True, act)
 
 
 def gravity_spring(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
@@ -185,7 +187,7 @@ def gravity_spring(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics
     length = np.sqrt(pivot**2 + link**2 - 2.0 * pivot * link * np.cos(angle))
     shape = np.zeros_like(visits.q)
     shape[:, j] = pivot * link * np.sin(angle) * (1.0 - rest / length)
-    return _of_angle(arm, visits, joints, "ck", shape, positive=False)
+    return of_angle(arm, visits, joints, "ck", shape, positive=False)
 
 
 def base_compliance(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
@@ -195,7 +197,7 @@ def base_compliance(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physic
     def act(values: Floats, d: Deflection) -> None:
         d.base[:, 3:5] += values * moment
 
-    return Physics((("cx", -1), ("cy", -1)), 1e-4 / (_rms(moment) * lever(arm)[0]), True, act)
+    return Physics((("cx", -1), ("cy", -1)), 1e-4 / (rms(moment) * lever(arm)[0]), True, act)
 
 
 def thermal_growth(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
@@ -247,4 +249,3 @@ PER_JOINT = {
     )
 }  # fmt: skip
 WHOLE_ARM = {f.__name__: f for f in (base_compliance, thermal_growth, drift, measurement_scale, session_shift)}
-LIBRARY = {**PER_JOINT, "joint_coupling": joint_coupling, "gravity_spring": gravity_spring, **WHOLE_ARM}

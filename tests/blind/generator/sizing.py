@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.blind.generator.arm import Arm, Deflection
-from tests.blind.generator.physics import LIBRARY, PER_JOINT, WHOLE_ARM, Physics
+from tests.blind.generator.physics import Physics
 from tests.blind.generator.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -32,8 +31,13 @@ class Lens:
 
     @staticmethod
     def of(arm: Arm, visits: Visits, covariance: Floats) -> Lens:
-        """Look through the geometric Jacobian of ``arm``, differenced over every redundant error, foot and tool."""
-        whitener = np.linalg.inv(np.linalg.cholesky(covariance))
+        """Look through the geometric Jacobian of ``arm``, differenced over every redundant error, foot and tool.
+
+        Visits that a finder holds out count nothing; visits without a motion between them count as one.
+        """
+        shots = np.bincount(visits.approach)[visits.approach]
+        weight = np.where(visits.searched, 1.0 / np.sqrt(shots), 0.0)
+        whitener = np.linalg.inv(np.linalg.cholesky(covariance)) * weight[:, None, None]
         count = 6 * (arm.n + 3)
         columns = []
         for k in range(count):
@@ -136,19 +140,6 @@ class Rival:
     joints: tuple[int, ...]
     rho: float
     freedom: int
-
-
-def library(arm: Arm, visits: Visits) -> Iterator[tuple[str, tuple[int, ...], Physics]]:
-    """Every candidate of the library: each joint, all joints, couplings, the whole arm."""
-    everywhere = tuple(range(arm.n))
-    for name, build in PER_JOINT.items():
-        for joints in [*((j,) for j in everywhere), everywhere]:
-            yield name, joints, build(arm, visits, joints)
-    for pair in [(a, b) for a in everywhere for b in (a - 1, a - 2) if b >= 0]:
-        yield "joint_coupling", pair, LIBRARY["joint_coupling"](arm, visits, pair)
-    yield "gravity_spring", (1,), LIBRARY["gravity_spring"](arm, visits, (1,))
-    for name, build in WHOLE_ARM.items():
-        yield name, (), build(arm, visits, ())
 
 
 def _same(a: tuple[str, tuple[int, ...]], b: tuple[str, tuple[int, ...]]) -> bool:

@@ -8,42 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.blind.generator.arm import Arm, Load
+from tests.blind.generator.options import Options
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 SAME = 0  # kind of a second visit at which nothing changes
 SETTLING_DEG = 5e-5  # readings of two visits of a pose differ by the servo's last digit
-
-
-@dataclass(frozen=True)
-class Options:
-    """How a campaign is measured.
-
-    ``approach`` "random" (each joint comes from a random side), "one_sided", or "path" (from where the last pose was).
-    ``payload`` "two" (0 or the arm's, at random), "one", "none", or "correlated" (heavy where joint 2 reads high).
-    ``temperature`` "constant", "cycling" or "warming" (with time). ``revisited`` is the share of poses visited twice.
-    ``wrong_masses``: the document's link masses are up to 20 % off. ``outliers``: share of rows that are wrong.
-    """
-
-    approach: str = "random"
-    payload: str = "two"
-    temperature: str = "constant"
-    sessions: int = 1
-    revisited: float = 0.4
-    repeats: int = 3
-    wrong_masses: bool = False
-    outliers: float = 0.0
-    range_um: float = 5.0
-    range_um_per_m: float = 0.5
-    angle_urad: float = 3.0
-    approach_um: float = 8.0
+HALF_RANGE = np.radians(75.0)  # of a restricted joint
+HELD_OUT_FROM = 60  # poses from which a finder holds a quarter out
+SEARCHED = 0.75
 
 
 @dataclass(frozen=True)
 class Visits:
     """V visits in the order they were made: ``q``, ``direction (V, n)``, ``payload_kg``, ``temperature_c``, ``t_s``
-    ``(V,)``, ``session`` and ``pose (V,)`` integers, and the loads of the true arm.
+    ``(V,)``, ``session`` and ``pose (V,)`` integers, and the loads of the true arm. Visits of one number in
+    ``approach (V,)`` were read without a motion between them; ``searched (V,)`` marks those that a finder searches when
+    it holds poses out. ``box (n, 2)`` rad is where the joints were allowed to go.
     """
 
     q: Floats
@@ -54,6 +37,9 @@ class Visits:
     session: Ints
     pose: Ints
     load: Load
+    approach: Ints
+    searched: Bools
+    box: Floats
 
     def __len__(self) -> int:
         return len(self.q)
@@ -61,7 +47,8 @@ class Visits:
 
 def plan(arm: Arm, poses: int, options: Options, rng: np.random.Generator) -> Visits:
     """Visit ``poses`` random poses, some of them twice: other direction, other payload, or nothing changed."""
-    targets = reachable(arm, poses, rng)
+    box = box_of(arm, options)
+    targets = reachable(arm, poses, rng, box)
     signs = np.ones((poses, arm.n)) if options.approach == "one_sided" else rng.choice([-1.0, 1.0], (poses, arm.n))
     kg = _payloads(arm, targets, options, rng)
     again = rng.permutation(poses)[: round(options.revisited * poses)]
@@ -71,20 +58,51 @@ def plan(arm: Arm, poses: int, options: Options, rng: np.random.Generator) -> Vi
     kind = np.concatenate([np.full(poses, SAME), np.arange(len(again)) % 4])
     for row in range(poses, len(pose)):
         _change(row, int(kind[row]), direction, payload, arm.drawn.payload_kg, options)
-    order = _order(kind, again, poses, rng)
+    order = _order(kind, again, poses, options, rng)
     q = targets[pose] + rng.normal(0.0, np.radians(SETTLING_DEG), (len(pose), arm.n))
     if options.approach == "path":
         direction = _moved(q, direction, order, kind, again, poses)
+    approach = np.arange(len(pose))
+    if options.stays:
+        stayed = np.flatnonzero(kind[poses:] % 2 == SAME)
+        approach[poses + stayed] = again[stayed]
+        q[poses + stayed] = q[again[stayed]]
     pose, q, direction, payload = pose[order], q[order], direction[order], payload[order]
     session = (np.arange(len(pose)) * options.sessions // len(pose)).astype(np.int64)
-    t = np.cumsum(rng.uniform(20.0, 45.0, len(pose))) + 5400.0 * session
-    return Visits(q, direction, payload, _temperature(t, options, rng), t, session, pose, arm.load(q, payload))
+    pause = (options.repeats - 1) * options.shot_gap_s if options.shot_gap_s > 1.0 else 0.0
+    t = np.cumsum(rng.uniform(20.0, 45.0, len(pose)) + pause) + 5400.0 * session
+    kelvin, load = _temperature(t, options, rng), arm.load(q, payload)
+    searched = _searched(pose, poses, rng)
+    return Visits(q, direction, payload, kelvin, t, session, pose, load, approach[order], searched, box)
 
 
-def _order(kind: Ints, again: Ints, poses: int, rng: np.random.Generator) -> Ints:
-    """Order of the visits: at random, but a pose approached again unchanged comes soon after its first visit."""
+def _searched(pose: Ints, poses: int, rng: np.random.Generator) -> Bools:
+    """Three quarters of the poses, where there are enough to hold some out."""
+    if poses < HELD_OUT_FROM:
+        return np.ones(len(pose), dtype=bool)
+    return np.isin(pose, rng.permutation(poses)[: round(SEARCHED * poses)])
+
+
+def box_of(arm: Arm, options: Options) -> Floats:
+    """Where the joints may go (n, 2) rad: their limits, of a restricted joint 75 deg to both sides of the middle."""
+    box = 0.97 * arm.drawn.limits
+    for j in options.restricted:
+        middle = 0.5 * box[j].sum() if np.ptp(box[j]) < 2.0 * np.pi else 0.0
+        box[j] = np.clip([middle - HALF_RANGE, middle + HALF_RANGE], *box[j])
+    return np.asarray(box)
+
+
+def _order(kind: Ints, again: Ints, poses: int, options: Options, rng: np.random.Generator) -> Ints:
+    """Order of the visits: at random, but a pose approached again unchanged comes soon after its first visit.
+
+    The share ``spread`` of them comes at any time; when the arm stays, the second visit is the next.
+    """
     when = rng.uniform(size=len(kind))
     soon = np.flatnonzero(kind[poses:] % 2 == SAME)
+    if options.stays:
+        when[poses + soon] = when[again[soon]] + 1e-9
+        return np.argsort(when).astype(np.int64)
+    soon = soon[round(options.spread * len(soon)) :]
     when[poses + soon] = when[again[soon]] + rng.uniform(0.0, 0.05, len(soon))
     return np.argsort(when).astype(np.int64)
 
@@ -99,12 +117,12 @@ def _moved(q: Floats, direction: Floats, order: Ints, kind: Ints, again: Ints, p
     return out
 
 
-def reachable(arm: Arm, count: int, rng: np.random.Generator) -> Floats:
-    """Random joint readings (count, n) within the limits, the tool above the floor and clear of the column."""
-    lower, upper = arm.drawn.limits.T
+def reachable(arm: Arm, count: int, rng: np.random.Generator, box: Floats) -> Floats:
+    """Random joint readings (count, n) within the box, the tool above the floor and clear of the column."""
+    lower, upper = box.T
     found: list[Floats] = []
     while sum(map(len, found)) < count:
-        q = rng.uniform(0.97 * lower, 0.97 * upper, (4 * count, arm.n))
+        q = rng.uniform(lower, upper, (4 * count, arm.n))
         p = (arm.positions(q) - arm.foot[:3, 3]) @ arm.foot[:3, :3]
         found.append(q[(p[:, 2] > arm.drawn.lowest_m) & (np.hypot(p[:, 0], p[:, 1]) > 0.12)])
     return np.concatenate(found)[:count]

@@ -35,10 +35,12 @@ def campaign(
     loads: tuple[float, ...] = (0.0, 1.0),
     orders: tuple[int, ...] = (3,),
     measured: str = "position",
+    arm: int | None = None,
 ) -> Observations:
     """Random poses, the first ``revisits`` of them three times, with ``hidden`` effects (id, joints from 0, values).
 
-    ``measured`` is "position", "pose" (orientation too) or "markers" (three of them, one in thirty unseen).
+    ``measured`` is "position", "pose" (orientation too) or "markers" (three of them, one in thirty unseen). Campaigns of
+    the same ``arm`` have the same geometry but for base and tool; without one every ``seed`` is an arm of its own.
     """
     rng = np.random.default_rng(seed)
     low, high = np.clip(robot.limits, -2.9, 2.9).T
@@ -52,8 +54,10 @@ def campaign(
     made = [make_effect(i, j, **({"orders": orders} if i == "unknown_joint_curve" else {})) for i, j, _ in hidden]
     model = RobotModel(robot, tuple(effect.on(robot, rows) for effect in made))
     values = model.values0()
+    made_by = rng if arm is None else np.random.default_rng([arm, 1])
     for k, p in enumerate(model.parameters[: model.n_geometric]):
-        values[k] += rng.normal() * (3e-4 if p.unit == "m" else 1e-3)
+        of_setup = k < 6 or k >= model.n_geometric - 6
+        values[k] += (rng if of_setup else made_by).normal() * (3e-4 if p.unit == "m" else 1e-3)
     values[model.n_geometric :] = [v for _, _, amounts in hidden for v in amounts]
     exact = model.predict(rows, values)
     position = exact.position + noise_m * rng.standard_normal((len(q), 3))

@@ -170,8 +170,9 @@ def test_repeats_without_leaving_the_pose_confirm_only_what_leaves_no_more_than_
     measured = rows.position + approach + 2e-5 * rng.standard_normal(rows.position.shape)
     report = find_gap(robot, replace(rows, position=measured), QUICK)
     assert "no_re_approach" in codes(report)
-    (effect,) = report.effects
+    effect, *others = report.effects
     assert (effect.evidence.candidate.id, effect.verdict) == ("backlash", verdict)
+    assert all(j.verdict == "provisional" for j in others)  # noise that is said too small lets a name pass by chance
 
 
 def _mistaken(rows, mistake):

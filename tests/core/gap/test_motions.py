@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from core.gap import GapOptions, find_gap
+from core.gap.control import by_blocks
+from core.gap.tails import tail
 from core.gap.trajectory import blocks, correlation_length, hold_out, is_trajectory, segments, windows_of
 from core.observations import Observations
 from tests.core.gap.simulated import katana
@@ -61,7 +63,7 @@ def test_link_encoders_show_compliance_by_the_measured_torque():
     assert "correlated" in {w["code"] for w in report.warnings}
 
 
-LAGS = replace(QUICK, effects=(*EFFECTS, "tracking_lag", "time_offset"))
+LAGS = replace(QUICK, effects=(*EFFECTS, "tracking_lag", "time_offset"), permutations=20)
 
 
 def test_an_equal_lag_of_all_joints_is_a_time_offset():
@@ -69,11 +71,29 @@ def test_an_equal_lag_of_all_joints_is_a_time_offset():
     said = {j.evidence.candidate.id: j for j in report.effects}
     assert set(said) == {"time_offset", "axial_compliance"}
     assert said["time_offset"].evidence.amplitudes[0].value == pytest.approx(-1e-3, rel=0.02)
+    assert all(j.gates["negative_control"] for j in report.effects)
 
 
 def test_a_lag_of_its_own_per_joint_is_a_tracking_lag():
     report = find_gap(*motion(2, 0.0, lag=[1e-3, 1e-3, 1e-3, 2e-3, 1e-3]), LAGS)
-    assert [j.evidence.candidate.id for j in report.effects] == ["tracking_lag"]
+    (lag,) = report.effects
+    assert lag.evidence.candidate.id == "tracking_lag"
+    assert lag.evidence.control.label == "speed"
+    assert lag.gates["negative_control"]  # 6 of 20 shuffles kept the name when every sample counted as independent
+
+
+def chance(shares):
+    """Chance of the sum of shares (B, d) of B blocks, as the negative control counts it."""
+    return float(tail(*by_blocks(shares, np.ones(len(shares)), np.arange(len(shares)))))
+
+
+def test_blocks_that_agree_are_no_chance_and_blocks_that_do_not_are():
+    rng = np.random.default_rng(0)
+    noise = [chance(rng.standard_normal((40, 3))) for _ in range(2000)]
+    assert np.mean(np.array(noise) < 0.01) == pytest.approx(0.01, abs=0.008)
+    assert chance(rng.standard_normal((40, 3)) + np.array([2.0, 0.0, 0.0])) < 1e-9
+    # A few large blocks decide nothing, however many samples they hold.
+    assert chance(np.where(np.arange(40) < 2, 50.0, rng.standard_normal(40))[:, None]) > 0.01
 
 
 def test_where_sees_the_direction_through_a_strong_delay_and_no_joint_without_an_encoder():
@@ -98,7 +118,7 @@ def test_each_held_out_motion_has_encoder_offsets_of_its_own():
 
 def test_the_error_of_joints_is_per_joint():
     robot, rows = motion(7, 1e-4)
-    report = find_gap(robot, rows, QUICK)
+    report = find_gap(robot, rows, QUICK, validation=0)
     raw = rows.link_q - rows.q
     assert report.gap["before_deg"] == pytest.approx(np.degrees(np.sqrt(np.mean(np.var(raw, axis=0)))), rel=0.01)
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from core.errors import OptionError
-from core.gap import plan_separation
+from core.gap import find_gap, plan_separation
 from core.gap.candidates import with_testable
 from core.gap.next_poses import Proposal, _Question, rows_of, separate
 from core.gap.options import GapOptions
+from core.gap.plan import undecided
 from core.gap.prepare import Workshop
 from core.gap.testability import testability as judged
 from core.model import Calibration
@@ -63,11 +64,53 @@ def test_proposed_poses_stay_within_the_limits(asked):
 def test_a_plan_for_two_named_effects():
     robot = katana()
     rows = campaign(robot, seed=1, poses=40, loads=(2.0,))
-    planned = plan_separation(robot, rows, ("axial_compliance", (1,)), ("link_bending", (1,)), count=4)
-    assert len(planned) == 8
-    assert planned[3]["information_factor"] > planned[0]["information_factor"] > 1.0
-    with pytest.raises(OptionError, match="cannot show axial_compliance"):
+    plan = plan_separation(robot, rows, ("axial_compliance", (1,)), ("link_bending", (1,)), count=4)
+    assert plan.labels == ("axial_compliance j2", "link_bending j2")
+    assert 0.5 < plan.alike <= 1.0
+    for proposal in plan.proposals:
+        assert len(proposal.rows) == len(proposal.after) == 4
+        assert proposal.after[-1] > proposal.after[0] > proposal.before
+
+
+def test_what_cannot_act_is_refused_with_the_reason():
+    robot = katana()
+    rows = campaign(robot, seed=1, poses=40, loads=(2.0,))
+    with pytest.raises(OptionError, match="no load moment acts there, so no pose can show it"):
         plan_separation(robot, rows, ("axial_compliance", (0,)), ("link_bending", (1,)))
+    with pytest.raises(OptionError, match="no session"):
+        plan_separation(robot, rows, ("session_shift", None), ("drift", None))
+    with pytest.raises(OptionError, match=r"It acts at joints \[1, 2, 3, 4, 5\]"):
+        plan_separation(robot, rows, ("eccentricity", (0, 3)), ("drift", None))
+
+
+def test_what_was_confirmed_can_be_planned_for_with_the_version_that_holds_it():
+    robot = katana()
+    rows = campaign(robot, [("axial_compliance", (1, 2), (2e-4, 1e-4))], seed=1, poses=60, loads=(2.0,))
+    found = find_gap(robot, rows, GapOptions(effects=("axial_compliance", "eccentricity"), resamples=5, permutations=2))
+    start = found.calibration
+    assert "compliance_2" in start.names
+    plan = plan_separation(robot, rows, ("axial_compliance", (1,)), ("link_bending", (1,)), count=3, start=start)
+    assert plan.labels[0] == "axial_compliance j2"
+    # The amount is the version's: twice as large an effect is told four times as well by the same poses.
+    values = start.values.copy()
+    values[start.names.index("compliance_2")] *= 2.0
+    double = replace(start, values=values)
+    again = plan_separation(robot, rows, ("axial_compliance", (1,)), ("link_bending", (1,)), count=3, start=double)
+    assert again.proposals[0].before == pytest.approx(4.0 * plan.proposals[0].before, rel=0.05)
+
+
+def test_what_a_report_left_undecided_is_planned_for():
+    row = {"id": "axial_compliance", "joints": [2], "verdict": "class_confirmed", "empirical": False}
+    rival = {"id": "link_bending", "joints": [2], "correlation": 0.97}
+    same = {"id": "friction_windup", "joints": [1], "correlation": 1.0}
+    assert undecided({"effects": [{**row, "alias_set": [same, rival]}]}) == (
+        ("axial_compliance", (1,)),
+        ("link_bending", (1,)),
+    )
+    assert undecided({"effects": [{**row, "alias_set": [same]}]}) is None  # no pose tells those apart
+    weak = {**row, "verdict": "provisional", "alias_set": []}
+    assert undecided({"effects": [weak]}) == (("axial_compliance", (1,)), None)
+    assert undecided({"effects": []}) is None
 
 
 def test_a_slide_is_given_in_mm():

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from core.gap.noise import repeat_noise, spikes
 from core.gap.visits import visits_of
@@ -72,3 +75,52 @@ def test_without_repeats_there_is_no_noise_to_speak_of():
     rng = np.random.default_rng(0)
     rows = Observations(q=rng.uniform(size=(30, 2)), position=rng.normal(size=(30, 3)))
     assert repeat_noise(rows.position, rows.position, visits_of(rows), rows.position) is None
+
+
+def shots(rng, pause, jitter=0.0, poses=30, each=3, approach=6e-5, noise=9e-6):
+    """Three shots at each stop, ``pause`` s apart, the next stop after 40 s: every stop is one approach."""
+    q = np.repeat(rng.uniform(-1, 1, (poses, 3)), each, axis=0)
+    q += jitter * rng.integers(-1, 2, q.shape)
+    error = np.repeat(rng.normal(0, approach, (poses, 3)), each, axis=0) + rng.normal(0, noise, q.shape)
+    t = np.cumsum(np.where(np.arange(len(q)) % each == 0, 40.0, rng.uniform(*pause, len(q))))
+    rows = Observations(q=q, position=q + error, pose_id=np.repeat(np.arange(poses), each), t=t)
+    return rows, error
+
+
+@pytest.mark.parametrize("pause", [(0.5, 0.6), (15.0, 60.0), (100.0, 101.0)])
+@pytest.mark.parametrize("jitter", [0.0, 2e-6])
+def test_shots_without_a_motion_are_one_visit_whatever_the_clock_says(pause, jitter):
+    rows, error = shots(np.random.default_rng(4), pause, jitter)
+    visits = visits_of(rows)
+    assert visits.count.tolist() == [3] * 30
+    mean = error[::3]
+    noise = repeat_noise(error, mean, visits, visits.observations.position)
+    assert noise is not None
+    assert not noise.absolute
+
+
+def test_another_pose_in_between_ends_a_visit_in_the_order_of_time():
+    """Rows sorted by pose: the clock shows that other poses were measured in between."""
+    pose = np.array([0, 0, 0, 1, 1, 1, 2, 2, 2])
+    t = np.array([0.0, 30, 60, 10, 40, 70, 20, 50, 80])
+    rows = Observations(q=pose[:, None] * 0.3, position=np.zeros((9, 3)), pose_id=pose, t=t)
+    assert visits_of(rows).count.tolist() == [1] * 9
+    assert visits_of(replace(rows, t=None)).count.tolist() == [3, 3, 3]
+
+
+def test_readings_that_change_over_pauses_only_show_that_the_arm_came_back():
+    rng = np.random.default_rng(0)
+    stop = np.repeat(np.arange(30), 3)
+    pose = np.where(stop % 3 == 2, stop - 1, stop)  # every third stop returns to the pose before
+    q = rng.uniform(-1, 1, (30, 4))[pose] + np.repeat(1e-6 * rng.normal(size=(30, 4)), 3, axis=0)
+    t = np.cumsum(np.where(np.arange(90) % 3 == 0, 30.0, 0.5))
+    rows = Observations(q=q, position=np.zeros((90, 3)), pose_id=pose, t=t)
+    assert visits_of(rows).count.tolist() == [3] * 30
+    assert len(visits_of(replace(rows, q=rng.uniform(-1, 1, (30, 4))[pose]))) == 20
+
+
+def test_a_clock_set_back_splits_no_visits():
+    rows, _ = shots(np.random.default_rng(1), (0.5, 0.6))
+    half = len(rows) // 2
+    back = replace(rows, t=np.where(np.arange(90) < half, rows.t, rows.t - rows.t[half] + 0.3))
+    assert visits_of(back).count.tolist() == [3] * 30

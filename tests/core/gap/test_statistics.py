@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from core.gap.candidates import with_testable
 from core.gap.hunt import hunt
+from core.gap.likeness import correlation, correlations
 from core.gap.options import GapOptions
 from core.gap.prepare import Workshop
 from core.gap.scan import Scorer, null_of, residual_given
 from core.gap.select import Selector
+from core.gap.tails import tail
 from core.gap.testability import testability as judged
 from core.gap.world import Gram, fitted, refit
 from core.model import Calibration
@@ -42,6 +45,38 @@ def test_conditioning_is_a_projection():
     assert given.nu == 58.0
 
 
+def test_correlations_of_all_pairs_are_those_of_each():
+    """Against principal angles; the sixth column is another one's double, the seventh is nothing."""
+    rng = np.random.default_rng(3)
+    W = rng.normal(size=(50, 6))
+    W = np.column_stack([W, W[:, 2], np.zeros(50)])
+    spaces = [(0,), (1, 2), (6,), (2, 6), (3, 4, 5), (7,)]
+    found = correlations(W.T @ W, spaces)
+    for i, one in enumerate(spaces):
+        for j, other in enumerate(spaces):
+            a, b = (one, other) if len(one) <= len(other) else (other, one)
+            angles = scipy.linalg.subspace_angles(W[:, a], W[:, b]) if 7 not in (*a, *b) else []
+            rank = np.linalg.matrix_rank(W[:, a])
+            expected = np.sqrt(np.sum(np.cos(angles) ** 2) / rank) if len(angles) else 0.0
+            assert found[i, j] == pytest.approx(expected, abs=1e-7), (one, other)
+            assert correlation(W.T @ W, one, other) == pytest.approx(expected, abs=1e-7)
+
+
+def test_conditioning_twice_is_conditioning_once():
+    """The thin factor, the blocks made from it, and sets conditioned one after another agree with the whole matrix."""
+    rng = np.random.default_rng(0)
+    W, y = rng.normal(size=(80, 12)), rng.normal(size=80)
+    gram = Gram(W.T @ W, W.T @ y, float(y @ y), 80.0)
+    Q = np.linalg.qr(W[:, [1, 4, 7]])[0]
+    left, r = W - Q @ (Q.T @ W), y - Q @ (Q.T @ y)
+    for given in (gram.given([1, 4, 7]), gram.given([1]).given([4, 7])):
+        assert pytest.approx(left.T @ left, abs=1e-9) == given.A
+        assert given.c == pytest.approx(left.T @ r, abs=1e-9)
+        assert (given.yy, given.nu) == (pytest.approx(float(r @ r)), 77.0)
+        blocks = given.blocks(np.array([[0, 2], [3, 5]]))
+        assert blocks[1] == pytest.approx((left.T @ left)[np.ix_([3, 5], [3, 5])], abs=1e-9)
+
+
 def test_scores_are_those_of_a_fit_with_each_candidate(prepared, scorer):
     world = prepared.world
     S, _ = scorer.reductions(world.gram, world.c[None])
@@ -52,6 +87,17 @@ def test_scores_are_those_of_a_fit_with_each_candidate(prepared, scorer):
             continue
         u, size, _ = np.linalg.svd(world.W[:, columns], full_matrices=False)
         assert S[0, place] == pytest.approx(np.sum((u[:, size**2 > 1e-7].T @ world.y) ** 2), abs=1e-6)
+
+
+@pytest.mark.parametrize(("d", "freedom"), [(1, 20), (4, 20), (2, np.inf)])
+def test_tails_are_those_of_draws(d, freedom):
+    """A variance from twenty numbers makes large ratios a hundred times as frequent as chi-square says."""
+    rng = np.random.default_rng(1)
+    ratio = rng.chisquare(d, 400_000)
+    if np.isfinite(freedom):
+        ratio /= rng.chisquare(freedom, len(ratio)) / freedom
+    for share in (0.1, 1e-3):
+        assert tail(np.quantile(ratio, 1.0 - share), d, freedom) == pytest.approx(share, rel=0.15)
 
 
 def test_noise_alone_is_named_once_in_a_hundred(prepared, scorer):

@@ -40,11 +40,17 @@ class Jobs:
         campaigns: Sequence[str] = (),
         validation: Validation = None,
         options: Mapping[str, Any] | None = None,
+        confirmation: Sequence[str] = (),
     ) -> Document:
-        """Ask for a job (identify, gap, evaluate, plan, joint_parameters) and return its document, still queued."""
+        """Ask for a job (identify, gap, evaluate, plan, joint_parameters) and return its document, still queued.
+
+        ``confirmation`` are campaigns of another day or set-up in which a gap hunt must see again what it found.
+        """
         body: Document = {"kind": kind, "robot": robot, "campaigns": list(campaigns), "options": dict(options or {})}
         if validation is not None:
             body["validation"] = validation
+        if confirmation:
+            body["confirmation"] = list(confirmation)
         return self._connection.post("/v1/jobs", body)
 
     def list(self, robot: str | None = None, limit: int = 100) -> list[Document]:
@@ -88,9 +94,10 @@ class Jobs:
         options: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
         timeout_s: float | None = None,
+        confirmation: Sequence[str] = (),
     ) -> Document:
         """Submit a job and wait for it."""
-        job = self.submit(kind, robot, campaigns, validation, options)
+        job = self.submit(kind, robot, campaigns, validation, options, confirmation)
         return self.wait(job["id"], progress, timeout_s)
 
     def _follow(self, job_id: str) -> Iterator[Document]:

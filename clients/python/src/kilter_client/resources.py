@@ -162,6 +162,12 @@ class Versions:
         """Compare two versions."""
         return self._connection.get(address("versions", first, "diff", second))
 
+    def residuals(self, version_id: str, campaigns: Sequence[str] = (), form: str = "csv") -> bytes:
+        """Return what a version leaves of every row as a file, csv or parquet: of these campaigns, or of all its own."""
+        path = address("versions", version_id, "residuals")
+        asked = {"format": form, "campaign": [*campaigns]}
+        return self._connection.request("GET", path, params=asked, timeout=UPLOAD_TIMEOUT_S).content
+
     def export(self, version_id: str, form: str = "json") -> bytes:
         """Return a version as a file: json, urdf, dh-csv, ..."""
         return self._connection.request(

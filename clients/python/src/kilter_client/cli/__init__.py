@@ -7,7 +7,20 @@ from collections.abc import Sequence
 
 import typer
 
-from kilter_client.cli import analyse, campaigns, correct, inspect, jobs, joins, joints, match, robots, sheet, versions
+from kilter_client.cli import (
+    analyse,
+    campaigns,
+    correct,
+    inspect,
+    jobs,
+    joins,
+    joints,
+    match,
+    residuals,
+    robots,
+    sheet,
+    versions,
+)
 from kilter_client.cli.output import report_error, report_interrupt, report_usage
 from kilter_client.errors import KilterError, UsageError
 
@@ -21,7 +34,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for module in (robots, inspect, campaigns, match, sheet, joins, analyse, joints, jobs, versions, correct):
+for module in (robots, inspect, campaigns, match, sheet, joins, analyse, joints, jobs, versions, residuals, correct):
     module.register(app)
 
 

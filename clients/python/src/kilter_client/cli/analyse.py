@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,7 +10,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import arguments
-from kilter_client.cli.arguments import CampaignIds, Json, MoreOptions, NoWait, Robot, ValidationText
+from kilter_client.cli.arguments import CampaignIds, ConfirmationIds, Json, MoreOptions, NoWait, Robot, ValidationText
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.results import show_job
@@ -59,7 +59,10 @@ def identify(
         Literal["base", "none"] | None,
         typer.Option(help="A base to every campaign and session, or one to all; by default a sheet has its own."),
     ] = None,
-    loss: Annotated[Literal["linear", "huber"] | None, typer.Option(help="huber forgives outliers.")] = None,
+    loss: Annotated[
+        Literal["linear", "huber", "tukey"] | None,
+        typer.Option(help="huber forgives outliers, tukey lets them go."),
+    ] = None,
     reference: Reference = None,
     intervals: Annotated[
         Literal["bootstrap", "profile"] | None, typer.Option(help="95 % intervals that do not rest on the sigmas.")
@@ -99,6 +102,7 @@ def gap(
     robot: Robot,
     campaign: CampaignIds = None,
     validation: ValidationText = None,
+    confirmation: ConfirmationIds = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to start from.")] = None,
     alpha: Annotated[float | None, typer.Option(help="Chance of any false name; the server's default is 0.01.")] = None,
     effects: Annotated[
@@ -147,7 +151,8 @@ def gap(
         if figures is not None:
             _write_figures(figures, result.get("figures") or {}, as_json)
 
-    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files)
+    again = arguments.split_names(confirmation)
+    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files, confirmation=again)
 
 
 def evaluate(
@@ -177,6 +182,19 @@ def plan(
     seed: Annotated[int | None, typer.Option(help="Seed of the choice.")] = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to plan with.")] = None,
     noise_mm: Annotated[float | None, typer.Option(help="Noise of a coordinate.")] = None,
+    floor_mm: Annotated[
+        float | None, typer.Option("--floor", metavar="MM", help="Height in the robot's base frame to stay above.")
+    ] = None,
+    box: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z,X,Y,Z", help="Lowest and highest corner (mm) of a box the tool stays in."),
+    ] = None,
+    anywhere: Annotated[
+        bool, typer.Option("--anywhere", help="Within the limits, also where the robot was never driven.")
+    ] = False,
+    payload_kg: Annotated[
+        str | None, typer.Option(metavar="KG,KG", help="Loads at hand, where an effect feels them.")
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the poses as CSV.", dir_okay=False)
     ] = None,
@@ -194,6 +212,10 @@ def plan(
         seed=seed,
         version=start,
         noise_mm=noise_mm,
+        floor_mm=floor_mm,
+        box_mm=_corners(box),
+        within="limits" if anywhere else None,
+        payloads_kg=None if payload_kg is None else arguments.numbers("--payload-kg", payload_kg),
     )
 
     def files(job: dict[str, Any]) -> None:
@@ -201,6 +223,16 @@ def plan(
             write_poses(output, (job.get("result") or {}).get("csv"), as_json)
 
     run_job("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files)
+
+
+def _corners(text: str | None) -> list[list[float]] | None:
+    """Understand --box."""
+    if text is None:
+        return None
+    given = arguments.numbers("--box", text)
+    if len(given) != 6:
+        raise UsageError(f"--box {text}: give six numbers, the lowest and the highest corner in mm.")
+    return [given[:3], given[3:]]
 
 
 def needs_result(no_wait: bool, **files: Path | None) -> None:
@@ -237,6 +269,7 @@ def run_job(
     as_json: bool,
     needs_campaign: bool = True,
     files: Callable[[dict[str, Any]], None] | None = None,
+    confirmation: Sequence[str] = (),
 ) -> None:
     """Submit a job, follow it, and print it."""
     ids = arguments.split_names(campaign)
@@ -244,7 +277,7 @@ def run_job(
         raise UsageError(f"Name at least one --campaign ID: `kilter campaigns {robot}` lists them.")
     held_out = arguments.validation(validation)
     with Kilter() as kilter:
-        job = kilter.jobs.submit(kind, robot, ids, held_out, options)
+        job = kilter.jobs.submit(kind, robot, ids, held_out, options, confirmation)
         if not no_wait:
             note(f"job {job['id']}", as_json)
             with job_bar(kind, as_json) as progress:

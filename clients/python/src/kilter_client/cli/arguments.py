@@ -30,6 +30,15 @@ ValidationText = Annotated[
         show_default=False,
     ),
 ]
+ConfirmationIds = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--confirmation",
+        metavar="ID",
+        help="Campaign of another day or set-up in which the effects must be seen again; repeat for more.",
+        show_default=False,
+    ),
+]
 NoWait = Annotated[bool, typer.Option("--no-wait", help="Return as soon as the job is queued.")]
 MoreOptions = Annotated[
     list[str] | None,
@@ -55,8 +64,10 @@ def validation(texts: Iterable[str] | None) -> list[str] | float | dict[str, int
         return {"folds": int(count)}
     if len(given) == 1 and _number(given[0]) is not None:
         fraction = float(given[0])
-        if not 0 < fraction < 1:
-            raise UsageError(f"--validation {given[0]}: a fraction lies between 0 and 1, for example 0.3.")
+        if not 0 <= fraction < 1:
+            raise UsageError(
+                f"--validation {given[0]}: a fraction lies between 0 and 1, for example 0.3; 0 is nothing."
+            )
         return fraction
     if any(text.startswith("folds:") or _number(text) is not None for text in given):
         raise UsageError("--validation takes campaign ids, or one fraction, or one folds:K, not a mixture.")
@@ -80,6 +91,19 @@ def three(name: str, text: str | None) -> list[float] | None:
     found = [_number(part) for part in text.split(",")]
     if len(found) != 3 or None in found:
         raise UsageError(f"{name} {text}: give three numbers, for example 0,0,-50.")
+    return [part for part in found if part is not None]
+
+
+def numbers(name: str, text: str) -> list[float]:
+    """Understand numbers given as ``a,b``.
+
+    Raises:
+        UsageError: something that is no number.
+
+    """
+    found = [_number(part) for part in text.split(",")]
+    if None in found:
+        raise UsageError(f"{name} {text}: give numbers with commas between them, for example 0,2.5.")
     return [part for part in found if part is not None]
 
 

@@ -65,9 +65,33 @@ def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
     head_row = ("effect", "joints", "verdict", f"gain {unit}", "p", "or one of", "parameter", "amplitude", "interval")
     show_rows(head_row, rows, title="What is missing")
     for effect in effects:
+        if effect.get("class"):
+            say(f"  {_name(effect)} stands for its class: {effect['class']}")
         failed = [name for name, passed in (effect.get("gates") or {}).items() if not passed]
         if failed:
             say(f"  {_name(effect)} is not more than {effect['verdict']}: not passed {', '.join(failed)}")
+            for remedy in effect.get("to_confirm") or ():
+                say(f"    {remedy}")
+        _remarks(effect)
+
+
+def _remarks(effect: Mapping[str, Any]) -> None:
+    """Joints that the data do not show, what a confirmation said, and whether it matters."""
+    unseen = sorted(set(effect.get("joints") or ()) - set(effect.get("seen_joints") or effect.get("joints") or ()))
+    if unseen:
+        say(f"  {effect['id']} is not seen at joint {', '.join(map(str, unseen))}: zero is within the interval")
+    if effect.get("too_small_to_matter"):
+        say(f"  {_name(effect)} moves the tool by {number(effect.get('moves_mm'), 2)} mm: too small to matter")
+    told = effect.get("replication")
+    if told:
+        words = {
+            "replicated": "was seen again with the same amplitude", "contradicted": "has another amplitude",
+            "not_seen": "does not stand out", "not_testable": "cannot be tested",
+        }  # fmt: skip
+        apart = f" ({number(told['apart_sigma'], 2)} sigma apart)" if told.get("apart_sigma") is not None else ""
+        say(
+            f"  in the confirmation {_name(effect)} {words[told['outcome']]}{apart}. {told.get('reason') or ''}".rstrip()
+        )
 
 
 def _amount(p: Mapping[str, Any]) -> tuple[str, str, str]:

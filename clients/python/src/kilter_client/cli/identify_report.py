@@ -12,6 +12,7 @@ MANY_WEIGHTS = 12  # learned weights from which a line stands for all of them
 LEARNED = "residual_"
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 MOST_INFLUENCES = 30
+MOST_ROWS = 10
 
 
 def show_parameters(parameters: list[Mapping[str, Any]]) -> None:
@@ -35,11 +36,19 @@ def show_identification(result: Mapping[str, Any]) -> None:
     _influence(result.get("influence") or [])
 
 
+def _set_aside(rows: list[Mapping[str, Any]]) -> Iterator[str]:
+    if rows:
+        named = [f"{r['campaign']} row {r['row']} ({number(r['residual_sigma'], 2)} sigma)" for r in rows[:MOST_ROWS]]
+        more = f" and {len(rows) - MOST_ROWS} more" if len(rows) > MOST_ROWS else ""
+        yield f"{len(rows)} rows count less than half: {', '.join(named)}{more}; see kilter residuals"
+
+
 def _lines(result: Mapping[str, Any]) -> Iterator[str]:
     method = result.get("method") or {}
     if method:
         more = ", ".join(f"{k.replace('_', ' ')} {_short(v)}" for k, v in method.items() if k != "name")
         yield f"method {method['name']}" + (f": {more}" if more else "")
+    yield from _set_aside(result.get("set_aside") or [])
     if result.get("intervals"):
         yield f"from and to: 95 % intervals by {result['intervals']}"
     learned = result.get("learned") or {}

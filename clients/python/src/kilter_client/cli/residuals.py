@@ -1,0 +1,44 @@
+"""``kilter residuals``: what a version leaves of every row, as a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli.arguments import CampaignIds, Json, VersionId, split_names
+from kilter_client.cli.output import emit, say
+from kilter_client.cli.versions import write
+from kilter_client.errors import UsageError
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.command(epilog="Example: kilter residuals ver_7c --campaign cmp_1f -o left.csv")(residuals)
+
+
+def residuals(
+    version: VersionId,
+    campaign: CampaignIds = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "--out", "-o", help="File to write; default is stdout.")
+    ] = None,
+    form: Annotated[
+        Literal["csv", "parquet"] | None, typer.Option("--format", help="By default what the name of the file says.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write what a version leaves of every row: errors in mm and in sigma, set aside or not, held out or not."""
+    if as_json and output is None:
+        raise UsageError("--json reports what was written: name the file with -o.")
+    suffix = "parquet" if output is not None and output.suffix == ".parquet" else "csv"
+    with Kilter() as kilter:
+        content = kilter.versions.residuals(version, split_names(campaign), form or suffix)
+    if output is None:
+        typer.get_binary_stream("stdout").write(content)
+        return
+    write(output, content)
+    document = {"version_id": version, "format": form or suffix, "output": str(output), "bytes": len(content)}
+    emit(document, as_json, lambda _: say(f"{output}: {len(content)} bytes"))

@@ -1,0 +1,153 @@
+"""Who is right: a claim of the finder against what was hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+Named = Mapping[str, Any]  # {"id", "joints"}: an effect, an alias or a hidden effect
+Truth = Mapping[str, Any]  # {"effects", "background", "payload_wrong", ...}
+
+STRONG = 30.0  # lambda from which an effect must be seen
+DECIDABLE = 11.0  # lambda (1 - |rho|) from which its name must be right
+TWINS = {"backlash": "friction_windup", "friction_windup": "backlash"}  # the same in any position data
+CLAIMS = ("confirmed", "class_confirmed", "replicated")
+SLOW = ("drift", "settling", "random_walk", "column_bending")  # motions of base or instrument
+CURVES = (
+    "hose_torque", "quadratic_curve", "spline_curve", "belt_error", "third_harmonic", "local_bump", "encoder_scale",
+    "eccentricity", "second_harmonic", "gravity_spring",
+)  # fmt: skip
+
+
+def empirical(said: Named) -> bool:
+    """Whether a name only says that there is something, not what."""
+    return str(said["id"]).startswith("unknown_")
+
+
+def names(said: Named, hidden: Named) -> bool:
+    """Whether a name is that of a hidden effect: id and joints. Of a family, the joints that show must be among it."""
+    return bool(said["id"] == hidden["id"]) and _joints_fit(said, hidden)
+
+
+def covers(effect: Named, hidden: Named) -> bool:
+    """Whether a reported effect is the hidden one or lists it, or its twin in position data, among its aliases."""
+    return any(names(a, hidden) for a in (effect, *effect.get("alias_set", ())))
+
+
+def _joints_fit(said: Named, hidden: Named) -> bool:
+    joints = said.get("joints")
+    if not hidden["joints"]:
+        return True
+    if hidden["id"] == "joint_coupling":
+        return joints is None or hidden["joints"][0] in joints
+    if len(hidden["joints"]) == 1:
+        return joints is not None and list(joints) == list(hidden["joints"])
+    strong = {int(j) for j, lam in hidden["joint_lam"].items() if lam >= STRONG}
+    return joints is None or (len(joints) > 1 and strong <= set(joints))
+
+
+def named(effect: Named, hidden: Named) -> bool:
+    """Whether a reported effect has a hidden one's name; a twin's name counts when the other is listed beside it."""
+    if names(effect, hidden):
+        return True
+    twin = {**hidden, "id": TWINS.get(str(hidden["id"]), "")}
+    return names(effect, twin) and covers(effect, hidden)
+
+
+def right(effect: Named, truth: Truth) -> bool:
+    """Whether a claim holds: a confirmed name is a hidden one's, a confirmed class holds a hidden one.
+
+    A family found joint by joint is right at each of its joints; a slow motion of base or instrument where they did
+    move; a wrong payload where it is wrong. Of joints that the data do not show nothing is claimed.
+    """
+    shown = effect.get("seen_joints")
+    if shown and list(shown) != list(effect.get("joints") or ()):
+        return _right(effect, truth) or _right({**effect, "joints": list(shown)}, truth)
+    return _right(effect, truth)
+
+
+def _right(effect: Named, truth: Truth) -> bool:
+    hidden = truth["effects"]
+    if beside_the_point(effect, truth) or any(named(effect, h) or member(effect, h) for h in hidden):
+        return True
+    return class_claim(effect) and any(
+        covers(effect, h) or member_of_class(effect, h) or _curve_of(effect, h) for h in hidden
+    )
+
+
+def class_claim(effect: Named) -> bool:
+    """Whether a class is claimed, not its head alone."""
+    return effect["verdict"] == "class_confirmed" or (
+        effect["verdict"] == "replicated" and bool(effect.get("alias_set"))
+    )
+
+
+def beside_the_point(effect: Named, truth: Truth) -> bool:
+    """Whether a name is true of the campaign although it is none of the hidden effects: its slow motion, its payload."""
+    if truth.get("payload_wrong") and effect["id"] == "payload_error":
+        return True
+    return bool(truth.get("background")) and slow(effect)
+
+
+def slow(effect: Named) -> bool:
+    """Whether a name is that of a motion of base or instrument, or admits that it may be one."""
+    return effect["id"] in SLOW or any(a["id"] in SLOW for a in effect.get("alias_set", ()))
+
+
+def _curve_of(effect: Named, hidden: Named) -> bool:
+    """Whether a claim says no more than that a joint errs along a smooth curve, and it does."""
+    if hidden["id"] not in CURVES or list(effect.get("joints") or ()) != list(hidden["joints"]):
+        return False
+    said = any("smooth" in str(value) for key, value in effect.items() if "class" in key)
+    return said or any(empirical(a) for a in effect.get("alias_set", ()))
+
+
+def member(said: Named, hidden: Named) -> bool:
+    """Whether a name is that of one joint, or of some, of a hidden family."""
+    joints = set(said.get("joints") or ())
+    family = said["id"] == hidden["id"] and len(hidden["joints"]) > 1
+    return family and bool(joints) and joints <= set(hidden["joints"])
+
+
+def member_of_class(effect: Named, hidden: Named) -> bool:
+    """Whether a class holds one joint, or some, of a hidden family."""
+    return any(member(a, hidden) for a in effect.get("alias_set", ()))
+
+
+def sure(effects: Iterable[Named]) -> list[Named]:
+    """Effects that are claimed as physics: confirmed, alone or as a class, or replicated."""
+    return [e for e in effects if e["verdict"] in CLAIMS and not empirical(e)]
+
+
+def found(report: Mapping[str, Any], hidden: Named) -> bool:
+    """Whether the name stands in the report: in one entry, or joint by joint for a family."""
+    effects = report["effects"]
+    if any(named(e, hidden) for e in effects):
+        return True
+    members = [set(e["joints"]) for e in effects if member(e, hidden)]
+    strong = {int(j) for j, lam in hidden["joint_lam"].items() if lam >= STRONG}
+    return bool(members) and strong <= set().union(*members)
+
+
+def said_undecidable(report: Mapping[str, Any], undecidable: Sequence[tuple[str, Sequence[int]]]) -> bool:
+    """Whether a report admits that the case cannot be settled.
+
+    Of a pair, the hidden one first: something is reported, nothing is confirmed alone, and each name that is given has
+    an alias, the hidden effect among them. Of a lone effect that geometry swallows: it is listed as not testable, it is
+    not named, and nothing else is confirmed.
+    """
+    pair: list[dict[str, Any]] = [{"id": i, "joints": list(j), "joint_lam": {}} for i, j in undecidable]
+    effects = report["effects"]
+    if any(e in sure(effects) and not class_claim(e) for e in effects):
+        return False
+    if len(pair) == 1:
+        return _listed(report["not_testable"], pair[0]) and not any(named(e, pair[0]) for e in effects)
+    physical = [e for e in effects if not empirical(e)]
+    if not physical:
+        return bool(report["verdict"] != "no_gap")
+    return all(e["alias_set"] for e in physical) and any(covers(e, pair[0]) for e in physical)
+
+
+def _listed(rows: Iterable[Named], hidden: Named) -> bool:
+    joints = set(hidden["joints"])
+    return any(u["id"] == hidden["id"] and (not u["joints"] or not joints or joints & set(u["joints"])) for u in rows)

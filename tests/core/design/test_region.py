@@ -1,0 +1,81 @@
+"""Where planned poses may be, checked with the arm of another implementation; and the order they are driven in."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from core.design.order import short_way, way
+from core.design.region import BESIDE_M, Hull, Region, arm_points
+from core.errors import RobotError
+from core.model import Calibration
+from core.robots import robot_from_document
+from tests.core.truth import ur10
+
+ROBOT = robot_from_document(ur10().document())
+START = Calibration.nominal(ROBOT)
+RNG = np.random.default_rng(3)
+
+
+def test_the_tool_point_of_the_arm_is_where_the_other_implementation_has_it() -> None:
+    q = RNG.uniform(-2.0, 2.0, (20, 6))
+    points = arm_points(ROBOT, q)
+    assert points.shape == (20, 7, 3)
+    assert points[:, -1] == pytest.approx(ur10().poses(q)[0], abs=1e-9)
+    assert np.ptp(points[:, 0], axis=0) == pytest.approx(np.zeros(3), abs=1e-12)  # the first joint stands still
+
+
+def test_poses_stay_where_the_arm_was_driven() -> None:
+    driven = np.array([0.3, -1.2, 1.0, -1.0, -1.5, 0.0]) + RNG.uniform(-0.4, 0.4, (60, 6))
+    region = Region.of(START, driven)
+    q = region.draw(200, RNG)
+    assert (q >= driven.min(axis=0)).all()
+    assert (q <= driven.max(axis=0)).all()
+    # Along any direction the tool goes no farther than it was, but for the room beside the hull.
+    tools, before = ur10().poses(q)[0], ur10().poses(driven)[0]
+    for direction in RNG.normal(size=(50, 3)):
+        u = direction / np.linalg.norm(direction)
+        assert (tools @ u).max() <= (before @ u).max() + BESIDE_M + 1e-9
+    assert region.holds(driven).mean() > 0.9
+    assert not region.holds(driven + 1.0).any()
+
+
+def test_no_point_of_the_arm_goes_below_the_floor() -> None:
+    region = Region.of(START).above(0.15)
+    q = region.draw(100, RNG)
+    assert ur10().poses(q)[0][:, 2].min() >= 0.15 - 1e-9
+    assert ur10().poses(Region.of(START).draw(100, RNG))[0][:, 2].min() < 0.15
+
+
+def test_room_that_does_not_exist_is_said() -> None:
+    with pytest.raises(RobotError, match="above 5000 mm"):
+        Region.of(START).above(5.0).draw(3, RNG)
+
+
+@pytest.mark.parametrize("rank", [0, 1, 2, 3])
+def test_hulls_of_flat_clouds(rank: int) -> None:
+    axes = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+    inside = RNG.uniform(-1.0, 1.0, (400, rank)) @ axes[:, :rank].T + 5.0
+    hull = Hull.of(inside)
+    assert hull.holds(inside).all()
+    assert hull.holds(inside.mean(axis=0)[None]).all()
+    for k in range(3):
+        assert not hull.holds((inside.mean(axis=0) + (2.0 if k < rank else 0.1) * axes[:, k])[None]).any()
+
+
+def test_a_short_way_is_as_short_as_the_shortest() -> None:
+    ranges = np.array([2.0, 1.0])
+    shorter = 0
+    for _ in range(10):
+        q = RNG.uniform(-1.0, 1.0, (7, 2)) * ranges
+        best = min(way(q[[0, *p]], ranges) for p in itertools.permutations(range(1, 7)))
+        found = way(q[short_way(q, ranges)], ranges)
+        assert best - 1e-12 <= found <= 1.3 * best
+        shorter += found < 1.01 * best
+    assert shorter >= 5
+    q = RNG.uniform(-1.0, 1.0, (200, 6))
+    order = short_way(q, np.ones(6))
+    assert sorted(order) == list(range(200))
+    assert way(q[order], np.ones(6)) < 0.7 * way(q, np.ones(6))

@@ -1,0 +1,229 @@
+"""How much is claimed: poses that took no part in choosing, a confirmation of another day, sizes that matter."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.errors import ObservationError, OptionError, TooFewPosesError
+from core.gap import GapOptions, find_gap
+from core.gap.adequacy import Adequacy
+from core.gap.candidates import with_testable
+from core.gap.holding import held_out, parted, shared_rows
+from core.gap.hunt import Hunt
+from core.gap.matters import Misfit
+from core.gap.prepare import Workshop
+from core.gap.replication import Confirmation, replication
+from core.gap.scan import Scorer, null_of
+from core.gap.select import Selector
+from core.gap.stored import stored
+from core.gap.testability import testability as judged
+from core.gap.world import refit
+from core.model import Calibration
+from core.observations import Observations
+from core.robots import preset_document, robot_from_document
+from tests.core.gap.simulated import campaign, katana
+
+EFFECTS = ("eccentricity", "encoder_scale", "second_harmonic", "axial_compliance", "backlash")
+QUICK = GapOptions(effects=EFFECTS, resamples=20, permutations=10, bootstraps=499, next_poses=0)
+CURVE = ("second_harmonic", (4,), (8e-4, 5e-4))
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return katana()
+
+
+@pytest.fixture(scope="module")
+def small(robot):
+    """Forty poses: too few to spare any."""
+    return campaign(robot, [CURVE], poses=40, revisits=12, seed=1, arm=1)
+
+
+def again(robot, hidden, seed=2, poses=30):
+    """Another day: base and tool set up anew, the same arm."""
+    return campaign(robot, hidden, poses=poses, revisits=10, seed=seed, arm=1)
+
+
+def test_a_quarter_of_sixty_poses_is_held_out_and_none_of_fewer(robot):
+    rows = campaign(robot, poses=60, revisits=20)
+    inside, outside = held_out(rows, None, 0)
+    assert sorted([*inside, *outside]) == list(range(len(rows)))
+    held = set(rows.pose_id[outside])
+    assert len(held) == 15
+    assert not held & set(rows.pose_id[inside])
+    assert len(held & set(range(20))) == 5  # of the repeated poses no more than of the others
+    fewer = campaign(robot, poses=59)
+    assert len(held_out(fewer, None, 0)[1]) == 0
+    assert len(held_out(rows, 0.0, 0)[1]) == 0
+    with pytest.raises(OptionError, match=r"validation is 1\.5"):
+        held_out(rows, 1.5, 0)
+
+
+def test_only_poses_that_did_not_choose_confirm(robot):
+    rows = campaign(robot, [CURVE], poses=80, seed=1)
+    held, chosen_by_all = find_gap(robot, rows, QUICK), find_gap(robot, rows, QUICK, validation=0)
+    (first,), (second,) = held.effects, chosen_by_all.effects
+    assert (first.verdict, second.verdict) == ("confirmed", "provisional")
+    assert [name for name, passed in second.gates.items() if not passed] == ["unseen_poses"]
+    row = chosen_by_all.to_document()["effects"][0]
+    assert "a quarter is then held out" in row["to_confirm"][0]
+    assert held.gap["held_out"] == "validation observations"
+    assert chosen_by_all.gap["held_out"] == "leave one pose out"
+
+
+def test_held_out_coordinates_lie_within_their_predictive_intervals(robot):
+    inside = total = 0
+    for seed in range(4):
+        report = find_gap(robot, campaign(robot, [CURVE], poses=80, seed=seed), QUICK)
+        told = report.predictive
+        assert told["of"] == sum(n for _, n in told["poses"]) > 0
+        assert told["inside"] == sum(k for k, _ in told["poses"])
+        inside, total = inside + told["inside"], total + told["of"]
+    assert total > 250
+    assert 0.88 < inside / total < 0.99
+    assert find_gap(robot, campaign(robot, [CURVE], poses=50), QUICK).predictive is None
+
+
+def test_one_broken_beam_among_the_held_out_poses_decides_nothing(robot):
+    rows = campaign(robot, [CURVE], poses=80, seed=1)
+    clean = find_gap(robot, rows, QUICK)
+    broken = replace(rows, position=rows.position.copy())
+    broken.position[held_out(rows, None, 0)[1][3]] += 2e-3
+    report = find_gap(robot, broken, QUICK)
+    assert report.gap["held_out_set_aside"] == 1
+    assert [j.verdict for j in report.effects] == [j.verdict for j in clean.effects] == ["confirmed"]
+    assert report.gap["closure"] == pytest.approx(clean.gap["closure"], abs=0.1)
+
+
+def test_what_is_seen_again_with_the_same_amplitude_is_replicated(robot, small):
+    alone = find_gap(robot, small, QUICK)
+    assert [j.verdict for j in alone.effects] == ["provisional"]
+    report = find_gap(robot, small, QUICK, confirmation=again(robot, [CURVE]))
+    (effect,) = report.effects
+    assert effect.verdict == "replicated"
+    told = report.to_document()["effects"][0]["replication"]
+    assert told["outcome"] == "replicated"
+    assert told["p_value"] < 0.01
+    for row, true in zip(told["parameters"], CURVE[2], strict=True):
+        assert np.radians(row["value"]) == pytest.approx(true, abs=4 * np.radians(row["sigma"]))
+    json.dumps(report.to_document(), allow_nan=False)
+
+
+def test_a_confirmation_without_the_effect_contradicts_it(robot, small):
+    (effect,) = find_gap(robot, small, QUICK, confirmation=again(robot, [])).effects
+    assert effect.evidence.replication.outcome == "contradicted"
+    assert effect.verdict == "provisional"
+    assert not effect.gates["confirmation"]
+
+
+def test_a_confirmation_that_cannot_show_the_effect_says_so(robot):
+    rows = campaign(robot, [("backlash", (1,), (6e-4,))], poses=45, revisits=15, seed=3, arm=1)
+    blind = replace(again(robot, [("backlash", (1,), (6e-4,))]), direction=None)
+    (effect,) = find_gap(robot, rows, QUICK, confirmation=blind).effects
+    assert effect.evidence.replication.outcome == "not_testable"
+    assert "no direction" in effect.evidence.replication.reason
+    assert effect.verdict == "provisional"
+
+
+def forced(robot, rows, rng):
+    """A hunt that ended with one candidate drawn at random, whatever the rows say."""
+    begin = Calibration.nominal(robot)
+    prepared = Workshop(begin, rows, QUICK, lambda f, s: None).run()
+    world = prepared.world
+    candidates = with_testable(prepared.library, judged(world, prepared.library).able)
+    scorer = Scorer.of(candidates, True, world.setting.noise.freedom)
+    selector = Selector(scorer, world.rows, np.full(len(world.A), np.inf))
+    place = int(rng.integers(len(candidates)))
+    fitted = refit(world.setting, world.values, list(candidates[place].columns))
+    found = Hunt(fitted, selector, (place,), null_of(world, scorer, [], 19, 0), 1e-4, ())
+    return candidates[place], stored(found, begin, rows, QUICK)
+
+
+def test_a_name_forced_upon_noise_is_not_seen_again(robot):
+    """Thirty names given to noise, each on arms of its own: 1 % of them may be seen in other noise."""
+    rng, outcomes = np.random.default_rng(0), []
+    for seed in range(30):
+        rows = campaign(robot, poses=40, revisits=12, seed=100 + seed, arm=seed)
+        other = campaign(robot, poses=30, revisits=10, seed=500 + seed, arm=seed)
+        candidate, kept = forced(robot, rows, rng)
+        seen = Confirmation.of(kept.calibration, kept.posterior, other, QUICK, lambda f, s: None)
+        outcomes.append(replication(seen, robot, other, candidate, None).outcome)
+    assert set(outcomes) <= {"not_seen", "replicated"}
+    assert outcomes.count("replicated") <= 3  # more in one of 40 000 such tests
+
+
+def test_a_confirmation_with_rows_of_the_search_is_refused_whatever_its_file(robot, small):
+    other = again(robot, [CURVE])
+    copied = small.select(np.arange(5))
+    shifted = replace(copied, t=copied.t + 1e5, pose_id=copied.pose_id + 900, position=copied.position * (1 + 1e-15))
+    mixed = Observations.concatenate([other, shifted])
+    with pytest.raises(ObservationError, match=r"5 of \d+ rows for confirmation.*leave these rows out") as refused:
+        find_gap(robot, small, QUICK, confirmation=mixed)
+    assert refused.value.code == "rows_shared"
+    with pytest.raises(ObservationError, match="rows for validation"):
+        parted(small, mixed, 0)
+    assert len(shared_rows(small, other)) == 0
+
+
+def test_a_confirmation_of_another_robot_is_refused(robot, small):
+    with pytest.raises(ObservationError, match="The confirmation has 6 joints"):
+        find_gap(robot, small, QUICK, confirmation=Observations(q=np.zeros((30, 6)), position=np.zeros((30, 3))))
+    with pytest.raises(TooFewPosesError, match=r"The confirmation has 3 poses.*at least 6"):
+        find_gap(robot, small, QUICK, confirmation=again(robot, [CURVE]).select(np.arange(3)))
+
+
+def test_a_start_of_another_robot_is_refused(robot, small):
+    other = robot_from_document({**preset_document("katana450-chapter5"), "name": "the-other"})
+    with pytest.raises(OptionError, match=r"start is a version of robot 'the-other'.*leave start out"):
+        find_gap(robot, small, QUICK, start=Calibration.nominal(other))
+
+
+def test_joints_whose_interval_holds_zero_are_not_seen(robot):
+    amounts = (6e-4, 5e-4, 7e-4, 6e-4, 2e-6)
+    report = find_gap(robot, campaign(robot, [("backlash", None, amounts)], poses=80, seed=2), QUICK)
+    rows = [e for e in report.to_document()["effects"] if e["id"] == "backlash"]
+    assert {j for e in rows for j in e["seen_joints"]} == {1, 2, 3, 4}
+    for row in rows:
+        for p in row["parameters"]:
+            assert p["seen"] == (not p["interval_low"] <= 0.0 <= p["interval_high"])
+
+
+def test_each_gate_tells_the_number_it_was_decided_by(robot):
+    shapes = replace(QUICK, effects=(*EFFECTS, "unknown_joint_curve"))
+    report = find_gap(robot, campaign(robot, [CURVE], poses=80, seed=1), shapes)
+    row = report.to_document()["effects"][0]
+    assert set(row["gates"]) <= set(row["evidence"])
+    assert row["evidence"]["inclusion"] >= 0.8
+    assert row["evidence"]["held_out"] > 2.0
+    assert row["evidence"]["no_empirical_alias"] > 6.0
+    assert row["evidence"]["adequate"] == report.adequacy.p_value
+
+
+def test_a_misfit_below_what_matters_is_no_gap():
+    fit = Adequacy(3300.0, 3000.0, 1.1, 1e-4)
+    small, large = (Misfit(rms, 1.2 * rms, 0.005, fit.adequate) for rms in (0.003, 0.03))
+    assert (small.too_small, large.too_small) == (True, False)
+    assert not Misfit(0.0, 0.0, 0.005, fit.adequate).too_small  # too little is left: another fault
+    assert not Misfit(0.003, 0.0036, 0.005, True).too_small
+    assert small.small_beside(0.1)
+    assert not small.small_beside(0.02)
+
+
+def test_a_size_that_is_stated_makes_a_curve_too_small_to_matter(robot):
+    rows = campaign(robot, [("unknown_joint_curve", (1,), (6e-5, 6e-5))], poses=118, revisits=30, seed=6)
+    strict, lax = (find_gap(robot, rows, replace(QUICK, effects=(), matters_um=um)) for um in (0.0, 100.0))
+    assert strict.verdict == "unexplained"
+    assert lax.verdict in ("closed", "no_gap")
+    assert "too small to matter" in lax.sentence.lower()
+
+
+@pytest.mark.parametrize("name", ["bootstraps", "resamples", "permutations", "max_effects", "next_poses"])
+def test_numbers_without_measure_are_refused(name):
+    with pytest.raises(OptionError, match=f"{name} is 1000000000: give a number from"):
+        GapOptions.from_document({name: 10**9})
+    with pytest.raises(OptionError, match=f"{name} is 1.5: give a whole number"):
+        GapOptions.from_document({name: 1.5})

@@ -1,0 +1,57 @@
+"""How much memory a hunt takes: counted on results that are kept, and on a whole hunt in a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+
+from core.gap.recent import Recent
+
+HUNT = """
+import resource
+from core.gap import GapOptions, find_gap
+from tests.blind.generator import Case, Hidden, Options, generate
+from tests.blind.to_core import observations_of, robot_of
+
+shapes = [("clearance_tilt", 1), ("encoder_scale", 2), ("local_bump", 3), ("third_harmonic", 4), ("third_harmonic", 5)]
+hidden = tuple(Hidden(name, (joint,)) for name, joint in shapes)
+campaign = generate(Case("many", "seven", hidden, (800.0,) * 5, 60, Options(wrong_masses=True), "named", 5))
+rows, robot = observations_of(campaign.columns), robot_of(campaign)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+report = find_gap(robot, rows, GapOptions(next_poses=1, resamples=40))
+print(len(report.effects), (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
+"""
+MOST_MB = 150.0  # that a hunt adds to a process of some 220 MB; the sets it kept made that grow without end
+
+
+def test_what_is_kept_stays_within_its_bytes() -> None:
+    recent = Recent(most=100_000)
+    made = []
+
+    def once(k: int) -> np.ndarray:
+        made.append(k)
+        return np.full(1000, float(k))
+
+    for k in range(40):
+        assert recent.get(k, lambda k=k: once(k))[0] == k
+        recent.get(0, lambda: once(0))
+        assert recent.bytes <= 100_000
+    assert made == list(range(40))  # the one in use was never made again
+    assert recent.get(1, lambda: once(1))[0] == 1  # forgotten, made anew
+    assert made[-1] == 1
+
+
+def test_a_result_larger_than_the_limit_is_used_but_not_accounted_twice() -> None:
+    recent = Recent(most=1000)
+    for k in range(3):
+        assert len(recent.get(k, lambda: np.zeros(1000))) == 1000
+    assert recent.bytes < 2 * 8300
+
+
+def test_a_hunt_that_ends_with_many_terms_takes_little_memory() -> None:
+    out = subprocess.run([sys.executable, "-c", HUNT], check=True, capture_output=True, text=True, timeout=600)
+    effects, grown_mb = out.stdout.split()
+    assert int(effects) >= 4
+    assert float(grown_mb) < MOST_MB

@@ -1,0 +1,69 @@
+"""Would other poses give the same names: the linear world with poses weighted anew."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from core.gap.candidates import with_testable
+from core.gap.hunt import Hunt
+from core.gap.options import GapOptions
+from core.gap.prepare import Workshop
+from core.gap.scan import Scorer, null_of
+from core.gap.select import Selector
+from core.gap.stability import inclusion, reweighted
+from core.gap.testability import testability as judged
+from core.model import Calibration
+from tests.core.gap.simulated import campaign, katana
+
+OPTIONS = GapOptions(effects=("eccentricity", "encoder_scale", "backlash", "axial_compliance"))
+
+
+@pytest.fixture(scope="module")
+def world():
+    robot = katana()
+    return Workshop(Calibration.nominal(robot), campaign(robot, seed=5), OPTIONS, lambda f, s: None).run()
+
+
+def test_weighted_rows_are_a_weighted_fit(world):
+    """The chi-square a candidate takes is that of two weighted least-squares fits, with and without it."""
+    w = world.world
+    weight = np.random.default_rng(0).exponential(size=len(w.setting.used))[w.row_visit]
+    gram, root = reweighted(w, weight), np.sqrt(weight)
+
+    def left(*columns):
+        X = root[:, None] * np.column_stack([w.U, *columns])
+        return float(np.sum((root * w.y - X @ np.linalg.lstsq(X, root * w.y, rcond=None)[0]) ** 2))
+
+    for k in np.flatnonzero(np.diag(w.A) > 0.01)[:3]:
+        assert gram.reduction([int(k)]) == pytest.approx(left() - left(w.W[:, k]), rel=1e-6, abs=1e-6)
+    assert gram.yy == pytest.approx(left(), rel=1e-9)
+
+
+def chosen(prepared, label, y):
+    """A hunt that ended with one name, on data made for it."""
+    w = prepared.world
+    scorer = Scorer.of(with_testable(prepared.library, judged(w, prepared.library).able), True, np.inf)
+    selector = Selector(scorer, w.rows, np.full(len(w.A), np.inf))
+    (place,) = [k for k, c in enumerate(scorer.candidates) if c.label == label]
+    r = y - w.U @ (w.U.T @ y)
+    made = type(w)(**{**{f: getattr(w, f) for f in w.__dataclass_fields__}, "y": r, "c": w.W.T @ r})
+    return Hunt(made, selector, (place,), null_of(made, scorer, [], 499, 0), 1e-4, ())
+
+
+def test_a_name_that_rests_on_two_poses_does_not_return(world):
+    """Signs of residuals leave the poses as they are and give it back every time; other poses do not."""
+    w = world.world
+    rng = np.random.default_rng(3)
+    column = next(k for k, p in enumerate(world.library.parameters) if p.name == "backlash_3")
+    noise = rng.standard_normal(len(w.y))
+    spread = noise + 9.0 * w.W_raw[:, column]
+    visit = w.row_visit
+    strongest = np.argsort(-np.bincount(visit, w.W_raw[:, column] ** 2))[:2]
+    at = np.isin(visit, strongest)
+    few = noise + np.where(at, 7.0 * np.sign(w.W_raw[:, column]), 0.0)
+    shares = [inclusion(h, {}, 60, 0, lambda f: None)[h.chosen[0]][0] for h in (
+        chosen(world, "backlash j3", y) for y in (spread, few)
+    )]  # fmt: skip
+    assert shares[0] >= 0.9
+    assert shares[1] < 0.8
