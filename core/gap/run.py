@@ -39,6 +39,7 @@ from core.gap.world import World
 from core.identify.plausibility import refuse_foreign
 from core.identify.report import large_residual
 from core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, worse, worse_warning
+from core.load_model import far_from_stated
 from core.measurement import Measurement
 from core.model import Calibration
 from core.observations import Observations
@@ -170,7 +171,7 @@ class _Run:
             alias_matrix=alias_matrix(world, candidates, found.chosen), noise=noise_document(found.world.setting),
             warnings=(
                 *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
-                *self._worse(found, held, kept),
+                *self._worse(found, held, kept), *far_from_stated(kept.load_model()),
             ),
             figures=figures(found, rows, gap), library=prepared.library,
         )  # fmt: skip
