@@ -20,7 +20,7 @@ class ColumnBending(Effect):
     source = "ISO 230-3, environmental temperature variation: a gradient across a column bends it"
     needs = frozenset({"temperature_c"})
     stage = "base"
-    aliases = ("zero_thermal", "thermal_growth", "drift", "settling")
+    aliases = ("thermal_drift", "zero_thermal", "thermal_growth", "drift", "settling")
     remedy = "measure a reflector on the base cold and warm, or revisit the same poses all around cold and warm"
     at_joints = False
 

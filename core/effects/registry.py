@@ -33,6 +33,7 @@ from core.effects.reading_tilt import ReadingTilt
 from core.effects.second_harmonic import SecondHarmonic
 from core.effects.session_shift import SessionShift
 from core.effects.settling import Settling
+from core.effects.thermal_drift import ThermalDrift
 from core.effects.thermal_growth import ThermalGrowth
 from core.effects.time_offset import TimeOffset
 from core.effects.tool_sag import ToolSag
@@ -73,6 +74,7 @@ _ALL: tuple[type[Effect], ...] = (
     Settling,
     RandomWalk,
     ColumnBending,
+    ThermalDrift,
     ToolSag,
     Hardening,
     DirectionCompliance,

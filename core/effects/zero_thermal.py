@@ -19,7 +19,7 @@ class ZeroThermal(Effect):
     summary = "zero of a joint moves with temperature"
     source = "Yin et al. 2014, warm-up of robot joints: the zeros move first"
     needs = frozenset({"temperature_c"})
-    aliases = ("zero_drift", "column_bending", "thermal_growth", "link_growth")
+    aliases = ("thermal_drift", "zero_drift", "column_bending", "thermal_growth", "link_growth")
     remedy = "revisit the same poses cold and warm, with a temperature in every row"
 
     reference_c: float = 20.0

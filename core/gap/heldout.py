@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from core.gap.adequacy import gain, left_out_errors, left_out_floor
+from core.gap.foretold import surely_foretold
 from core.gap.hunt import Hunt
 from core.gap.intervals import inflation, interval_width
 from core.gap.posterior import SMALLEST, Posterior
@@ -167,11 +168,12 @@ class Bench:
         before, after = (np.sqrt(np.bincount(group, np.sum(e**2, axis=1)) / count) for e in both)
         return before, after
 
-    def gain_of(self, place: int) -> tuple[float, float]:
-        """Gain by one chosen candidate beyond the others, and its standard error."""
+    def gain_of(self, place: int) -> tuple[float, float, float]:
+        """Gain by one chosen candidate beyond the others, its standard error, and how surely it was foretold."""
         rest = self.hunt.selector.columns([k for k in self.hunt.chosen if k != place])
         without, with_ = self.errors(rest)[self.kept], self.errors(self.hunt.columns)[self.kept]
-        return gain(without, with_, self._groups()[self.kept])
+        group = self._groups()[self.kept]
+        return (*gain(without, with_, group), surely_foretold(without, with_, group))
 
     def _groups(self) -> Ints:
         """Pose of each held-out row; of motions the block."""

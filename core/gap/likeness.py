@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.gap.candidates import Candidate
-from core.gap.world import VISIBLE
+from core.gap.gram import VISIBLE
 
 Floats = NDArray[np.float64]
 

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.gap.candidates import Candidate
+from core.gap.gram import VISIBLE, Gram
 from core.gap.tails import tail
-from core.gap.world import VISIBLE, Gram, World
+from core.gap.world import World
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.gap.candidates import FAMILY, JOINT
+from core.gap.gram import Gram
 from core.gap.scan import Scorer, Scores
-from core.gap.world import Gram
 
 Floats = NDArray[np.float64]
 

@@ -11,9 +11,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from core.gap.gram import Gram
 from core.gap.hunt import Hunt
 from core.gap.scan import FEWEST_FLIPS, residual_given, summed
-from core.gap.world import Gram, World
+from core.gap.world import World
 
 Floats = NDArray[np.float64]
 

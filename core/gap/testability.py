@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.gap.candidates import FAMILY, Candidate, Library, Untestable
+from core.gap.gram import VISIBLE
 from core.gap.likeness import correlations
-from core.gap.world import VISIBLE, World
+from core.gap.world import World
 from core.identify.report import WIRE
 from core.observations import Observations
 

@@ -16,7 +16,7 @@ from core.gap.matters import Misfit
 from core.gap.replication import Replication
 from core.gap.stability import INCLUDED
 
-SURE_GAIN = 2.0  # standard errors
+SURE_GAIN = 3.0  # standard deviations by which held-out poses must err as foretold
 SHADOWED = 0.3  # correlation with an unknown curve above which a named effect may be part of it
 CONTRADICTS = 2.0  # standard deviations on the wrong side of zero, or beyond the plausible range
 
@@ -29,7 +29,7 @@ class Evidence:
     candidate: Candidate
     aliases: tuple[Alias, ...]
     inclusion: tuple[float, float]  # of its own name, of its class
-    held_out: tuple[float, float]  # gain and its standard error
+    held_out: tuple[float, float, float]  # gain, its standard error, and how surely it was foretold
     control: Control | None
     amplitudes: tuple[Amplitude, ...]
     p_value: float
@@ -61,7 +61,7 @@ def judge(hunt: Hunt, evidence: Evidence, fit: Adequacy, misfit: Misfit, library
     gates = {
         "physical": not evidence.candidate.empirical,
         "adequate": bool(fit.adequate) or misfit.small_beside(evidence.moves_mm),
-        "held_out": evidence.held_out[0] > SURE_GAIN * evidence.held_out[1],
+        "held_out": evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN,
         "unseen_poses": evidence.unseen_poses > 0 or (told is not None and told.replicated),
         "no_empirical_alias": len(rivals) == len(evidence.aliases)
         and not evidence.bumped
@@ -87,12 +87,12 @@ def _level(gates: dict[str, bool], rivals: tuple[Alias, ...], told: Replication 
 
 def _numbers(hunt: Hunt, evidence: Evidence, fit: Adequacy, library: Library, class_: bool) -> dict[str, float | None]:
     """What each gate was decided by, to be decided again with other thresholds."""
-    gain, error = evidence.held_out
+    gain, _, foretold = evidence.held_out
     told = evidence.replication
     numbers: dict[str, float | None] = {
         "physical": float(not evidence.candidate.empirical),
         "adequate": fit.p_value,
-        "held_out": gain / error if error > 0.0 and np.isfinite(error) else None,
+        "held_out": foretold if gain > 0.0 else min(foretold, 0.0),
         "unseen_poses": float(evidence.unseen_poses),
         "no_empirical_alias": nearest_shape(hunt, evidence.place),
         "bumped": float(evidence.bumped),

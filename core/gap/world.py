@@ -7,17 +7,16 @@ takes c_I' A_II^-1 c_I off chi-square, and conditioning on a set is a Schur comp
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.effects import Batch
+from core.gap.gram import VISIBLE, Gram
 from core.gap.noise import Noise
-from core.gap.recent import Recent
 from core.gap.soft import Soft
 from core.gap.source import Source, ToolSource
 from core.identify.solver import BEND, minimise
@@ -26,10 +25,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Tick = Callable[[], None]
-T = TypeVar("T")
 
 SEEN = 0.5  # data sigmas that one prior sigma of a geometric direction moves; below, the prior knows it better than the data
-VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
 PASSES = 3  # re-fits with the scatter of doubtful signs, which follows the size of the effects
 CHANGED = 0.05  # of the noise variance: less scatter more or less changes no weight that matters
 STILL = 1e-1  # change of the fit, in sigmas over all data, that counts as converged
@@ -139,82 +136,6 @@ class World:
         if not len(columns):
             return self.U
         return np.hstack([self.U, _orthonormal(self.W[:, list(columns)])])
-
-
-@dataclass(frozen=True)
-class Gram:
-    """Inner products: ``whole (Q, Q)``, ``c (Q,)``, chi-square ``yy`` and freedom ``nu`` before any candidate enters.
-
-    Conditioned on the columns ``taken``, A is ``whole`` less ``K (Q, t)`` times the rows taken: made where it is asked
-    for, since a selection conditions on thousands of sets. What depends on A alone is kept in ``cache``, shared by all
-    data on the same candidates: resamples cost little.
-    """
-
-    whole: Floats
-    c: Floats
-    yy: float
-    nu: float
-    cache: Recent = field(default_factory=Recent, repr=False, compare=False)
-    taken: tuple[int, ...] = ()
-    K: Floats | None = None
-
-    @cached_property
-    def A(self) -> Floats:
-        """Inner products (Q, Q) of the candidates, what is taken projected off."""
-        if self.K is None:
-            return self.whole
-        A = self.whole - self.K @ self.whole[list(self.taken)]
-        return np.asarray(0.5 * (A + A.T))
-
-    def blocks(self, columns: Ints) -> Floats:
-        """Parts (N, d, d) of A that belong to sets of columns (N, d)."""
-        out = self.whole[columns[:, :, None], columns[:, None, :]]
-        if self.K is not None:
-            out = out - self.K[columns] @ self.whole[list(self.taken)][:, columns].transpose(1, 0, 2)
-        return np.asarray(out)
-
-    def kept(self, kind: Hashable, columns: Sequence[int], make: Callable[[], T]) -> T:
-        """Return what ``make`` gives, which must depend on A and the columns alone."""
-        return self.cache.get((self.taken, kind, tuple(columns)), make)
-
-    def inverse(self, columns: Sequence[int]) -> tuple[Floats, int]:
-        """Pseudo-inverse (d, d) of the columns' own block, and its rank."""
-        return self.kept("inverse", columns, lambda: _inverted(self.blocks(np.array([columns], dtype=np.int64))[0]))
-
-    def solve(self, columns: Sequence[int]) -> Floats:
-        """Least-squares coefficients of unit columns."""
-        return np.asarray(self.inverse(columns)[0] @ self.c[list(columns)])
-
-    def reduction(self, columns: Sequence[int]) -> float:
-        """How much chi-square the columns take together."""
-        return float(self.c[list(columns)] @ self.solve(columns)) if len(columns) else 0.0
-
-    def rank(self, columns: Sequence[int]) -> int:
-        """How many independent directions the columns have."""
-        return self.inverse(columns)[1] if len(columns) else 0
-
-    def given(self, columns: Sequence[int]) -> Gram:
-        """Conditioned on a set of columns: their space projected off everything."""
-        if not len(columns):
-            return self
-        index = list(columns)
-        if self.taken:
-            return Gram(self.A, self.c, self.yy, self.nu).given(index)
-        K = self.kept("given", index, lambda: self.whole[:, index] @ self.inverse(index)[0])
-        return replace(
-            self, c=self.c - K @ self.c[index], yy=self.yy - self.reduction(index), nu=self.nu - self.rank(index),
-            taken=tuple(index), K=K,
-        )  # fmt: skip
-
-    def with_data(self, c: Floats, yy: float) -> Gram:
-        """The same candidates with other data."""
-        return replace(self, c=c, yy=yy)
-
-
-def _inverted(A: Floats) -> tuple[Floats, int]:
-    w, V = np.linalg.eigh(A)
-    keep = w > VISIBLE
-    return (V[:, keep] / w[keep]) @ V[:, keep].T, int(keep.sum())
 
 
 def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None) -> World:

@@ -12,7 +12,7 @@ STRONG = 30.0  # lambda from which an effect must be seen
 DECIDABLE = 11.0  # lambda (1 - |rho|) from which its name must be right
 TWINS = {"backlash": "friction_windup", "friction_windup": "backlash"}  # the same in any position data
 CLAIMS = ("confirmed", "class_confirmed", "replicated")
-SLOW = ("drift", "settling", "random_walk", "column_bending")  # motions of base or instrument
+SLOW = ("drift", "thermal_drift", "settling", "random_walk", "column_bending")  # motions of base or instrument
 CURVES = (
     "hose_torque", "quadratic_curve", "spline_curve", "belt_error", "third_harmonic", "local_bump", "encoder_scale",
     "eccentricity", "second_harmonic", "gravity_spring",

@@ -36,7 +36,7 @@ AT_RUN_TIME = (
     "zero_thermal", "link_growth", "column_bending", "hardening", "direction_compliance", "reading_tilt",
     "unknown_smooth_curve",
 )  # fmt: skip
-NAMED = ("drift", "unknown_field", "unknown_residual", "zero_drift", "settling", "random_walk")
+NAMED = ("drift", "thermal_drift", "unknown_field", "unknown_residual", "zero_drift", "settling", "random_walk")
 OF_THE_INSTRUMENT = ("time_offset", "measurement_scale", "session_shift")
 
 

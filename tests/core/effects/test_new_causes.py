@@ -48,6 +48,16 @@ def test_the_zero_of_a_joint_moves_with_temperature() -> None:
     np.testing.assert_allclose(tool.position, turning().poses(warm)[0], atol=1e-13)
 
 
+def test_the_base_moves_with_temperature() -> None:
+    q = RNG.uniform(-1.0, 1.0, (2, 3))
+    rows = Observations(q, temperature_c=np.array([25.0, 17.0]))
+    tool = tool_with(turning(), effect_on(turning(), "thermal_drift"), {"thermal_drift_z": 1e-4}, rows)
+    np.testing.assert_allclose(tool.position, turning().poses(q)[0] + [[0, 0, 5e-4], [0, 0, -3e-4]], atol=1e-13)
+    tool = tool_with(turning(), effect_on(turning(), "thermal_drift"), {"thermal_drift_rz": 2e-5}, rows)
+    warm = q + np.array([[5.0], [-3.0]]) * np.array([2e-5, 0.0, 0.0])  # the first joint is vertical: it looks the same
+    np.testing.assert_allclose(tool.position, turning().poses(warm)[0], atol=1e-13)
+
+
 def test_one_link_grows_and_the_others_do_not() -> None:
     arm = Arm((Step("rz", 0.0, 0), Step("tx", 0.3, name="a"), Step("ry", 0.0, 1), Step("tx", 0.25, name="b")), 2)
     q = RNG.uniform(-1.0, 1.0, (3, 2))

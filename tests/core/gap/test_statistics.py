@@ -7,6 +7,7 @@ import pytest
 import scipy.linalg
 
 from core.gap.candidates import with_testable
+from core.gap.gram import Gram
 from core.gap.hunt import hunt
 from core.gap.likeness import correlation, correlations
 from core.gap.options import GapOptions
@@ -15,7 +16,7 @@ from core.gap.scan import Scorer, null_of, residual_given
 from core.gap.select import Selector
 from core.gap.tails import tail
 from core.gap.testability import testability as judged
-from core.gap.world import Gram, fitted, refit
+from core.gap.world import fitted, refit
 from core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
