@@ -21,6 +21,7 @@ from core.gap.holding import parted
 from core.gap.hunt import Hunt, hunt
 from core.gap.intervals import Amplitude, amplitudes, seen_joints
 from core.gap.matters import Misfit, misfit, moves_mm
+from core.gap.narrowed import narrowed
 from core.gap.next_poses import rows_of, separate
 from core.gap.options import GapOptions
 from core.gap.prepare import Prepared, Workshop
@@ -140,6 +141,8 @@ class _Run:
             more, judged = bool(np.any(again.able & ~judged.able)), again
             if not more or not found.chosen:
                 break
+        found = narrowed(found)
+        prepared = prepared.judged_by(found.world)
         return replace(self, prepared=prepared)._told(shrunk(found, prepared.world), places, judged, candidates)
 
     def _hunted(self, world: World, candidates: tuple[Candidate, ...]) -> Hunt:
