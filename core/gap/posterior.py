@@ -42,16 +42,22 @@ def posterior(found: Hunt, begin: Calibration, stored: Calibration) -> Posterior
 
     The noise is inflated by what it leaves unexplained, as for the amplitudes.
     """
+    source = found.world.setting.source
+    J, prior, covariance = of_all(found)
+    names, L = _combined(source, begin, stored, found.columns)
+    seen = J @ L.T if isinstance(source, ToolSource) else None
+    return Posterior(names, L @ covariance @ L.T, np.sqrt(L**2 @ prior**2), seen)
+
+
+def of_all(found: Hunt) -> tuple[Floats, Floats, Floats]:
+    """Whitened Jacobian (R, F), prior sigmas (F,) and covariance (F, F) of the geometry and the named effects."""
     world, columns = found.world, found.columns
     source = world.setting.source
     J = np.hstack([world.G, world.W_raw[:, columns] * world.size[columns]]) / max(inflation(found), SMALLEST)
     prior = np.concatenate([source.prior_sigma, source.library_sigma[columns]])
-    names, L = _combined(source, begin, stored, columns)
     H = (J * prior).T @ (J * prior)
     H.flat[:: len(H) + 1] += 1.0  # the priors
-    covariance = L @ (np.linalg.inv(H) * np.outer(prior, prior)) @ L.T
-    seen = J @ L.T if isinstance(source, ToolSource) else None
-    return Posterior(names, covariance, np.sqrt(L**2 @ prior**2), seen)
+    return J, prior, np.linalg.inv(H) * np.outer(prior, prior)
 
 
 def _combined(

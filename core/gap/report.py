@@ -68,6 +68,7 @@ class GapReport:
             "alias_matrix": self.alias_matrix,
             "warnings": list(self.warnings),
             "figures": self.figures,
+            "load_model": self.stored.load_model(),
             "reference": self.stored.reference(),
         }
 

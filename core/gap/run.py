@@ -21,6 +21,7 @@ from core.gap.holding import parted
 from core.gap.hunt import Hunt, hunt
 from core.gap.intervals import Amplitude, amplitudes, seen_joints
 from core.gap.matters import Misfit, misfit, moves_mm
+from core.gap.narrowed import narrowed
 from core.gap.next_poses import rows_of, separate
 from core.gap.options import GapOptions
 from core.gap.prepare import Prepared, Workshop
@@ -40,6 +41,7 @@ from core.gap.world import World
 from core.identify.plausibility import refuse_foreign
 from core.identify.report import large_residual
 from core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, worse, worse_warning
+from core.load_model import far_from_stated
 from core.measurement import Measurement
 from core.model import Calibration
 from core.observations import Observations
@@ -140,6 +142,8 @@ class _Run:
             more, judged = bool(np.any(again.able & ~judged.able)), again
             if not more or not found.chosen:
                 break
+        found = narrowed(found)
+        prepared = prepared.judged_by(found.world)
         return replace(self, prepared=prepared)._told(shrunk(found, prepared.world), places, judged, candidates)
 
     def _hunted(self, world: World, candidates: tuple[Candidate, ...]) -> Hunt:
@@ -171,7 +175,7 @@ class _Run:
             alias_matrix=alias_matrix(world, candidates, found.chosen), noise=noise_document(found.world.setting),
             warnings=(
                 *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
-                *self._worse(found, held, kept),
+                *self._worse(found, held, kept), *far_from_stated(kept.load_model()),
             ),
             figures=figures(found, rows, gap), library=prepared.library,
         )  # fmt: skip

@@ -18,6 +18,7 @@ from core.identifiability import identifiable, null_directions
 from core.identify.options import IdentifyOptions
 from core.identify.reference import named, registered, wanted_frames
 from core.identify.report import blind_names, null_rows, rows_of
+from core.load_model import load_rows
 from core.measurement import Measurement
 from core.metrics import Errors, metrics_document
 from core.model import Calibration, RobotModel
@@ -39,6 +40,11 @@ class Stored:
         known = identifiable(found.sigma, found.prior_sigma)
         known &= ~np.isin(found.names, list(blind_names(model, self.shown)))
         return rows_of(self.calibration, found.names, found.sigma, known)
+
+    def load_model(self) -> list[dict[str, Any]]:
+        """Masses and centres as stated and as found, where an effect that follows the load shows them."""
+        found = self.posterior
+        return load_rows(self.calibration, found.names, found.sigma, found.prior_sigma)
 
     def null_directions(self) -> list[dict[str, Any]]:
         """What the poses cannot tell apart, as an identification says it."""

@@ -30,6 +30,7 @@ from core.identify.report import null_rows, parameter_rows, warnings_of
 from core.identify.seeing import seen
 from core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
 from core.identify.worse import PoseErrors, geometry_alone
+from core.load_model import far_from_stated, load_rows
 from core.measurement import Measurement
 from core.metrics import Errors, metrics_document
 from core.model import Calibration
@@ -75,6 +76,11 @@ class Identification:
         return found if self.inside is None else [{**one, "row": int(self.inside[one["row"]])} for one in found]
 
     @property
+    def load_model(self) -> list[dict[str, Any]]:
+        """Masses and centres as stated and as found, where load errors were carried."""
+        return load_rows(self.calibration, self.fit.names, self.fit.sigma, self.fit.problem.prior_sigma)
+
+    @property
     def covariance(self) -> Floats:
         """Posterior covariance of the free parameters, SI."""
         return self.fit.covariance
@@ -105,6 +111,7 @@ class Identification:
             "influence": self.influence,
             "intervals": None if self.intervals is None else self.intervals.kind,
             "learned": None if self.learned is None else self.learned.to_document(),
+            "load_model": self.load_model,
             **_together(self.fit),
             "base_refitted": [frame.to_document() for frame in self.own_frames],
             "reference": named(self.calibration),
@@ -197,7 +204,11 @@ def _reported(
         repeats=repeats,
         predictive=predictive(fit, repeats, None if options.noise_mm is None else options.noise_mm * 1e-3),
         null_directions=null_directions(fit.J, fit.names, fit.problem.prior_sigma),
-        warnings=(*warnings_of(fit, train, repeats), *(() if learned is None else (learned.warning(),))),
+        warnings=(
+            *warnings_of(fit, train, repeats),
+            *(() if learned is None else (learned.warning(),)),
+            *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
+        ),
         method=options.method,
         influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
         intervals=intervals,

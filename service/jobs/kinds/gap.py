@@ -109,6 +109,7 @@ def _version(
         "null_directions": stored.null_directions(),
         "noise_mm": report.gap.get("noise_mm"),
         "noise_source": report.noise["source"],
+        "load_model": stored.load_model(),
         "warnings": list(report.warnings),
         "reference": stored.reference(),
         HELD_OUT: share,

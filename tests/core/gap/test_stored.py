@@ -44,7 +44,7 @@ def far(ur10):
 
 @pytest.fixture(scope="module")
 def fitted(ur10):
-    return identify(ur10, far_rows(), options=IdentifyOptions(effects=("axial_compliance",)))
+    return identify(ur10, far_rows(), options=IdentifyOptions(effects=("axial_compliance", "load_error")))
 
 
 def left_mm(calibration: Calibration, rows: Observations) -> float:
@@ -123,7 +123,7 @@ def test_a_filter_goes_on_from_a_hunt_with_a_few_more_poses(far, ur10):
     assert np.array_equal(found.calibration.wanted_base, far.calibration.wanted_base)
     smaller = np.diag(found.covariance) / np.diag(far.stored.posterior.covariance)
     assert smaller.max() < 1.0 + 1e-9
-    assert smaller.min() > 0.1
+    assert smaller.min() > 0.05  # a few poses more sharpen what the masses left open
     unseen = far_rows(seed=10)
     errors = unseen.position - found.calibration.predict(unseen).position
     assert np.sqrt(np.mean(errors**2)) < 1.3 * NOISE_M

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kilter_client.cli.identify_report import corrected_in
+from kilter_client.cli.load_model_report import show_load_model
 from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
 
@@ -29,6 +30,7 @@ def show_gap(result: Mapping[str, Any]) -> None:
     _effects(result.get("effects") or [], unit)
     _gap(result, unit)
     _control(result)
+    show_load_model(result.get("load_model") or [])
     _not_testable(result.get("not_testable") or [])
     _next_poses(result.get("next_poses") or [])
     if result.get("version_id") and result.get("reference"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from kilter_client.cli.load_model_report import show_load_model
 from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
 
@@ -33,6 +34,7 @@ def show_identification(result: Mapping[str, Any]) -> None:
     """Print what an identification adds: method, intervals, learning, observability, groups, influence."""
     for line in _lines(result):
         say(line)
+    show_load_model(result.get("load_model") or [])
     _influence(result.get("influence") or [])
 
 
