@@ -34,7 +34,7 @@ def clustered(fit: Fit) -> Fit:
     """The fit with the covariance clustered by pose, and the ``freedom`` of its scale.
 
     It is scaled so that 1.96 sigma are half the 95 % interval of Student's t. Distances between poses and contacts have
-    no rows of their own: their fits are returned as they are, and so are those that are clustered already.
+    no rows of their own: their fits are returned as they are, and so are those of filters and those clustered already.
     """
     problem = fit.problem
     if fit.freedom is not None:
@@ -43,19 +43,19 @@ def clustered(fit: Fit) -> Fit:
     if not problem.measurement.sees_base or len(fit.residual.points) != len(groups):
         return fit
     A, r = by_row(fit)
-    before = fit.J[A.shape[0] * A.shape[1] :] * problem.prior_sigma  # what a filter knew is no evidence of these rows
-    known = before.T @ before
+    if len(fit.J) > A.shape[0] * A.shape[1]:
+        return fit  # a filter goes on from what it knew, and takes what it is told of the noise
     total = _products(A, A)
     eye = np.eye(len(total))
     held = eye[:0] if problem.held is None else problem.held
     bend = bend_of(fit)
-    bread: Floats = np.asarray(np.linalg.inv(bend * total + known + eye + HOLD * held.T @ held), dtype=np.float64)
+    bread: Floats = np.asarray(np.linalg.inv(bend * total + eye + HOLD * held.T @ held), dtype=np.float64)
     numbers = len(np.unique(groups)) * problem.measurement.each
     left = max(numbers - bend * float(np.trace(bread @ total)), 1.0)
     shared = _shared(A, r, levers(fit), groups, numbers / left)
     meat = _mixed(shared, *_by_pose(A, r, groups, bread))
-    rest = eye - bread @ (bend * total + known)
-    around = bread @ (meat + known) @ bread + rest @ rest.T
+    rest = eye - bread @ (bend * total)
+    around = bread @ meat @ bread + rest @ rest.T
     scale = problem.prior_sigma * float(scipy.stats.t.ppf(0.975, left)) / NORMAL
     return replace(fit, covariance=around * np.outer(scale, scale), freedom=left)
 

@@ -59,8 +59,10 @@ def test_a_drifting_third_joint_is_no_turning_base() -> None:
     report = find_gap(katana(), rows, replace(QUICK, effects=("zero_drift", "drift", "backlash")))
     (effect,) = (effect_row(j, report.library, report.misfit) for j in report.effects)
     assert (effect["id"], effect["joints"], effect["alias_set"]) == ("zero_drift", [3], [])
-    assert effect["verdict"] == "confirmed"
-    assert report.sentence.startswith("zero_drift j3: confirmed among the causes of the library.")
+    assert all(passed for gate, passed in effect["gates"].items() if gate != "adequate")
+    # The drift is in the repeats too, where only a common motion can be told from noise: the noise is an upper bound.
+    assert "drift_not_separated" in {w["code"] for w in report.warnings}
+    assert effect["verdict"] == "provisional"
 
 
 def test_effects_that_cancel_are_one_class() -> None:

@@ -77,7 +77,7 @@ def test_a_belt_is_no_eccentricity(turns: float) -> None:
 
 def test_over_a_turn_and_more_a_curve_keeps_its_name() -> None:
     robot = katana()
-    rows = measured(robot, lambda q: 4e-4 * np.sin(q) + 3e-4 * np.cos(q), 5, half=1.02 * np.pi)
+    rows = measured(robot, lambda q: 4e-4 * np.sin(q) + 3e-4 * np.cos(q), 6, half=1.02 * np.pi)
     (effect,) = rows_of(
         find_gap(robot, rows, replace(QUICK, effects=("eccentricity", "backlash", "unknown_smooth_curve")))
     )
