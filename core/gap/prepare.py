@@ -16,7 +16,7 @@ from core.gap.candidates import Library, library_of
 from core.gap.masses import blurred, tool_source
 from core.gap.noise import Noise, fit_noise, repeat_noise, spikes, stated_noise
 from core.gap.options import GapOptions
-from core.gap.remarks import clock_warnings, identical_repeats, noise_warnings, outlier_warnings
+from core.gap.remarks import identical_repeats, noise_warnings, outlier_warnings
 from core.gap.renewal import renewed, under
 from core.gap.source import LinkSource, Source, ToolSource
 from core.gap.trajectory import (
@@ -95,7 +95,6 @@ class Workshop:
         """
         kept = self._without_copies()
         rows = self.rows.select(kept)
-        self.warnings += clock_warnings(rows)
         moving = is_trajectory(rows)
         self.tell(0.02, "fitting the geometry")
         windows = windows_of(rows)

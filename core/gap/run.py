@@ -25,6 +25,7 @@ from core.gap.narrowed import narrowed
 from core.gap.next_poses import rows_of, separate
 from core.gap.options import GapOptions
 from core.gap.prepare import Prepared, Workshop
+from core.gap.remarks import clock_warnings
 from core.gap.replication import Confirmation, Replication, refuse_unfit, replication
 from core.gap.report import GapReport
 from core.gap.scan import Scorer
@@ -92,7 +93,7 @@ def find_gap(
             if isinstance(rows, Observations):
                 refuse_unfit(robot, rows, confirmation)
         _of_this_robot(begin, confirmation)
-    remarks = _of_this_robot(begin, observations)
+    remarks = (*_of_this_robot(begin, observations), *clock_warnings(observations))
     observations, validation = parted(observations, validation, options.seed)
     prepared = Workshop(begin, observations, options, _part(tell, 0.0, 0.15)).run()
     report = _Run(robot, begin, prepared, options, validation, confirmation, tell).report()

@@ -204,7 +204,9 @@ def with_curvature(objective: Objective[P], values: Floats, H: Floats) -> Floats
     It is at most about the number of rows (times what one prior sigma bends, in noise sigmas): directions that the data
     see far better are left as they are. Along each of the others two slopes are compared.
     """
-    w, V = np.linalg.eigh(H)
+    live = np.flatnonzero(np.abs(H - np.eye(len(H))).max(axis=1) > 0.0)  # of the others the data see nothing at all
+    w, E = np.linalg.eigh(H[np.ix_(live, live)])
+    V = np.eye(len(H))[:, live] @ E
     weak = np.flatnonzero(w < WEAK * objective.rows)
     M = np.diag(w)
     for k in weak:
@@ -214,4 +216,8 @@ def with_curvature(objective: Objective[P], values: Floats, H: Floats) -> Floats
         M[:, k] = V.T @ (slopes[1] - slopes[0]) / (2.0 * DIFFERENCE)
     M[np.ix_(weak, weak)] = 0.5 * (M[np.ix_(weak, weak)] + M[np.ix_(weak, weak)].T)
     M[weak, :] = M[:, weak].T
-    return np.asarray(V @ M @ V.T) if np.all(np.isfinite(M)) else H
+    if not np.all(np.isfinite(M)):
+        return H
+    out = H.copy()
+    out[np.ix_(live, live)] = E @ M @ E.T
+    return out

@@ -48,7 +48,7 @@ def spread_of(fit: Fit) -> Spread | None:
 
     def sigma(rows: Floats) -> float:
         _, J = bare.jacobian(Observations(rows), fit.values[:n], problem.free[geometric])
-        return float(np.sqrt(np.sum((J[:, :3] @ covariance) * J[:, :3]) / (3 * len(rows))))
+        return float(np.sqrt(max(np.sum((J[:, :3] @ covariance) * J[:, :3]), 0.0) / (3 * len(rows))))  # rounding
 
     some = q[np.linspace(0, len(q) - 1, min(len(q), SAMPLES)).astype(np.int64)]
     elsewhere = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))

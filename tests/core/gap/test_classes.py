@@ -46,7 +46,7 @@ def test_a_drifting_first_joint_may_be_a_turning_base() -> None:
     effects = ("zero_drift", "drift", "backlash", "settling", "random_walk")
     rows = campaign(katana(), [("zero_drift", (0,), (5e-8,))], seed=3)
     report = find_gap(katana(), rows, replace(QUICK, effects=effects))
-    (effect,) = (effect_row(j, report.library) for j in report.effects)
+    (effect,) = (effect_row(j, report.library, report.misfit) for j in report.effects)
     assert (effect["id"], effect["joints"]) == ("zero_drift", [1])
     aliases = {a["id"]: a["correlation"] for a in effect["alias_set"]}
     assert aliases["drift"] > 0.999
@@ -57,7 +57,7 @@ def test_a_drifting_first_joint_may_be_a_turning_base() -> None:
 def test_a_drifting_third_joint_is_no_turning_base() -> None:
     rows = campaign(katana(), [("zero_drift", (2,), (4e-7,))], seed=4)
     report = find_gap(katana(), rows, replace(QUICK, effects=("zero_drift", "drift", "backlash")))
-    (effect,) = (effect_row(j, report.library) for j in report.effects)
+    (effect,) = (effect_row(j, report.library, report.misfit) for j in report.effects)
     assert (effect["id"], effect["joints"], effect["alias_set"]) == ("zero_drift", [3], [])
     assert effect["verdict"] == "confirmed"
     assert report.sentence.startswith("zero_drift j3: confirmed among the causes of the library.")

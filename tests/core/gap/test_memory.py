@@ -17,7 +17,7 @@ from tests.blind.to_core import observations_of, robot_of
 
 shapes = [("clearance_tilt", 1), ("encoder_scale", 2), ("local_bump", 3), ("third_harmonic", 4), ("third_harmonic", 5)]
 hidden = tuple(Hidden(name, (joint,)) for name, joint in shapes)
-campaign = generate(Case("many", "seven", hidden, (800.0,) * 5, 60, Options(wrong_masses=True), "named", 5))
+campaign = generate(Case("many", "seven", hidden, (800.0,) * 5, 60, Options(), "named", 5))
 rows, robot = observations_of(campaign.columns), robot_of(campaign)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 report = find_gap(robot, rows, GapOptions(next_poses=1, resamples=40))

@@ -52,7 +52,7 @@ def hose(size: float) -> Curve:
 
 
 def rows_of(report: GapReport) -> list[dict[str, object]]:
-    return [effect_row(j, report.library) for j in report.effects]
+    return [effect_row(j, report.library, report.misfit) for j in report.effects]
 
 
 @pytest.mark.parametrize("seed", range(7))
