@@ -307,7 +307,8 @@ def _sag(written: Written, effect: ToolSag, values: Floats) -> bool:
 
 
 def _payload(written: Written, effect: PayloadError, values: Floats) -> bool:
-    return written.conditions.payload_kg == 0.0  # it acts in rows that carry a payload; without one there is nothing
+    # Without compliances the payload of the program is written with it; with them it acts in rows that carry one.
+    return not effect.compliances or written.conditions.payload_kg == 0.0
 
 
 def _masses(written: Written, effect: LoadError, values: Floats) -> bool:
@@ -318,13 +319,15 @@ def weighed_anew(
     model: RobotModel, values: Floats, payload_kg: float, payload_com: Sequence[float]
 ) -> tuple[Robot, tuple[float, Sequence[float]]]:
     """The robot with the masses that its load errors leave, and mass and place of the payload."""
-    robot = model.robot
+    robot, carried = model.robot, np.zeros(EACH)
     for effect, where in zip(model.effects, model.effect_slices().values(), strict=True):
         if isinstance(effect, LoadError):
-            own, split = values[where].tolist(), EACH * len(weighed(robot))
-            payload_kg, payload_com = with_payload(payload_kg, payload_com, own[split:])
-            robot = with_masses(robot, own[:split])
-    return robot, (payload_kg, payload_com)
+            own, split = values[where], EACH * len(weighed(robot))
+            robot = with_masses(robot, own[:split].tolist())
+            carried[: len(own) - split] += own[split:]
+        elif isinstance(effect, PayloadError) and not effect.compliances:
+            carried += values[where]
+    return robot, with_payload(payload_kg, payload_com, carried.tolist())
 
 
 _WRITERS: Mapping[str, _Writer] = {

@@ -54,7 +54,7 @@ def controls(hunt: Hunt, shuffles: int, seed: int, tell: Callable[[float], None]
     out = []
     for n, place in enumerate(hunt.chosen):
         candidate = hunt.selector.scorer.candidates[place]
-        label = next((need for need in LABELS if need in candidate.effects[0].needs), None)
+        label = _label_of(candidate)
         hits = 0
         for k in range(count):
             tell((n + k / count) / len(hunt.chosen))
@@ -62,6 +62,12 @@ def controls(hunt: Hunt, shuffles: int, seed: int, tell: Callable[[float], None]
             hits += _poses_named(hunt, place, order) if label is None else _label_named(hunt, place, label, order)
         out.append(Control(place, "poses" if label is None else WORDS.get(label, label), count, hits / count))
     return tuple(out)
+
+
+def _label_of(candidate: Candidate) -> str | None:
+    """What to shuffle; a change of the loads acts through other effects, which a shuffled load would take along."""
+    effect = candidate.effects[0]
+    return None if effect.changes_loads else next((need for need in LABELS if need in effect.needs), None)
 
 
 def false_names(hunt: Hunt, shuffles: int, seed: int) -> float:

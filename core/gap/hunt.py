@@ -83,8 +83,9 @@ def _climbed(world: World, selector: Selector, limits: Floats, options: GapOptio
         other = refit(world.setting, world.values, selector.columns(after), partial(tell, *now))
         if worse(selector, (other, after), (world, chosen)):
             continue  # the set does not do what the linear world promised
-        world, chosen = renewed(other, selector.columns(after)), after
-        if world is not other:
+        before, (world, chosen) = world, (renewed(other, selector.columns(after)), after)
+        # A column that was zero may move something by now: an error of the payload does beside a compliance.
+        if world is not other or np.any((world.size > 0.0) & (before.size == 0.0)):
             selector = replace(selector, rows=world.rows, limits=limits * world.size)
         steps.append(_in_units_of(begin, world, step_of(world, selector, chosen)))
     assert first is not None

@@ -34,7 +34,15 @@ from core.gap.shadow import bumped
 from core.gap.source import LinkSource, ToolSource
 from core.gap.stability import inclusion
 from core.gap.stored import Stored, stored
-from core.gap.testability import Testability, alias_matrix, smallest_rows, testability, untestable
+from core.gap.testability import (
+    Testability,
+    alias_matrix,
+    smallest_rows,
+    testability,
+    through_loads,
+    to_search,
+    untestable,
+)
 from core.gap.verdict import Evidence, Judged, judge, run_verdict, sentence
 from core.gap.where import Place, where
 from core.gap.world import World
@@ -134,7 +142,7 @@ class _Run:
         places = where(world, prepared.visits.observations, self.options.seed, prepared.moving)
         judged = testability(world, prepared.library)
         for _ in range(HUNTS):
-            candidates = with_testable(prepared.library, judged.able)
+            candidates = with_testable(prepared.library, to_search(judged, prepared.library))
             found = settled(self._hunted(prepared.world, candidates), self.options.alpha)
             prepared = prepared.judged_by(found.world)
             # Without repeats the noise shrinks as effects enter, and what could not show in it may show now.
@@ -143,6 +151,7 @@ class _Run:
             if not more or not found.chosen:
                 break
         found = narrowed(found)
+        judged = through_loads(judged, testability(found.world, prepared.library), prepared.library)
         prepared = prepared.judged_by(found.world)
         return replace(self, prepared=prepared)._told(shrunk(found, prepared.world), places, judged, candidates)
 

@@ -237,6 +237,8 @@ class Selector:
             if k is None:
                 break
             after = self.improved(gram, (*chosen, k), critical)
+            if frozenset(after) in seen and set(after) != set(chosen):
+                after = (*chosen, k)  # what it was improved to did not do what the linear world promised
             # A significant addition needs no better price: the price compares explanations, noise was ruled out already.
             added = set(after) > set(chosen)
             if frozenset(after) not in {frozenset(chosen), *seen} and (added or self.beats(gram, after, chosen)):

@@ -45,6 +45,24 @@ def testability(world: World, library: Library) -> Testability:
     return Testability(visible, smallest, seen & (smallest <= limit))
 
 
+def through_loads(judged: Testability, found: Testability, library: Library) -> Testability:
+    """What changes loads judged at the fit ``found``: it shows through effects of the load that were named by then."""
+    late = _late(library)
+    visible, smallest = np.where(late, found.visible, judged.visible), np.where(late, found.smallest, judged.smallest)
+    return Testability(visible, smallest, np.where(late, found.able, judged.able))
+
+
+def to_search(judged: Testability, library: Library) -> Bools:
+    """Columns (Q,) to search: the able ones, and those that may become so when an effect of the load is named."""
+    return np.asarray(judged.able | _late(library))
+
+
+def _late(library: Library) -> Bools:
+    late = np.zeros(len(library.parameters), dtype=bool)
+    late[[k for c in library.candidates if c.effects[0].changes_loads for k in c.columns]] = True
+    return late
+
+
 def untestable(library: Library, judged: Testability, world: World, rows: Observations) -> tuple[Untestable, ...]:
     """Candidates that cannot be tested, one entry per effect and reason, with the remedy."""
     grouped: dict[tuple[str, str, str], list[int]] = {}
@@ -112,6 +130,8 @@ def _shown(single: Sequence[Candidate], C: Floats, chosen: Sequence[Candidate]) 
 
 def _reason(c: Candidate, judged: Testability, world: World, rows: Observations, library: Library) -> str:
     columns = list(c.columns)
+    if c.effects[0].changes_loads and not np.all(judged.smallest[columns] < np.inf):
+        return "It shows through effects of the load only, and none was named that shows it."
     if np.all(world.scale[columns] == 0.0):
         if "moments" in c.effects[0].needs:
             return "No load moment acts there: gravity and payload put none on it, or the masses are not known."

@@ -117,9 +117,10 @@ def test_load_errors_alone_move_nothing() -> None:
 
 
 @pytest.mark.parametrize("payload_kg", [0.0, 0.7])
-def test_the_corrector_carries_the_masses(payload_kg: float) -> None:
+@pytest.mark.parametrize("payload", [(), ("payload_error",)])
+def test_the_corrector_carries_the_masses(payload_kg: float, payload: tuple[str, ...]) -> None:
     """The tool lands where the whole model, with the masses of the version, says that it should."""
-    found = loaded_calibration("axial_compliance", "link_bending", "clearance_tilt", "backlash_load", **SOFT)
+    found = loaded_calibration("axial_compliance", "link_bending", "clearance_tilt", "backlash_load", *payload, **SOFT)
     rng = np.random.default_rng(8)
     q = rng.uniform(*(0.4 * np.clip(KATANA.limits.T, -1.5, 1.5)), (40, KATANA.n_joints))
     options = CorrectionOptions(least_softening_nm=0.0, iterations=30, payload_kg=payload_kg)
