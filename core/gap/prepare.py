@@ -45,6 +45,7 @@ Tell = Callable[[float, str], None]
 
 CHUNK = 20_000
 NOT_FITTED = "geometry_not_fitted"
+DOMINATES = 10.0  # times the noise that geometry leaves, from which its shape is not that of the noise
 LIKE_NEIGHBOURS = 1.5  # correlation length, in poses, from which poses in a row are not independent
 POSE = 6  # numbers of a pose; visits with more show markers
 ROUNDS = 3  # fits of the geometry without outliers, each judged by the one before
@@ -116,6 +117,7 @@ class Workshop:
         self.warnings += noise_warnings(noise, isinstance(source, LinkSource))
         setting = Setting(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
         world = self._enough(refit(setting, values, [], partial(self.tell, 0.45, "fitting the geometry again")))
+        world = _weighed(world)
         self.tell(0.6, "looking for outliers")
         world = self._correlated(world, visits) if moving else self._without_outliers(world)
         if not moving and not world.setting.trusted and len(visits) >= FEWEST_ROWS:
@@ -299,6 +301,19 @@ def windowed(
     """Rows of motions averaged over windows, by the residuals they have at ``values``."""
     live = source.live if isinstance(source, LinkSource) else np.ones(rows.q.shape[1], dtype=bool)
     return averaged(rows, _row_residual(source, values, rows, tick), windows_of(rows, width), live)
+
+
+def _weighed(world: World) -> World:
+    """The same with equal weights for all coordinates where the error of the model, not the noise, is what is left.
+
+    The repeats of an arm that errs by twenty times their scatter say nothing of the shape of that error: see
+    :meth:`~core.gap.noise.Noise.even`.
+    """
+    setting = world.setting
+    even = replace(setting, noise=_weights(setting.noise, setting.source))
+    if not setting.noise.absolute or world.chi2 < DOMINATES**2 * world.nu:
+        return world
+    return refit(even, world.values, [])
 
 
 def _weights(noise: Noise, source: Source) -> Noise:

@@ -128,7 +128,7 @@ def test_a_path_is_corrected_wherever_the_tracker_stood(
     wanted: Placed, kind: str, tmp_path: Path,
 ) -> None:  # fmt: skip
     version = fitted(client, worker, until, far, kind)
-    assert version["effects"] == ["axial_compliance"]
+    assert [e for e in version["effects"] if e != "load_error"] == ["axial_compliance"]
     assert {"base_x", "d_1", "a_2", "compliance_2", "compliance_3"} <= set(version["covariance"]["names"])
     assert np.shape(version["covariance"]["matrix"]) == (len(version["covariance"]["names"]),) * 2
     assert 0.5 < version["noise_mm"] / (1e3 * NOISE_M) < 1.5
