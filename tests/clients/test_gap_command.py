@@ -82,13 +82,14 @@ def test_plans_are_files_a_robot_can_run(
     head, *rows = csv.reader(file.read_text().splitlines())
     assert (head, len(rows)) == ([f"q{j}_deg" for j in range(1, 6)], 10)
     effects = '{"id": "eccentricity", "joints": [2]}'
-    apart = [*plan, "--purpose", "separate", "--effects", effects, "--effects", "encoder_scale", "--count", "4"]
+    apart = [*plan, "--purpose", "separate", "--effects", effects, "--effects", "backlash", "--count", "4"]
     assert run(apart) == 0
     said = capsys.readouterr().out
-    assert "eccentricity j2 and encoder_scale" in said
+    assert "eccentricity j2 and backlash" in said
+    assert "Collisions are not checked" in said
     assert "information times" in said
     head, *rows = csv.reader(file.read_text().splitlines())
-    assert {"q1_deg", "payload_kg", "dir1"} <= set(head)
+    assert {"q1_deg", "dir1"} <= set(head)  # a backlash feels the side that a pose is reached from, and no load
     # Poses of the file can be filled with measurements and uploaded: nothing in it is refused.
     measured = tmp_path / "measured.csv"
     lines = [

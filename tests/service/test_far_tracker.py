@@ -114,7 +114,9 @@ def fitted(client: httpx.Client, worker: Any, until: Until, far: Scene, kind: st
     campaign = client.post(f"/v1/robots/{ROBOT}/campaigns", json={"name": "rows"}).raise_for_status().json()["id"]
     client.post(f"/v1/campaigns/{campaign}/observations", json=far.columns()).raise_for_status()
     worker.start()
+    # Fitted to all rows: the frames are those in which the nominal robot fits the rows best, and the goal is in them.
     job = {"kind": kind, "robot": ROBOT, "campaigns": [campaign], "options": JOBS[kind]}
+    job |= {"validation": 0} if kind == "gap" else {}
     address = client.post("/v1/jobs", json=job).raise_for_status().headers["location"]
     until(lambda: client.get(address).json()["state"] in FINAL)
     done = client.get(address).json()

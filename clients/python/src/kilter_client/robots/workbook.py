@@ -57,7 +57,7 @@ def _refuse_large(path: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             size = sum(item.file_size for item in archive.infolist())
-    except (OSError, zipfile.BadZipFile) as error:
+    except (OSError, NotImplementedError, zipfile.BadZipFile) as error:  # a zip of a version nobody has yet
         raise FileError(f"{path}: is no XLSX workbook ({error}).", file=str(path)) from error
     if size > MAX_BYTES:
         raise FileError(
