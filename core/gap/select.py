@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 MARGIN = 6.0  # criterion points (2 log of a Bayes factor of 20) within which two explanations count as equal
 FAMILY_MARGIN = 3.0
 MOST_JOINTS = 0.6
+MOST_OF_IT = 0.5  # of what is left, from which an addition is tried plain when what it was improved to failed
 TRIED = 4
 SMALLEST_GAIN = 0.2  # criterion points: below this two explanations are one, and the library's order decides
 CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
@@ -233,11 +234,11 @@ class Selector:
         """
         banned: list[int] = []
         while len(chosen) < most and len(banned) < TRIED:
-            k, _ = self.entry(gram, chosen, critical, banned)
+            k, scores = self.entry(gram, chosen, critical, banned)
             if k is None:
                 break
             after = self.improved(gram, (*chosen, k), critical)
-            if frozenset(after) in seen and set(after) != set(chosen):
+            if frozenset(after) in seen and scores.S[k] > MOST_OF_IT * gram.given(self.columns(chosen)).yy:
                 after = (*chosen, k)  # what it was improved to did not do what the linear world promised
             # A significant addition needs no better price: the price compares explanations, noise was ruled out already.
             added = set(after) > set(chosen)
