@@ -30,6 +30,7 @@ ROUNDING = 1e-13  # share of the loss that a step must promise to be worth takin
 LAST = 1e-9  # share below which the step is taken and the model not asked again: it is linear that near
 STEP_TOLERANCE = 1e-9  # largest step, in prior sigmas, that counts as converged
 DIFFERENCE = 1e-4  # prior sigmas to either side of which the slopes give the second derivative
+LASTING = 3  # steps that a curvature is used for: near the end it hardly changes
 FIRST_DAMPING = 1e-6
 SHORTENINGS = 25
 BEND = 0.1  # share of a step over which its bend is measured
@@ -112,6 +113,7 @@ def minimise(
 
     """
     values, damping, slow, last, before = start, FIRST_DAMPING, 0, np.zeros(0), np.inf
+    curved, age = np.zeros(0), 0
     for iteration in range(1, MAX_ITERATIONS + 1):
         if not np.isfinite(here.loss):
             raise NotConvergedError("The residuals are not finite: check the observations for impossible values.")
@@ -119,7 +121,13 @@ def minimise(
         if slow < PATIENCE:
             taken = _marquardt(objective, values, here, H, g, damping, slow > 0)
         else:
-            taken = _newton(objective, values, here, H, g)
+            if age % LASTING == 0:
+                curved = with_curvature(objective, values, here, H) - H
+            age += 1
+            taken = _newton(objective, values, here, H + curved, g)
+            if taken is None and age % LASTING != 1:  # no end to be believed of an old curvature
+                age = 0
+                continue
         if progress is not None:
             progress(iteration, here.loss)
         if taken is None:
@@ -159,8 +167,8 @@ def _marquardt(
 
 
 def _newton(objective: Objective[P], values: Floats, here: P, H: Floats, g: Floats) -> _Step[P] | None:
-    """A step with the whole second derivative, its negative directions turned over, shortened until it lowers the loss."""
-    w, V = np.linalg.eigh(with_curvature(objective, values, H))
+    """A step with the whole second derivative ``H``, its negative directions turned over, shortened until it gains."""
+    w, V = np.linalg.eigh(H)
     size = np.maximum(np.abs(w), 1.0)  # the prior alone gives 1
     damping = 0.0
     for _ in range(SHORTENINGS):
@@ -198,22 +206,20 @@ def _worthless(objective: Objective[P], here: P, step: Floats, g: Floats) -> boo
     return promised < worth or float(np.max(np.abs(step), initial=0.0)) < STEP_TOLERANCE
 
 
-def with_curvature(objective: Objective[P], values: Floats, H: Floats) -> Floats:
+def with_curvature(objective: Objective[P], values: Floats, here: P, H: Floats) -> Floats:
     """``H (F, F)`` with the curvature of the residuals along the directions in which it can matter.
 
     It is at most about the number of rows (times what one prior sigma bends, in noise sigmas): directions that the data
-    see far better are left as they are. Along each of the others two slopes are compared.
+    see far better are left as they are. Along each of the others the slope is compared with that ``here``.
     """
     live = np.flatnonzero(np.abs(H - np.eye(len(H))).max(axis=1) > 0.0)  # of the others the data see nothing at all
     w, E = np.linalg.eigh(H[np.ix_(live, live)])
     V = np.eye(len(H))[:, live] @ E
     weak = np.flatnonzero(w < WEAK * objective.rows)
-    M = np.diag(w)
+    M, slope = np.diag(w), objective.slope(values, here)
     for k in weak:
-        step = DIFFERENCE * V[:, k]
-        ahead, behind = objective.moved(values, step), objective.moved(values, -step)
-        slopes = [objective.slope(v, objective.at(v)) for v in (ahead, behind)]
-        M[:, k] = V.T @ (slopes[1] - slopes[0]) / (2.0 * DIFFERENCE)
+        ahead = objective.moved(values, DIFFERENCE * V[:, k])
+        M[:, k] = V.T @ (slope - objective.slope(ahead, objective.at(ahead))) / DIFFERENCE
     M[np.ix_(weak, weak)] = 0.5 * (M[np.ix_(weak, weak)] + M[np.ix_(weak, weak)].T)
     M[weak, :] = M[:, weak].T
     if not np.all(np.isfinite(M)):

@@ -59,7 +59,7 @@ def test_the_score_counts_wrong_runs_and_claims() -> None:
     score = Score.of([good, lie])
     assert (score.wrong, score.claimed, score.named, score.exact) == ((1, 2), (1, 2), (2, 2), (1, 2))
     assert score.of_gate() == "50.0% / 50.0%"
-    assert "`verdict.SURE_GAIN` | 2 |" in gate_table([good])
+    assert "`verdict.SURE_GAIN` | 3 |" in gate_table([good])
 
 
 def test_a_changed_constant_reaches_all_who_took_it_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
