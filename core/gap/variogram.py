@@ -181,7 +181,7 @@ class _Exchange:
 
 def _freedom(X: Floats, model: Floats, kept: Bools, pairs: Pairs, size: int) -> float:
     """Scalars that the first coefficient rests on; pairs that share a visit say partly the same."""
-    A = X[kept] / model[kept, None]
+    A = X[kept] / (model[kept, None] / model.max())  # the scale cancels, and repeats that are copies leave nothing
     inverse = np.linalg.pinv(A.T @ A, rcond=1e-10)
     if abs(float(inverse[0] @ (A.T @ A)[:, 0]) - 1.0) > 1e-6:
         return 0.0  # the first column is a sum of the others
