@@ -4,6 +4,8 @@ BIN := .venv/bin
 READY := .venv/.ready
 KERNELS := .venv/.kernels
 IMAGE ?= kilter
+# Processes that share the tests, module by module.
+TESTERS ?= 2
 # Small fits gain nothing from threads of the linear algebra library and lose tenfold to them on two busy cores.
 export OPENBLAS_NUM_THREADS ?= 1
 
@@ -30,7 +32,7 @@ serve: $(KERNELS) ## run the server on this machine until Ctrl-C
 	$(BIN)/kilterd serve
 
 test: $(KERNELS) ## run the tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(TESTERS) --dist loadscope
 
 check: $(KERNELS) ## style, types, import rules
 	$(BIN)/ruff check .
