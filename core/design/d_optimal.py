@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from core.design.order import short_way
+from core.design.order import joint_ranges, short_way
 from core.design.region import Region
 from core.effects import Effect
 from core.identify.options import IdentifyOptions
@@ -60,7 +60,7 @@ def d_optimal_poses(
         if progress is not None:
             progress((k + 1) / count)
     chosen = pool.select(np.array(picked))
-    return chosen.select(short_way(chosen.q, np.ptp(np.clip(start.robot.limits, -np.pi, np.pi), axis=1)))
+    return chosen.select(short_way(chosen.q, joint_ranges(start.robot)))
 
 
 def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Floats:

@@ -5,11 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from core.robot import Robot
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PASSES = 20
 ENOUGH = 1e-9
+
+
+def joint_ranges(robot: Robot) -> Floats:
+    """How far (n,) each joint may go, rad or m; a turn at most."""
+    return np.asarray(np.ptp(np.clip(robot.limits, -np.pi, np.pi), axis=1))
 
 
 def short_way(q: Floats, ranges: Floats) -> Ints:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.design.order import short_way
+from core.design.order import joint_ranges, short_way
 from core.design.region import Region
 from core.gap.candidates import Candidate
 from core.gap.source import ToolSource
@@ -153,7 +153,7 @@ def _ordered(question: _Question, proposal: Proposal, needs: frozenset[str]) -> 
     """The same poses in the order of a short way, with what is known after each, and only the conditions that matter."""
     rows = proposal.rows
     robot = question.world.setting.source.model.robot  # type: ignore[attr-defined]
-    rows = rows.select(short_way(rows.q, np.ptp(np.clip(robot.limits, -np.pi, np.pi), axis=1)))
+    rows = rows.select(short_way(rows.q, joint_ranges(robot)))
     H, after = question.information(), []
     for X in question.rows(rows):
         H = H + X.T @ X

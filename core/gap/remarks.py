@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from core.gap.clock import clock_of
 from core.gap.noise import Noise
-from core.gap.visits import conditions
 from core.gap.world import World
 from core.observations import Observations
 
@@ -29,7 +28,7 @@ def identical_repeats(rows: Observations) -> Bools:
     if not parts:
         return np.zeros(len(rows), dtype=bool)
     lattice = np.round(np.nan_to_num(np.hstack(parts), nan=-1.0) / COPY)
-    condition = conditions(rows)
+    condition = rows.conditions()
     order = np.lexsort((np.arange(len(rows)), condition))
     pairs = condition[order][1:] == condition[order][:-1]
     equal = lattice[order][1:][pairs] == lattice[order][:-1][pairs]

@@ -39,7 +39,7 @@ def visits_of(rows: Observations) -> Visits:
     that it left and came back. Shots after a pause are no new approach, however long it was.
     """
     pose = rows.pose_groups()
-    condition = conditions(rows)
+    condition = rows.conditions()
     clock = clock_of(rows)
     in_order = condition[clock.order]
     new = np.ones(len(rows), dtype=bool)
@@ -58,15 +58,6 @@ def _numbered(run: Ints) -> tuple[Ints, Ints, Ints]:
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
     return first[order].astype(np.int64), place[inverse.reshape(-1)], count[order].astype(np.int64)
-
-
-def conditions(rows: Observations) -> Ints:
-    """Number (N,) pose together with direction, load and session: rows that should agree."""
-    columns = [rows.pose_groups().astype(np.float64)[:, None]]
-    if rows.direction is not None:
-        columns.append(rows.direction)
-    columns += [c[:, None].astype(np.float64) for c in (rows.payload_kg, rows.session) if c is not None]
-    return np.unique(np.hstack(columns), axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
 def _averaged(rows: Observations, visit: Ints, first: Ints, count: Ints) -> Observations:
