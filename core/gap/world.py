@@ -29,6 +29,7 @@ Tick = Callable[[], None]
 SEEN = 0.5  # data sigmas that one prior sigma of a geometric direction moves; below, the prior knows it better than the data
 PASSES = 3  # re-fits with the scatter of doubtful signs, which follows the size of the effects
 CHANGED = 0.05  # of the noise variance: less scatter more or less changes no weight that matters
+PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as many looks at thousands of poses
 STILL = 1e-1  # change of the fit, in sigmas over all data, that counts as converged
 
 
@@ -219,7 +220,7 @@ def solved(
         library[held[0]] = held[1]
     values = setting.source.moved(values, np.zeros(len(setting.source.prior_mean)), library)
     descent = Descent(setting, free)
-    found = minimise(descent, values, descent.at(values), lambda *_: tick())
+    found = minimise(descent, values, descent.at(values), lambda *_: tick(), patience=PATIENCE)
     world = world_at(setting, found.values, only=free)
     return found.values, world.gram.given(range(len(free))).yy
 
@@ -249,8 +250,11 @@ class Descent:
         return float(max(1, self.setting.used.sum() * self.setting.whitener.shape[-1]))
 
     def worth(self, loss: float) -> float:
-        """What a step must promise: less moves nothing that a statistic would show."""
-        return 0.5 * STILL**2
+        """What a step must promise: less moves nothing that a statistic would show.
+
+        Where the model lacks something, statistics are in units of what it leaves, not of the noise.
+        """
+        return 0.5 * STILL**2 * max(1.0, 2.0 * loss / self.rows)
 
     def at(self, values: Floats) -> Fitted:
         """Linearise there."""

@@ -1,5 +1,9 @@
 """One way to step towards a minimum: Levenberg and Marquardt, then Newton where the valley is curved.
 
+Constants of a chain that the tool's frame makes up for lie in a valley a million times as steep across as along, and it
+bends: a straight step leaves its floor, and only short ones lower the loss. So once steps gain little, damping no longer
+holds those directions the most that the data see the least, and a step is bent until it ends on the floor again.
+
 Gauss and Newton leave out the curvature of the residuals themselves. Along directions that the data hardly see, what
 is left unexplained times that curvature is as large as all they keep: the loss then falls by a part in a thousand a
 step, for hundreds of steps (poses on a grid, lines at one orientation). After a few such steps the whole second
@@ -23,17 +27,20 @@ Floats = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 
 MAX_ITERATIONS = 60
-PATIENCE = 4  # slow steps of Levenberg and Marquardt before the second derivative is taken
+PATIENCE = 8  # slow steps before the second derivative is taken, which costs a look at the model for every direction
 SLOW = 0.2  # share of the loss that a step must take off not to be slow,
 FADING = 0.1  # or gain less than this share of the step before: so a descent ends that is about to
 ROUNDING = 1e-13  # share of the loss that a step must promise to be worth taking
 LAST = 1e-9  # share below which the step is taken and the model not asked again: it is linear that near
 STEP_TOLERANCE = 1e-9  # largest step, in prior sigmas, that counts as converged
-DIFFERENCE = 1e-4  # prior sigmas to either side of which the slopes give the second derivative
+DIFFERENCE = 1e-6  # prior sigmas ahead, where the slope gives the second derivative: by 1e-4 a valley bends away
 LASTING = 3  # steps that a curvature is used for: near the end it hardly changes
 FIRST_DAMPING = 1e-6
 SHORTENINGS = 25
 BEND = 0.1  # share of a step over which its bend is measured
+TURNS = 6  # times that a step is bent back to the floor of the valley,
+ON_FLOOR = 0.01  # until the height over it is less than this share of what the step promises,
+NEARER = 0.5  # or is more than this share of the height before: then it is too long for that
 WEAK = 10.0  # second derivative, per row, above which the curvature of the residuals adds nothing that matters
 NOTHING = 1e-5  # of loss: it moves no parameter by more than 0.005 of its standard deviation
 TOO_BENT = 1.5  # of the step: an acceleration beyond this says that the step is too long for it
@@ -102,11 +109,13 @@ class _Step(Generic[P]):
 
 
 def minimise(
-    objective: Objective[P], start: Floats, here: P, progress: Progress | None = None, enough: float = 0.0
-) -> Minimum[P]:
+    objective: Objective[P], start: Floats, here: P, progress: Progress | None = None, enough: float = 0.0,
+    patience: int = PATIENCE,
+) -> Minimum[P]:  # fmt: skip
     """Walk downhill from ``start``, where ``here`` is known, to a minimum; the loss never rises.
 
-    ``enough`` ends the walk early, once a step takes less than this share off the loss.
+    ``enough`` ends the walk early, once a step takes less than this share off the loss. ``patience`` is the number of slow
+    steps before the second derivative is taken.
 
     Raises:
         NotConvergedError: numbers that are not finite.
@@ -118,8 +127,10 @@ def minimise(
         if not np.isfinite(here.loss):
             raise NotConvergedError("The residuals are not finite: check the observations for impossible values.")
         H, g = objective.derivatives(values, here)
-        if slow < PATIENCE:
-            taken = _marquardt(objective, values, here, H, g, damping, slow > 0)
+        if not slow:
+            taken = _marquardt(objective, values, here, H, g, damping)
+        elif slow < patience:
+            taken = _newton(objective, values, here, H, g)
         else:
             if age % LASTING == 0:
                 curved = with_curvature(objective, values, here, H) - H
@@ -142,7 +153,7 @@ def minimise(
 
 
 def _marquardt(
-    objective: Objective[P], values: Floats, here: P, H: Floats, g: Floats, damping: float, bent: bool
+    objective: Objective[P], values: Floats, here: P, H: Floats, g: Floats, damping: float
 ) -> _Step[P] | None:
     """Raise the damping until a step lowers the loss; None where no step does: a minimum to rounding."""
     diagonal = np.diag(H)
@@ -155,8 +166,6 @@ def _marquardt(
         if float(step @ g) < LAST * (1.0 + here.loss) and damping < 1e-3:
             trial = objective.moved(values, step)
             return _Step(trial, objective.beyond(here, trial, step), step, True, damping)
-        if bent:
-            step = _bent(objective, values, here, step, partial(np.linalg.solve, damped))
         trial = objective.moved(values, step)
         # Nearly every step is good, so its Jacobian is taken at once instead of after its loss.
         there = objective.at(trial)
@@ -167,7 +176,10 @@ def _marquardt(
 
 
 def _newton(objective: Objective[P], values: Floats, here: P, H: Floats, g: Floats) -> _Step[P] | None:
-    """A step with the whole second derivative ``H``, its negative directions turned over, shortened until it gains."""
+    """A step with the second derivative ``H``, whole or as Gauss and Newton have it, shortened until it gains.
+
+    Its negative directions are turned over, and all are damped alike.
+    """
     w, V = np.linalg.eigh(H)
     size = np.maximum(np.abs(w), 1.0)  # the prior alone gives 1
     damping = 0.0
@@ -177,7 +189,7 @@ def _newton(objective: Objective[P], values: Floats, here: P, H: Floats, g: Floa
             return None
         last = float(step @ g) < LAST * (1.0 + here.loss)
         if not last:
-            step = _bent(objective, values, here, step, partial(_over, V, size + damping))
+            step = _bent(objective, values, here, step, g, partial(_over, V, size + damping))
         trial = objective.moved(values, step)
         there = objective.at(trial)
         if there.loss < here.loss:
@@ -192,8 +204,29 @@ def _over(V: Floats, size: Floats, b: Floats) -> Floats:
     return np.asarray(V @ ((V.T @ b) / size))
 
 
-def _bent(objective: Objective[P], values: Floats, here: P, step: Floats, solve: Callable[[Floats], Floats]) -> Floats:
-    """Follow the valley's bend: half the geodesic acceleration added (Transtrum, Machta and Sethna 2011)."""
+def _bent(
+    objective: Objective[P], values: Floats, here: P, step: Floats, g: Floats, solve: Callable[[Floats], Floats]
+) -> Floats:
+    """Bend a step back to the floor of the valley: what its end is off the tangent is taken off again, a few times over.
+
+    Where the step is too long for that, half the geodesic acceleration is added (Transtrum, Machta and Sethna 2011).
+    """
+    bent, off, height = step, np.zeros_like(step), np.inf
+    for _ in range(TURNS):
+        other = 0.5 * BEND**2 * objective.bend(values, here, bent / BEND)
+        after = step - solve(other)
+        before, height = height, float((bent - after) @ (other - off))
+        if not height <= NEARER * before:
+            return _accelerated(objective, values, here, step, solve)
+        bent, off = after, other
+        if height <= ON_FLOOR * float(step @ g):
+            break
+    return bent
+
+
+def _accelerated(
+    objective: Objective[P], values: Floats, here: P, step: Floats, solve: Callable[[Floats], Floats]
+) -> Floats:
     acceleration = -solve(objective.bend(values, here, step))
     if 2.0 * np.linalg.norm(acceleration) > TOO_BENT * np.linalg.norm(step):
         return step

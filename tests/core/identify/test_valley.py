@@ -1,0 +1,71 @@
+"""The solver along a steep valley that bends, as constants of a chain make it that the tool's frame makes up for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core.identify.solver import BEND, minimise
+
+Floats = NDArray[np.float64]
+
+STEEP = 1e6  # how much steeper across than along
+RADIUS = 3.0
+PRIOR = np.array([2.0, -1.5])  # where a weak pull wants to be; the floor of the valley is a circle about the origin
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Residual across the valley, its slope, and the loss with the prior."""
+
+    r: float
+    J: Floats
+    loss: float
+
+
+class Valley:
+    """Minimise the distance from a circle, steeply, and from PRIOR, weakly."""
+
+    rows = 1.0
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def worth(self, loss: float) -> float:
+        return 0.0
+
+    def at(self, values: Floats) -> Seen:
+        self.asked += 1
+        radius = float(np.linalg.norm(values))
+        r = STEEP * (RADIUS - radius)
+        away = values - PRIOR
+        return Seen(r, STEEP * values / radius, 0.5 * (r * r + float(away @ away)))
+
+    def derivatives(self, values: Floats, here: Seen) -> tuple[Floats, Floats]:
+        return np.outer(here.J, here.J) + np.eye(2), self.slope(values, here)
+
+    def slope(self, values: Floats, here: Seen) -> Floats:
+        return here.J * here.r - (values - PRIOR)
+
+    def moved(self, values: Floats, step: Floats) -> Floats:
+        return values + step
+
+    def bend(self, values: Floats, here: Seen, step: Floats) -> Floats:
+        r = STEEP * (RADIUS - float(np.linalg.norm(values + BEND * step)))
+        return np.asarray(here.J * (here.r - r - here.J @ (BEND * step)) * (2.0 / BEND**2))
+
+    def beyond(self, here: Seen, values: Floats, step: Floats) -> Seen:
+        r, away = here.r - float(here.J @ step), values - PRIOR
+        return Seen(r, here.J, 0.5 * (r * r + float(away @ away)))
+
+
+@pytest.mark.parametrize("angle", [0.4, 1.0, 1.6])
+def test_a_valley_that_bends_is_followed_in_a_few_steps(angle: float) -> None:
+    valley, start = Valley(), RADIUS * np.array([np.cos(angle), np.sin(angle)])
+    found = minimise(valley, start, valley.at(start))
+    assert found.converged
+    np.testing.assert_allclose(found.values, RADIUS * PRIOR / np.linalg.norm(PRIOR), atol=1e-3)
+    assert valley.asked < 40
