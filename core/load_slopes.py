@@ -43,6 +43,13 @@ class LoadSlopes:
         kg = self.rows.payload_kg
         return kg is not None and bool(np.any(kg > 0.0))
 
+    def part(self, rows: slice) -> LoadSlopes:
+        """The same of some of the rows, as views of what was computed for all."""
+        out = replace(self, rows=self.rows.select(rows))
+        made = {"bodies": self.bodies, "loaded": self.loaded, "moments": self.moments[:, rows]}
+        out.__dict__.update(made, _all=tuple(a[:, rows] for a in self._all))
+        return out
+
     def __len__(self) -> int:
         return EACH * (len(self.bodies) + self.loaded)
 
@@ -85,11 +92,12 @@ class LoadSlopes:
 
     @cached_property
     def _all(self) -> tuple[Floats, Floats, Floats]:
-        made = list(self._each())
-        rows, n = len(self.rows), self.robot.n_joints
-        if not made:
-            return np.zeros((0, rows, n, 6)), np.zeros((0, rows, n, 6)), np.zeros((0, rows, 6))
-        return tuple(np.stack([part[k] for part in made]) for k in range(3))  # type: ignore[return-value]
+        count, rows, n = len(self), len(self.rows), self.robot.n_joints
+        made = np.zeros((count, rows, n, 6)), np.zeros((count, rows, n, 6)), np.zeros((count, rows, 6))
+        for k, parts in enumerate(self._each()):
+            for whole, part in zip(made, parts, strict=True):
+                whole[k] = part
+        return made
 
     def _each(self) -> Iterator[tuple[Floats, Floats, Floats]]:
         o = self.rows

@@ -33,6 +33,9 @@ _COLUMNS = {
 }
 
 
+NOT_OF_ROWS = ("link_vectors", "blur")  # arrays of a batch that have no row for each of its rows
+
+
 @dataclass(frozen=True)
 class Batch:
     """The conditions of N rows as effects may read them, SI.
@@ -76,6 +79,11 @@ class Batch:
         ends = self.end_wrench + np.tensordot(change, self.slopes.ends, axes=1)
         base = self.base_wrench + np.tensordot(change, self.slopes.base, axes=1)
         return replace(self, wrench=wrench, axial=axial, end_wrench=ends, base_wrench=base)
+
+    def part(self, rows: slice) -> Batch:
+        """The conditions of some of the rows, as views."""
+        own = {k: v[rows] for k, v in vars(self).items() if isinstance(v, np.ndarray) and k not in NOT_OF_ROWS}
+        return replace(self, **own, slopes=None if self.slopes is None else self.slopes.part(rows))
 
     @property
     def moment(self) -> Floats:

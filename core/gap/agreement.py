@@ -30,7 +30,7 @@ def contradicted(hunt: Hunt, place: int) -> bool:
     selector = hunt.selector
     rest = selector.columns([k for k in hunt.chosen if k != place])
     basis = world.basis(rest)
-    W = world.W[:, list(selector.scorer.candidates[place].columns)]
+    W = world.projected(list(selector.scorer.candidates[place].columns))
     X = W - basis @ (basis.T @ W)
     r = residual_given(world, rest)
     amount = np.asarray(np.linalg.lstsq(X, r, rcond=None)[0], dtype=np.float64)

@@ -78,11 +78,12 @@ def false_names(hunt: Hunt, shuffles: int, seed: int) -> float:
     basis = world.basis(hunt.columns)
     r = residual_given(world, hunt.columns).reshape(-1, size)
     given = world.gram.given(hunt.columns)
+    W = world.W
     hits = 0
     for _ in range(shuffles):
         mixed = r[_order(world.setting.group, rng)].reshape(-1)
         mixed = mixed - basis @ (basis.T @ mixed)
-        k, _ = selector.entry(given.with_data(world.W.T @ mixed, float(mixed @ mixed)), (), hunt.critical)
+        k, _ = selector.entry(given.with_data(W.T @ mixed, float(mixed @ mixed)), (), hunt.critical)
         hits += k is not None
     return hits / shuffles
 

@@ -223,9 +223,11 @@ def _flips(
     basis = world.basis(chosen)
     r = residual_given(world, chosen) / np.sqrt(1.0 - np.minimum(np.sum(basis**2, axis=1), ALMOST_ALL))
     flips = rng.choice([-1.0, 1.0], size=(draws, poses))
-    W = world.W - basis @ (basis.T @ world.W)
+    W = world.W
+    W -= basis @ (basis.T @ W)
+    W *= r[:, None]
     rows = group[world.row_visit]
-    c = flips @ summed(W * r[:, None], rows, poses)
+    c = flips @ summed(W, rows, poses)
     yy = float(r @ r) - np.sum((flips @ summed(basis * r[:, None], rows, poses)) ** 2, axis=1)
     S, d = scorer.reductions(gram, c)
     return scorer.best_tail(scorer.scaled(S, d, np.maximum(yy, 0.0), gram.nu, np.ones(draws)), d, gram.nu)

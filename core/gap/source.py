@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+MOST_NUMBERS = 400_000  # rows times columns whose derivatives are made at a time: they pass through arrays of 20 MB
+
 
 @dataclass(frozen=True)
 class Linear:
@@ -133,12 +135,34 @@ class ToolSource:
         order = np.argsort(wanted)
         start = len(self.model.names) - self.n_library
         columns = np.concatenate([self.free, start + wanted[order]])
-        prediction, J = self.model.jacobian(batch or self.batch, values, columns)
-        residual = self.measurement.residual(prediction, J)
+        count = len(self.free)
+        parts = []
+        for rows in self._parts(len(columns)):
+            r, D = self._derived(batch or self.batch, rows, values, columns)
+            parts.append(r)
+            if rows.start == 0:
+                G = np.empty((len(self.batch), r.shape[1], count))
+                W = np.empty((len(self.batch), r.shape[1], len(wanted)))
+            G[rows], W[rows][:, :, order] = D[:, :, :count], D[:, :, count:]
+        return Linear(np.concatenate(parts), G, W)
+
+    def _parts(self, columns: int) -> list[slice]:
+        """Slices of the rows, so large that what is in the making of their derivatives stays small."""
+        size = max(1, MOST_NUMBERS // max(1, columns))
+        return [slice(k, k + size) for k in range(0, max(1, len(self.batch)), size)]
+
+    def _derived(self, batch: Batch, rows: slice, values: Floats, columns: Ints) -> tuple[Floats, Floats]:
+        """Residuals of these rows and their derivatives by the parameters ``columns``."""
+        whole = rows.start == 0 and rows.stop >= len(batch)
+        seen = self.measurement.observations if whole else self.measurement.observations.select(rows)
+        measurement = replace(self.measurement, observations=seen)
+        turns = measurement.sees_orientation
+        prediction, J = self.model.jacobian(batch if whole else batch.part(rows), values, columns, turns)
+        residual = measurement.residual(prediction, J)
         D = _derivatives(residual, len(columns))
         r = _stacked(residual)
         D[np.isnan(r)] = 0.0
-        return Linear(r, D[:, :, : len(self.free)], D[:, :, len(self.free) :][:, :, np.argsort(order)])
+        return r, D
 
     def geometry(self, values: Floats) -> Floats:
         """Values of the free geometric parameters."""

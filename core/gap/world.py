@@ -18,7 +18,7 @@ from core.effects import Batch
 from core.gap.gram import VISIBLE, Gram
 from core.gap.noise import Noise
 from core.gap.soft import Soft
-from core.gap.source import Source, ToolSource
+from core.gap.source import MOST_NUMBERS, Source, ToolSource
 from core.identify.solver import BEND, minimise
 
 Floats = NDArray[np.float64]
@@ -78,13 +78,13 @@ class World:
     """Whitened, projected data at ``values``. R = V m rows, Q library columns (unit raw norm), P geometric ones.
 
     ``y (R,)`` is what the data say with every library effect taken out; ``scale (Q,)`` turns a unit-column coefficient
-    into a parameter. ``U (R, p)`` spans the geometry; ``nu`` is the freedom left after it.
+    into a parameter. ``U (R, p)`` spans the geometry; ``nu`` is the freedom left after it. Projected columns are made
+    where they are asked for: those of thousands of poses fill the memory.
     """
 
     setting: Setting
     values: Floats
     y: Floats
-    W: Floats
     U: Floats
     scale: Floats
     nu: float
@@ -94,6 +94,15 @@ class World:
     G: Floats  # whitened geometric columns (R, P)
     W_raw: Floats  # whitened unit columns before projection (R, Q)
     soft: Soft
+
+    @property
+    def W(self) -> Floats:
+        """Unit columns (R, Q) with geometry projected off."""
+        return self.projected(slice(None))
+
+    def projected(self, columns: Sequence[int] | slice) -> Floats:
+        """Some of them."""
+        return _projected(self.soft, self.U, self.W_raw[:, columns])
 
     @property
     def size(self) -> Floats:
@@ -136,7 +145,7 @@ class World:
         """Orthonormal basis (R, p + d) of geometry and the library ``columns``."""
         if not len(columns):
             return self.U
-        return np.hstack([self.U, _orthonormal(self.W[:, list(columns)])])
+        return np.hstack([self.U, _orthonormal(self.projected(list(columns)))])
 
 
 def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None) -> World:
@@ -148,9 +157,10 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     r = setting.white(linear.r).reshape(-1)
     G = _white(setting, linear.G)
     W = _white(setting, linear.W)
+    del linear
     norm = np.linalg.norm(W, axis=0)
     unit = np.where(norm > 0.0, norm, 1.0)
-    W = W / unit
+    W /= unit
     source, hard = setting.source, setting.hard
     B = G[:, ~hard] * source.prior_sigma[~hard]
     soft = Soft.of(B)
@@ -159,13 +169,22 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     y = r + W @ ((library if only is None else library[list(only)]) * unit)
     # The load errors, too, are taken back into the data: their prior is about what was stated, not about the last fit.
     y = soft(y + B @ _away(source, values)[~hard]) if len(soft.shrink) else y
-    W_soft = soft(W)
-    Wp = W_soft - U @ (U.T @ W_soft)
-    yp = y - U @ (U.T @ y)
+    y -= U @ (U.T @ y)
     # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
     nu = float(setting.used.sum() * setting.whitener.shape[-1] / setting.inflation - U.shape[1])
     scale = np.where(norm > 0.0, 1.0 / unit, 0.0)
-    return World(setting, values, yp, Wp, U, scale, nu, Wp.T @ Wp, Wp.T @ yp, r, G, W, soft)
+    return World(setting, values, y, U, scale, nu, *_products(soft, U, W, y), r, G, W, soft)
+
+
+def _products(soft: Soft, U: Floats, W: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Inner products (Q, Q) of the projected columns, and (Q,) with the data."""
+    P = _projected(soft, U, W)
+    return P.T @ P, P.T @ y
+
+
+def _projected(soft: Soft, U: Floats, W: Floats) -> Floats:
+    P = soft(W)
+    return np.asarray(P - U @ (U.T @ P))
 
 
 def _away(source: Source, values: Floats) -> Floats:
@@ -314,8 +333,12 @@ def fitted(world: World, columns: Sequence[int]) -> tuple[Floats, Floats]:
 
 
 def _white(setting: Setting, columns: Floats) -> Floats:
-    white = np.matmul(setting.whitener, columns) * setting.used[:, None, None]
-    return np.asarray(white.reshape(columns.shape[0] * columns.shape[1], columns.shape[2]))
+    """Whiten columns (V, m, K) where they stand; (R, K) of them."""
+    size = max(1, MOST_NUMBERS // max(1, columns.shape[2]))
+    for k in range(0, len(columns), size):
+        part = slice(k, k + size)
+        columns[part] = np.matmul(setting.whitener[part] * setting.used[part, None, None], columns[part])
+    return columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
 
 
 def _seen(scaled: Floats) -> Floats:

@@ -1,0 +1,65 @@
+"""Derivatives of many rows are made part by part: the same numbers, and little memory besides what is kept."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from core.gap import source
+from core.gap.options import GapOptions
+from core.gap.prepare import Workshop
+from core.gap.world import world_at
+from core.model import Calibration
+from tests.core.gap.simulated import campaign, katana
+
+# Linear in the loads: slopes of others are differences over a width that follows the rows at hand.
+OPTIONS = GapOptions(effects=("eccentricity", "axial_compliance", "link_bending", "settling"))
+MB = 2**20
+
+
+def prepared(measured: str, options: GapOptions = OPTIONS):
+    robot = katana()
+    rows = campaign(robot, [("axial_compliance", (1,), (3e-5,))], seed=5, measured=measured)
+    return Workshop(Calibration.nominal(robot), rows, options, lambda f, s: None).run().world
+
+
+@pytest.mark.parametrize("measured", ["position", "pose", "markers"])
+def test_parts_are_the_whole(measured, monkeypatch):
+    world = prepared(measured)
+    tool = world.setting.source
+    values = world.values.copy()
+    values[len(values) - tool.n_library :] = 1e-5
+    values[tool.free[tool.soft]] += 0.3 * tool.prior_sigma[tool.soft]
+    columns = [3, 0, 5]
+    whole = tool.linear(values), tool.linear(values, None, columns)
+    monkeypatch.setattr(source, "MOST_NUMBERS", 40 * (len(tool.free) + 3))
+    assert len(tool._parts(len(tool.free) + 3)) == 3
+    for one, other in zip(whole, (tool.linear(values), tool.linear(values, None, columns)), strict=True):
+        for name in ("r", "G", "W"):
+            a, b = getattr(one, name), getattr(other, name)
+            np.testing.assert_allclose(b, a, rtol=1e-6, atol=1e-8 * np.nanmax(np.abs(a)))
+
+
+def test_a_world_of_many_rows_takes_little_besides_itself():
+    """Some arrays of the whole size are passed on the way to a world; they were a dozen, beside two that it kept."""
+    world = prepared("position", GapOptions())
+    tool = world.setting.source
+    many = np.tile(np.arange(len(tool.batch)), 40)
+    setting = world.setting
+    wide = tool.on(type(tool.measurement)(tool.measurement.observations.select(many)))
+    noise = type(setting.noise)(**{**vars(setting.noise), "visit": setting.noise.visit[many]})
+    large = type(setting)(wide, noise, setting.used[many], np.arange(len(many)))
+    large.source.residual(world.values)
+    tracemalloc.start()
+    try:
+        made = world_at(large, world.values)
+        kept, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    size = made.W_raw.nbytes
+    assert size > 20 * MB
+    slopes = sum(a.nbytes for a in wide.batch.slopes._all)
+    assert kept - slopes < 2.0 * size + 20 * MB
+    assert peak - slopes < 4.0 * size + 60 * MB
