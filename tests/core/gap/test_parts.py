@@ -51,7 +51,7 @@ def test_a_world_of_many_rows_takes_little_besides_itself():
     wide = tool.on(type(tool.measurement)(tool.measurement.observations.select(many)))
     noise = type(setting.noise)(**{**vars(setting.noise), "visit": setting.noise.visit[many]})
     large = type(setting)(wide, noise, setting.used[many], np.arange(len(many)))
-    large.source.residual(world.values)
+    assert wide.batch.slopes.moments.size  # loads are made once, and are not counted
     tracemalloc.start()
     try:
         made = world_at(large, world.values)
@@ -60,6 +60,5 @@ def test_a_world_of_many_rows_takes_little_besides_itself():
         tracemalloc.stop()
     size = made.W_raw.nbytes
     assert size > 20 * MB
-    slopes = sum(a.nbytes for a in wide.batch.slopes._all)
-    assert kept - slopes < 2.0 * size + 20 * MB
-    assert peak - slopes < 4.0 * size + 60 * MB
+    assert kept < 1.8 * size
+    assert peak < 5.0 * size
