@@ -145,6 +145,15 @@ class Scorer:
         p = np.where(self.one_sided, 0.5 * p, p)
         return np.asarray(np.where((d > 0) & (T > 0.0), p, 1.0))
 
+    def tail_of_ratio(self, place: int, d: int, without: float, within: float, nu: float) -> float:
+        """Tail probability of a candidate of ``d`` directions by chi-square without and with it; ``nu`` free without."""
+        if d == 0:
+            return 1.0
+        S = np.array([[max(without - within, 0.0)]])
+        T = self.scaled(S, np.array([d]), np.array([without]), nu, np.ones(1))
+        p = float(tail(T, np.array([d]), self.known(np.array([max(nu - d, 1.0)])))[0, 0])
+        return 0.5 * p if self.one_sided[place] else p
+
     def best_tail(self, T: Floats, d: Ints, nu: float) -> Floats:
         """Smallest tail probability (B,): the largest T of each kind decides, so few tails are computed."""
         one = self.one_sided
