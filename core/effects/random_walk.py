@@ -16,6 +16,8 @@ from core.parameters import Parameter
 from core.robot import Robot
 
 PIECES = 6
+FEW_PIECES = (2, 3)
+MOST_PIECES = 50
 SPREAD = 2e-6  # m per root of a second: 0.12 mm in an hour
 
 
@@ -24,7 +26,8 @@ class RandomWalk(Effect):
     """The base frame moves along its axes, straight on between the times ``knots_s``; it stands at the first of them.
 
     The steps from knot to knot are the parameters, independent of one another, each with a prior whose variance grows
-    with the time it takes, as of a Wiener process. Without ``knots_s`` six pieces that hold as many rows each.
+    with the time it takes, as of a Wiener process. Without ``knots_s`` there are ``pieces`` that hold as many rows each;
+    a gap job tries few and many, for a slow walk shows in few, and each piece costs what three parameters cost.
     """
 
     id = "random_walk"
@@ -38,9 +41,12 @@ class RandomWalk(Effect):
     supple = True
 
     knots_s: tuple[float, ...] = ()
+    pieces: int = PIECES
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not 1 <= self.pieces <= MOST_PIECES:
+            raise OptionError(f"random_walk has pieces {self.pieces}: give 1 to {MOST_PIECES}.", effect=self.id)
         if len(self.knots_s) == 1 or any(b <= a for a, b in pairwise(self.knots_s)):
             raise OptionError("random_walk needs two or more knots_s, each later than the one before.", effect=self.id)
 
@@ -48,7 +54,7 @@ class RandomWalk(Effect):
         """Put the knots where the rows are."""
         if self.knots_s or rows is None or rows.t is None or not np.ptp(rows.t) > 0.0:
             return self
-        knots = np.unique(np.quantile(rows.t, np.linspace(0.0, 1.0, PIECES + 1)))
+        knots = np.unique(np.quantile(rows.t, np.linspace(0.0, 1.0, self.pieces + 1)))
         return replace(self, knots_s=tuple(float(t) for t in knots))
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
@@ -63,11 +69,14 @@ class RandomWalk(Effect):
                 "random_walk needs knots_s: give times in s, or rows whose t_s differ to take them from.",
                 effect=self.id,
             )
+        stem = "walk" if self.pieces == PIECES else f"walk{self.pieces}"
         made = []
         for n, (begin, end) in enumerate(pairwise(self.knots_s), 1):
             sigma = SPREAD * math.sqrt(end - begin)
             text = f"step of the base in piece {n} along "
-            made += [Parameter(f"walk_{n}_{k}", "m", 0.0, sigma, -10.0 * sigma, 10.0 * sigma, text + k) for k in "xyz"]
+            made += [
+                Parameter(f"{stem}_{n}_{k}", "m", 0.0, sigma, -10.0 * sigma, 10.0 * sigma, text + k) for k in "xyz"
+            ]
         return tuple(made)
 
     def local(self, batch: Batch, values: Floats) -> Local:

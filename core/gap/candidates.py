@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from core.effects import EFFECTS, Effect
 from core.effects.joint_coupling import JointCoupling
+from core.effects.random_walk import FEW_PIECES, PIECES, RandomWalk
 from core.effects.settling import Settling, time_constants
 from core.effects.unknown_joint_curve import UnknownJointCurve
 from core.effects.unknown_smooth_curve import UnknownSmoothCurve
@@ -193,12 +194,14 @@ def _at_joint(effect: UnknownSmoothCurve, joint: int) -> UnknownSmoothCurve:
 
 def _variants(kind: type[Effect], robot: Robot, rows: Observations) -> list[dict[str, Any]]:
     """Configurations: the default, drivers two joints before, unknown curves order by order and in pairs, settling at
-    several paces.
+    several paces, walks of few and of many pieces.
     """
     if kind is UnknownSmoothCurve:
         return [{"orders": (m,)} for m in UnknownSmoothCurve().orders]
     if kind is Settling and rows.t is not None and len(rows):
         return [{"tau_s": tau} for tau in time_constants(float(np.ptp(rows.t)))]
+    if kind is RandomWalk:
+        return [{"pieces": n} for n in (*FEW_PIECES, PIECES)]
     if kind is UnknownJointCurve:
         alone = [{"orders": (m,)} for m in UnknownJointCurve().orders]
         return alone + [{"orders": (), "partner": p} for p in range(robot.n_joints)]

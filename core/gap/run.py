@@ -238,7 +238,7 @@ class _Run:
         return Evidence(
             place, candidate, rivals, share, held.gain_of(place), control,
             tuple(sizes[c] for c in candidate.columns),
-            chance(found, place),
+            chance(found, place, self.options.alpha),
             (train_rms(found.world, rest) - train_rms(found.world, found.columns)) * unit,
             bumped(found, place, self.prepared.visits.observations.q),
             held.poses, joints, any_,

@@ -145,6 +145,15 @@ class Scorer:
         p = np.where(self.one_sided, 0.5 * p, p)
         return np.asarray(np.where((d > 0) & (T > 0.0), p, 1.0))
 
+    def tail_of_ratio(self, place: int, d: int, without: float, within: float, nu: float) -> float:
+        """Tail probability of a candidate of ``d`` directions by chi-square without and with it; ``nu`` free without."""
+        if d == 0:
+            return 1.0
+        S = np.array([[max(without - within, 0.0)]])
+        T = self.scaled(S, np.array([d]), np.array([without]), nu, np.ones(1))
+        p = float(tail(T, np.array([d]), self.known(np.array([max(nu - d, 1.0)])))[0, 0])
+        return 0.5 * p if self.one_sided[place] else p
+
     def best_tail(self, T: Floats, d: Ints, nu: float) -> Floats:
         """Smallest tail probability (B,): the largest T of each kind decides, so few tails are computed."""
         one = self.one_sided
@@ -216,12 +225,20 @@ def _flips(
     draws: int,
     rng: np.random.Generator,
 ) -> Floats | None:
+    """Signs of whole poses are flipped in what the best candidate would leave (ter Braak's residuals of the full model).
+
+    In what geometry alone leaves, an effect that is not named yet is flipped with the noise, makes it look wild, and
+    hides itself; without any effect the best candidate takes so little that the two agree.
+    """
     group = world.setting.group
     poses = int(group.max()) + 1
     if poses < FEWEST_FLIPS:
         return None
     basis = world.basis(chosen)
-    r = residual_given(world, chosen) / np.sqrt(1.0 - np.minimum(np.sum(basis**2, axis=1), ALMOST_ALL))
+    best = scorer.candidates[int(np.argmin(scorer.scores(gram).p))].columns
+    full = world.basis(sorted({*chosen, *best}))
+    left = np.asarray(world.y - full @ (full.T @ world.y))
+    r = left / np.sqrt(1.0 - np.minimum(np.sum(full**2, axis=1), ALMOST_ALL))
     flips = rng.choice([-1.0, 1.0], size=(draws, poses))
     W = world.W
     W -= basis @ (basis.T @ W)

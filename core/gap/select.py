@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from core.gap.candidates import FAMILY, JOINT
 from core.gap.gram import Gram
 from core.gap.scan import Scorer, Scores
+from core.gap.tails import tail
 
 Floats = NDArray[np.float64]
 
@@ -134,7 +135,8 @@ class Selector:
         """Swap, merge and drop until nothing improves."""
         seen = {chosen}
         while True:
-            after = self.dropped(gram, self.merged(gram, self.swapped(gram, chosen, critical), critical), critical)
+            after = self.divided(gram, self.swapped(gram, chosen, critical), critical)
+            after = self.dropped(gram, self.merged(gram, after, critical), critical)
             if after == chosen or after in seen:
                 return after
             seen.add(after)
@@ -154,6 +156,22 @@ class Selector:
             if best == chosen:
                 return chosen
             chosen = best
+        return chosen
+
+    def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+        """Replace a family by two others that together explain as much for less: with enough joints it imitates both."""
+        for family in (k for k in chosen if self.scorer.candidates[k].level == FAMILY):
+            rest = tuple(k for k in chosen if k != family)
+            variance = self.variance(gram, chosen)
+            first, _ = self._best_instead(gram, rest, variance, critical, set(chosen))
+            if first is None:
+                continue
+            second, value = self._best_instead(gram, (*rest, first), variance, critical, {*chosen, first})
+            after = (*rest, first) if second is None else (*rest, first, second)
+            if second is None or value <= self.criterion(gram, chosen, variance) + FAMILY_MARGIN:
+                continue
+            if max(self.tails(gram, after)[len(rest) :]) < critical:
+                chosen = after
         return chosen
 
     def merged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
@@ -259,10 +277,11 @@ class Selector:
     def pair(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, int] | None:
         """Two candidates that hide each other: alone neither stands out, since the other's share counts as noise.
 
-        Looked for only when what is left is clearly more than noise; each must stand out given the other.
+        Looked for only when what is left is clearly more than noise, where that is known; where it is not, the two
+        together must stand out of what they leave as one of all pairs. Each must stand out given the other.
         """
         given = gram.given(self.columns(chosen))
-        if not self.scorer.absolute or given.yy < given.nu + HIDING * np.sqrt(2.0 * max(given.nu, 1.0)):
+        if self.scorer.absolute and given.yy < given.nu + HIDING * np.sqrt(2.0 * max(given.nu, 1.0)):
             return None
         scores = self.scorer.scores(given)
         if not len(scores.p):
@@ -275,9 +294,19 @@ class Selector:
                 continue
             both = (*chosen, k, m)
             value = self.criterion(gram, both, self.variance(gram, both))
-            if value > most and max(self.tails(gram, both)) < critical:
+            if value > most and max(self.tails(gram, both)) < critical and self._among_pairs(given, (k, m), critical):
                 best, most = (k, m), value
         return best
+
+    def _among_pairs(self, given: Gram, pair: tuple[int, int], critical: float) -> bool:
+        """Whether two together take more than the best of all pairs would of noise of unknown size."""
+        if self.scorer.absolute:
+            return True
+        columns = self.columns(pair)
+        d, S = given.rank(columns), given.reduction(columns)
+        free = max(given.nu - d, 1.0)
+        p = float(tail(S / max((given.yy - S) / free, 1e-12), d, free))
+        return p * len(self.scorer.candidates) < critical
 
     def beats(self, gram: Gram, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
         """Whether a set's criterion is larger than another's, at the smaller noise of the two."""

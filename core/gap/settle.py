@@ -43,15 +43,28 @@ def shrunk(found: Hunt, geometry: World) -> Hunt:
     return replace(found, world=geometry, chosen=(), steps=steps)
 
 
-def chance(found: Hunt, place: int) -> float:
-    """Family-wise p-value of a chosen candidate given the others, at the final fit."""
+def chance(found: Hunt, place: int, alpha: float) -> float:
+    """Family-wise p-value of a chosen candidate given the others, at the final fit.
+
+    Where the linear statistic does not reach ``alpha``, a re-fit without the candidate decides: what it leaves more is
+    the likelihood ratio. An amplitude times an uncertain load is no straight line, and an effect far from zero whose
+    uncertainty is that of the loads was called chance although nothing else explained the rows.
+    """
+    scorer = found.selector.scorer
     rest = found.selector.columns([k for k in found.chosen if k != place])
-    tail = float(found.selector.scorer.scores(found.world.gram.given(rest)).p[place])
-    return found.null.family_wise(tail, len(found.selector.scorer.candidates))
+    gram = found.world.gram
+    scores = scorer.scores(gram.given(rest))
+    tests = len(scorer.candidates)
+    p = found.null.family_wise(float(scores.p[place]), tests)
+    if p <= alpha:
+        return p
+    without = refit(found.world.setting, found.world.values, rest)
+    ratio = scorer.tail_of_ratio(place, int(scores.d[place]), without.chi2, found.world.chi2, gram.nu - gram.rank(rest))
+    return min(p, found.null.family_wise(ratio, tests))
 
 
 def _without_chance(found: Hunt, alpha: float) -> tuple[int, ...]:
-    p = {k: chance(found, k) for k in found.chosen}
+    p = {k: chance(found, k, alpha) for k in found.chosen}
     worst = max(p, key=lambda k: p[k])
     return found.chosen if p[worst] <= alpha else tuple(k for k in found.chosen if k != worst)
 

@@ -270,3 +270,17 @@ def test_sample_covers_what_it_should() -> None:
         np.mean([o.confirmation for o in options]), np.mean([o.background in BACKGROUNDS for o in options]),
     ):  # fmt: skip
         assert 0.03 < share < 0.6
+
+
+def test_no_link_expands_more_than_a_material_can() -> None:
+    """At a temperature that hardly changes a growth that shows would be that of no solid: it stays small and unseen."""
+    found = [e for c in cases(0, 252) for e in (generate(c).truth.effects if _grows(c) else ())]
+    growths = [v for e in found if e.id in ("link_growth", "thermal_growth") for v in e.parameters.values()]
+    assert len(growths) >= 3
+    assert max(growths) <= 1e-4
+
+
+def _grows(case: Case) -> bool:
+    return case.options.temperature == "constant" and any(
+        h.id in ("link_growth", "thermal_growth") for h in case.hidden
+    )

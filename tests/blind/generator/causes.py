@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.blind.generator.arm import GRAVITY, Arm, Deflection
-from tests.blind.generator.physics import REFERENCE_C, Physics, lever, named, of_angle, rms, typical
+from tests.blind.generator.physics import MOST_GROWTH, REFERENCE_C, Physics, lever, named, of_angle, rms, typical
 from tests.blind.generator.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -36,7 +36,7 @@ def link_growth(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:
         for value, j in zip(values, joints, strict=True):
             d.growth[:, j + 1] += value * kelvin
 
-    return Physics(named("alpha", joints), np.full(len(joints), 23e-6), True, act)
+    return Physics(named("alpha", joints), np.full(len(joints), 23e-6), True, act, MOST_GROWTH)
 
 
 def hardening(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:

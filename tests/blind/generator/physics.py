@@ -14,6 +14,7 @@ from tests.blind.generator.visits import Visits
 Floats = NDArray[np.float64]
 Act = Callable[[Floats, Deflection], None]
 
+MOST_GROWTH = 1e-4  # 1/K; soft plastics, four times aluminium
 NO_MOMENT = 1e-9  # N m; below this a side is rounding, not load
 REFERENCE_C = 20.0
 
@@ -23,13 +24,14 @@ class Physics:
     """An effect on certain joints: ``act(amplitudes (P,), deflection)`` adds it.
 
     ``names`` are (symbol, joint) with joints from 0 and -1 for the whole arm; ``typical (P,)`` sets the proportions of
-    the amplitudes, ``positive`` says that each can only be so.
+    the amplitudes, ``positive`` says that each can only be so; none is more than ``largest``, where nature sets a bound.
     """
 
     names: tuple[tuple[str, int], ...]
     typical: Floats
     positive: bool
     act: Act
+    largest: float = np.inf
 
 
 def lever(arm: Arm) -> Floats:
@@ -206,7 +208,7 @@ def thermal_growth(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics
     def act(values: Floats, d: Deflection) -> None:
         d.growth += values[0] * (visits.temperature_c - REFERENCE_C)[:, None]
 
-    return Physics((("alpha", -1),), np.array([12e-6]), True, act)
+    return Physics((("alpha", -1),), np.array([12e-6]), True, act, MOST_GROWTH)
 
 
 def drift(arm: Arm, visits: Visits, joints: tuple[int, ...]) -> Physics:

@@ -73,7 +73,8 @@ def displacement(arm: Arm, visits: Visits, physics: Physics, values: Floats) -> 
 def sized(arm: Arm, visits: Visits, lens: Lens, physics: Physics, lam: float, rng: np.random.Generator) -> Floats:
     """Amplitudes (P,), random within their kind, whose non-centrality after geometry is ``lam``.
 
-    The displacement is capped: an effect that geometry swallows stays as small as real ones are, and below ``lam``.
+    Displacement and amplitudes are capped: an effect that geometry swallows, or a constant temperature, stays as small
+    as real ones are, and below ``lam``.
     """
     values = physics.typical * rng.uniform(0.5, 1.5, len(physics.typical))
     if not physics.positive:
@@ -83,6 +84,7 @@ def sized(arm: Arm, visits: Visits, lens: Lens, physics: Physics, lam: float, rn
         size = float(np.sum(lens.left(moved) ** 2))
         farthest = float(np.linalg.norm(moved, axis=1).max())
         values = values * min(np.sqrt(lam / max(size, 1e-30)), LARGEST_M / max(farthest, 1e-30))
+        values = np.clip(values, -physics.largest, physics.largest)
     return np.asarray(values)
 
 

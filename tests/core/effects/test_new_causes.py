@@ -107,6 +107,11 @@ def test_the_base_walks_straight_on_between_the_knots() -> None:
             make_effect("random_walk", knots_s=wrong)
     with pytest.raises(OptionError, match="knots_s"):
         RobotModel(robot_of(ARM), (make_effect("random_walk"),))
+    for wrong in (0, 51):
+        with pytest.raises(OptionError, match="give 1 to 50"):
+            make_effect("random_walk", pieces=wrong)
+    few = effect_on(ARM, "random_walk", rows, pieces=2)
+    assert [p.name for p in few.parameters(robot_of(ARM))][::3] == ["walk2_1_x", "walk2_2_x"]
 
 
 def test_a_column_bends_with_temperature() -> None:

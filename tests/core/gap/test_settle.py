@@ -11,6 +11,8 @@ from core.effects import make_effect
 from core.gap import GapOptions, find_gap
 from core.gap.select import Selector
 from core.model import RobotModel
+from tests.blind.generator import cases, generate
+from tests.blind.to_core import observations_of, robot_of
 from tests.core.gap.simulated import campaign, katana
 
 EFFECTS = ("backlash", "friction_windup", "eccentricity", "encoder_scale", "axial_compliance")
@@ -91,3 +93,16 @@ def test_the_name_of_a_strong_backlash_vanishes_where_every_pose_was_approached_
     assert effect.evidence.candidate.joints == (1,)
     assert effect.evidence.control.label == "direction"
     assert effect.gates["negative_control"], effect.evidence.control.survived
+
+
+def test_an_effect_that_follows_uncertain_loads_is_not_called_chance():
+    """Hardening beside a compliance under masses known to a tenth: by its uncertainty at the fit it could be nothing, but
+    without it the rows fit far worse, whatever the masses are.
+    """
+    case = next(c for c in cases(0, 144) if c.name == "0143-two-elbow-30")
+    hidden = generate(case)
+    assert {e.id for e in hidden.truth.effects} == {"axial_compliance", "hardening"}
+    report = find_gap(robot_of(hidden), observations_of(hidden.columns), GapOptions(next_poses=0, resamples=10))
+    found = {(j.evidence.candidate.id, j.evidence.candidate.joints) for j in report.effects}
+    assert found == {("axial_compliance", (4,)), ("hardening", (4,))}
+    assert all(j.evidence.p_value <= 0.01 for j in report.effects)
