@@ -58,3 +58,28 @@ class Total:
     xi: Floats
     stretch: Floats | None
     parts: tuple[tuple[int, Local], ...]
+
+    @staticmethod
+    def of(parts: tuple[tuple[int, Local], ...], rows: int, frames: Floats) -> Total:
+        """Sum the ``parts``, each with the place of its first value, over N ``rows``; ``frames`` as of ToolColumns."""
+        n = len(frames)
+        dq, stretch = np.zeros((rows, n)), None
+        xi = np.zeros((0, n + 2, 6))
+        for _, local in parts:
+            dq = dq if local.dq is None else dq + local.dq
+            if local.scale is not None:
+                stretch = (1.0 if stretch is None else stretch) + local.scale[:, None]
+            if local.xi is not None or local.base is not None or local.tool is not None:
+                xi = xi if len(xi) else np.zeros((rows, n + 2, 6))
+                xi[:, :n] += 0.0 if local.xi is None else _in_element_frames(local.xi, frames)
+                xi[:, n] += 0.0 if local.base is None else local.base
+                xi[:, n + 1] += 0.0 if local.tool is None else local.tool
+        return Total(dq, xi, stretch, parts)
+
+
+def _in_element_frames(xi: Floats, frames: Floats) -> Floats:
+    """Turn twists (N, n, 6) from the joint frames into the frames after the joints' elements."""
+    if np.array_equal(frames, np.broadcast_to(np.eye(3), frames.shape)):
+        return xi
+    split = xi.reshape(len(xi), len(frames), 2, 3)
+    return np.asarray(np.einsum("jab,njkb->njka", frames, split).reshape(xi.shape))

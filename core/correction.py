@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from core.chain import Axis, Chain, Element
 from core.errors import OptionError
-from core.folding import Folded, fold, standing_moment, write_bodies, write_moves
+from core.folding import Folded, fold, load_rows, standing_moment, write_bodies, write_moves
 from core.kernels import correction as kernel
 from core.model import Calibration, RobotModel
 from core.robot import Joint, Robot
@@ -246,17 +246,18 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     folded, values = arm.model.folded(arm.values)
     moved = dict(zip(folded.names, values.tolist(), strict=True))
     ideal = calibration.wanted().model
-    nominal = fold(robot, [e.value for e in robot.chain.elements], np.eye(4), np.asarray(ideal.T_tool))
+    nominal = fold(robot, _drawn(robot), np.eye(4), np.asarray(ideal.T_tool))
     # Seen from the wanted base, so that the frames, too, are part of the error.
     seen = np.linalg.solve(np.asarray(ideal.T_base), np.asarray(folded.T_base))
     actual = fold(
         robot, [moved[e.name] if e.name else e.value for e in robot.chain.elements], seen, np.asarray(folded.T_tool)
     )
     robot, carried = weighed_anew(folded, values, options.payload_kg, options.payload_com)
+    loads = nominal if folded.load_chain is None else fold(robot, _drawn(robot), np.eye(4), robot.T_tool)
     m = len(nominal.constants) - 1
     head = np.zeros((m + 1, kernel.COLUMNS))
     write_moves(head, nominal, actual)
-    write_bodies(head, robot, nominal, *carried)
+    write_bodies(head, robot, loads, *carried)
     written = Written(
         robot,
         Conditions(options.least_softening_nm, options.payload_kg, options.temperature_c),
@@ -267,12 +268,19 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     scalars = _scalars(robot, options, rows, m)
     scalars[kernel.LOADED] = float(loaded)
     scalars[kernel.CURVES], scalars[kernel.BEAMS] = len(written.curves), len(written.beams) // 2
-    pedestal = _write_foot(head, scalars, written, seen, nominal)
-    parts = [head, written.joints, *written.curves, *written.beams, *pedestal, scalars]
-    return CorrectionProgram(np.vstack(parts), n, m, rows, supported, unsupported)
+    pedestal = _write_foot(head, scalars, written, seen, loads)
+    parts = [head, written.joints, *written.curves, *written.beams]
+    if loads is not nominal:
+        scalars[kernel.LOAD_CHAIN] = sum(len(np.atleast_2d(part)) for part in parts)
+        parts.append(load_rows(loads))
+    return CorrectionProgram(np.vstack([*parts, *pedestal, scalars]), n, m, rows, supported, unsupported)
 
 
-def _write_foot(head: Floats, scalars: Floats, written: Written, seen: Floats, nominal: Folded) -> list[Floats]:
+def _drawn(robot: Robot) -> list[float]:
+    return [element.value for element in robot.chain.elements]
+
+
+def _write_foot(head: Floats, scalars: Floats, written: Written, seen: Floats, loads: Folded) -> list[Floats]:
     """Let the base frame (4, 4) move: a constant shift at once, a pedestal that gives way as a row of its own."""
     if written.pedestal is None and not np.any(written.foot) and not np.any(written.lean):
         return []
@@ -287,7 +295,7 @@ def _write_foot(head: Floats, scalars: Floats, written: Written, seen: Floats, n
     row = np.zeros(kernel.COLUMNS)
     row[kernel.FOOT : kernel.FOOT + 12], row[kernel.ABOVE : kernel.ABOVE + 12] = _flat(foot), _flat(above)
     row[kernel.PEDESTAL_X], row[kernel.PEDESTAL_Y] = written.pedestal
-    row[kernel.STANDING_X], row[kernel.STANDING_Y] = standing_moment(written.robot, nominal)[:2]
+    row[kernel.STANDING_X], row[kernel.STANDING_Y] = standing_moment(written.robot, loads)[:2]
     scalars[kernel.PEDESTAL] = 1.0
     return [row]
 

@@ -71,10 +71,8 @@ def fold(robot: Robot, values: list[float], T_base: Floats, T_tool: Floats) -> F
 
 def write_moves(P: Floats, nominal: Folded, actual: Folded) -> None:
     """Write the constants of both chains and what moves between them."""
-    for row, (a, b) in enumerate(zip(nominal.constants, actual.constants, strict=True)):
-        for column, T in ((kernel.NOMINAL, a), (kernel.IDENTIFIED, b)):
-            P[row, column : column + 9] = T[:3, :3].ravel()
-            P[row, column + 9 : column + 12] = T[:3, 3]
+    _write_constants(P, kernel.NOMINAL, nominal)
+    _write_constants(P, kernel.IDENTIFIED, actual)
     for row, (_, joint, ratio, slides, primary) in enumerate(nominal.moves):
         P[row, kernel.KIND] = float(slides)
         P[row, kernel.JOINT] = joint
@@ -82,29 +80,42 @@ def write_moves(P: Floats, nominal: Folded, actual: Folded) -> None:
         P[row, kernel.PRIMARY] = 0.0 if primary else -1.0
 
 
-def write_bodies(P: Floats, robot: Robot, nominal: Folded, payload_kg: float, payload_com: Sequence[float]) -> None:
+def load_rows(loads: Folded) -> Floats:
+    """Rows with the constants of the chain that loads are taken on, for where it is not the nominal one."""
+    rows = np.zeros((len(loads.constants), kernel.COLUMNS))
+    _write_constants(rows, kernel.NOMINAL, loads)
+    return rows
+
+
+def _write_constants(P: Floats, column: int, folded: Folded) -> None:
+    for row, T in enumerate(folded.constants):
+        P[row, column : column + 9] = T[:3, :3].ravel()
+        P[row, column + 9 : column + 12] = T[:3, 3]
+
+
+def write_bodies(P: Floats, robot: Robot, loads: Folded, payload_kg: float, payload_com: Sequence[float]) -> None:
     """Bodies that ride on the same move become one; the payload keeps its own row, on the last move."""
-    last = len(nominal.moves)
+    last = len(loads.moves)
     bodies: dict[int, list[tuple[float, Floats, Floats]]] = {}
     for link in robot.links:
-        move = nominal.move_of[link.element]
+        move = loads.move_of[link.element]
         if move >= 0 and link.mass != 0.0:
-            T = nominal.since_move[link.element]
+            T = loads.since_move[link.element]
             R = T[:3, :3]
             bodies.setdefault(move, []).append((link.mass, R @ link.com + T[:3, 3], R @ link.inertia @ R.T))
     for move, parts in bodies.items():
         _write_body(P[move], parts)
-    at_tool = nominal.since_move[-1] @ robot.T_tool
+    at_tool = loads.since_move[-1] @ robot.T_tool
     com = at_tool[:3, :3] @ np.asarray(payload_com) + at_tool[:3, 3]
     _write_body(P[last], [(payload_kg, com, np.zeros((3, 3)))])
 
 
-def standing_moment(robot: Robot, nominal: Folded) -> Floats:
+def standing_moment(robot: Robot, loads: Folded) -> Floats:
     """Moment (3,) N·m about the base origin of the links that no joint moves."""
     moment = np.zeros(3)
     for link in robot.links:
-        if nominal.move_of[link.element] < 0:
-            T = nominal.since_move[link.element]
+        if loads.move_of[link.element] < 0:
+            T = loads.since_move[link.element]
             moment += np.cross(T[:3, :3] @ link.com + T[:3, 3], link.mass * np.asarray(robot.gravity))
     return moment
 

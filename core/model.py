@@ -16,6 +16,7 @@ from core.effects import Batch, Effect, effect_from_document
 from core.errors import ObservationError
 from core.frames import frame_parameters, increment
 from core.kernels import kinematics
+from core.load_chain import LoadChain
 from core.load_slopes import LoadSlopes
 from core.loaded import Reader
 from core.model_program import Program, model_program
@@ -43,13 +44,15 @@ class RobotModel:
     """Chain and effects. Parameters in order: base increments, chain constants, tool increments, effects.
 
     ``T_base`` and ``T_tool`` (4, 4) are the frames about which the six increments of each are taken, in their own axes;
-    an identification folds the increments back into them, so there is no gimbal lock.
+    an identification folds the increments back into them, so there is no gimbal lock. Loads are taken on ``load_chain``,
+    the chain as drawn when None.
     """
 
     robot: Robot
     effects: tuple[Effect, ...] = ()
     T_base: Floats = field(default_factory=lambda: THE_ROBOTS_OWN)
     T_tool: Floats = field(default_factory=lambda: THE_ROBOTS_OWN)
+    load_chain: LoadChain | None = None
 
     def __post_init__(self) -> None:
         for name in ("T_base", "T_tool"):
@@ -90,6 +93,11 @@ class RobotModel:
         """Where the parameters of each effect stand, keyed by ``id`` or ``id#k`` for the k-th of a kind."""
         return dict(self._slices)
 
+    @property
+    def placed(self) -> tuple[tuple[Effect, slice], ...]:
+        """Each effect and where its parameters stand."""
+        return tuple(zip(self.effects, self._slices.values(), strict=True))
+
     @cached_property
     def _slices(self) -> dict[str, slice]:
         out: dict[str, slice] = {}
@@ -106,7 +114,7 @@ class RobotModel:
         return model_program(self.robot.chain)
 
     def batch(self, observations: Observations) -> Batch:
-        """Conditions of the rows with the load on each joint, from the nominal chain and the joint readings.
+        """Conditions of the rows with the load on each joint, from the load chain and the joint readings.
 
         Raises:
             ObservationError: the rows do not have the robot's number of joints.
@@ -116,16 +124,21 @@ class RobotModel:
             raise ObservationError(
                 f"The rows have {observations.q.shape[1]} joints, the robot {self.robot.name!r} has {self.robot.n_joints}."
             )
-        o = observations
+        o, robot = observations, self.load_robot
         loads = self._loads(o)
         return Batch(
-            q=o.q, wrench=loads.joints, axial=axial_loads(self.robot, loads),
+            q=o.q, wrench=loads.joints, axial=axial_loads(robot, loads),
             end_wrench=loads.ends, base_wrench=loads.base, tool_point=loads.tool_point,
-            link_vectors=self.robot.chain.link_vectors, direction=o.direction, qd=o.qd, qdd=o.qdd, t=o.t,
+            link_vectors=robot.chain.link_vectors, direction=o.direction, qd=o.qd, qdd=o.qdd, t=o.t,
             temperature_c=o.temperature_c, payload_kg=o.payload_kg, session=o.session,
-            payload_axial=payload_sensitivity(self.robot, o) if "payload_kg" in self._needs else None, setup=o.setup,
-            slopes=LoadSlopes(self.robot, o) if any(e.changes_loads for e in self.effects) else None,
+            payload_axial=payload_sensitivity(robot, o) if "payload_kg" in self._needs else None, setup=o.setup,
+            slopes=LoadSlopes(robot, o) if any(e.changes_loads for e in self.effects) else None,
         )  # fmt: skip
+
+    @cached_property
+    def load_robot(self) -> Robot:
+        """The robot that loads are computed from: the nominal one on the load chain."""
+        return self.robot if self.load_chain is None else self.load_chain.of(self.robot)
 
     @cached_property
     def _reader(self) -> Reader:
@@ -137,7 +150,7 @@ class RobotModel:
 
     def _loads(self, o: Observations) -> Loads:
         if self.effects:
-            return loads_of(self.robot, o)
+            return loads_of(self.load_robot, o)
         none = np.zeros((*o.q.shape, 6))
         return Loads(none, none, np.zeros((len(o), 6)), np.zeros((len(o), 3)))
 
@@ -221,6 +234,12 @@ class RobotModel:
         flat[n - 6 : n] = 0.0
         return self.in_frames(T_base, T_tool), flat
 
+    def loads_at(self, values: Floats) -> RobotModel:
+        """Return the same model with its loads on the chain, and under the tool, that ``values (P,)`` describe."""
+        n = self.n_geometric
+        T_tool = self.T_tool @ increment(values[n - 6 : n])
+        return replace(self, load_chain=LoadChain.fitted(self.robot, values[6 : n - 6], T_tool))
+
     def in_frames(self, T_base: Floats, T_tool: Floats) -> RobotModel:
         """Return the same model about other base and tool frames (4, 4)."""
         other = copy.copy(self)  # with the cached parameters and kernel arrays, which know nothing of the frames
@@ -238,34 +257,13 @@ class RobotModel:
 
     def _local(self, batch: Batch, values: Floats, free: Ints | None = None) -> Total:
         """Sum of the local corrections, with each effect's own where it has values or ``free`` parameters."""
-        rows, n = batch.q.shape
-        dq, stretch = np.zeros((rows, n)), None
-        xi = np.zeros((0, n + 2, 6))
         parts = []
         batch = self._reader.loaded(batch, values)
         for effect, where in self._reader:
             idle = free is not None and not np.any((free >= where.start) & (free < where.stop))
-            if idle and not np.any(values[where]):
-                continue
-            local = effect.local(batch, values[where])
-            parts.append((where.start, local))
-            dq = dq if local.dq is None else dq + local.dq
-            if local.scale is not None:
-                stretch = (1.0 if stretch is None else stretch) + local.scale[:, None]
-            if local.xi is not None or local.base is not None or local.tool is not None:
-                xi = xi if len(xi) else np.zeros((rows, n + 2, 6))
-                xi[:, :n] += 0.0 if local.xi is None else self._in_element_frames(local.xi)
-                xi[:, n] += 0.0 if local.base is None else local.base
-                xi[:, n + 1] += 0.0 if local.tool is None else local.tool
-        return Total(dq, xi, stretch, tuple(parts))
-
-    def _in_element_frames(self, xi: Floats) -> Floats:
-        """Turn twists (N, n, 6) from the joint frames into the frames after the joints' elements."""
-        frames = self.robot.chain.program.joint_frame
-        if np.array_equal(frames, np.broadcast_to(np.eye(3), frames.shape)):
-            return xi
-        split = xi.reshape(len(xi), len(frames), 2, 3)
-        return np.asarray(np.einsum("jab,njkb->njka", frames, split).reshape(xi.shape))
+            if not idle or np.any(values[where]):
+                parts.append((where.start, effect.local(batch, values[where])))
+        return Total.of(tuple(parts), len(batch), self.robot.chain.program.joint_frame)
 
     def _screws(
         self, batch: Batch, values: Floats, total: Total, geometric: Ints, each: int = 6
@@ -375,13 +373,15 @@ class Calibration:
             "marker_points": _listed(self.marker_points),
             "wanted_base": _listed(self.wanted_base),
             "wanted_tool": _listed(self.wanted_tool),
+            "load_chain": None if model.load_chain is None else model.load_chain.to_document(model.robot),
         }
 
     @staticmethod
     def from_document(robot: Robot, document: Mapping[str, Any]) -> Calibration:
         """Rebuild from :meth:`to_document` for the same robot; names the robot does not have raise ``OptionError``."""
         effects = tuple(effect_from_document(e) for e in document["effects"])
-        model = RobotModel(robot, effects, np.array(document["T_base"]), np.array(document["T_tool"]))
+        frames = np.array(document["T_base"]), np.array(document["T_tool"])
+        model = RobotModel(robot, effects, *frames, LoadChain.from_document(robot, document.get("load_chain")))
         values = model.values0()
         stored = document["values"]
         values[indices(model.names, stored)] = list(stored.values())

@@ -1,8 +1,8 @@
 """Load wrenches on the joints: static (thesis eq. 4.21), dynamic (5.14), with payload and external wrench.
 
 The sign is that of the *load*: what gravity and inertia of the outboard links do to the joint, so a positive
-compliance makes a horizontal arm droop. Moments are taken on the nominal chain at the joint readings: a tenth of a
-millimetre of geometric error changes them by one part in ten thousand, and the model stays exact in its parameters.
+compliance makes a horizontal arm droop. Moments are taken at the joint readings, on the chain of the robot that is given:
+the one drawn, or one with constants that an earlier fit found (:class:`~core.load_chain.LoadChain`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Loads:
     ``joints (N, n, 6)`` on each joint in its joint frame (z is the axis); ``ends (N, n, 6)`` what follows does to the
     end of each link, about where the next joint stands (the flange for the last; a slide before it moves) but in the
     frame of the link's own joint; ``base (N, 6)`` on the base about its origin, in the base frame; ``tool_point (N, 3)``
-    m, the nominal tool point in the base frame.
+    m, the tool point in the base frame.
     """
 
     joints: Floats
@@ -48,7 +48,7 @@ def joint_loads(
     """Load wrenches on joints, link ends and base.
 
     Args:
-        robot: the nominal robot.
+        robot: links, gravity in its base frame, and the chain and tool frame at which they hang.
         q: joint readings (N, n), rad or m.
         qd: joint speeds (N, n); with ``qdd`` the load is dynamic, without it static.
         qdd: joint accelerations (N, n).

@@ -318,8 +318,8 @@ def _masses(written: Written, effect: LoadError, values: Floats) -> bool:
 def weighed_anew(
     model: RobotModel, values: Floats, payload_kg: float, payload_com: Sequence[float]
 ) -> tuple[Robot, tuple[float, Sequence[float]]]:
-    """The robot with the masses that its load errors leave, and mass and place of the payload."""
-    robot, carried = model.robot, np.zeros(EACH)
+    """The robot that loads are computed from with the masses that its load errors leave; mass and place of the payload."""
+    robot, carried = model.load_robot, np.zeros(EACH)
     for effect, where in zip(model.effects, model.effect_slices().values(), strict=True):
         if isinstance(effect, LoadError):
             own, split = values[where], EACH * len(weighed(robot))

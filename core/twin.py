@@ -33,11 +33,11 @@ class Twin:
 
     @property
     def truth(self) -> Calibration:
-        """The calibration an identification should find."""
+        """The calibration an identification should find; what the arm carries hangs on the chain as it is."""
         model = RobotModel(self.robot, self.effects)
         values = model.values0()
         values[indices(model.names, self.errors)] += list(self.errors.values())
-        return Calibration(model, values)
+        return Calibration(model.loads_at(values), values)
 
     def observe(
         self,

@@ -99,7 +99,7 @@ def _looked_for(start: Calibration, effects: Sequence[Effect]) -> tuple[RobotMod
     """The start's model with the effects it lacks, its values, and what an identification would free."""
     model, values = start.model.folded(start.values)
     missing = tuple(effect for effect in effects if not _has(model, effect))
-    whole = RobotModel(model.robot, (*model.effects, *missing), model.T_base, model.T_tool)
+    whole = replace(model, effects=(*model.effects, *missing))
     values = np.concatenate([values, whole.values0()[len(values) :]])
     return whole, values, IdentifyOptions().free_parameters(whole, sees_orientation=False)
 

@@ -22,7 +22,6 @@ from core.gap.source import LinkSource, Source, ToolSource
 from core.gap.trajectory import blocks, is_trajectory, motion_blocks, segments
 from core.gap.world import Setting, World, solved
 from core.measurement import Measurement
-from core.model import RobotModel
 from core.observations import Observations
 
 Floats = NDArray[np.float64]
@@ -215,9 +214,7 @@ def on_rows(source: Source, rows: Observations, hunt: Hunt, fitted: Floats) -> t
     effects = tuple(e for k in hunt.chosen for e in hunt.selector.scorer.candidates[k].effects)
     if isinstance(source, ToolSource):
         started = len(source.model.effects) - _library_effects(source)
-        model = RobotModel(
-            source.model.robot, (*source.model.effects[:started], *effects), source.model.T_base, source.model.T_tool
-        )
+        model = replace(source.model, effects=(*source.model.effects[:started], *effects))
         known = dict(zip(source.model.names, fitted, strict=True))
         values = np.array([known[p.name] for p in model.parameters])
         measurement = Measurement.of(rows, source.measurement.marker_points)

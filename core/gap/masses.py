@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,9 +23,12 @@ NEAR = 3.0  # standard deviations from zero within which the sign of a load is i
 def tool_source(
     model: RobotModel, values: Floats, free: Ints, measurement: Measurement, library: Library
 ) -> tuple[ToolSource, Floats]:
-    """The fitted ``model`` with load errors and the whole ``library`` beside its effects, and its values."""
+    """The fitted ``model`` with load errors and the whole ``library`` beside its effects, and its values.
+
+    Loads are taken on the chain that was fitted.
+    """
     carried = _carried(model, measurement)
-    whole = RobotModel(model.robot, (*model.effects, *carried, *library.effects), model.T_base, model.T_tool)
+    whole = replace(model.loads_at(values), effects=(*model.effects, *carried, *library.effects))
     added = sum(len(e.parameters(model.robot)) for e in carried)
     own = np.concatenate([free, len(values) + np.arange(added)])
     source = ToolSource.of(whole, measurement, own, len(library.parameters))

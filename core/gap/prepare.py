@@ -187,9 +187,8 @@ class Workshop:
     def _link_source(self, rows: Observations) -> tuple[Source, Floats, Library]:
         model = self.start.model
         library = library_of(self.start.robot, rows, model.names, self.options.effects)
-        source = LinkSource.of(
-            RobotModel(model.robot, (*model.effects, *library.effects)), rows, len(library.parameters)
-        )
+        whole = RobotModel(model.robot, (*model.effects, *library.effects), load_chain=model.load_chain)
+        source = LinkSource.of(whole, rows, len(library.parameters))
         if not source.live.any():
             raise ObservationError("Every link-side encoder is constant: the channels are dead, upload others.")
         dead = [j + 1 for j in np.flatnonzero(~source.live)]

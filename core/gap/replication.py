@@ -26,7 +26,7 @@ from core.gap.source import LinkSource, ToolSource
 from core.gap.tails import tail
 from core.identify.report import WIRE
 from core.measurement import Measurement
-from core.model import Calibration, RobotModel
+from core.model import Calibration
 from core.observations import Observations
 from core.robot import Robot
 
@@ -198,7 +198,7 @@ def _computable(found: Calibration, rows: Observations) -> Calibration:
     kept = tuple(e for e in found.model.effects if not _missing(e, rows))
     if len(kept) == len(found.model.effects):
         return found
-    model = RobotModel(found.robot, kept, found.model.T_base, found.model.T_tool)
+    model = replace(found.model, effects=kept)
     known = dict(zip(found.names, found.values, strict=True))
     return replace(found, model=model, values=np.array([known[name] for name in model.names]))
 

@@ -111,6 +111,19 @@ class ToolSource:
         batch = replace(self.model.batch(measurement.observations), blur=self.batch.blur)
         return replace(self, measurement=measurement, batch=batch)
 
+    def only(self, rows: Ints) -> ToolSource:
+        """The same model on some of the rows."""
+        m = self.measurement
+        return self if len(rows) == len(self.batch) else self.on(replace(m, observations=m.observations.select(rows)))
+
+    def bears(self, values: Floats) -> bool:
+        """Whether an effect that follows loads has any of these values."""
+        return any(np.any(values[where]) for e, where in self.model.placed if "moments" in e.needs and not e.nuisance)
+
+    def reloaded(self, values: Floats) -> ToolSource:
+        """The same rows with loads on the chain of these values."""
+        return replace(self, model=self.model.loads_at(values)).on(self.measurement)
+
     def blurred(self, blur: Floats | None) -> ToolSource:
         """The same rows with loads as uncertain as ``blur (n, 2)`` where they change their sign."""
         return replace(self, batch=replace(self.batch, blur=blur))

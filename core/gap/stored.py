@@ -104,7 +104,7 @@ def _model(found: Hunt, begin: Calibration, rows: Observations) -> RobotModel:
     candidates = [found.selector.scorer.candidates[k] for k in found.chosen]
     effects = with_masses((*begin.model.effects, *_merged(candidates, begin, rows)), source)
     frames = source.model if isinstance(source, ToolSource) else begin.model
-    return RobotModel(begin.robot, effects, frames.T_base, frames.T_tool)
+    return replace(frames, effects=effects, load_chain=frames.load_chain if effects else None)
 
 
 def _merged(chosen: list[Candidate], begin: Calibration, rows: Observations) -> tuple[Effect, ...]:

@@ -30,6 +30,10 @@ SEEN = 0.5  # data sigmas that one prior sigma of a geometric direction moves; b
 PASSES = 3  # re-fits with the scatter of doubtful signs, which follows the size of the effects
 CHANGED = 0.05  # of the noise variance: less scatter more or less changes no weight that matters
 PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as many looks at thousands of poses
+UNMOVED = (
+    0.01  # of what is left, or the noise, rms over the rows: loads taken anew that move less are not worth the time
+)
+SAMPLED = 500  # rows at most on which that is looked at, more or less: loads of thousands take seconds
 STILL = 1e-1  # change of the fit, in sigmas over all data, that counts as converged
 
 
@@ -199,13 +203,32 @@ def go_on() -> None:
 def refit(setting: Setting, values: Floats, columns: Sequence[int], tick: Tick = go_on) -> World:
     """Nonlinear re-fit of geometry and the library ``columns``, each with its prior, from ``values``."""
     values = solved(setting, values, columns, tick=tick)[0]
+    other = reloaded(setting, values)  # once: the next name, or the next noise, brings the next fit
     for _ in range(PASSES):
-        other = doubted(setting, values)
+        other = doubted(other, values)
         if other is setting:
             break
         setting, values = other, solved(other, values, columns, tick=tick)[0]
     tick()
     return world_at(setting, values)
+
+
+def reloaded(setting: Setting, values: Floats) -> Setting:
+    """The setting with loads on the chain of these values; itself where that moves far less than is left anyway."""
+    source = setting.source
+    if not isinstance(source, ToolSource) or not source.bears(values):
+        return setting
+    rows = np.arange(len(setting.used))[:: max(1, len(setting.used) // SAMPLED)]
+    few = source.only(rows)
+    before, after = few.residual(values), few.reloaded(values).residual(values)
+
+    def size(residual: Floats) -> float:
+        white = np.einsum("vij,vj->vi", setting.whitener[rows], np.nan_to_num(residual)) * setting.used[rows, None]
+        return float(np.sqrt(np.mean(white**2)))
+
+    if size(after - before) < UNMOVED * max(1.0, size(before)):
+        return setting
+    return replace(setting, source=source.reloaded(values))
 
 
 def doubted(setting: Setting, values: Floats) -> Setting:

@@ -8,15 +8,17 @@ from types import MappingProxyType
 
 import numpy as np
 
+from core.errors import NotConvergedError
 from core.identify.estimate import Progress, estimate
 from core.identify.global_search import global_search
 from core.identify.kalman import Prior, kalman
 from core.identify.least_squares import Fit
 from core.identify.linear import linear_least_squares
+from core.identify.loads import ROUNDS, continued, reloaded
 from core.identify.options import IdentifyOptions
 from core.identify.per_pose import influence, pose_pseudo_inverse
 from core.measurement import Measurement
-from core.model import Calibration
+from core.model import Calibration, RobotModel
 
 Method = Callable[[Calibration, Measurement, IdentifyOptions, Progress | None], Fit]
 
@@ -37,11 +39,48 @@ def fit_by_method(
     progress: Progress | None = None,
     prior: Prior | None = None,
 ) -> Fit:
-    """Fit by the method the options name. Only ``kalman`` continues from a ``prior``.
+    """Fit by the method the options name, and again while loads on the fitted chain differ from those it took.
 
-    With ``tilt_first`` the effects of the start are held (thesis 4.22, 5.20); a start that has none of their values gets
-    them fitted first, the chain held as drawn.
+    Only ``kalman`` continues from a ``prior``. With ``tilt_first`` the effects of the start are held (thesis 4.22, 5.20);
+    a start that has none of their values gets them fitted first, the chain held as drawn.
     """
+    fit = _fitted(start, measurement, options, progress, prior)
+    for _ in range(ROUNDS - 1):
+        model = reloaded(fit)
+        if model is None:
+            break
+        try:
+            fit = _again(start, model, fit, measurement, options, prior)
+        except NotConvergedError:  # the fit that ended stands, at the loads that it took
+            break
+    return fit
+
+
+def _again(
+    start: Calibration,
+    model: RobotModel,
+    fit: Fit,
+    measurement: Measurement,
+    options: IdentifyOptions,
+    prior: Prior | None,
+) -> Fit:
+    """The fit with the loads of ``model``: from where it ended, or by a method that has to begin anew from the start."""
+    if options.method in ("least_squares", "global_search") and options.loss != "tukey" and not options.tilt_first:
+        found = continued(fit, model, options)
+    else:
+        begin = replace(start, model=replace(start.model, load_chain=model.load_chain))
+        method = "least_squares" if options.method == "global_search" else options.method
+        found = _fitted(begin, measurement, replace(options, method=method), None, prior)
+    return replace(found, iterations=fit.iterations + found.iterations, report={**fit.report, **found.report})
+
+
+def _fitted(
+    start: Calibration,
+    measurement: Measurement,
+    options: IdentifyOptions,
+    progress: Progress | None,
+    prior: Prior | None,
+) -> Fit:
     begin = start
     if options.tilt_first and _knows_no_effect(start):
         begin = _tilted(start, measurement, options)

@@ -2,8 +2,9 @@
 
 ``program`` (rows, COLUMNS) is what :func:`core.correction.compile_program` makes of a calibration: one row per move (a
 joint element with the constant transform before it), one for the constant transform up to the tool, one per joint, one
-per curve of a joint, two per bending link, one for a pedestal that gives way, one of scalars. Every move is turned so
-that it is about or along z; frame k is the joint frame after move k. ``memory`` holds the program, scratch
+per curve of a joint, two per bending link, M + 1 with the constants of the chain that loads are taken on where it is not
+the nominal one, one for a pedestal that gives way, one of scalars. Every move is turned so that it is about or along z;
+frame k is the joint frame after move k. ``memory`` holds the program, scratch
 (M + 1 + n + 6 rows), the memory of one stream (n + 1 rows), and one row each for joints out and info: one array,
 because every array that crosses from Python costs a tenth of a microsecond.
 Angles rad, lengths m, masses kg, times s. Base frame throughout: the pose of the base cancels out of the task.
@@ -38,8 +39,8 @@ BEAM, BEAM_JOINT, BEAM_LINK = 0, 36, 37
 FOOT, ABOVE, PEDESTAL_X, PEDESTAL_Y, STANDING_X, STANDING_Y = 0, 12, 24, 25, 26, 27
 # scalars
 GRAVITY, ROWS, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST, RAMP, FILTER = 0, 3, 10, 16, 17, 18, 19, 20, 21
-HYSTERESIS, LOADED, REACHED, N, M, WEAK, CURVES, BEAMS, PEDESTAL = 22, 23, 24, 25, 26, 27, 28, 29, 30
-# scratch of a move: nominal frame, identified joint line, sine, cosine wanted, load of its body on the base (M: payload)
+HYSTERESIS, LOADED, REACHED, N, M, WEAK, CURVES, BEAMS, PEDESTAL, LOAD_CHAIN = 22, 23, 24, 25, 26, 27, 28, 29, 30, 31
+# scratch of a move: frame of the load chain, identified joint line, sine, cosine wanted, load of its body (M: payload)
 LINE, SINE, COSINE, LOAD, ON_BASE = 12, 18, 19, 20, 26
 # scratch of a joint
 WANTED, COMMAND, SHIFT, LEAN_A, LEAN_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN = 0, 1, 2, 3, 4, 5, 6, 9, 10, 11
@@ -236,12 +237,12 @@ def _wanted_tool(P, W, m, oj, lines):
 
 
 @njit(**FAST)
-def _nominal(P, W, m, oj):
-    """Frames of the nominal chain at the command into W; returns the tool frame."""
-    T = _constant(P, 0, NOMINAL)
+def _load_frames(P, W, at, m, oj):
+    """Frames of the load chain, in rows from ``at`` on (0: the nominal one), at the command into W; returns the tool."""
+    T = _constant(P, at, NOMINAL)
     for k in range(m):
         if k > 0:
-            T = _product(T, _constant(P, k, NOMINAL))
+            T = _product(T, _constant(P, at + k, NOMINAL))
         j = oj + int(P[k, JOINT])
         shift = P[k, RATIO] * (W[j, COMMAND] - W[j, WANTED])
         if P[k, KIND] == 0.0:
@@ -251,7 +252,7 @@ def _nominal(P, W, m, oj):
             T = _moved(T, P[k, RATIO] * W[j, COMMAND])
         W[k, 0], W[k, 1], W[k, 2], W[k, 3], W[k, 4], W[k, 5] = T[0], T[1], T[2], T[3], T[4], T[5]
         W[k, 6], W[k, 7], W[k, 8], W[k, 9], W[k, 10], W[k, 11] = T[6], T[7], T[8], T[9], T[10], T[11]
-    return _product(T, _constant(P, m, NOMINAL))
+    return _product(T, _constant(P, at + m, NOMINAL))
 
 
 @njit(**FAST)
@@ -911,24 +912,22 @@ def _prepare(P, W, n, m, oj, og, rows):
 @njit(**EXACT)
 def _solve(P, W, state, info, n, m, dynamic, dt, warm):
     """Find the command whose identified pose is the wanted one; leaves it in W and returns the flags."""
-    oj = m + 1
-    og = oj + n
-    S = P.shape[0] - 1
-    rows = int(P[S, ROWS])
+    oj, og, S = m + 1, m + 1 + n, P.shape[0] - 1
+    rows, at = int(P[S, ROWS]), int(P[S, LOAD_CHAIN])
     flags = DYNAMIC if dynamic else 0
     loaded = P[S, LOADED] != 0.0
     damped = False
     limited = False
     largest = math.inf
     _prepare(P, W, n, m, oj, og, rows)
-    wanted = _nominal(P, W, m, oj)
-    if warm:
+    wanted = _load_frames(P, W, at, m, oj)
+    if warm or at > 0:
         wanted = _wanted_tool(P, W, m, oj, False)
     rounds = int(P[S, ITERATIONS])
     for it in range(rounds):
         if it == 0 or (loaded and largest > SETTLED_RAD):
             if it > 0:
-                _nominal(P, W, m, oj)
+                _load_frames(P, W, at, m, oj)
             if loaded:
                 _loads(P, W, S, m, oj, dynamic)
             if it < SIGN_ROUNDS:

@@ -143,7 +143,7 @@ def test_moments_and_poses_equal_pinocchio(
         work[m + 1 : m + 1 + n, kernel.WANTED] = work[m + 1 : m + 1 + n, kernel.COMMAND] = q
         work[m + 1 : m + 1 + n, kernel.SPEED_NOW], work[m + 1 : m + 1 + n, kernel.ACCEL_NOW] = qd, qdd
         kernel._prepare(program.array, work, n, m, m + 1, m + 1 + n, 3)
-        tool = np.array(kernel._nominal(program.array, work, m, m + 1))
+        tool = np.array(kernel._load_frames(program.array, work, 0, m, m + 1))
         kernel._loads(program.array, work, len(program.array) - 1, m, m + 1, dynamic)
         tau = pin.rnea(model, state, q, qd if dynamic else zeros, qdd if dynamic else zeros)
         pin.framesForwardKinematics(model, state, q)

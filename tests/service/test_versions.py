@@ -129,6 +129,7 @@ def test_the_active_version_comes_back_as_core_knows_it(client: httpx.Client, ve
     assert found.max_joint == pytest.approx(np.radians(2.0))
     rows = twin.observe(np.full((1, 5), 0.3))
     assert np.allclose(found.calibration.predict(rows).position, twin.truth.predict(rows).position, atol=1e-12)
+    assert found.calibration.model.load_chain is not None  # the loads of the version come back with it
 
 
 def test_a_version_cannot_be_changed(versions: Versions, twin: Twin) -> None:
