@@ -16,7 +16,7 @@ from core.gap.candidates import Library, library_of
 from core.gap.masses import blurred, tool_source
 from core.gap.noise import Noise, fit_noise, repeat_noise, spikes, stated_noise
 from core.gap.options import GapOptions
-from core.gap.remarks import identical_repeats, noise_warnings, outlier_warnings
+from core.gap.remarks import JUDGED_AGAIN, identical_repeats, noise_warnings, outlier_warnings
 from core.gap.renewal import renewed, under
 from core.gap.source import LinkSource, Source, ToolSource
 from core.gap.trajectory import (
@@ -71,7 +71,11 @@ class Prepared:
         if found.setting is self.world.setting:
             return self
         world = under(found.setting, self.world)
-        said = tuple(w for w in self.warnings if w["code"] != "outliers")
+        joint = isinstance(world.setting.source, LinkSource)
+        said = (
+            *(w for w in self.warnings if w["code"] not in JUDGED_AGAIN),
+            *noise_warnings(world.setting.noise, joint),
+        )
         outlying = np.setdiff1d(self.outlying, _outlying(self.kept, self.visits, self.world))
         outlying = np.union1d(outlying, _outlying(self.kept, self.visits, world)).astype(np.int64)
         return replace(self, world=world, outlying=outlying, warnings=(*said, *outlier_warnings(world)))
