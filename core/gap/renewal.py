@@ -24,7 +24,7 @@ Bools = NDArray[np.bool_]
 
 CHANGED = 0.02  # of the noise, from which a fit is made anew
 FREER = 0.1  # of its freedom, from which the same
-ROUNDS = 4  # of noise read from repeats and amounts fitted under it
+ROUNDS = 3  # more of noise read from repeats and amounts fitted under it
 
 
 def renewed(world: World, columns: Sequence[int]) -> World:
@@ -33,14 +33,16 @@ def renewed(world: World, columns: Sequence[int]) -> World:
     Every visit is judged, also those set aside before: one may come back. A drift in a noise that came from repeats keeps
     the amount of the name that explains it near its prior: the noise that is left of them lets it go, in some rounds.
     """
-    for _ in range(ROUNDS if world.setting.noise.repeats is not None else 1):
-        before, world = world, _renewed_once(world, columns)
-        if world is before:
+    before, world = world, _renewed(world, columns)
+    for _ in range(ROUNDS if world is not before and world.setting.noise.repeats is not None else 0):
+        noise = _with_noise(world.setting, world, columns, world.setting.used).noise
+        if _alike(world.setting.noise, noise):
             break
+        world = refit(replace(world.setting, noise=noise), world.values, columns)
     return world
 
 
-def _renewed_once(world: World, columns: Sequence[int]) -> World:
+def _renewed(world: World, columns: Sequence[int]) -> World:
     setting = world.setting
     if setting.inflation > 1.0:  # rows alike in time: a disturbance cannot be told from what they have in common
         return world
