@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.gap.shared_drift import centred
+from core.gap.visits import apart
 from core.gap.world import World
 
 Ints = NDArray[np.int64]
@@ -22,6 +23,5 @@ def fitted_away(world: World, columns: Sequence[int], condition: Ints) -> float:
     basis = world.basis(columns)[:, world.U.shape[1] :]
     if not basis.shape[1]:
         return 0.0
-    alone = condition.max() + 1 + np.arange(len(used))
     rows = basis.reshape(len(used), -1)
-    return float(np.sum(centred(rows, np.where(used, condition, alone)) ** 2))
+    return float(np.sum(centred(rows, apart(condition, used)) ** 2))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from core.gap.covariances import SMALLEST, approach, even, second, shrunk, spread
 from core.gap.drift import Drift, Repeats, blocks_of, repeats_of
 from core.gap.shared_drift import centred
-from core.gap.visits import Visits
+from core.gap.visits import Visits, apart
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,13 +33,15 @@ WITHIN = "repeats within visits"
 class RepeatRows:
     """What the noise of repeats is read from: residuals ``mean (V, m)`` of the visits, and rows ``away (N, m)`` from them.
 
-    Rows of one visit share its conditions, so only the residuals of visits change from one model to the next.
+    Rows of one visit share its conditions, so only the residuals of visits change from one model to the next. ``used (V,)``
+    marks the visits that count.
     """
 
     mean: Floats
     away: Floats
     visits: Visits
     points: Floats | None
+    used: Bools
 
     def moved(self, mean: Floats) -> float:
         """Rms of a coordinate by which residuals (V, m) of another model move repeats against each other."""
@@ -118,17 +120,21 @@ def spikes(residual: Floats, visits: Visits) -> Bools:
     return out
 
 
-def noise_again(noise: Noise, mean: Floats, taken: float) -> Noise:
-    """The noise of the same repeats at another fit, by the residuals ``mean (V, m)`` of the visits there.
+def noise_again(noise: Noise, mean: Floats, taken: float, used: Bools) -> Noise:
+    """The noise of the same repeats at another fit, by the residuals ``mean (V, m)`` of the visits ``used (V,)`` there.
 
-    A drift that the model explains by now is no longer between the repeats. The fit took ``taken`` scalars of their scatter.
-    What the repeats showed at first of drift stays written down. The noise itself where nothing changed between them.
+    A drift that the model explains by now is no longer between the repeats, but stays written down; what wrong readings
+    seemed to be does not. The fit took ``taken`` scalars of their scatter. The noise itself where nothing changed.
     """
     told = noise.repeats
-    if told is None or told.moved(mean) < UNMOVED * noise.coordinate:
+    if told is None or (np.array_equal(used, told.used) and told.moved(mean) < UNMOVED * noise.coordinate):
         return noise
-    again = repeat_noise(told.away + mean[told.visits.visit], mean, told.visits, told.points, taken)
-    return noise if again is None or again.repeats is None else replace(again, drift=noise.drift)
+    visits = replace(told.visits, condition=apart(told.visits.condition, used))
+    again = repeat_noise(told.away + mean[told.visits.visit], mean, visits, told.points, taken)
+    if again is None or again.repeats is None:
+        return noise
+    drift = noise.drift if taken > 0.0 else again.drift
+    return replace(again, drift=drift, repeats=replace(told, mean=mean, used=used))
 
 
 def repeat_noise(
@@ -141,7 +147,8 @@ def repeat_noise(
     ``points (V, 3)`` are the measured positions, from which a tracker's line of sight is tried against one covariance
     for the whole room. ``taken`` scalars of what repeats differ by were fitted away with what follows time or temperature.
     """
-    told = RepeatRows(visit_residual, residual - visit_residual[visits.visit], visits, points)
+    every = np.ones(len(visits), dtype=bool)
+    told = RepeatRows(visit_residual, residual - visit_residual[visits.visit], visits, points, every)
     if np.isnan(residual).any():
         residual, visit_residual = np.nan_to_num(residual), np.nan_to_num(visit_residual)
     within, k_within = _pooled(residual, visits.visit)

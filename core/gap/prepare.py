@@ -118,7 +118,6 @@ class Workshop:
         source = blurred(_on(source, visits.observations), values)
         self.tell(0.3, "noise from repeats")
         noise = self._noise(source, values, rows, visits)
-        self.warnings += noise_warnings(noise, isinstance(source, LinkSource))
         setting = Setting(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
         world = self._enough(refit(setting, values, [], partial(self.tell, 0.45, "fitting the geometry again")))
         world = _weighed(world)
@@ -127,7 +126,9 @@ class Workshop:
         if not moving and not world.setting.trusted and len(visits) >= FEWEST_ROWS:
             world = self._in_order(world, visits)
         outlying = _outlying(kept, visits, world)
-        said = (*self.warnings, *outlier_warnings(world))
+        told = noise if world.setting.noise.repeats is None else world.setting.noise
+        drift = noise_warnings(told, isinstance(source, LinkSource))
+        said = (*self.warnings, *drift, *outlier_warnings(world))
         return Prepared(world, library, visits, rows, kept, outlying, moving, windows.width, said)
 
     def _without_copies(self) -> Bools:

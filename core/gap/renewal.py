@@ -75,7 +75,7 @@ def _alike(before: Noise, after: Noise) -> bool:
 def _with_noise(setting: Setting, world: World, columns: Sequence[int], used: Bools) -> Setting:
     """The noise of the fit where it comes from there, that of repeats without what the fit explains; others stay."""
     if setting.noise.repeats is not None:
-        return replace(setting, noise=_of_repeats(setting, world, columns))
+        return replace(setting, noise=_of_repeats(setting, world, columns, used))
     if setting.noise.source != FIT or setting.trusted:
         return setting
     residual = setting.source.residual(world.values)
@@ -84,12 +84,12 @@ def _with_noise(setting: Setting, world: World, columns: Sequence[int], used: Bo
     return replace(setting, noise=noise.even() if isinstance(setting.source, ToolSource) else noise)
 
 
-def _of_repeats(setting: Setting, world: World, columns: Sequence[int]) -> Noise:
+def _of_repeats(setting: Setting, world: World, columns: Sequence[int], used: Bools) -> Noise:
     """The noise of the repeats at this fit, with equal weights where it had them."""
     noise = setting.noise
     assert noise.repeats is not None
     taken = fitted_away(world, columns, noise.repeats.visits.condition)
-    again = noise_again(noise, setting.source.residual(world.values), taken)
+    again = noise_again(noise, setting.source.residual(world.values), taken, used)
     if again is noise or not np.allclose(noise.visit, noise.even().visit, rtol=1e-9, atol=0.0):
         return again
     return again.even()

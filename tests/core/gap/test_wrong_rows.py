@@ -68,6 +68,9 @@ def test_wrong_readings_in_one_block_of_time_are_found_although_their_repeats_se
     made = prepared(replace(rows, position=rows.position + np.outer(bad, [5e-4, 0.0, 0.0])))
     assert np.array_equal(aside(made, len(rows)), bad)
     assert off(made, prepared(rows), rows) < 6e-6
+    noise = made.world.setting.noise
+    assert noise.coordinate == pytest.approx(2e-5, rel=0.2)
+    assert {w["code"] for w in made.warnings} == {"outliers"}
 
 
 STRUCTURE = {
