@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
+from core.gap.contrasts import fitted_away
 from core.gap.noise import WITHIN
 from core.gap.scan import residual_given
+from core.gap.shared_drift import centred
 from core.gap.world import World
 
 Floats = NDArray[np.float64]
@@ -134,10 +136,10 @@ def _poses(world: World) -> list[Ints]:
 
 
 def _pure_error(world: World, condition: Ints, chosen: Sequence[int]) -> tuple[float, float]:
+    """Chi-square of repeats about their mean, and its freedom: less what was fitted to them with time or temperature."""
     size = world.setting.whitener.shape[-1]
     used = world.setting.used
     r = residual_given(world, chosen).reshape(-1, size)[used]
     group = np.unique(condition[used], return_inverse=True)[1]
-    count = np.bincount(group)
-    mean = np.stack([np.bincount(group, c) for c in r.T], axis=1) / count[:, None]
-    return float(np.sum((r - mean[group]) ** 2)), float(size * (len(group) - len(count)))
+    freedom = float(size * (len(group) - len(np.unique(group)))) - fitted_away(world, chosen, condition)
+    return float(np.sum(centred(r, group) ** 2)), freedom

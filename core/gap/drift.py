@@ -70,8 +70,13 @@ def blocks_of(size: int, lengths: int | None) -> tuple[slice, ...]:
     return (slice(0, size),) if lengths is None else (slice(0, lengths), slice(lengths, size))
 
 
-def repeats_of(residual: Floats, visits: Visits, points: Floats | None, lengths: int | None) -> Repeats | None:
-    """Noise at no distance from residuals (V, m) of visits; None when no condition was visited twice."""
+def repeats_of(
+    residual: Floats, visits: Visits, points: Floats | None, lengths: int | None, taken: float = 0.0
+) -> Repeats | None:
+    """Noise at no distance from residuals (V, m) of visits; None when no condition was visited twice.
+
+    ``taken`` scalars of what they differ by were fitted away before.
+    """
     kelvin = visits.observations.temperature_c
     clock = clock_of(visits.observations)
     t = visits.observations.t if clock.trusted else None
@@ -92,15 +97,16 @@ def repeats_of(residual: Floats, visits: Visits, points: Floats | None, lengths:
     assert made is not None
     deviation, index, variance, vectors, grown = made
     unit = _typical(residual, pairs, blocks)
-    # What the shared drift took from the repeats it also took from their scatter.
-    lost = vectors / max(vectors - shared.vectors, 1.0)
-    deviation, variance = deviation * unit, lost * variance * np.array([unit[b.start] ** 2 for b in blocks])
+    # What was fitted to the repeats also took from their scatter.
+    contrasts = float(len(visits) - len(np.unique(visits.condition)))
+    left_over = max(1.0 - (shared.vectors + taken / residual.shape[1]) / contrasts, 1.0 / contrasts)
+    deviation, variance = deviation * unit, variance / left_over * np.array([unit[b.start] ** 2 for b in blocks])
     drift = Drift(
         float(np.hypot(shared.moved, grown[0])) * float(unit[0]),
         float(np.hypot(shared.per_kelvin, grown[1])) * float(unit[0]),
         min(chance, shared.p_value), visits.observations.t is not None and clock.trusted,
     )  # fmt: skip
-    return Repeats(deviation, index, variance, max(vectors - shared.vectors, 0.0), drift, most)
+    return Repeats(deviation, index, variance, vectors * left_over, drift, most)
 
 
 def _at_no_distance(

@@ -29,7 +29,10 @@ class Step:
 
 @dataclass(frozen=True)
 class Hunt:
-    """Where the hunt ended: the world at the final fit, the chosen candidates, the limits it used, its steps."""
+    """Where the hunt ended: the world at the final fit, the chosen candidates, the limits it used, its steps.
+
+    ``noise`` is that of a coordinate at its beginning, in units of which its steps are; None where it stayed the same.
+    """
 
     world: World
     selector: Selector
@@ -37,11 +40,17 @@ class Hunt:
     null: Null
     critical: float
     steps: tuple[Step, ...]
+    noise: float | None = None
 
     @property
     def columns(self) -> list[int]:
         """Library columns of the chosen set."""
         return self.selector.columns(self.chosen)
+
+    def stepped(self, world: World, chosen: tuple[int, ...]) -> tuple[Step, ...]:
+        """The steps with one more."""
+        step = step_of(world, self.selector, chosen)
+        return (*self.steps, step if self.noise is None else _in_units_of(self.noise, world, step))
 
 
 def hunt(setting: Setting, world: World, scorer: Scorer, limits: Floats, options: GapOptions, tell: Tell) -> Hunt:
@@ -69,7 +78,7 @@ def _climbed(world: World, selector: Selector, limits: Floats, options: GapOptio
     seen = {frozenset(chosen)}
     for round_ in range(2 * options.max_effects):
         tell(min(0.9, round_ / 6.0), f"scan {round_ + 1}: {len(scorer.candidates)} candidates")
-        null = null_of(world, scorer, selector.columns(chosen), options.bootstraps, options.seed)
+        null = null_of(world, selector.scorer, selector.columns(chosen), options.bootstraps, options.seed)
         first = first or null
         critical = null.critical(options.alpha)
         after = selector.better(world.gram, chosen, critical, options.max_effects, seen)
@@ -86,10 +95,17 @@ def _climbed(world: World, selector: Selector, limits: Floats, options: GapOptio
         before, (world, chosen) = world, (renewed(other, selector.columns(after)), after)
         # A column that was zero may move something by now: an error of the payload does beside a compliance.
         if world is not other or np.any((world.size > 0.0) & (before.size == 0.0)):
-            selector = replace(selector, rows=world.rows, limits=limits * world.size)
-        steps.append(_in_units_of(begin, world, step_of(world, selector, chosen)))
+            selector = selector_at(world, selector, limits)
+        steps.append(_in_units_of(begin.setting.noise.coordinate, world, step_of(world, selector, chosen)))
     assert first is not None
-    return Hunt(world, selector, chosen, first, first.critical(options.alpha), tuple(steps))
+    noise = begin.setting.noise.coordinate
+    return Hunt(world, selector, chosen, first, first.critical(options.alpha), tuple(steps), noise)
+
+
+def selector_at(world: World, selector: Selector, limits: Floats) -> Selector:
+    """The same search at another fit, whose noise may be another and known better or worse."""
+    scorer = selector.scorer.knowing(world.setting.noise)
+    return replace(selector, scorer=scorer, rows=world.rows, limits=limits * world.size)
 
 
 def worse(selector: Selector, one: tuple[World, tuple[int, ...]], other: tuple[World, tuple[int, ...]]) -> bool:
@@ -113,9 +129,9 @@ def _explains_more(one: Hunt, other: Hunt) -> bool:
     return bool(one.chosen) and cost[0] < cost[1]
 
 
-def _in_units_of(begin: World, world: World, step: Step) -> Step:
+def _in_units_of(noise: float, world: World, step: Step) -> Step:
     """A step in the noise of the first: noise that was re-estimated would make every step leave as much."""
-    ratio = world.setting.noise.coordinate / begin.setting.noise.coordinate
+    ratio = world.setting.noise.coordinate / noise
     return replace(step, chi2_per_freedom=step.chi2_per_freedom * ratio**2)
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.gap.hunt import Hunt, step_of
+from core.gap.hunt import Hunt
 from core.gap.masses import blurred
 from core.gap.posterior import of_all
 from core.gap.source import ToolSource
@@ -41,4 +41,4 @@ def _once(found: Hunt) -> Hunt:
         return found
     setting = replace(world.setting, source=after)
     again = refit(setting, world.values, found.columns)
-    return replace(found, world=again, steps=(*found.steps, step_of(again, found.selector, found.chosen)))
+    return replace(found, world=again, steps=found.stepped(again, found.chosen))

@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from core.gap.covariances import SMALLEST, approach, even, second, shrunk, spread
 from core.gap.drift import Drift, Repeats, blocks_of, repeats_of
-from core.gap.visits import Visits
+from core.gap.shared_drift import centred
+from core.gap.visits import Visits, apart
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -22,13 +23,30 @@ Bools = NDArray[np.bool_]
 FEWEST = 3  # independent deviations below which repeats say too little
 SPIKE = 6.0  # robust standard deviations from its own repeats at which a row is a spike
 SPIKE_PASSES = 4
-SPHERICAL = 0.001  # chance of calling equal variances unequal
+UNMOVED = 0.01  # of the noise: repeats that a model moves no more leave it as it is
 LENGTHS = 3  # leading scalars of a full pose that are lengths; the others are angles
 FIT = "residuals of the fit"
 WITHIN = "repeats within visits"
-SMALLEST = (
-    1e-7  # m or rad: below any instrument; keeps simulations without noise, and repeats that are copies, solvable
-)
+
+
+@dataclass(frozen=True)
+class RepeatRows:
+    """What the noise of repeats is read from: residuals ``mean (V, m)`` of the visits, and rows ``away (N, m)`` from them.
+
+    Rows of one visit share its conditions, so only the residuals of visits change from one model to the next. ``used (V,)``
+    marks the visits that count.
+    """
+
+    mean: Floats
+    away: Floats
+    visits: Visits
+    points: Floats | None
+    used: Bools
+
+    def moved(self, mean: Floats) -> float:
+        """Rms of a coordinate by which residuals (V, m) of another model move repeats against each other."""
+        change = np.nan_to_num(mean - self.mean)
+        return float(np.sqrt(np.mean(centred(change, self.visits.condition) ** 2)))
 
 
 @dataclass(frozen=True)
@@ -38,7 +56,8 @@ class Noise:
     ``freedom`` is the number of independent scalars behind it; ``absolute`` says it does not come from the fit.
     ``within`` and ``between`` are standard deviations of a coordinate (m, or rad for joint data), None when unknown;
     of poses ``lengths`` says how many of the m scalars are lengths, None for all of them. ``drift`` is what repeats told
-    of drift; ``most`` says that they cannot tell it from noise, so that noise is this at most.
+    of drift; ``most`` says that they cannot tell it from noise, so that noise is this at most. ``repeats`` are the rows it
+    was read from, where repeated approaches told it.
     """
 
     visit: Floats
@@ -51,6 +70,7 @@ class Noise:
     lengths: int | None = None
     drift: Drift | None = None
     most: bool = False
+    repeats: RepeatRows | None = None
 
     @property
     def coordinate(self) -> float:
@@ -63,7 +83,7 @@ class Noise:
         Where the noise is the model's own error, weights by its covariance would fit another geometry than identify does
         (UR10 series B: 0.47 mm left instead of 0.43), and a name would then be confirmed for filling the difference.
         """
-        return replace(self, visit=_even(self.visit), row=_even(self.row))
+        return replace(self, visit=even(self.visit), row=even(self.row))
 
     def whiteners(self) -> Floats:
         """Inverse Cholesky factors (V, m, m)."""
@@ -100,40 +120,71 @@ def spikes(residual: Floats, visits: Visits) -> Bools:
     return out
 
 
-def repeat_noise(residual: Floats, visit_residual: Floats, visits: Visits, points: Floats | None) -> Noise | None:
+def noise_again(noise: Noise, mean: Floats, taken: float, used: Bools) -> Noise:
+    """The noise of the same repeats at another fit, by the residuals ``mean (V, m)`` of the visits ``used (V,)`` there.
+
+    A drift that the model explains by now is no longer between the repeats, but stays written down; what wrong readings
+    seemed to be does not. The fit took ``taken`` scalars of their scatter. The noise itself where nothing changed.
+    """
+    told = noise.repeats
+    if told is None or (np.array_equal(used, told.used) and told.moved(mean) < UNMOVED * noise.coordinate):
+        return noise
+    visits = replace(told.visits, condition=apart(told.visits.condition, used))
+    again = repeat_noise(told.away + mean[told.visits.visit], mean, visits, told.points, taken)
+    if again is None or again.repeats is None:
+        return noise
+    drift = noise.drift if taken > 0.0 else again.drift
+    return replace(again, drift=drift, repeats=replace(told, mean=mean, used=used))
+
+
+def repeat_noise(
+    residual: Floats, visit_residual: Floats, visits: Visits, points: Floats | None, taken: float = 0.0
+) -> Noise | None:
     """Noise from repeats, None when there are too few.
 
     ``residual (N, m)`` of the rows and ``visit_residual (V, m)`` of the visit means at a fit: between repeats only
     their differences count, so the model cancels; what drifted between them is told from noise by how far they are apart.
     ``points (V, 3)`` are the measured positions, from which a tracker's line of sight is tried against one covariance
-    for the whole room.
+    for the whole room. ``taken`` scalars of what repeats differ by were fitted away with what follows time or temperature.
     """
+    every = np.ones(len(visits), dtype=bool)
+    told = RepeatRows(visit_residual, residual - visit_residual[visits.visit], visits, points, every)
     if np.isnan(residual).any():
         residual, visit_residual = np.nan_to_num(residual), np.nan_to_num(visit_residual)
     within, k_within = _pooled(residual, visits.visit)
     share, lengths = 1.0 / visits.count, _lengths(residual.shape[1], visits)
-    repeats = repeats_of(visit_residual, visits, points, lengths)
+    repeats = repeats_of(visit_residual, visits, points, lengths, taken)
     k_between = repeats.vectors if repeats else 0.0
     if k_within + k_between < FEWEST:
         return None
     at = None if points is None else points
-    rows_cov = _spread(within, k_within, None if at is None else at[visits.visit], at)
+    rows_cov = spread(within, k_within, None if at is None else at[visits.visit], at)
     if repeats is None or k_between < FEWEST:
         # Rows of one visit say nothing of the next approach: their shape is used, their scale cannot be relied on.
         made = _noise(rows_cov * share[:, None, None], rows_cov.mean(axis=0), k_within, lengths, rows_cov, None)
         return replace(made, absolute=False, source=WITHIN)
     total = _between(repeats, lengths)
     if k_within < FEWEST:
-        seen = _spread(total, k_between, at, at)
+        seen = spread(total, k_between, at, at)
         visit = np.broadcast_to(seen, (len(visits), *seen.shape[1:])).copy()
         made = _noise(visit, seen.mean(axis=0), k_between, lengths, None, seen)
-        return replace(made, drift=repeats.drift, most=repeats.most)
-    known = np.mean(rows_cov * share[:, None, None], axis=0)
-    extra = _positive(_shrunk(_second(total[0]) - known, k_between))
+        return replace(made, drift=repeats.drift, most=repeats.most, repeats=told)
+    repeated = total[1]  # visits of few rows may be repeated more often than others: like is compared with like
+    known = np.mean(
+        np.broadcast_to(rows_cov, (len(visits), *rows_cov.shape[1:]))[repeated] * share[repeated, None, None], axis=0
+    )
+    beyond = second(total[0]) - known
+    if np.trace(beyond) > 0.0:
+        # The scale of the sum is that of the repeated approaches, however well the rows within a visit are known.
+        extra = approach(second(total[0]), known, k_between)
+    else:  # the approach is exact as far as anyone can see: both tell the noise of a row
+        rows_cov = (
+            rows_cov * (k_within + k_between * (1.0 + np.trace(beyond) / np.trace(known))) / (k_within + k_between)
+        )
+        extra = np.zeros_like(known)
     visit = extra + rows_cov * share[:, None, None]
-    # The scale of the sum is that of the repeated approaches, however well the rows within a visit are known.
     made = _noise(visit, extra + rows_cov.mean(axis=0), k_between, lengths, rows_cov, extra)
-    return replace(made, drift=repeats.drift, most=repeats.most)
+    return replace(made, drift=repeats.drift, most=repeats.most, repeats=told)
 
 
 def _between(repeats: Repeats, lengths: int | None) -> tuple[Floats, Ints]:
@@ -175,7 +226,7 @@ def _scatter(visit_residual: Floats, used: Bools, lost: float, lengths: int | No
     size = np.abs(kept - np.median(kept, axis=0))
     robust = np.median(size, axis=0) / 0.6745 + SMALLEST
     inside = kept[(size / robust).max(axis=1) < SPIKE]
-    cov = _shrunk(inside.T @ inside / max(len(inside) * (1.0 - lost), 1.0), len(inside))
+    cov = shrunk(inside.T @ inside / max(len(inside) * (1.0 - lost), 1.0), len(inside))
     each = np.broadcast_to(cov, (len(visit_residual), *cov.shape)).copy()
     return Noise(each, cov, 0.0, False, FIT, lengths=lengths)
 
@@ -223,102 +274,3 @@ def _pooled(values: Floats, group: Ints) -> tuple[tuple[Floats, Ints], int]:
     index = np.flatnonzero(kept & (np.bincount(group[kept], minlength=len(count))[group] > 1))
     independent = int(len(index) - len(np.unique(group[index])))
     return (deviation[index], index.astype(np.int64)), independent
-
-
-def _spread(pooled: tuple[Floats, Ints], vectors: float, rows_at: Floats | None, visits_at: Floats | None) -> Floats:
-    """Covariance at each visit (V, m, m): one for the room, or by the line of sight when that fits better."""
-    deviation, index = pooled
-    room = _shrunk(_second(deviation), vectors) if vectors else np.eye(deviation.shape[1])
-    if visits_at is None or rows_at is None:
-        return room[None]
-    flat = np.broadcast_to(room, (len(visits_at), *room.shape)).copy()
-    if deviation.shape[1] != 3 or vectors < 20:
-        return flat
-    sight = _Sight.of(deviation, rows_at[index])
-    share = vectors / len(deviation)
-    gain = share * (
-        _likelihood(deviation, sight.at(rows_at[index]))
-        - _likelihood(deviation, np.broadcast_to(room, (len(index), 3, 3)))
-    )
-    return sight.at(visits_at) if gain > -1.5 * np.log(vectors) else flat  # three numbers against six
-
-
-@dataclass(frozen=True)
-class _Sight:
-    """Tracker at the origin of the measurements: variance along the line of sight, and a + b d² across it."""
-
-    along: float
-    across: float
-    angle: float
-
-    @staticmethod
-    def of(deviation: Floats, at: Floats) -> _Sight:
-        d2 = np.sum(at**2, axis=1)
-        u = at / np.sqrt(d2)[:, None]
-        radial = np.sum(deviation * u, axis=1) ** 2
-        side = (np.sum(deviation**2, axis=1) - radial) / 2.0
-        start = float(side.mean() / d2.mean())
-        # The share that grows with distance, by weighted least squares kept to what variances can be.
-        w = 1.0 / np.maximum(start * d2, 1e-300)
-        A = np.stack([np.ones_like(d2), d2], axis=1)
-        a, b = np.linalg.lstsq(A * w[:, None], side * w, rcond=None)[0]
-        if b < 0.0 or np.ptp(d2) < 0.2 * d2.mean():
-            return _Sight(float(radial.mean()), float(side.mean()), 0.0)
-        return _Sight(float(radial.mean()), 0.0, start) if a < 0.0 else _Sight(float(radial.mean()), float(a), float(b))
-
-    def at(self, points: Floats) -> Floats:
-        d2 = np.sum(points**2, axis=1)
-        u = points / np.sqrt(d2)[:, None]
-        along = u[:, :, None] * u[:, None, :]
-        across = self.across + self.angle * d2
-        return np.asarray(self.along * along + across[:, None, None] * (np.eye(3) - along))
-
-
-def _likelihood(deviation: Floats, cov: Floats) -> float:
-    safe = cov + SMALLEST**2 * np.eye(3)
-    return float(
-        -0.5 * np.sum(np.linalg.slogdet(safe)[1] + np.einsum("ni,nij,nj->n", deviation, np.linalg.inv(safe), deviation))
-    )
-
-
-def _second(deviation: Floats) -> Floats:
-    return np.asarray(deviation.T @ deviation / max(len(deviation), 1))
-
-
-def _shrunk(cov: Floats, vectors: float) -> Floats:
-    """Covariance with equal variances within each triple, unless the repeats clearly say otherwise.
-
-    A free 3x3 covariance from ten repeats has axes wrong by half; whitening with it makes names out of the worst axis.
-    Bartlett's test of sphericity decides, and even then the estimate is drawn towards equal variances.
-    """
-    size = len(cov)
-    target = np.zeros_like(cov)
-    step = 3 if size % 3 == 0 else 1
-    for k in range(0, size, step):
-        target[range(k, k + step), range(k, k + step)] = np.trace(cov[k : k + step, k : k + step]) / step
-    sign, logdet = np.linalg.slogdet(cov)
-    if sign <= 0 or vectors <= size + 1 or np.any(np.diag(target) <= 0.0):
-        return target
-    apart = (vectors - (2 * size + 1 + 2 / size) / 6) * float(np.sum(np.log(np.diag(target))) - logdet)
-    if chi2.sf(apart, size * (size + 1) / 2 - size / step) > SPHERICAL:
-        return target
-    pull = (size + 2.0) / (size + 2.0 + vectors)
-    return np.asarray((1.0 - pull) * cov + pull * target)
-
-
-def _even(cov: Floats) -> Floats:
-    """Covariances (..., m, m) with one variance for points, and of poses (m 6) another for the turns."""
-    size = cov.shape[-1]
-    step = 3 if size == 6 else size
-    out = np.zeros_like(cov)
-    for k in range(0, size, step):
-        each = slice(k, k + step)
-        out[..., each, each] = (np.trace(cov[..., each, each], axis1=-2, axis2=-1) / step)[..., None, None] * np.eye(
-            step
-        )
-    return out
-
-
-def _positive(cov: Floats) -> Floats:
-    w, V = np.linalg.eigh(cov)
-    return np.asarray((V * np.maximum(w, 0.0)) @ V.T)

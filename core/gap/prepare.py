@@ -16,7 +16,7 @@ from core.gap.candidates import Library, library_of
 from core.gap.masses import blurred, tool_source
 from core.gap.noise import Noise, fit_noise, repeat_noise, spikes, stated_noise
 from core.gap.options import GapOptions
-from core.gap.remarks import identical_repeats, noise_warnings, outlier_warnings
+from core.gap.remarks import JUDGED_AGAIN, identical_repeats, noise_warnings, outlier_warnings
 from core.gap.renewal import renewed, under
 from core.gap.source import LinkSource, Source, ToolSource
 from core.gap.trajectory import (
@@ -71,7 +71,11 @@ class Prepared:
         if found.setting is self.world.setting:
             return self
         world = under(found.setting, self.world)
-        said = tuple(w for w in self.warnings if w["code"] != "outliers")
+        joint = isinstance(world.setting.source, LinkSource)
+        said = (
+            *(w for w in self.warnings if w["code"] not in JUDGED_AGAIN),
+            *noise_warnings(world.setting.noise, joint),
+        )
         outlying = np.setdiff1d(self.outlying, _outlying(self.kept, self.visits, self.world))
         outlying = np.union1d(outlying, _outlying(self.kept, self.visits, world)).astype(np.int64)
         return replace(self, world=world, outlying=outlying, warnings=(*said, *outlier_warnings(world)))
@@ -114,7 +118,6 @@ class Workshop:
         source = blurred(_on(source, visits.observations), values)
         self.tell(0.3, "noise from repeats")
         noise = self._noise(source, values, rows, visits)
-        self.warnings += noise_warnings(noise, isinstance(source, LinkSource))
         setting = Setting(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
         world = self._enough(refit(setting, values, [], partial(self.tell, 0.45, "fitting the geometry again")))
         world = _weighed(world)
@@ -123,7 +126,9 @@ class Workshop:
         if not moving and not world.setting.trusted and len(visits) >= FEWEST_ROWS:
             world = self._in_order(world, visits)
         outlying = _outlying(kept, visits, world)
-        said = (*self.warnings, *outlier_warnings(world))
+        told = noise if world.setting.noise.repeats is None else world.setting.noise
+        drift = noise_warnings(told, isinstance(source, LinkSource))
+        said = (*self.warnings, *drift, *outlier_warnings(world))
         return Prepared(world, library, visits, rows, kept, outlying, moving, windows.width, said)
 
     def _without_copies(self) -> Bools:

@@ -16,6 +16,7 @@ from core.observations import Observations
 Bools = NDArray[np.bool_]
 Warning_ = dict[str, Any]
 
+JUDGED_AGAIN = ("outliers", "repeats_drift", "drift_not_separated")  # by the model with what it knows at the end
 COPY = 1e-9  # m or rad: no instrument repeats itself so exactly
 COARSE = 0.05  # share of equal coordinates between repeats from which the instrument rounds: equal rows prove nothing
 

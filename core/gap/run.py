@@ -25,11 +25,12 @@ from core.gap.narrowed import narrowed
 from core.gap.next_poses import rows_of, separate
 from core.gap.options import GapOptions
 from core.gap.prepare import Prepared, Workshop
+from core.gap.rejudged import rejudged
 from core.gap.remarks import clock_warnings
 from core.gap.replication import Confirmation, Replication, refuse_unfit, replication
 from core.gap.report import GapReport
 from core.gap.scan import Scorer
-from core.gap.settle import chance, settled, shrunk
+from core.gap.settle import chance, shrunk
 from core.gap.shadow import bumped
 from core.gap.source import LinkSource, ToolSource
 from core.gap.stability import inclusion
@@ -143,7 +144,7 @@ class _Run:
         judged = testability(world, prepared.library)
         for _ in range(HUNTS):
             candidates = with_testable(prepared.library, to_search(judged, prepared.library))
-            found = settled(self._hunted(prepared.world, candidates), self.options.alpha)
+            found = self._hunted(prepared.world, candidates)
             prepared = prepared.judged_by(found.world)
             # Without repeats the noise shrinks as effects enter, and what could not show in it may show now.
             again = testability(prepared.world, prepared.library)
@@ -159,7 +160,8 @@ class _Run:
         noise = world.setting.noise
         scorer = Scorer.of(candidates, world.setting.trusted, noise.freedom if noise.absolute else np.inf)
         limits = np.array([max(abs(p.lower), abs(p.upper)) for p in self.prepared.library.parameters])
-        return hunt(world.setting, world, scorer, limits, self.options, _part(self.tell, 0.2, 0.5))
+        found = hunt(world.setting, world, scorer, limits, self.options, _part(self.tell, 0.2, 0.5))
+        return rejudged(found, self.options.alpha, limits)
 
     def _told(
         self, found: Hunt, places: tuple[Place, ...], judged: Testability, candidates: tuple[Candidate, ...]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from core.gap.candidates import Candidate
 from core.gap.gram import VISIBLE, Gram
+from core.gap.noise import Noise
 from core.gap.tails import tail
 from core.gap.world import World
 
@@ -72,6 +73,11 @@ class Scorer:
             signed = np.array([candidates[k].positive and size == 1 for k in place])
             blocks.append(Block(np.array(place, dtype=np.int64), columns, signed))
         return Scorer(tuple(candidates), tuple(blocks), absolute, freedom)
+
+    def knowing(self, noise: Noise) -> Scorer:
+        """The same with the noise as well known as this one is; itself where it is."""
+        freedom = noise.freedom if noise.absolute else np.inf
+        return self if freedom == self.freedom else replace(self, freedom=freedom)
 
     @cached_property
     def _number(self) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from core.gap.agreement import contradicted
 from core.gap.heldout import fit_rms
-from core.gap.hunt import Hunt, step_of
+from core.gap.hunt import Hunt
 from core.gap.select import MARGIN
 from core.gap.world import World, refit
 
@@ -29,8 +29,7 @@ def settled(found: Hunt, alpha: float) -> Hunt:
             return found
         seen.add(frozenset(after))
         world = refit(found.world.setting, found.world.values, found.selector.columns(after))
-        step = step_of(world, found.selector, after)
-        found = replace(found, world=world, chosen=after, steps=(*found.steps, step))
+        found = replace(found, world=world, chosen=after, steps=found.stepped(world, after))
     return found
 
 
@@ -39,7 +38,7 @@ def shrunk(found: Hunt, geometry: World) -> Hunt:
     better = found.world.chi2 <= geometry.chi2 and fit_rms(found.world) <= fit_rms(geometry)
     if found.chosen and better:
         return found
-    steps = (found.steps[0],) if not found.chosen else (*found.steps, step_of(geometry, found.selector, ()))
+    steps = (found.steps[0],) if not found.chosen else found.stepped(geometry, ())
     return replace(found, world=geometry, chosen=(), steps=steps)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import f
 
 from core.gap.variogram import DRIFTED, KELVIN, QUICK, SPIKE
+from core.gap.walk import walked
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -82,6 +83,11 @@ class Shared:
             amounts[k] += tried[k][1]
             left = left - (motion @ tried[k][1]) * (each[k] - each[k].mean())[:, None]
             taken += motion.shape[2]
+        if first <= DRIFTED and timed:
+            course = _courses(motion, each - each.mean(axis=1)[:, None], np.any(amounts, axis=1))
+            without, walk = _without_walk(left, condition, many, motion, clocks.t, course)
+            if scalars - taken - walk >= FEWEST:
+                left, taken = without, taken + walk
         moved = _size(motion[many], amounts[:timed], each[:timed])
         warmth = motion[many] @ amounts[timed:].sum(axis=0)
         free = scalars - taken if scalars - motion.shape[2] >= FEWEST else 0.0
@@ -110,6 +116,23 @@ def _tried(
     if free < 1.0 or after <= 0.0:
         return 1.0, amount
     return float(f.sf((before - after) / taken / (after / free), taken, free)), amount
+
+
+def _courses(motion: Floats, each: Floats, followed: Bools) -> Floats:
+    """Columns (V, m, c) of the motions along the clocks that were followed."""
+    columns = motion[None] * each[followed][:, :, None, None]
+    return np.asarray(columns.transpose(1, 2, 0, 3).reshape(*motion.shape[:2], -1))
+
+
+def _without_walk(
+    r: Floats, condition: Ints, many: Bools, motion: Floats, t: Floats, course: Floats
+) -> tuple[Floats, float]:
+    """Residuals (V, m) without a walk that all visits share, and how many scalars it took."""
+    away = centred(r, condition)
+    kept = many & _near(np.abs(away).max(axis=1), many)
+    kept &= np.bincount(condition[kept], minlength=int(condition.max()) + 1)[condition] > 1
+    way, taken = walked(away, motion, t, condition, kept, course)
+    return r - way, taken
 
 
 def _near(size: Floats, many: Bools) -> Bools:

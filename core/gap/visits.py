@@ -51,6 +51,11 @@ def visits_of(rows: Observations) -> Visits:
     return Visits(averaged, visit, count, pose[first], condition[first])
 
 
+def apart(condition: Ints, used: NDArray[np.bool_]) -> Ints:
+    """Conditions (V,) where visits that are not ``used (V,)`` repeat none."""
+    return np.where(used, condition, condition.max() + 1 + np.arange(len(used)))
+
+
 def _numbered(run: Ints) -> tuple[Ints, Ints, Ints]:
     """First row (V,) of each run, the number (N,) of its run of every row in the order of the rows, and its rows (V,)."""
     _, first, inverse, count = np.unique(run, return_index=True, return_inverse=True, return_counts=True)

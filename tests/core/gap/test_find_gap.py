@@ -168,7 +168,8 @@ def test_repeats_without_leaving_the_pose_confirm_only_what_leaves_no_more_than_
     rows = replace(once.select(np.repeat(np.arange(len(once)), 3)), t=None)
     approach = np.repeat(rng.normal(0, 1, (len(once), 3)), 3, axis=0) * approach_m
     measured = rows.position + approach + 2e-5 * rng.standard_normal(rows.position.shape)
-    report = find_gap(robot, replace(rows, position=measured), QUICK)
+    # Of five shuffles one is a fifth already: one in sixty lets the name come back.
+    report = find_gap(robot, replace(rows, position=measured), replace(QUICK, permutations=20))
     assert "no_re_approach" in codes(report)
     effect, *others = report.effects
     assert (effect.evidence.candidate.id, effect.verdict) == ("backlash", verdict)

@@ -124,3 +124,70 @@ def test_a_clock_set_back_splits_no_visits():
     half = len(rows) // 2
     back = replace(rows, t=np.where(np.arange(90) < half, rows.t, rows.t - rows.t[half] + 0.3))
     assert visits_of(back).count.tolist() == [3] * 30
+
+
+def wild_doubles(rng, size=2e-5):
+    """Sixty poses visited twice, long apart; of four visits a second row by chance three times as far off as is usual."""
+    pose = np.concatenate([np.arange(60), np.arange(60)])
+    error = rng.normal(0.0, size, (120, 3))
+    rows = np.sort(np.concatenate([np.arange(120), [0, 20, 40, 70]]))
+    doubled = np.r_[False, rows[1:] == rows[:-1]]
+    error = error[rows]
+    error[doubled] += 3.0 * np.sqrt(2.0) * size * np.array([1.0, 0.0, 0.0])
+    q = rng.uniform(-1, 1, (60, 3))[pose][rows]
+    return Observations(q=q, position=q + error, pose_id=pose[rows]), error
+
+
+def test_few_rows_of_one_visit_do_not_outweigh_many_repeated_approaches():
+    rows, error = wild_doubles(np.random.default_rng(0))
+    visits = visits_of(rows)
+    mean = np.stack([np.bincount(visits.visit, e) for e in error.T], axis=1) / visits.count[:, None]
+    noise = repeat_noise(error, mean, visits, None)
+    assert noise is not None
+    assert noise.between == 0.0
+    assert np.sqrt(np.trace(noise.visit.mean(axis=0)) / 3.0) == pytest.approx(2e-5, rel=0.12)
+
+
+def test_no_direction_is_left_without_noise_by_the_difference_of_two_estimates():
+    """A tracker is better along its line of sight; approaches scatter alike in all directions."""
+    for seed in range(30):
+        rows, truth = repeated(np.random.default_rng(seed), poses=30, between=1e-5, within=5e-6, angle=3e-6)
+        visits = visits_of(rows)
+        points = visits.observations.position
+        mean = points - truth[np.unique(visits.visit, return_index=True)[1]]
+        noise = repeat_noise(rows.position - truth, mean, visits, points)
+        assert noise is not None
+        least = np.sqrt(np.linalg.eigvalsh(noise.visit).min())
+        assert least > 0.75 * np.sqrt(1e-10 + 5e-6**2 / 3.0)
+
+
+def test_a_line_of_sight_is_not_seen_where_there_is_none():
+    """Of equal variances one number is better than the three of a tracker."""
+    flat = []
+    for seed in range(20):
+        rows, truth = repeated(np.random.default_rng(seed), poses=25, repeats=1, between=2e-5, within=0.0)
+        visits = visits_of(rows)
+        points = visits.observations.position
+        noise = repeat_noise(rows.position - truth, points - truth, visits, points)
+        assert noise is not None
+        flat.append(np.ptp(noise.visit, axis=0).max() == 0.0)
+    assert sum(flat) >= 15
+
+
+def test_scatter_that_was_fitted_away_is_counted():
+    """Twelve waves in time fitted to noise leave less of it between repeats: what was taken is given back."""
+    found = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        rows, truth = repeated(rng, poses=25, repeats=1, between=2e-5, within=0.0)
+        visits, error = visits_of(rows), rows.position - truth
+        when = np.linspace(0.0, 1.0, len(rows))
+        basis = np.linalg.qr(np.cos(np.pi * np.outer(when, np.arange(1, 13))))[0]
+        left = error - basis @ (basis.T @ error)
+        within = np.stack([np.bincount(visits.condition, b) for b in basis.T], axis=1) / 2.0
+        taken = 3.0 * float(np.sum((basis - within[visits.condition]) ** 2))
+        noise = repeat_noise(left, left, visits, None, taken)
+        assert noise is not None
+        assert noise.freedom == pytest.approx(75.0 - taken, rel=0.05)
+        found.append(np.trace(noise.row) / 3.0 / 2e-5**2)
+    assert np.mean(found) == pytest.approx(1.0, abs=0.08)

@@ -60,6 +60,19 @@ def test_wrong_readings_are_found_and_do_not_bend_the_geometry(revisits, share, 
     assert "outliers" in {w["code"] for w in made.warnings}
 
 
+@pytest.mark.parametrize("seed", range(5, 8))
+def test_wrong_readings_in_one_block_of_time_are_found_although_their_repeats_seem_to_drift(seed):
+    """A reflector that sat badly for a while: poses measured in and out of the block differ by 25 times the noise."""
+    rows = campaign(ROBOT, seed=seed, revisits=20, poses=100)
+    bad = np.isin(np.arange(len(rows)), np.argsort(rows.t)[round(0.4 * len(rows)) :][: round(0.15 * len(rows))])
+    made = prepared(replace(rows, position=rows.position + np.outer(bad, [5e-4, 0.0, 0.0])))
+    assert np.array_equal(aside(made, len(rows)), bad)
+    assert off(made, prepared(rows), rows) < 6e-6
+    noise = made.world.setting.noise
+    assert noise.coordinate == pytest.approx(2e-5, rel=0.2)
+    assert {w["code"] for w in made.warnings} == {"outliers"}
+
+
 STRUCTURE = {
     "play beyond an elbow": lambda o: 2e-3 * (o.q[:, 1] > np.quantile(o.q[:, 1], 0.8)),
     "a bump": lambda o: 1e-3 * np.exp(-(((o.q[:, 2] - 0.3) / 0.15) ** 2)),
