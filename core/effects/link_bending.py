@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -66,9 +67,17 @@ class LinkBending(Effect):
         centres = self.centres_m or (0.0,) * len(joints)
         derivatives = []
         for k, (j, a) in enumerate(zip(joints, centres, strict=True)):
-            xi = bent(batch.link_vectors[j], a, batch.wrench[:, j], batch.end_wrench[:, j])
-            derivatives.append(Derivative(k, j, xi=xi))
+            root, end = (w[:, j] for w in (batch.wrench, batch.end_wrench))
+            of_root, of_end = _flexed(tuple(map(float, batch.link_vectors[j])), a)
+            derivatives.append(Derivative(k, j, xi=root @ of_root + end @ of_end))
         return linear(batch, values, derivatives)
+
+
+@lru_cache(maxsize=256)
+def _flexed(link: tuple[float, ...], a: float) -> tuple[Floats, Floats]:
+    """Matrices (6, 6) that turn the wrench on a link's joint, and the one on its end, into its twist: it is linear."""
+    one, none = np.eye(6), np.zeros((6, 6))
+    return bent(np.array(link), a, one, none), bent(np.array(link), a, none, one)
 
 
 def bent(link: Floats, a: float, root: Floats, end: Floats) -> Floats:

@@ -135,14 +135,15 @@ def _named(hunt: Hunt, place: int, W: Floats, r: Floats) -> bool:
     if not d:
         return False
     setting = hunt.world.setting
+    limit = hunt.critical if hunt.strict is None else hunt.strict
     if setting.inflation > 1.0:
         blocks = setting.group[hunt.world.row_visit]
-        return bool(tail(*by_blocks(u, r, blocks)) < hunt.critical)
+        return bool(tail(*by_blocks(u, r, blocks)) < limit)
     S = float(np.sum((u.T @ r) ** 2))
     free = max(hunt.world.nu - d, 1.0)
     variance = max(1.0, (float(r @ r) - S) / free)
     scorer = hunt.selector.scorer
-    return bool(tail(S / variance, d, scorer.known(free)) < hunt.critical)
+    return bool(tail(S / variance, d, scorer.known(free)) < limit)
 
 
 def by_blocks(u: Floats, r: Floats, blocks: Ints) -> tuple[float, int, float]:

@@ -32,6 +32,7 @@ class Hunt:
     """Where the hunt ended: the world at the final fit, the chosen candidates, the limits it used, its steps.
 
     ``noise`` is that of a coordinate at its beginning, in units of which its steps are; None where it stayed the same.
+    ``strict`` is the limit of a negative control, which has the effect among its noise; ``critical`` when None.
     """
 
     world: World
@@ -41,6 +42,7 @@ class Hunt:
     critical: float
     steps: tuple[Step, ...]
     noise: float | None = None
+    strict: float | None = None
 
     @property
     def columns(self) -> list[int]:
@@ -99,7 +101,8 @@ def _climbed(world: World, selector: Selector, limits: Floats, options: GapOptio
         steps.append(_in_units_of(begin.setting.noise.coordinate, world, step_of(world, selector, chosen)))
     assert first is not None
     noise = begin.setting.noise.coordinate
-    return Hunt(world, selector, chosen, first, first.critical(options.alpha), tuple(steps), noise)
+    limits_used = first.critical(options.alpha), first.strict(options.alpha)
+    return Hunt(world, selector, chosen, first, limits_used[0], tuple(steps), noise, limits_used[1])
 
 
 def selector_at(world: World, selector: Selector, limits: Floats) -> Selector:

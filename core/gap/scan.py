@@ -178,20 +178,32 @@ class Scorer:
 
 @dataclass(frozen=True)
 class Null:
-    """What noise alone does: smallest tail probabilities of the bootstrap, and of the sign flips when they count."""
+    """What noise alone does: smallest tail probabilities of the bootstrap, and of the sign flips when they count.
+
+    ``wild`` are those of flips with everything in that no chosen candidate explains: the limit of a negative control,
+    whose shuffled label leaves the effect among the noise.
+    """
 
     bootstrap: Floats
     flips: Floats | None
+    wild: Floats | None = None
 
     def critical(self, alpha: float) -> float:
         """Tail probability that the best candidate must go below; the stricter of the two.
 
         A strong effect not entered yet makes flipped residuals look wild, so the flips are heeded only so far.
         """
+        return self._limit(self.flips, alpha)
+
+    def strict(self, alpha: float) -> float:
+        """The same where what is to be found counts among the noise."""
+        return self._limit(self.flips if self.wild is None else self.wild, alpha)
+
+    def _limit(self, flips: Floats | None, alpha: float) -> float:
         limit = float(np.quantile(self.bootstrap, CAUTION * alpha))
-        if self.flips is None:
+        if flips is None:
             return limit
-        return min(limit, max(float(np.quantile(self.flips, CAUTION * alpha)), STRICTER * limit))
+        return min(limit, max(float(np.quantile(flips, CAUTION * alpha)), STRICTER * limit))
 
     def family_wise(self, p: float, tests: int) -> float:
         """Family-wise p-value: counted on the bootstrap, or beyond its reach by Bonferroni."""
@@ -204,10 +216,20 @@ class Null:
 
 
 def null_of(world: World, scorer: Scorer, chosen: Sequence[int], draws: int, seed: int) -> Null:
-    """Null distribution of the best candidate, given the chosen columns."""
+    """Null distribution of the best candidate, given the chosen columns.
+
+    Signs of whole poses are flipped in what the best candidate would leave (ter Braak's residuals of the full model).
+    In what geometry alone leaves, an effect that is not named yet is flipped with the noise, makes it look wild, and
+    hides itself; without any effect the best candidate takes so little that the two agree. Of a motion, whose rows are
+    alike in time, all is flipped: what a disturbance and an effect have in common must not make the limit lenient.
+    """
     rng = np.random.default_rng(seed)
     gram = world.gram.given(chosen)
-    return Null(bootstrap(gram, scorer, draws, rng), _flips(world, gram, scorer, chosen, draws // 2, rng))
+    known = world.setting.inflation > 1.0 or not scorer.candidates
+    best = () if known else scorer.candidates[int(np.argmin(scorer.scores(gram).p))].columns
+    drawn = bootstrap(gram, scorer, draws, rng)
+    calm = _flips(world, gram, scorer, (chosen, sorted({*chosen, *best})), draws // 2, rng)
+    return Null(drawn, calm, None if chosen else _flips(world, gram, scorer, (chosen, chosen), draws // 2, rng))
 
 
 def bootstrap(gram: Gram, scorer: Scorer, draws: int, rng: np.random.Generator) -> Floats:
@@ -224,27 +246,16 @@ def bootstrap(gram: Gram, scorer: Scorer, draws: int, rng: np.random.Generator) 
 
 
 def _flips(
-    world: World,
-    gram: Gram,
-    scorer: Scorer,
-    chosen: Sequence[int],
-    draws: int,
+    world: World, gram: Gram, scorer: Scorer, taken: tuple[Sequence[int], Sequence[int]], draws: int,
     rng: np.random.Generator,
-) -> Floats | None:
-    """Signs of whole poses are flipped in what the best candidate would leave (ter Braak's residuals of the full model).
-
-    In what geometry alone leaves, an effect that is not named yet is flipped with the noise, makes it look wild, and
-    hides itself; without any effect the best candidate takes so little that the two agree.
-    """
+) -> Floats | None:  # fmt: skip
+    """Smallest tail probabilities (draws,) given the chosen columns, of what chosen and others leave: both in ``taken``."""
     group = world.setting.group
     poses = int(group.max()) + 1
     if poses < FEWEST_FLIPS:
         return None
-    basis = world.basis(chosen)
-    best = scorer.candidates[int(np.argmin(scorer.scores(gram).p))].columns
-    full = world.basis(sorted({*chosen, *best}))
-    left = np.asarray(world.y - full @ (full.T @ world.y))
-    r = left / np.sqrt(1.0 - np.minimum(np.sum(full**2, axis=1), ALMOST_ALL))
+    basis, full = (world.basis(columns) for columns in taken)
+    r = residual_given(world, taken[1]) / np.sqrt(1.0 - np.minimum(np.sum(full**2, axis=1), ALMOST_ALL))
     flips = rng.choice([-1.0, 1.0], size=(draws, poses))
     W = world.W
     W -= basis @ (basis.T @ W)

@@ -75,11 +75,17 @@ def test_an_equal_lag_of_all_joints_is_a_time_offset():
 
 
 def test_a_lag_of_its_own_per_joint_is_a_tracking_lag():
-    report = find_gap(*motion(2, 0.0, lag=[1e-3, 1e-3, 1e-3, 2e-3, 1e-3]), LAGS)
+    report = find_gap(*motion(2, 0.0, lag=[1e-3, 3e-3, 2e-3, 4e-3, 0.5e-3]), LAGS)
     (lag,) = report.effects
     assert lag.evidence.candidate.id == "tracking_lag"
     assert lag.evidence.control.label == "speed"
     assert lag.gates["negative_control"]  # 6 of 20 shuffles kept the name when every sample counted as independent
+
+
+def test_one_joint_that_lags_more_than_the_others_is_that_joint_beside_an_offset_of_all():
+    report = find_gap(*motion(2, 0.0, lag=[1e-3, 1e-3, 1e-3, 2e-3, 1e-3]), LAGS)
+    said = {(j.evidence.candidate.id, j.evidence.candidate.joints) for j in report.effects}
+    assert said == {("time_offset", None), ("tracking_lag", (3,))}
 
 
 def chance(shares):
