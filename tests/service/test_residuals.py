@@ -48,10 +48,11 @@ def table(answer: httpx.Response) -> list[dict[str, str]]:
 def test_rows_let_go_are_named_and_told_with_all_others(
     client: httpx.Client, katana: Any, worker: Any, until: Until, database: Database
 ) -> None:
-    first, second = spoilt(client, katana, 50, 1, [3, 20, 21]), spoilt(client, katana, 60, 2, [1, 60])
+    first, second = spoilt(client, katana, 50, 1, [3, 20, 21]), spoilt(client, katana, 60, 5, [1, 60])
     other = katana.campaign(client, 20, seed=3)
     worker.start()
-    # The twin of the thesis has effects of its own: level 3 leaves the noise.
+    # The twin of the thesis has effects of its own: level 3 leaves the noise. Of seed 2 one pose stands so near to zero
+    # moment that its backlash may lie on either side, and is rightly set aside as well.
     result = identified(client, until, [first, second], options={"level": 3, "loss": "tukey"}, validation=[other])
     gone = {(one["campaign"], one["row"]) for one in result["set_aside"] if one["weight"] == 0.0}
     assert gone == {(first, 3), (first, 20), (first, 21), (second, 1), (second, 60)}
@@ -67,7 +68,7 @@ def test_rows_let_go_are_named_and_told_with_all_others(
     assert {r["campaign"] for r in rows if r["held_out"] == "false"} == {first, second}
     with database.reading() as session:
         calibration = store.calibration(session, version)
-    columns = katana.columns(60, 2)
+    columns = katana.columns(60, 5)
     q = np.radians(np.stack([columns[f"q{j}_deg"] for j in range(1, 6)], axis=1))
     z = np.array(columns["z_mm"])
     z[[0, 59]] += OFF_MM
