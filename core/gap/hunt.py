@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -48,6 +49,11 @@ class Hunt:
     def columns(self) -> list[int]:
         """Library columns of the chosen set."""
         return self.selector.columns(self.chosen)
+
+    @property
+    def paired(self) -> bool:
+        """Whether two names entered at once."""
+        return any(len(set(after.names) - set(before.names)) > 1 for before, after in itertools.pairwise(self.steps))
 
     def stepped(self, world: World, chosen: tuple[int, ...]) -> tuple[Step, ...]:
         """The steps with one more."""

@@ -44,6 +44,7 @@ class Selector:
     rows: int
     limits: Floats
     closed: frozenset[int] = frozenset()  # candidates that may not enter
+    pairs: bool = True  # whether two that hide each other are looked for
 
     @property
     def causes(self) -> Selector:
@@ -281,6 +282,8 @@ class Selector:
         together must stand out of what they leave as one of all pairs. Each must stand out given the other.
         """
         given = gram.given(self.columns(chosen))
+        if not self.pairs:
+            return None
         if self.scorer.absolute and given.yy < given.nu + HIDING * np.sqrt(2.0 * max(given.nu, 1.0)):
             return None
         scores = self.scorer.scores(given)
