@@ -15,6 +15,7 @@ from core.model import Calibration, RobotModel
 from core.robots import robot_from_document
 from service.corrector.active import Active, version_number
 from service.corrector.process import Corrector
+from service.corrector.specs import Rules
 from service.settings import Settings
 from tests.corrector.live import open_stream
 
@@ -110,10 +111,16 @@ def source(katana: Calibration) -> MemorySource:
 
 
 @pytest.fixture(scope="module")
-def corrector(source: MemorySource, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Corrector]:
+def max_age_s() -> float:
+    """How old a setpoint may be here: a loaded test machine may take its time, and most tests ask for something else."""
+    return 5.0
+
+
+@pytest.fixture(scope="module")
+def corrector(source: MemorySource, max_age_s: float, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Corrector]:
     folder: Path = tmp_path_factory.mktemp("data")
     settings = Settings(data=folder, zenoh_listen="tcp/127.0.0.1:0", site="test")
-    running = Corrector(settings, source)
+    running = Corrector(settings, source, Rules(max_age_ns=round(max_age_s * 1e9)))
     running.start()
     with open_stream(running, "first", connect_timeout_s=60.0):
         pass  # opened once the version is known: frames that come before are answered NO_VERSION

@@ -37,6 +37,12 @@ from tests.corrector.live import ROBOT, ROOT, Line, Q, open_stream, point, until
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
+@pytest.fixture(scope="module")
+def max_age_s() -> float:
+    """Shorter than a stop that leaves the link as it is."""
+    return 0.2
+
+
 def test_killed_in_motion_it_is_noticed_before_the_deadline_and_comes_back(corrector: Corrector) -> None:
     """Notice, hold, bypass, back: in that order. The deadline of a minute shows that liveliness ends the wait."""
     sources: list[str] = []
@@ -70,7 +76,7 @@ def test_a_burst_after_the_corrector_was_stopped_is_stale(corrector: Corrector) 
         try:
             for seq in range(2, 40):
                 line.send(point(seq))
-            time.sleep(0.4)  # shorter than the lease, so the link stays; eight times as long as a setpoint lives
+            time.sleep(0.4)  # shorter than the lease, so the link stays; twice as long as a setpoint lives
         finally:
             os.kill(pid, signal.SIGCONT)
         late = line.take(38)
