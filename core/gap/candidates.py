@@ -40,6 +40,11 @@ class Candidate:
     effects: tuple[Effect, ...] = ()
 
     @property
+    def bears(self) -> bool:
+        """Whether it follows the loads on the joints, and with it the errors of what is known of them."""
+        return any(effect.reads for effect in self.effects)
+
+    @property
     def label(self) -> str:
         """Name for people: ``backlash j2``."""
         if self.joints is None:

@@ -25,7 +25,8 @@ class Gram:
 
     Conditioned on the columns ``taken``, A is ``whole`` less ``K (Q, t)`` times the rows taken: made where it is asked
     for, since a selection conditions on thousands of sets. What depends on A alone is kept in ``cache``, shared by all
-    data on the same candidates: resamples cost little.
+    data on the same candidates: resamples cost little. ``held`` gives the same with the loads held at their values, and
+    ``there`` are the columns whose effects act at the fit.
     """
 
     whole: Floats
@@ -35,6 +36,16 @@ class Gram:
     cache: Recent = field(default_factory=Recent, repr=False, compare=False)
     taken: tuple[int, ...] = ()
     K: Floats | None = None
+    held: Callable[[], Gram] | None = field(default=None, repr=False, compare=False)
+    there: frozenset[int] = frozenset()
+
+    @property
+    def firm(self) -> Gram:
+        """With the loads held at their values: for sets without an effect through which the errors of loads act.
+
+        Errors of the loads imitate a compliance that is there, for they scale it; one that is taken out, they cannot.
+        """
+        return self if self.held is None or self.taken else self.held()
 
     @cached_property
     def A(self) -> Floats:
@@ -86,7 +97,7 @@ class Gram:
 
     def with_data(self, c: Floats, yy: float) -> Gram:
         """The same candidates with other data."""
-        return replace(self, c=c, yy=yy)
+        return replace(self, c=c, yy=yy, held=None)
 
 
 def _inverted(A: Floats) -> tuple[Floats, int]:

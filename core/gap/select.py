@@ -59,6 +59,11 @@ class Selector:
         """Library columns of a set, each once."""
         return sorted({k for c in chosen for k in self.scorer.candidates[c].columns})
 
+    def without(self, gram: Gram, out: Collection[int]) -> Gram:
+        """Where a set without some members is to be compared: errors of the loads act through those that are taken out."""
+        acting = (self.scorer.candidates[k] for k in out)
+        return gram.firm if any(c.bears and not gram.there.isdisjoint(c.columns) for c in acting) else gram
+
     def price(self, places: Sequence[int], degrees: Sequence[int]) -> float:
         """What parameters cost; an empirical term must beat every physical one by the margin."""
         empirical = sum(self.scorer.candidates[k].empirical for k in places)
@@ -146,12 +151,12 @@ class Selector:
     def swapped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace one or two members by one outside as long as the criterion grows."""
         for _ in range(3 * len(chosen)):
-            variance = self.variance(gram, chosen)
             best, gain = chosen, SMALLEST_GAIN
-            now = self.criterion(gram, chosen, variance)
             for out in [(m,) for m in chosen] + list(itertools.combinations(chosen, 2)):
-                rest = tuple(m for m in chosen if m not in out)
-                k, value = self._best_instead(gram, rest, variance, critical, set(chosen))
+                rest, world = tuple(m for m in chosen if m not in out), self.without(gram, out)
+                variance = self.variance(world, chosen)
+                now = self.criterion(world, chosen, variance)
+                k, value = self._best_instead(world, rest, variance, critical, set(chosen))
                 if k is not None and value - now > gain:
                     best, gain = (*rest, k), value - now
             if best == chosen:
@@ -162,14 +167,14 @@ class Selector:
     def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace a family by two others that together explain as much for less: with enough joints it imitates both."""
         for family in (k for k in chosen if self.scorer.candidates[k].level == FAMILY):
-            rest = tuple(k for k in chosen if k != family)
-            variance = self.variance(gram, chosen)
-            first, _ = self._best_instead(gram, rest, variance, critical, set(chosen))
+            rest, world = tuple(k for k in chosen if k != family), self.without(gram, (family,))
+            variance = self.variance(world, chosen)
+            first, _ = self._best_instead(world, rest, variance, critical, set(chosen))
             if first is None:
                 continue
-            second, value = self._best_instead(gram, (*rest, first), variance, critical, {*chosen, first})
+            second, value = self._best_instead(world, (*rest, first), variance, critical, {*chosen, first})
             after = (*rest, first) if second is None else (*rest, first, second)
-            if second is None or value <= self.criterion(gram, chosen, variance) + FAMILY_MARGIN:
+            if second is None or value <= self.criterion(world, chosen, variance) + FAMILY_MARGIN:
                 continue
             if max(self.tails(gram, after)[len(rest) :]) < critical:
                 chosen = after
@@ -182,11 +187,13 @@ class Selector:
             own = [k for k in chosen if self.scorer.candidates[k].id == effect]
             if not family or (own != family and len(own) < 2):
                 continue
-            rest = tuple(k for k in chosen if k not in own)
-            variance = self.variance(gram, (*rest, family[0]))
-            members = self._members(gram, rest, family[0], variance)
-            whole = self.criterion(gram, (*rest, family[0]), variance)
-            better = self.criterion(gram, (*rest, *members), variance) > whole + self._family_margin(family[0], members)
+            rest, world = tuple(k for k in chosen if k not in own), self.without(gram, own)
+            variance = self.variance(world, (*rest, family[0]))
+            members = self._members(world, rest, family[0], variance)
+            whole = self.criterion(world, (*rest, family[0]), variance)
+            better = self.criterion(world, (*rest, *members), variance) > whole + self._family_margin(
+                family[0], members
+            )
             if better and max(self.tails(gram, (*rest, *members))[len(rest) :]) < critical:
                 chosen = (*rest, *members)
             elif self.signed(gram, (*rest, family[0]), family[0]):
@@ -219,7 +226,7 @@ class Selector:
         out = []
         for k in chosen:
             rest = tuple(m for m in chosen if m != k)
-            p = float(self.scorer.scores(gram.given(self.columns(rest))).p[k])
+            p = float(self.scorer.scores(self.without(gram, (k,)).given(self.columns(rest))).p[k])
             out.append(p if self.signed(gram, chosen, k) else 1.0)
         return out
 
@@ -313,6 +320,7 @@ class Selector:
 
     def beats(self, gram: Gram, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
         """Whether a set's criterion is larger than another's, at the smaller noise of the two."""
+        gram = self.without(gram, set(other) - set(one))
         variance = min(self.variance(gram, one), self.variance(gram, other))
         return self.criterion(gram, one, variance) > self.criterion(gram, other, variance) - self.slack(one)
 

@@ -132,7 +132,20 @@ class World:
     @cached_property
     def gram(self) -> Gram:
         """Everything selection needs."""
-        return Gram(self.A, self.c, float(self.y @ self.y), self.nu)
+        yy = float(self.y @ self.y)
+        if not len(self.soft.shrink):
+            return Gram(self.A, self.c, yy, self.nu)
+        there = frozenset(np.flatnonzero(self.setting.source.library(self.values)).tolist())
+        return Gram(self.A, self.c, yy, self.nu, held=lambda: self._firm, there=there)
+
+    @cached_property
+    def _firm(self) -> Gram:
+        source = self.setting.source
+        U = _seen((self.G * source.prior_sigma)[:, self.setting.hard])
+        y = self.raw + self.W_raw @ (source.library(self.values) * self.size)
+        y -= U @ (U.T @ y)
+        P = self.W_raw - U @ (U.T @ self.W_raw)
+        return Gram(P.T @ P, P.T @ y, float(y @ y), self.nu + self.U.shape[1] - U.shape[1])
 
     @property
     def rows(self) -> int:
