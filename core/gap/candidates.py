@@ -45,6 +45,11 @@ class Candidate:
         return any(effect.reads for effect in self.effects)
 
     @property
+    def changes_loads(self) -> bool:
+        """Whether it is itself an error of the loads."""
+        return any(effect.changes_loads for effect in self.effects)
+
+    @property
     def label(self) -> str:
         """Name for people: ``backlash j2``."""
         if self.joints is None:

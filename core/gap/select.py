@@ -60,9 +60,14 @@ class Selector:
         return sorted({k for c in chosen for k in self.scorer.candidates[c].columns})
 
     def without(self, gram: Gram, out: Collection[int]) -> Gram:
-        """Where a set without some members is to be compared: errors of the loads act through those that are taken out."""
-        acting = (self.scorer.candidates[k] for k in out)
-        return gram.firm if any(c.bears and not gram.there.isdisjoint(c.columns) for c in acting) else gram
+        """Where a set without some members is to be compared: errors of the loads act through those that are taken out.
+
+        If such an error is itself among them, it is what the comparison is about: loads held would presume its answer.
+        """
+        members = [self.scorer.candidates[k] for k in out]
+        if any(c.changes_loads for c in members):
+            return gram
+        return gram.firm if any(c.bears and not gram.there.isdisjoint(c.columns) for c in members) else gram
 
     def price(self, places: Sequence[int], degrees: Sequence[int]) -> float:
         """What parameters cost; an empirical term must beat every physical one by the margin."""
@@ -320,7 +325,7 @@ class Selector:
 
     def beats(self, gram: Gram, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
         """Whether a set's criterion is larger than another's, at the smaller noise of the two."""
-        gram = self.without(gram, set(other) - set(one))
+        gram = self.without(gram, set(other) ^ set(one))
         variance = min(self.variance(gram, one), self.variance(gram, other))
         return self.criterion(gram, one, variance) > self.criterion(gram, other, variance) - self.slack(one)
 
