@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
+from core.gap.centred import centred
 from core.gap.contrasts import fitted_away
 from core.gap.noise import WITHIN
 from core.gap.scan import residual_given
-from core.gap.shared_drift import centred
 from core.gap.world import World
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from core.gap.shared_drift import centred
+from core.gap.centred import centred
 from core.gap.visits import apart
 from core.gap.world import World
 

@@ -107,8 +107,8 @@ def _climbed(world: World, selector: Selector, limits: Floats, options: GapOptio
         steps.append(_in_units_of(begin.setting.noise.coordinate, world, step_of(world, selector, chosen)))
     assert first is not None
     noise = begin.setting.noise.coordinate
-    limits_used = first.critical(options.alpha), first.strict(options.alpha)
-    return Hunt(world, selector, chosen, first, limits_used[0], tuple(steps), noise, limits_used[1])
+    critical, strict = first.critical(options.alpha), first.strict(options.alpha)
+    return Hunt(world, selector, chosen, first, critical, tuple(steps), noise, strict)
 
 
 def selector_at(world: World, selector: Selector, limits: Floats) -> Selector:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from core.gap.centred import centred
 from core.gap.covariances import SMALLEST, approach, even, second, shrunk, spread
 from core.gap.drift import Drift, Repeats, blocks_of, repeats_of
-from core.gap.shared_drift import centred
 from core.gap.visits import Visits, apart
 
 Floats = NDArray[np.float64]

@@ -35,7 +35,7 @@ from core.identify.estimate import prepared as start_of
 from core.identify.least_squares import Fit, fit_at
 from core.identify.options import IdentifyOptions
 from core.measurement import Measurement
-from core.model import Calibration, RobotModel
+from core.model import Calibration
 from core.observations import Observations
 
 Floats = NDArray[np.float64]
@@ -192,7 +192,7 @@ class Workshop:
     def _link_source(self, rows: Observations) -> tuple[Source, Floats, Library]:
         model = self.start.model
         library = library_of(self.start.robot, rows, model.names, self.options.effects)
-        whole = RobotModel(model.robot, (*model.effects, *library.effects), load_chain=model.load_chain)
+        whole = replace(model, effects=(*model.effects, *library.effects))
         source = LinkSource.of(whole, rows, len(library.parameters))
         if not source.live.any():
             raise ObservationError("Every link-side encoder is constant: the channels are dead, upload others.")

@@ -293,9 +293,9 @@ class Selector:
         Looked for only when what is left is clearly more than noise, where that is known; where it is not, the two
         together must stand out of what they leave as one of all pairs. Each must stand out given the other.
         """
-        given = gram.given(self.columns(chosen))
         if not self.pairs:
             return None
+        given = gram.given(self.columns(chosen))
         if self.scorer.absolute and given.yy < given.nu + HIDING * np.sqrt(2.0 * max(given.nu, 1.0)):
             return None
         scores = self.scorer.scores(given)

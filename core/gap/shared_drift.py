@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f
 
+from core.gap.centred import centred
 from core.gap.variogram import DRIFTED, KELVIN, QUICK, SPIKE
 from core.gap.walk import walked
 
@@ -99,7 +100,7 @@ def _tried(
 ) -> tuple[float, Floats]:
     """Chance of a motion along a clock, and its amount (k,), from the repeats without their spikes."""
     moved = motion * (clock - clock.mean())[:, None, None]
-    columns = centred(moved.reshape(len(r), -1), condition).reshape(motion.shape)
+    columns = centred(moved, condition)
     away, amount = centred(r, condition), np.zeros(motion.shape[2])
     kept = many & _near(np.abs(away).max(axis=1), many)
     seen = np.sum(columns[many] ** 2, axis=(0, 1)) > SEEN * float(np.sum(moved**2)) + np.finfo(float).tiny
@@ -162,10 +163,3 @@ def _motions(count: int, size: int, points: Floats | None) -> Floats:
     p = p / max(float(np.sqrt(np.mean(p**2))), SEEN)
     turn = np.cross(np.eye(LENGTHS)[None], p[:, None]).transpose(0, 2, 1)
     return np.concatenate([shift, turn, p[:, :, None]], axis=2)
-
-
-def centred(values: Floats, group: Ints) -> Floats:
-    """Values (V, k) less the mean of their group."""
-    count = np.maximum(np.bincount(group), 1)
-    means: Floats = np.stack([np.bincount(group, c) for c in values.T], axis=1) / count[:, None]
-    return np.asarray(values - means[group])

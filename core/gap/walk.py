@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from core.gap.centred import centred
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -24,26 +26,26 @@ SEEN = 1e-10
 
 
 def walked(
-    centred: Floats, motion: Floats, t: Floats, condition: Ints, kept: Bools, course: Floats
+    away: Floats, motion: Floats, t: Floats, condition: Ints, kept: Bools, course: Floats
 ) -> tuple[Floats, float]:
     """The way (V, m) of all visits by a walk, and how many scalars of the repeats it takes.
 
     It goes along the first ``m`` or along all of the motions ``motion (V, m, k)``, whichever is likelier, beside the steady
-    ``course (V, m, c)`` that was found. ``centred (V, m)`` are residuals less the mean of their condition; ``kept (V,)`` marks
+    ``course (V, m, c)`` that was found. ``away (V, m)`` are residuals less the mean of their condition; ``kept (V,)`` marks
     the repeats that are no spikes.
     """
-    size = centred.shape[1]
+    size = away.shape[1]
     scalars = float(size * (kept.sum() - len(np.unique(condition[kept]))))
-    F = _from_mean(course, condition, kept)[kept].reshape(-1, course.shape[2])
+    F = centred(course, condition, kept)[kept].reshape(-1, course.shape[2])
     Q, size_of, turn = np.linalg.svd(F, full_matrices=False)
     seen = size_of > np.sqrt(SEEN) * max(float(size_of[0]), np.finfo(float).tiny)
     Q, back = Q[:, seen], turn[seen].T / size_of[seen]
-    y = _from_mean(centred[:, :, None], condition, kept)[kept].reshape(-1)
+    y = centred(away, condition, kept)[kept].reshape(-1)
     y = y - Q @ (Q.T @ y)
     tried = []
     for count in {min(SHIFTS, motion.shape[2]), motion.shape[2]}:
         X = _columns(motion[:, :, :count], t)
-        Xc = _from_mean(X, condition, kept)[kept].reshape(-1, X.shape[2])
+        Xc = centred(X, condition, kept)[kept].reshape(-1, X.shape[2])
         along = Q.T @ Xc
         cost, amount, taken = _smoothed(Xc - Q @ along, y, scalars - Q.shape[1])
         # What of the walk looks like the steady course went with that already.
@@ -68,15 +70,6 @@ def _columns(motion: Floats, t: Floats) -> Floats:
     k = np.arange(1, (WAVES_OF_LARGE if len(t) > LARGE else WAVES) + 1) - 0.5
     wave = np.sqrt(2.0) * np.sin(np.pi * np.outer(u, k)) / (np.pi * k)
     return np.asarray((motion[:, :, :, None] * wave[:, None, None, :]).reshape(*motion.shape[:2], -1))
-
-
-def _from_mean(values: Floats, condition: Ints, kept: Bools) -> Floats:
-    """Values (V, m, k) less the mean of their condition over the visits kept."""
-    flat = values.reshape(len(values), -1)
-    count = np.maximum(np.bincount(condition[kept], minlength=int(condition.max()) + 1), 1)
-    sums = np.zeros((len(count), flat.shape[1]))
-    np.add.at(sums, condition[kept], flat[kept])
-    return np.asarray((flat - (sums / count[:, None])[condition]).reshape(values.shape))
 
 
 def _likeliest(z2: Floats, w: Floats, rest: float, scalars: float) -> tuple[float, float]:

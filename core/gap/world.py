@@ -30,9 +30,7 @@ SEEN = 0.5  # data sigmas that one prior sigma of a geometric direction moves; b
 PASSES = 3  # re-fits with the scatter of doubtful signs, which follows the size of the effects
 CHANGED = 0.05  # of the noise variance: less scatter more or less changes no weight that matters
 PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as many looks at thousands of poses
-UNMOVED = (
-    0.01  # of what is left, or the noise, rms over the rows: loads taken anew that move less are not worth the time
-)
+UNMOVED = 0.01  # of what is left or of the noise, rms: loads taken anew that move less are not worth the time
 SAMPLED = 500  # rows at most on which that is looked at, more or less: loads of thousands take seconds
 STILL = 1e-1  # change of the fit, in sigmas over all data, that counts as converged
 
