@@ -1,4 +1,5 @@
-"""How large a thing may be before Kilter looks at it; what a server may change is in its settings."""
+"""How large a thing may be before Kilter looks at it; what a server may change is in its settings, what a request may
+say in the contract."""
 
 from __future__ import annotations
 
@@ -25,11 +26,8 @@ MAX_PAGES_BYTES = 256 << 20  # the largest pages of all columns of a Parquet fil
 MAX_CIRCLE_MB = 64
 MAX_DOCUMENT_PARTS = 200_000  # fields, lists and objects of a JSON document, which are parsed in one breath
 MAX_DOCUMENT_KEYS = 1000  # fields of one object in a JSON document
-MAX_NAMED = 1000  # campaigns that one job names
 
 # Robots: a serial arm; a URDF may hold a whole machine around it.
-MAX_JOINTS = 32
-MAX_ELEMENTS = 512
 MAX_LINKS = 1000
 MAX_LINK_NAME = 128
 MAX_XML_TAGS = 50_000

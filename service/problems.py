@@ -10,11 +10,11 @@ from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
-from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from core.errors import CoreError
+from service.contract.problems import Problem
 from service.errors import PROBLEMS
 
 log = logging.getLogger("kilter.api")
@@ -23,18 +23,6 @@ MEDIA_TYPE = "application/problem+json"
 # A refusal does not grow with what was sent.
 MOST_DETAIL, MOST_PLACES, MOST_PLACE, MOST_CONTEXT = 4000, 20, 100, 20_000
 RETRY_AFTER_S = 1
-
-
-class Problem(BaseModel):
-    """What every error looks like (RFC 9457): ``code`` is stable, ``detail`` names the place and the remedy."""
-
-    type: str
-    title: str
-    status: int
-    detail: str
-    code: str
-    context: dict[str, Any]
-    request_id: str
 
 
 # For the OpenAPI document: the answers every route may give besides its own.

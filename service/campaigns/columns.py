@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -10,49 +9,8 @@ from difflib import get_close_matches
 from typing import Any
 
 from core.errors import ObservationError
+from service.contract.columns import CONTACTS, JOINT_UNITS, LENGTHS, PLAIN_UNITS, TOGETHER
 from service.limits import MAX_COLUMNS, MAX_NAME
-
-RAD = math.pi / 180.0
-ANGLES = {"deg": RAD, "rad": 1.0}
-LENGTHS = {"mm": 1e-3, "m": 1.0}
-
-# quantity of a numbered column -> units of a revolute joint, units of a prismatic joint; the value is the factor to SI
-JOINT_UNITS: dict[str, tuple[dict[str, float], dict[str, float]]] = {
-    "q": (ANGLES, LENGTHS),
-    "link": (ANGLES, LENGTHS),
-    "qd": ({f"{u}_s": f for u, f in ANGLES.items()}, {f"{u}_s": f for u, f in LENGTHS.items()}),
-    "qdd": ({f"{u}_s2": f for u, f in ANGLES.items()}, {f"{u}_s2": f for u, f in LENGTHS.items()}),
-    "tau": ({"nm": 1.0}, {"n": 1.0}),
-    "dir": ({"": 1.0}, {"": 1.0}),
-}
-# quantity of a plain column -> its units
-PLAIN_UNITS: dict[str, dict[str, float]] = {
-    **dict.fromkeys(("x", "y", "z"), LENGTHS),
-    **{f"s{axis}": LENGTHS for axis in "xyz"},
-    **dict.fromkeys(("phi", "theta", "psi"), ANGLES),
-    **{part: {"": 1.0} for part in ("qw", "qx", "qy", "qz")},
-    "t": {"s": 1.0},
-    "payload": {"kg": 1.0},
-    "temperature": {"c": 1.0},
-    "session": {"": 1.0},
-    "pose_id": {"": 1.0},
-    **dict.fromkeys(("tipx", "tipy", "tipz"), LENGTHS),
-    **{f"f{axis}": {"n": 1.0} for axis in "xyz"},
-    **{f"m{axis}": {"nm": 1.0} for axis in "xyz"},
-    **{f"{kind}_id": {"": 1.0} for kind in ("socket", "plane", "bar")},
-    "bar": LENGTHS,
-}
-CONTACTS = ("socket_id", "plane_id", "bar_id")
-TOGETHER = (
-    ("x", "y", "z"),
-    ("sx", "sy", "sz"),
-    ("qw", "qx", "qy", "qz"),
-    ("phi", "theta", "psi"),
-    ("tipx", "tipy", "tipz"),
-    ("fx", "fy", "fz"),
-    ("mx", "my", "mz"),
-    ("bar_id", "bar"),
-)
 
 _JOINT = re.compile(r"(q|qd|qdd|link|tau|dir)([1-9][0-9]?)(?:_(\w+))?")
 _MARKER = re.compile(r"m([1-9][0-9]?)([xyz])(?:_(\w+))?")

@@ -11,7 +11,7 @@ from fastapi.concurrency import run_in_threadpool
 from service.auth.access import Admin
 from service.bodies import receive
 from service.campaigns import reading, service
-from service.campaigns.schemas import Campaign, CampaignList, NewCampaign, Parts, Uploaded
+from service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
 from service.routing import GuardedRoute
 from service.slots import compute
 from service.state import DatabaseOfApp, SettingsOfApp

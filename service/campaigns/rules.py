@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import ObservationError
-from service.campaigns.columns import CONTACTS, Column
+from service.campaigns.columns import Column
+from service.contract.columns import CONTACTS
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from core.errors import ObservationError
 from service.campaigns import reading, store
 from service.campaigns.chunks import Chunk, write_chunk
-from service.campaigns.columns import CONTACTS, has, read_columns
+from service.campaigns.columns import has, read_columns
 from service.campaigns.rules import RowRules
-from service.campaigns.schemas import Campaign, CampaignList, NewCampaign, Parts, Uploaded
+from service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
+from service.contract.columns import CONTACTS
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.robots import store as robots

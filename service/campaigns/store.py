@@ -15,7 +15,7 @@ from core.errors import ObservationError
 from service.campaigns.assemble import observations as assemble
 from service.campaigns.chunks import Chunk, read_chunk
 from service.campaigns.columns import read_columns
-from service.campaigns.schemas import Campaign, Conditions, NewCampaign, Upload
+from service.contract.campaigns import Campaign, Conditions, NewCampaign, Upload
 from service.db import Session
 from service.db.tables import CampaignRow, ChunkRow, RobotRow, UploadRow
 from service.errors import ServiceError

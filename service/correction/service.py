@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.campaigns.assemble import observations
+from service.contract.versions import CorrectionLimits
 from service.correction.follow import Corrected, corrected
 from service.correction.formats import read_trajectory, write_trajectory
 from service.correction.ros2 import joint_trajectory
@@ -21,7 +22,6 @@ from service.errors import ServiceError
 from service.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS
 from service.robots import store as robots
 from service.versions import store as versions
-from service.versions.schemas import CorrectionLimits
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from service.contract.versions import Version
 from service.robots.documents import core_document
-from service.versions.schemas import Version
 
 if TYPE_CHECKING:
     from core.model import Calibration

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from service.frames.schemas import Frame, NewFrame
+from service.contract.frames import Frame, NewFrame
 from service.routing import GuardedRoute
 
 router = APIRouter(prefix="/v1/frames", tags=["frames"], route_class=GuardedRoute)

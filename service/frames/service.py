@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from core.conversions import pose_document
 from core.errors import ObservationError
 from core.reference_frame import frame_of_features, frame_of_points
-from service.frames.schemas import Frame, NewFrame, OffPoint
-from service.robots.schemas import Pose
+from service.contract.frames import Frame, NewFrame, OffPoint
+from service.contract.units import Pose
 
 MM = 1e-3
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
+from service.contract.health import Health
 from service.errors import ServiceError
 from service.health import service
-from service.health.schemas import Health
 from service.routing import GuardedRoute
 from service.state import DatabaseOfApp
 from service.version import code_version

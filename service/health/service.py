@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from service.contract.health import Check, Health
 from service.db import Database, revision
 from service.health import store
-from service.health.schemas import Check, Health
 from service.version import code_version
 
 SILENT_AFTER_S = 10.0

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import RobotError
+from service.contract.units import MAX_ELEMENTS, MAX_JOINTS
 from service.importers.urdf_masses import in_frame, merged
 from service.importers.urdf_tree import MOVING, Body, UrdfJoint, UrdfTree, parse
-from service.limits import MAX_ELEMENTS, MAX_JOINTS
 
 Floats = NDArray[np.float64]
 Item = dict[str, Any]

@@ -7,9 +7,9 @@ from collections.abc import AsyncIterator
 
 from fastapi.concurrency import run_in_threadpool
 
+from service.contract.jobs.job import FINAL, Job
 from service.db import Database
 from service.jobs import service
-from service.jobs.schemas import FINAL, Job
 
 POLL_S = 0.2
 ALIVE_S = 10.0

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from service.versions.schemas import CorrectionLimits
+from service.contract.versions import CorrectionLimits
 
 if TYPE_CHECKING:
     import numpy as np

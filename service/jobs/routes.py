@@ -9,10 +9,10 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
 from service.auth.access import Admin
+from service.contract.jobs.job import Job, JobList, NewJob
 from service.jobs import service
 from service.jobs.events import events
 from service.jobs.queue import JobQueue
-from service.jobs.schemas import Job, JobList, NewJob
 from service.routing import GuardedRoute
 from service.state import DatabaseOfApp
 

@@ -12,11 +12,11 @@ from dataclasses import asdict
 from typing import Any
 
 from core.errors import CancelledError, CoreError
+from service.contract.versions import CorrectionLimits
 from service.db import Database
 from service.jobs import store
 from service.jobs.kind import JobKind, VersionContent
 from service.jobs.registry import kind_of
-from service.versions.schemas import CorrectionLimits
 
 log = logging.getLogger("kilter.worker")
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 
 from service.campaigns import store as campaigns
+from service.contract.jobs.job import FINAL, Folds, Job, JobList, NewJob
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.jobs import store
 from service.jobs.kind import JobKind
 from service.jobs.queue import JobQueue
 from service.jobs.registry import kind_of
-from service.jobs.schemas import FINAL, Folds, Job, JobList, NewJob
 from service.robots import store as robots
 from service.versions import store as versions
 

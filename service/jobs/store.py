@@ -10,12 +10,12 @@ from typing import Any
 from sqlalchemy import select, update
 
 from service.campaigns import store as campaigns
+from service.contract.jobs.job import FINAL, Folds, Job, JobError, JobSummary, NewJob, Progress
 from service.db import Session
 from service.db.tables import JobRow, RobotRow, VersionRow, now
 from service.errors import ServiceError
 from service.jobs.kind import JobInput, VersionContent
 from service.jobs.registry import kind_of
-from service.jobs.schemas import FINAL, Folds, Job, JobError, JobSummary, NewJob, Progress
 from service.robots import store as robots
 from service.version import code_version
 from service.versions import store as versions

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from core.errors import OptionError
-from service.versions.schemas import CorrectionLimits
+from service.contract.versions import CorrectionLimits
 
 
 def version_limits(limits: Any) -> CorrectionLimits:

@@ -12,9 +12,10 @@ from core.conversions import Screws, arm_screws, screws_of_chain
 from core.model import Calibration
 from core.robots import robot_from_document
 from core.transforms import xyz_rpy_from_pose
-from service.robots.check_schemas import AxisReport, RobotCheck, Zero
+from service.contract.robot_reports import AxisReport, RobotCheck, Zero
+from service.contract.robots import RobotDocument
+from service.contract.units import Pose
 from service.robots.documents import core_document
-from service.robots.schemas import Pose, RobotDocument
 from service.robots.service import joint_summary
 from service.robots.suspicion import suspicions
 

@@ -14,9 +14,10 @@ from core.errors import ObservationError
 from service.campaigns import reading
 from service.campaigns.assemble import observations
 from service.campaigns.columns import read_columns
-from service.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_ROWS, MAX_JOINTS
-from service.robots.circle_schemas import CircleAxis, FoundRobot
-from service.robots.schemas import Target
+from service.contract.robot_reports import CircleAxis, FoundRobot
+from service.contract.robots import Target
+from service.contract.units import MAX_JOINTS
+from service.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_ROWS
 
 JOINT = re.compile(r"q([1-9][0-9]?)_(deg|rad|mm|m)")
 

@@ -9,9 +9,9 @@ from core.conversions import pose_document, robot_document
 from core.model import Calibration
 from core.robot import Robot
 from core.robots import robot_from_document
+from service.contract.robots import RobotDocument
 from service.exporters.urdf_new import new_urdf
 from service.robots.documents import core_document
-from service.robots.schemas import RobotDocument
 
 
 def convert(document: RobotDocument, to: str) -> dict[str, Any]:

@@ -11,11 +11,11 @@ from fastapi import APIRouter, Request, Response
 from service.auth.access import Admin
 from service.bodies import receive
 from service.campaigns import reading
+from service.contract.robot_reports import FoundRobot, RobotCheck, RobotList, RobotReport
+from service.contract.robots import RobotDocument, Target
+from service.contract.units import Name
 from service.limits import MAX_CIRCLE_MB
 from service.robots import service
-from service.robots.check_schemas import RobotCheck
-from service.robots.circle_schemas import FoundRobot
-from service.robots.schemas import Name, RobotDocument, RobotList, RobotReport, Target
 from service.routing import GuardedRoute
 from service.slots import compute
 from service.state import DatabaseOfApp, SettingsOfApp

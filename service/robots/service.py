@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter
 
+from service.contract.robot_reports import JointSummary, RobotList, RobotReport
+from service.contract.robots import RobotDocument
 from service.db import Database
 from service.robots import store
 from service.robots.documents import core_document
-from service.robots.schemas import JointSummary, RobotDocument, RobotList, RobotReport
 
 if TYPE_CHECKING:
     from core.robot import Joint

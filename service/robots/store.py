@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sqlalchemy import delete, func, select
 
+from service.contract.robot_reports import RobotSummary
 from service.db import Session
 from service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
 from service.errors import ServiceError
 from service.robots.documents import core_document
-from service.robots.schemas import RobotSummary
 
 if TYPE_CHECKING:
     from core.robot import Robot

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from service.contract.versions import ActivatedVersion, ActivationWish, VersionSummary
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.robots import store as robots
 from service.versions import store
 from service.versions.guard import Verdict, judge
-from service.versions.schemas import ActivatedVersion, ActivationWish, VersionSummary
 
 ACTIVATE, ROLLBACK = "activate", "rollback"
 ATTEMPTS = 5

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import CoreError
+from service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
 from service.db import Database, Session
 from service.versions import store
 from service.versions.objections import objections_of
-from service.versions.schemas import Comparison, CorrectionLimits, Objection, Rival
 from service.versions.unseen import Archive, Unseen
 
 if TYPE_CHECKING:

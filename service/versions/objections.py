@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from service.versions.schemas import CorrectionLimits, Objection
+from service.contract.versions import CorrectionLimits, Objection
 
 CODES = ("heldout_worse_than_registration", "worse_than_geometry")  # warnings that say what this module looks for
 ERRORS_OF_DOUBT, SHARE_OF_DOUBT = (

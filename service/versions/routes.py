@@ -8,12 +8,19 @@ from fastapi import APIRouter, Depends, Query, Response
 
 from service.auth.access import Admin
 from service.campaigns.reading import CSV, PARQUET
-from service.limits import MAX_NAMED
+from service.contract.units import MAX_NAMED
+from service.contract.versions import (
+    ActivatedVersion,
+    ActivationList,
+    ActivationWish,
+    Version,
+    VersionDiff,
+    VersionList,
+)
 from service.routing import GuardedRoute
 from service.slots import reading_turn
 from service.state import DatabaseOfApp, SettingsOfApp
 from service.versions import activation, service
-from service.versions.schemas import ActivatedVersion, ActivationList, ActivationWish, Version, VersionDiff, VersionList
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from service.contract.versions import ActivationList, ParameterChange, Version, VersionDiff, VersionList
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.exporters.exportable import Exportable
 from service.exporters.registry import Exported, export
 from service.robots import store as robots
 from service.versions import store
-from service.versions.schemas import (
-    ActivationList,
-    ParameterChange,
-    Version,
-    VersionDiff,
-    VersionList,
-)
 from service.versions.store import ActiveVersion
 from service.versions.values import Value, wire_values
 

@@ -11,19 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import func, select
 
+from service.contract.versions import Activation, CorrectionLimits, Objection, UsedCampaign, Version, VersionSummary
 from service.db import Session
 from service.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
 from service.errors import ServiceError
 from service.robots import store as robots
 from service.versions.objections import objections_of
-from service.versions.schemas import (
-    Activation,
-    CorrectionLimits,
-    Objection,
-    UsedCampaign,
-    Version,
-    VersionSummary,
-)
 
 if TYPE_CHECKING:
     from core.identify.predictive import Predictive

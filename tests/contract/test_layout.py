@@ -55,6 +55,21 @@ def test_core_imports_only_numpy_scipy_and_numba() -> None:
     assert not strange
 
 
+def test_the_contract_knows_pydantic_and_itself_only() -> None:
+    allowed = {"pydantic", *sys.stdlib_module_names}
+    strange = []
+    for path in modules("service/contract"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            named = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            named += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
+            strange += [
+                f"{path.relative_to(REPOSITORY)}: {name}"
+                for name in named
+                if name.partition(".")[0] not in allowed and not name.startswith("service.contract")
+            ]
+    assert not strange
+
+
 def test_only_kernels_and_the_short_way_are_compiled() -> None:
     outside = [
         str(path.relative_to(REPOSITORY))

@@ -20,6 +20,7 @@ import zenoh
 from kilter_client.stream import CorrectedStream
 
 from core.model import Calibration
+from service.contract.versions import ActivationWish
 from service.corrector import frames
 from service.corrector.active import Active
 from service.corrector.frames import Flag, Status
@@ -30,7 +31,6 @@ from service.db.tables import JobRow
 from service.robots import service as robots
 from service.settings import DATABASE_FILE, Settings
 from service.versions import activation, store
-from service.versions.schemas import ActivationWish
 from service.versions.store import NewVersion
 from tests.corrector.live import ROBOT, ROOT, Line, Q, open_stream, point, until
 

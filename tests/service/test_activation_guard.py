@@ -14,11 +14,11 @@ from sqlalchemy import update
 
 from core.identify.holdout import split
 from core.poses import rounded_poses
+from service.contract.jobs.job import NewJob
 from service.db import Database
 from service.db.tables import VersionRow
 from service.jobs import store as jobs
 from service.jobs.runner import Runner
-from service.jobs.schemas import NewJob
 from service.robots import store as robots
 from service.versions import activation, guard, store
 from service.versions.store import NewVersion

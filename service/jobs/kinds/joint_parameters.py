@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from core.errors import OptionError
+from service.contract.jobs.joint_parameters import Options
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 
 if TYPE_CHECKING:
@@ -17,34 +18,6 @@ if TYPE_CHECKING:
     from core.robot import Robot
 
 AXES = "xyz"
-RESOLUTION_DEG = 0.001
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-
-
-class Reading(BaseModel):
-    """One reading: what the joint turned about an axis of its frame beyond the command, up to a constant per series."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    joint: str
-    axis: Literal["x", "y", "z"]
-    q_deg: list[Finite]
-    reading_deg: Finite
-    payload_kg: Annotated[float, Field(ge=0)] = 0.0
-    series: int = 0
-
-
-class Options(BaseModel):
-    """Readings to evaluate, or a joint to propose configurations for. ``q_deg`` of a slide is in mm."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    readings: list[Reading] = []
-    resolution_deg: Annotated[float, Field(gt=0)] = RESOLUTION_DEG
-    propose: str | None = None
-    count: Annotated[int, Field(ge=4, le=200)] = 8
-    payloads_kg: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)] = [0.0]
-    seed: Annotated[int, Field(ge=0)] = 0
 
 
 def check(options: dict[str, Any]) -> None:

@@ -25,11 +25,11 @@ from core.observations import Observations
 from core.robots import preset_document, robot_from_document
 from core.transforms import pose_from_xyz_rpy
 from core.twin import Twin, thesis_katana
+from service.contract.versions import CorrectionLimits, Version
 from service.errors import ServiceError
 from service.exporters.exportable import Exportable
 from service.exporters.registry import Exported, export
 from service.importers.urdf import chain_document
-from service.versions.schemas import CorrectionLimits, Version
 
 Floats = NDArray[np.float64]
 

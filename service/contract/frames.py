@@ -1,36 +1,28 @@
-"""Wire types of frames from digitised points."""
+"""Frames from digitised points."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import Field
 
-from service.robots.schemas import Pose
-
-Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-
-
-class Strict(BaseModel):
-    """No unknown field."""
-
-    model_config = ConfigDict(extra="forbid")
+from service.contract.units import Pose, Strict, Vector
 
 
 class KnownPoint(Strict):
     """A point whose place in the frame is known, as the device measured it."""
 
     name: Annotated[str, Field(max_length=64)] = ""
-    known_mm: Point
-    measured_mm: Point
+    known_mm: Vector
+    measured_mm: Vector
 
 
 class Features(Strict):
     """Points on the frame's xy plane, along its x axis (first to last), and one above or below its origin."""
 
-    plane_mm: Annotated[list[Point], Field(min_length=3, max_length=10_000)]
-    line_mm: Annotated[list[Point], Field(min_length=2, max_length=10_000)]
-    origin_mm: Point
+    plane_mm: Annotated[list[Vector], Field(min_length=3, max_length=10_000)]
+    line_mm: Annotated[list[Vector], Field(min_length=2, max_length=10_000)]
+    origin_mm: Vector
 
 
 class NewFrame(Strict):

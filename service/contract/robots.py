@@ -1,35 +1,16 @@
-"""Wire types of robots: `robot.json`, in mm and degrees."""
+"""Robot documents: `robot.json`, in mm and degrees, in every convention."""
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat
 
-from service.limits import MAX_ELEMENTS, MAX_JOINTS
-from service.robots.complete_schemas import CpcFlange, CpcRow, McpcFlange, McpcRow, PoeAxis, SModelRow
+from service.contract.complete_models import CpcFlange, CpcRow, McpcFlange, McpcRow, PoeAxis, SModelRow
+from service.contract.units import MAX_ELEMENTS, MAX_JOINTS, JointType, Name, Pose, Strict, Vector
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Axis = Literal["Rx", "Ry", "Rz", "Tx", "Ty", "Tz"]
 Range = tuple[FiniteFloat, FiniteFloat]
-
-
-class Strict(BaseModel):
-    """No unknown field, no silent conversion of text to numbers."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
-class Pose(Strict):
-    """A frame: position, then Rz Ry Rx (the convention of URDF)."""
-
-    x_mm: FiniteFloat = 0.0
-    y_mm: FiniteFloat = 0.0
-    z_mm: FiniteFloat = 0.0
-    rx_deg: FiniteFloat = 0.0
-    ry_deg: FiniteFloat = 0.0
-    rz_deg: FiniteFloat = 0.0
 
 
 class Joint(Strict):
@@ -52,7 +33,7 @@ class Link(Strict):
     """
 
     mass_kg: Annotated[FiniteFloat, Field(ge=0)] = 0.0
-    com_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
+    com_mm: Vector = (0.0, 0.0, 0.0)
     inertia_kg_m2: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] = (0.0,) * 6
     mass_sigma_kg: Annotated[FiniteFloat, Field(gt=0)] | None = None
     com_sigma_mm: Annotated[FiniteFloat, Field(gt=0)] | None = None
@@ -77,7 +58,7 @@ class DhRow(Strict):
     d_mm: FiniteFloat = 0.0
     a_mm: FiniteFloat = 0.0
     alpha_deg: FiniteFloat = 0.0
-    type: Literal["revolute", "prismatic"] = "revolute"
+    type: JointType = "revolute"
 
 
 class MdhRow(Strict):
@@ -88,7 +69,7 @@ class MdhRow(Strict):
     beta_deg: FiniteFloat | None = None
     theta_offset_deg: FiniteFloat = 0.0
     d_mm: FiniteFloat | None = 0.0
-    type: Literal["revolute", "prismatic"] = "revolute"
+    type: JointType = "revolute"
 
 
 class PayloadSigma(Strict):
@@ -101,7 +82,7 @@ class PayloadSigma(Strict):
 class _Robot(Strict):
     name: Name
     source: Annotated[str, Field(max_length=2000)] | None = None
-    gravity_m_s2: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    gravity_m_s2: Vector | None = None
     links: Annotated[list[Link], Field(max_length=MAX_JOINTS)] | None = None
     tool: Pose | None = None
     base: Pose | None = None
@@ -189,44 +170,3 @@ RobotDocument = Annotated[
     Field(discriminator="convention"),
 ]
 Target = Literal["chain", "dh", "mdh", "s_model", "poe", "cpc", "mcpc", "urdf"]
-
-
-class JointSummary(Strict):
-    """A joint as Kilter understood it."""
-
-    name: str
-    kind: Literal["revolute", "prismatic"]
-    limits_deg: tuple[float | None, float | None] | None = None
-    limits_mm: tuple[float | None, float | None] | None = None
-    gear_ratio: float | None = None
-
-    @model_validator(mode="after")
-    def _one_unit(self) -> JointSummary:
-        assert (self.limits_deg is None) != (self.limits_mm is None)
-        return self
-
-
-class RobotSummary(Strict):
-    """A robot in a list."""
-
-    name: str
-    convention: str
-    created_at: datetime
-    campaigns: int
-    versions: int
-    active_version: str | None
-
-
-class RobotReport(RobotSummary):
-    """A robot with its joints, the names of its geometric parameters, and the document it was posted as."""
-
-    joints: list[JointSummary]
-    parameters: list[str]
-    notes: list[str]
-    document: RobotDocument
-
-
-class RobotList(Strict):
-    """All robots, by name."""
-
-    robots: list[RobotSummary]

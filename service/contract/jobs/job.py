@@ -1,35 +1,22 @@
-"""Wire types of jobs."""
+"""A job: what is asked, how far it is, what came out."""
 
 from __future__ import annotations
 
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from service.limits import MAX_NAMED
+from service.contract.units import Fraction, Id, Ids, Strict
 
 State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 FINAL: frozenset[str] = frozenset({"succeeded", "failed", "cancelled"})
-
-
-class Strict(BaseModel):
-    """No unknown field."""
-
-    model_config = ConfigDict(extra="forbid")
 
 
 class Folds(Strict):
     """Cross-validation."""
 
     folds: Annotated[int, Field(ge=2, le=1000)]
-
-
-Fraction = Annotated[float, Field(ge=0, lt=1)]
-
-
-Id = Annotated[str, Field(max_length=64)]
-Ids = Annotated[list[Id], Field(max_length=MAX_NAMED)]
 
 
 class NewJob(Strict):

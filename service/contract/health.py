@@ -1,24 +1,22 @@
-"""Wire types of the health routes."""
+"""The state of the server."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from service.contract.units import Strict
 
 
-class Check(BaseModel):
+class Check(Strict):
     """One thing that was looked at."""
 
-    model_config = ConfigDict(extra="forbid")
     ok: bool
     detail: str
 
 
-class Health(BaseModel):
+class Health(Strict):
     """The state of the server."""
 
-    model_config = ConfigDict(extra="forbid")
     status: Literal["live", "ready", "not_ready"]
     version: str
     checks: dict[str, Check]

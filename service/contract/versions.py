@@ -1,17 +1,13 @@
-"""Wire types of parameter versions."""
+"""Parameter versions, their activation, and how two of them differ."""
 
 from __future__ import annotations
 
 from datetime import datetime
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-
-class Strict(BaseModel):
-    """No unknown field."""
-
-    model_config = ConfigDict(extra="forbid")
+from service.contract.units import Strict
 
 
 class CorrectionLimits(Strict):

@@ -1,27 +1,20 @@
-"""Wire types of the complete models: product of exponentials, CPC, MCPC and the S-model."""
+"""Rows of the complete models: product of exponentials, CPC, MCPC and the S-model."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import Field, FiniteFloat
 
-Kind = Literal["revolute", "prismatic"]
-Direction = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-
-
-class Strict(BaseModel):
-    """No unknown field."""
-
-    model_config = ConfigDict(extra="forbid")
+from service.contract.units import JointType, Strict, Vector
 
 
 class PoeAxis(Strict):
     """A moving axis at zero, in the base frame; the joint that drives it, times ratio (default: the next joint)."""
 
-    direction: Direction
-    point_mm: Direction = (0.0, 0.0, 0.0)
-    type: Kind = "revolute"
+    direction: Vector
+    point_mm: Vector = (0.0, 0.0, 0.0)
+    type: JointType = "revolute"
     joint: Annotated[str, Field(min_length=1, max_length=64)] | None = None
     ratio: FiniteFloat = 1.0
 
@@ -29,17 +22,17 @@ class PoeAxis(Strict):
 class CpcRow(Strict):
     """Direction of the next axis in the frame before, and its shift; then the joint."""
 
-    b: Direction
+    b: Vector
     x_mm: FiniteFloat = 0.0
     y_mm: FiniteFloat = 0.0
     theta_offset_deg: FiniteFloat = 0.0
-    type: Kind = "revolute"
+    type: JointType = "revolute"
 
 
 class CpcFlange(Strict):
     """R(b) Rz(beta) Tx Ty Tz after the last joint."""
 
-    b: Direction = (0.0, 0.0, 1.0)
+    b: Vector = (0.0, 0.0, 1.0)
     beta_deg: FiniteFloat = 0.0
     x_mm: FiniteFloat = 0.0
     y_mm: FiniteFloat = 0.0
@@ -54,7 +47,7 @@ class McpcRow(Strict):
     x_mm: FiniteFloat = 0.0
     y_mm: FiniteFloat = 0.0
     theta_offset_deg: FiniteFloat = 0.0
-    type: Kind = "revolute"
+    type: JointType = "revolute"
 
 
 class McpcFlange(Strict):
@@ -77,4 +70,4 @@ class SModelRow(Strict):
     alpha_deg: FiniteFloat = 0.0
     gamma_deg: FiniteFloat = 0.0
     b_mm: FiniteFloat = 0.0
-    type: Kind = "revolute"
+    type: JointType = "revolute"

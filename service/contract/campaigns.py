@@ -1,30 +1,26 @@
-"""Wire types of campaigns and uploads."""
+"""Campaigns and uploads."""
 
 from __future__ import annotations
 
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import Field, FiniteFloat
+
+from service.contract.units import Strict, Vector
 
 Role = Literal["train", "validation", "confirmation"]
 Text = Annotated[str, Field(max_length=200)]
-
-
-class Strict(BaseModel):
-    """No unknown field."""
-
-    model_config = ConfigDict(extra="forbid")
 
 
 class Conditions(Strict):
     """What held during the whole campaign; a column of the rows goes before it."""
 
     payload_kg: Annotated[FiniteFloat, Field(ge=0)] | None = None
-    payload_com_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    payload_com_mm: Vector | None = None
     temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] | None = None
-    tool_force_n: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
-    tool_moment_nm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    tool_force_n: Vector | None = None
+    tool_moment_nm: Vector | None = None
 
 
 class NewCampaign(Strict):

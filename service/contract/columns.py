@@ -1,0 +1,47 @@
+"""The columns of observations: their quantities, the units a name may end in, and which belong together."""
+
+from __future__ import annotations
+
+import math
+
+RAD = math.pi / 180.0
+ANGLES = {"deg": RAD, "rad": 1.0}
+LENGTHS = {"mm": 1e-3, "m": 1.0}
+
+# quantity of a numbered column -> units of a revolute joint, units of a prismatic joint; the value is the factor to SI
+JOINT_UNITS: dict[str, tuple[dict[str, float], dict[str, float]]] = {
+    "q": (ANGLES, LENGTHS),
+    "link": (ANGLES, LENGTHS),
+    "qd": ({f"{u}_s": f for u, f in ANGLES.items()}, {f"{u}_s": f for u, f in LENGTHS.items()}),
+    "qdd": ({f"{u}_s2": f for u, f in ANGLES.items()}, {f"{u}_s2": f for u, f in LENGTHS.items()}),
+    "tau": ({"nm": 1.0}, {"n": 1.0}),
+    "dir": ({"": 1.0}, {"": 1.0}),
+}
+# quantity of a plain column -> its units
+PLAIN_UNITS: dict[str, dict[str, float]] = {
+    **dict.fromkeys(("x", "y", "z"), LENGTHS),
+    **{f"s{axis}": LENGTHS for axis in "xyz"},
+    **dict.fromkeys(("phi", "theta", "psi"), ANGLES),
+    **{part: {"": 1.0} for part in ("qw", "qx", "qy", "qz")},
+    "t": {"s": 1.0},
+    "payload": {"kg": 1.0},
+    "temperature": {"c": 1.0},
+    "session": {"": 1.0},
+    "pose_id": {"": 1.0},
+    **dict.fromkeys(("tipx", "tipy", "tipz"), LENGTHS),
+    **{f"f{axis}": {"n": 1.0} for axis in "xyz"},
+    **{f"m{axis}": {"nm": 1.0} for axis in "xyz"},
+    **{f"{kind}_id": {"": 1.0} for kind in ("socket", "plane", "bar")},
+    "bar": LENGTHS,
+}
+CONTACTS = ("socket_id", "plane_id", "bar_id")
+TOGETHER = (
+    ("x", "y", "z"),
+    ("sx", "sy", "sz"),
+    ("qw", "qx", "qy", "qz"),
+    ("phi", "theta", "psi"),
+    ("tipx", "tipy", "tipz"),
+    ("fx", "fy", "fz"),
+    ("mx", "my", "mz"),
+    ("bar_id", "bar"),
+)
