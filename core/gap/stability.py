@@ -106,7 +106,7 @@ def _scores(hunt: Hunt, poses: int) -> tuple[Floats, Floats]:
     world = hunt.world
     r = residual_given(world, hunt.columns)
     group = world.setting.group[world.row_visit]
-    return summed(world.W * r[:, None], group, poses), np.bincount(group, r**2, poses).astype(np.float64)
+    return summed(world.W, group, poses, r), np.bincount(group, r**2, poses).astype(np.float64)
 
 
 def _moved(hunt: Hunt, scores: Floats, sizes: Floats, weight: Floats) -> Gram:

@@ -23,6 +23,7 @@ BINS = 6
 FEWEST = 4  # visits in a bin
 FLIPS = 999
 FEWEST_PAIRS = 3
+AT_A_TIME = 100  # flips: all of thousands of poses fill the memory
 
 
 @dataclass(frozen=True)
@@ -116,24 +117,30 @@ def _bins(world: World, rows: Observations, r: Floats, scale: float, seed: int) 
     bins = [b for b in bins if b[2].sum() >= FEWEST]
     if not bins:
         return []
-    rng = np.random.default_rng(seed)
     poses = int(group.max()) + 1
-    flips = np.vstack([np.ones(poses), rng.choice([-1.0, 1.0], size=(FLIPS, poses))])
-    z = []
-    excess = []
-    for _, _, mask, part in bins:
-        sums = np.stack([np.bincount(group[mask], c[mask], poses) for c in part.T], axis=1) / np.sqrt(
-            mask.sum() * scale
-        )
-        T = np.sum((flips @ sums) ** 2, axis=1)
-        excess.append(float(T[0]) / part.shape[1] - 1.0)
-        z.append(unlikelihood(*_matched(T)))
+    sums = [
+        np.bincount(group[mask], c[mask], poses) / np.sqrt(mask.sum() * scale)
+        for _, _, mask, part in bins
+        for c in part.T
+    ]
+    squares = _flipped(np.stack(sums, axis=1), np.random.default_rng(seed)) ** 2
+    ends = np.cumsum([part.shape[1] for *_, part in bins])
+    T = [np.sum(own, axis=1) for own in np.split(squares, ends[:-1], axis=1)]
+    excess = [float(t[0]) / part.shape[1] - 1.0 for t, (*_, part) in zip(T, bins, strict=True)]
+    z = [unlikelihood(*_matched(t)) for t in T]
     Z = np.stack(z)
     best = Z[:, 1:].max(axis=0)
     return [
         Place(f, level, e, (1.0 + float(np.sum(best >= row[0]))) / (FLIPS + 1.0), int(mask.sum()))
         for (f, level, mask, _), e, row in zip(bins, excess, Z, strict=True)
     ]
+
+
+def _flipped(sums: Floats, rng: np.random.Generator) -> Floats:
+    """Sums (1 + FLIPS, K) over the poses (G, K) as they are, then under flips of their signs."""
+    counts = [min(AT_A_TIME, FLIPS - k) for k in range(0, FLIPS, AT_A_TIME)]
+    flipped = [rng.choice([-1.0, 1.0], size=(count, len(sums))) @ sums for count in counts]
+    return np.concatenate([np.sum(sums, axis=0, keepdims=True), *flipped])
 
 
 def _matched(T: Floats) -> tuple[Floats, float]:

@@ -180,6 +180,16 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     return World(setting, values, y, U, scale, nu, *_products(soft, U, W, y), r, G, W, soft)
 
 
+def columns_at(setting: Setting, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:
+    """Whitened unit columns (R, K) of the library, as :func:`world_at` has them, without the geometry."""
+    source = setting.source
+    bare = replace(source, free=np.zeros(0, dtype=np.int64)) if isinstance(source, ToolSource) else source
+    W = _white(setting, bare.linear(values, batch, only).W)
+    norm = np.linalg.norm(W, axis=0)
+    W /= np.where(norm > 0.0, norm, 1.0)
+    return W
+
+
 def _products(soft: Soft, U: Floats, W: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Inner products (Q, Q) of the projected columns, and (Q,) with the data."""
     P = _projected(soft, U, W)
