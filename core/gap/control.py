@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from core.gap.candidates import Candidate
 from core.gap.hunt import Hunt
-from core.gap.scan import residual_given, summed
+from core.gap.scan import grouping, residual_given
 from core.gap.tails import tail
 from core.gap.world import columns_at
 
@@ -78,12 +78,12 @@ def false_names(hunt: Hunt, shuffles: int, seed: int) -> float:
     basis = world.basis(hunt.columns)
     r = residual_given(world, hunt.columns).reshape(-1, size)
     given = world.gram.given(hunt.columns)
-    W = world.W
+    columns = world.projection
     hits = 0
     for _ in range(shuffles):
         mixed = r[_order(world.setting.group, rng)].reshape(-1)
         mixed = mixed - basis @ (basis.T @ mixed)
-        k, _ = selector.entry(given.with_data(W.T @ mixed, float(mixed @ mixed)), (), hunt.critical)
+        k, _ = selector.entry(given.with_data(columns.under(mixed), float(mixed @ mixed)), (), hunt.critical)
         hits += k is not None
     return hits / shuffles
 
@@ -165,7 +165,7 @@ def by_blocks(u: Floats, r: Floats, blocks: Ints) -> tuple[float, int, float]:
     whatever the noise is. A shuffled label matches a true delay in a few cycles by chance, which a test that counts
     samples calls certain. Blocks that were shuffled are independent of one another.
     """
-    share = summed(u, blocks, int(blocks.max()) + 1, r)
+    share = grouping(blocks, int(blocks.max()) + 1, r) @ u
     share = share[np.any(share != 0.0, axis=1)]
     count, d = len(share), u.shape[1]
     if count <= d + 1:

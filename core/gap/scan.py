@@ -19,6 +19,7 @@ from scipy.sparse import csr_array
 from core.gap.candidates import Candidate
 from core.gap.gram import VISIBLE, Gram
 from core.gap.noise import Noise
+from core.gap.projection import Projection
 from core.gap.tails import tail
 from core.gap.world import World
 
@@ -32,6 +33,7 @@ CAUTION = 0.5
 STRICTER = 1e-3  # the most that sign flips may tighten the limit of the bootstrap
 FEWEST_FLIPS = 12  # poses below which sign flips cannot reach a 1 % level
 _NUMBERS = itertools.count()
+AT_A_TIME = 100  # flips of signs: all of thousands of poses fill the memory
 ALMOST_ALL = 0.999  # leverage beyond which a residual says nothing
 
 
@@ -251,22 +253,21 @@ def bootstrap(gram: Gram, scorer: Scorer, draws: int, rng: np.random.Generator) 
 
 @dataclass(frozen=True)
 class _Flips:
-    """Flips of the signs of whole poses: candidates ``W (R, Q)`` with the chosen columns, of ``basis``, taken out."""
+    """Flips of the signs of whole poses: candidates' ``columns`` with the chosen ones, of ``basis``, taken out."""
 
     world: World
     gram: Gram
     scorer: Scorer
     draws: int
     basis: Floats
-    W: Floats
+    columns: Projection
 
     @staticmethod
     def of(world: World, gram: Gram, scorer: Scorer, chosen: Sequence[int], draws: int) -> _Flips | None:
         if int(world.setting.group.max()) + 1 < FEWEST_FLIPS:
             return None
-        basis, W = world.basis(chosen), world.W
-        W -= basis @ (basis.T @ W)
-        return _Flips(world, gram, scorer, draws, basis, W)
+        basis = world.basis(chosen)
+        return _Flips(world, gram, scorer, draws, basis, world.projection.less(basis))
 
     def tails(self, taken: Sequence[int], rng: np.random.Generator) -> Floats:
         """Smallest tail probabilities (draws,) of what the columns ``taken`` leave."""
@@ -275,10 +276,9 @@ class _Flips:
         poses = int(group.max()) + 1
         full = world.basis(taken)
         r = residual_given(world, taken, full) / np.sqrt(1.0 - np.minimum(np.sum(full**2, axis=1), ALMOST_ALL))
-        flips = rng.choice([-1.0, 1.0], size=(self.draws, poses))
-        rows = group[world.row_visit]
-        c = flips @ summed(self.W, rows, poses, r)
-        yy = float(r @ r) - np.sum((flips @ summed(self.basis, rows, poses, r)) ** 2, axis=1)
+        sums = grouping(group[world.row_visit], poses, r)
+        c, along = flipped((self.columns.under(sums), sums @ self.basis), self.draws, rng)
+        yy = float(r @ r) - np.sum(along**2, axis=1)
         S, d = scorer.reductions(gram, c)
         tails = scorer.scaled(S, d, np.maximum(yy, 0.0), gram.nu, np.ones(self.draws))
         return scorer.best_tail(tails, d, gram.nu)
@@ -290,10 +290,18 @@ def residual_given(world: World, chosen: Sequence[int], basis: Floats | None = N
     return np.asarray(world.y - basis @ (basis.T @ world.y))
 
 
-def summed(values: Floats, group: Ints, groups: int, weight: Floats | None = None) -> Floats:
-    """Sums of the rows (R, Q), times their ``weight (R,)``, of each group (G, Q)."""
+def flipped(sums: Sequence[Floats], draws: int, rng: np.random.Generator) -> list[Floats]:
+    """Each of the sums (G, K) over the poses, under flips of their signs (draws, K)."""
+    parts = []
+    for k in range(0, draws, AT_A_TIME):
+        signs = rng.choice([-1.0, 1.0], size=(min(AT_A_TIME, draws - k), len(sums[0])))
+        parts.append([signs @ one for one in sums])
+    return [np.concatenate(own) for own in zip(*parts, strict=True)]
+
+
+def grouping(group: Ints, groups: int, weight: Floats | None = None) -> csr_array:
+    """What sums the rows, times their ``weight (R,)``, of each group: a sparse matrix (G, R)."""
     order = np.argsort(group, kind="stable")
     starts = np.concatenate([[0], np.cumsum(np.bincount(group, minlength=groups))])
     data = np.ones(len(group)) if weight is None else weight[order]
-    # No copy of the rows is made: those of thousands of poses fill the memory.
-    return np.asarray(csr_array((data, order, starts), shape=(groups, len(group))) @ values)
+    return csr_array((data, order, starts), shape=(groups, len(group)))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import chi2
 
+from core.gap.scan import flipped
 from core.gap.source import LinkSource, ToolSource
 from core.gap.world import World
 from core.observations import Observations
@@ -23,7 +24,6 @@ BINS = 6
 FEWEST = 4  # visits in a bin
 FLIPS = 999
 FEWEST_PAIRS = 3
-AT_A_TIME = 100  # flips: all of thousands of poses fill the memory
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,9 @@ def _bins(world: World, rows: Observations, r: Floats, scale: float, seed: int) 
         for _, _, mask, part in bins
         for c in part.T
     ]
-    squares = _flipped(np.stack(sums, axis=1), np.random.default_rng(seed)) ** 2
+    as_is = np.stack(sums, axis=1)
+    under = flipped((as_is,), FLIPS, np.random.default_rng(seed))[0]
+    squares = np.vstack([np.sum(as_is, axis=0), under]) ** 2
     ends = np.cumsum([part.shape[1] for *_, part in bins])
     T = [np.sum(own, axis=1) for own in np.split(squares, ends[:-1], axis=1)]
     excess = [float(t[0]) / part.shape[1] - 1.0 for t, (*_, part) in zip(T, bins, strict=True)]
@@ -134,13 +136,6 @@ def _bins(world: World, rows: Observations, r: Floats, scale: float, seed: int) 
         Place(f, level, e, (1.0 + float(np.sum(best >= row[0]))) / (FLIPS + 1.0), int(mask.sum()))
         for (f, level, mask, _), e, row in zip(bins, excess, Z, strict=True)
     ]
-
-
-def _flipped(sums: Floats, rng: np.random.Generator) -> Floats:
-    """Sums (1 + FLIPS, K) over the poses (G, K) as they are, then under flips of their signs."""
-    counts = [min(AT_A_TIME, FLIPS - k) for k in range(0, FLIPS, AT_A_TIME)]
-    flipped = [rng.choice([-1.0, 1.0], size=(count, len(sums))) @ sums for count in counts]
-    return np.concatenate([np.sum(sums, axis=0, keepdims=True), *flipped])
 
 
 def _matched(T: Floats) -> tuple[Floats, float]:
