@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -159,6 +159,14 @@ def linear(batch: Batch, values: Floats, derivatives: Iterable[Derivative]) -> L
     return Local(**sums, derivatives=derivatives)
 
 
+SOFTENING = "Half-width over which the sign of the load changes, N m, 0 or more; one for all joints, or one for each."
+
+
+def option(default: Any, text: str, **limits: Any) -> Any:
+    """Say what an option of an effect means, and what it may be: ``low``, ``above``, ``high``, or ``choices``."""
+    return field(default=default, metadata={"text": text, **limits})
+
+
 @dataclass(frozen=True)
 class Effect(ABC):
     """One physical error source. ``joints`` are the joints it acts on, from 0; None means all it can act on.
@@ -192,7 +200,7 @@ class Effect(ABC):
     reads: ClassVar[tuple[tuple[str, tuple[int, ...]], ...]] = ()
     counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents
 
-    joints: tuple[int, ...] | None = None
+    joints: tuple[int, ...] | None = option(None, "Joints it acts on, from 1; null: all that it can act on.")
 
     def __post_init__(self) -> None:
         if self.joints is None:

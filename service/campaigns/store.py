@@ -15,9 +15,10 @@ from core.errors import ObservationError
 from service.campaigns.assemble import observations as assemble
 from service.campaigns.chunks import Chunk, read_chunk
 from service.campaigns.columns import read_columns
-from service.contract.campaigns import Campaign, Conditions, NewCampaign, Upload
+from service.campaigns.records import CampaignRecord, UploadRecord
+from service.contract.campaigns import NewCampaign
 from service.db import Session
-from service.db.tables import CampaignRow, ChunkRow, RobotRow, UploadRow
+from service.db.tables import CampaignRow, ChunkRow, UploadRow
 from service.errors import ServiceError
 
 if TYPE_CHECKING:
@@ -44,13 +45,20 @@ def add(session: Session, robot_id: int, campaign: NewCampaign) -> str:
     return row.id
 
 
-def row_of(session: Session, campaign_id: str) -> CampaignRow:
-    """Return the row of a campaign.
+def get(session: Session, campaign_id: str) -> CampaignRecord:
+    """Return a campaign.
 
     Raises:
         ServiceError: there is none.
 
     """
+    row = _row(session, campaign_id)
+    return CampaignRecord(
+        row.id, row.robot_id, row.name, row.device, row.role, row.conditions, row.notes, row.staged, row.created_at
+    )
+
+
+def _row(session: Session, campaign_id: str) -> CampaignRow:
     row = session.get(CampaignRow, campaign_id)
     if row is None:
         raise ServiceError(
@@ -61,26 +69,26 @@ def row_of(session: Session, campaign_id: str) -> CampaignRow:
     return row
 
 
-def whole_row_of(session: Session, campaign_id: str) -> CampaignRow:
-    """Return the row of a campaign whose parts are all there.
+def whole(session: Session, campaign_id: str) -> CampaignRecord:
+    """Return a campaign whose parts are all there.
 
     Raises:
         ServiceError: there is none, or parts of it are missing.
 
     """
-    row = row_of(session, campaign_id)
-    if row.staged:
+    found = get(session, campaign_id)
+    if found.staged:
         raise ServiceError(
             f"Campaign {campaign_id} is not whole: give the command that sends it again, and it goes on.",
             code="campaign_incomplete",
             campaign=campaign_id,
         )
-    return row
+    return found
 
 
 def commit(session: Session, campaign_id: str) -> None:
     """Make a staged campaign one that is listed and used."""
-    row_of(session, campaign_id).staged = False
+    _row(session, campaign_id).staged = False
 
 
 def discard(session: Session, campaign_id: str) -> None:
@@ -95,40 +103,16 @@ def staged_before(session: Session, robot_id: int, moment: datetime) -> list[str
     return list(session.execute(query.where(CampaignRow.created_at < moment)).scalars())
 
 
-def get(session: Session, campaign_id: str) -> Campaign:
-    """Return a campaign with its uploads."""
-    row = row_of(session, campaign_id)
-    uploads = uploads_of(session, campaign_id)
-    return Campaign(
-        id=row.id,
-        robot=session.get_one(RobotRow, row.robot_id).name,
-        name=row.name,
-        device=row.device,
-        role=row.role,
-        conditions=Conditions(**row.conditions),
-        notes=row.notes,
-        staged=row.staged,
-        created_at=row.created_at,
-        rows=sum(upload.rows for upload in uploads),
-        uploads=uploads,
-    )
-
-
 def ids_of_robot(session: Session, robot_id: int, staged: bool = False) -> list[str]:
     """Return the ids of a robot's campaigns, oldest first; ``staged`` are those whose parts are not all there."""
     query = select(CampaignRow.id).where(CampaignRow.robot_id == robot_id, CampaignRow.staged == staged)
     return list(session.execute(query.order_by(CampaignRow.created_at, CampaignRow.id)).scalars())
 
 
-def uploads_of(session: Session, campaign_id: str) -> list[Upload]:
+def uploads_of(session: Session, campaign_id: str) -> list[UploadRecord]:
     """Return the uploads of a campaign, oldest first."""
     rows = session.execute(select(UploadRow).where(UploadRow.campaign_id == campaign_id).order_by(UploadRow.id))
-    return [
-        Upload(
-            sha256=row.sha256, rows=row.rows, columns=row.columns, media_type=row.media_type, created_at=row.created_at
-        )
-        for row in rows.scalars()
-    ]
+    return [UploadRecord(row.sha256, row.rows, row.columns, row.media_type, row.created_at) for row in rows.scalars()]
 
 
 def add_upload(
@@ -147,7 +131,7 @@ def add_upload(
 
 def device(session: Session, campaign_id: str) -> str:
     """Return what a campaign was measured with."""
-    return whole_row_of(session, campaign_id).device
+    return whole(session, campaign_id).device
 
 
 def observations(session: Session, campaign_id: str, robot: Robot, only: Collection[str] | None = None) -> Observations:
@@ -159,7 +143,7 @@ def observations(session: Session, campaign_id: str, robot: Robot, only: Collect
     """
     from pyarrow import concat_tables  # 0.4 s: not at the start of the API process
 
-    row = whole_row_of(session, campaign_id)
+    row = whole(session, campaign_id)
     query = select(UploadRow).where(UploadRow.campaign_id == campaign_id).order_by(UploadRow.id)
     uploads = [u for u in session.execute(query).scalars() if only is None or u.sha256 in only]
     if not uploads:

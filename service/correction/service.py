@@ -17,11 +17,11 @@ from service.correction.ros2 import joint_trajectory
 from service.correction.uncertainty import uncertainty
 from service.corrector.frames import Status
 from service.db import Database, Session
-from service.db.tables import VersionRow
 from service.errors import ServiceError
 from service.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS
 from service.robots import store as robots
 from service.versions import store as versions
+from service.versions.records import VersionRecord
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -72,12 +72,12 @@ def correct(
 
 def _version(
     session: Session, robot: str, version: str | None, temperature_c: float | None
-) -> tuple[VersionRow, CorrectionOptions]:
+) -> tuple[VersionRecord, CorrectionOptions]:
     from core.correction import CorrectionOptions  # loads compiled kernels: not at the start of the API process
 
     stored = robots.get(session, robot)
     if version is None:
-        active = versions.active_row(session, stored.id)
+        active = versions.active_entry(session, stored.id)
         if active is None:
             raise ServiceError(
                 f"Robot {robot!r} has no active version: activate one with POST /v1/versions/{{id}}/activate.",
@@ -85,7 +85,7 @@ def _version(
                 robot=robot,
             )
         version = active.version_id
-    row = versions.row_of(session, version)
+    row = versions.get(session, version)
     if row.robot_id != stored.id:
         raise ServiceError(f"Version {version} is not of robot {robot!r}.", code="option_invalid", version=version)
     limits = CorrectionLimits(**row.limits)

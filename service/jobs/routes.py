@@ -13,10 +13,10 @@ from service.contract.jobs.job import Job, JobList, NewJob
 from service.jobs import service
 from service.jobs.events import events
 from service.jobs.queue import JobQueue
-from service.routing import GuardedRoute
+from service.jobs.request import JobRoute
 from service.state import DatabaseOfApp
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=GuardedRoute)
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=JobRoute)
 
 
 def queue_of(request: Request) -> JobQueue:

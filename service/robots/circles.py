@@ -81,6 +81,6 @@ def _axis(k: int, fit: AxisFit) -> CircleAxis:
 
 
 def _document(document: dict[str, Any]) -> Any:
-    from service.robots.service import DOCUMENT
+    from service.robots.wire import DOCUMENT
 
     return DOCUMENT.validate_python(document)

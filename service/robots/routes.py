@@ -16,6 +16,7 @@ from service.contract.robots import RobotDocument, Target
 from service.contract.units import Name
 from service.limits import MAX_CIRCLE_MB
 from service.robots import service
+from service.robots.wire import DOCUMENT
 from service.routing import GuardedRoute
 from service.slots import compute
 from service.state import DatabaseOfApp, SettingsOfApp
@@ -49,7 +50,7 @@ def convert(document: RobotDocument, to: Target) -> RobotDocument:
     """Write a document in another convention, without adding it: the same poses at the same joint readings."""
     from service.robots.convert import convert as converted  # imports numpy and scipy: not at the start of the process
 
-    return service.DOCUMENT.validate_python(converted(document, to))
+    return DOCUMENT.validate_python(converted(document, to))
 
 
 @router.post(

@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING
-
-from pydantic import TypeAdapter
-
-from service.contract.robot_reports import JointSummary, RobotList, RobotReport
+from service.contract.robot_reports import RobotList, RobotReport
 from service.contract.robots import RobotDocument
 from service.db import Database
-from service.robots import store
+from service.robots import store, wire
 from service.robots.documents import core_document
-
-if TYPE_CHECKING:
-    from core.robot import Joint
-
-DOCUMENT: TypeAdapter[RobotDocument] = TypeAdapter(RobotDocument)
 
 
 def add(database: Database, document: RobotDocument) -> tuple[RobotReport, bool]:
@@ -43,34 +33,18 @@ def get(database: Database, name: str) -> RobotReport:
     """Report on the robot of a name."""
     with database.reading() as session:
         stored = store.get(session, name)
-        summary = store.summaries(session, name)[0]
+        record = store.records(session, name)[0]
         robot = store.core_robot(session, stored.id)
-    return RobotReport(
-        **summary.model_dump(),
-        joints=[joint_summary(joint) for joint in robot.joints],
-        parameters=[str(robot.chain.elements[k].name) for k in robot.chain.named],
-        notes=core_document(stored.document).notes,
-        document=DOCUMENT.validate_python(stored.document),
-    )
+    return wire.report(record, robot, core_document(stored.document).notes)
 
 
 def listed(database: Database) -> RobotList:
     """List all robots."""
     with database.reading() as session:
-        return RobotList(robots=store.summaries(session))
+        return RobotList(robots=[wire.summary(record) for record in store.records(session)])
 
 
 def remove(database: Database, name: str) -> None:
     """Delete a robot without campaigns."""
     with database.transaction() as session:
         store.remove(session, name)
-
-
-def joint_summary(joint: Joint) -> JointSummary:
-    """Say what a joint is, in mm and degrees."""
-    bounds = tuple(bound if math.isfinite(bound) else None for bound in (joint.lower, joint.upper))
-    scale = 1e3 if joint.kind == "prismatic" else 180.0 / math.pi
-    limits = tuple(None if bound is None else round(bound * scale, 9) for bound in bounds)
-    if joint.kind == "prismatic":
-        return JointSummary(name=joint.name, kind="prismatic", limits_mm=limits, gear_ratio=joint.gear_ratio)
-    return JointSummary(name=joint.name, kind="revolute", limits_deg=limits, gear_ratio=joint.gear_ratio)

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sqlalchemy import delete, func, select
 
-from service.contract.robot_reports import RobotSummary
 from service.db import Session
 from service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
 from service.errors import ServiceError
 from service.robots.documents import core_document
+from service.robots.records import RobotRecord
 
 if TYPE_CHECKING:
     from core.robot import Robot
@@ -98,18 +98,19 @@ def remove(session: Session, name: str) -> None:
     session.delete(session.get_one(RobotRow, stored.id))
 
 
-def summaries(session: Session, name: str | None = None) -> list[RobotSummary]:
+def records(session: Session, name: str | None = None) -> list[RobotRecord]:
     """Return all robots, or the one of a name."""
     query = select(RobotRow).order_by(RobotRow.name)
     rows = session.execute(query if name is None else query.where(RobotRow.name == name)).scalars()
-    return [_summary(session, row) for row in rows]
+    return [_record(session, row) for row in rows]
 
 
-def _summary(session: Session, row: RobotRow) -> RobotSummary:
+def _record(session: Session, row: RobotRow) -> RobotRecord:
     last = select(ActivationRow.version_id).where(ActivationRow.robot_id == row.id).order_by(ActivationRow.id.desc())
-    return RobotSummary(
+    return RobotRecord(
+        id=row.id,
         name=row.name,
-        convention=row.document["convention"],
+        document=row.document,
         created_at=row.created_at,
         campaigns=_count(session, CampaignRow, row.id),
         versions=_count(session, VersionRow, row.id),

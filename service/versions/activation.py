@@ -6,7 +6,7 @@ from service.contract.versions import ActivatedVersion, ActivationWish, VersionS
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.robots import store as robots
-from service.versions import store
+from service.versions import store, wire
 from service.versions.guard import Verdict, judge
 
 ACTIVATE, ROLLBACK = "activate", "rollback"
@@ -74,17 +74,17 @@ def _activated(
 ) -> VersionSummary | None:
     """Write the activation; None when another version became active since the verdict."""
     with database.transaction() as session:
-        robot_id = store.row_of(session, version_id).robot_id
-        last = store.active_row(session, robot_id)
+        robot_id = store.get(session, version_id).robot_id
+        last = store.active_entry(session, robot_id)
         active = None if last is None else last.version_id
         if active != version_id:
             if active != verdict.active:
                 return None
             store.activate(
                 session, robot_id, version_id, ACTIVATE, actor,
-                forced=wish.force, reason=wish.reason, objections=verdict.objections,
+                forced=wish.force, reason=wish.reason, objections=[objection.model_dump() for objection in verdict.objections],
             )  # fmt: skip
-        return store.summary(session, version_id)
+        return wire.summary(store.get(session, version_id))
 
 
 def rollback(database: Database, robot: str, actor: str, temperature_c: float | None = None) -> ActivatedVersion:
@@ -104,7 +104,7 @@ def rollback(database: Database, robot: str, actor: str, temperature_c: float | 
                 robot=robot,
             )
         store.activate(session, robot_id, before, ROLLBACK, actor)
-        summary = store.summary(session, before)
+        summary = wire.summary(store.get(session, before))
     return ActivatedVersion(**summary.model_dump(), unsupported_effects=_left_out(database, before, temperature_c))
 
 

@@ -10,7 +10,7 @@ from service.errors import ServiceError
 from service.exporters.exportable import Exportable
 from service.exporters.registry import Exported, export
 from service.robots import store as robots
-from service.versions import store
+from service.versions import store, wire
 from service.versions.store import ActiveVersion
 from service.versions.values import Value, wire_values
 
@@ -24,19 +24,20 @@ def active_calibrations(session: Session) -> dict[str, ActiveVersion]:
 def listed(database: Database, robot: str) -> VersionList:
     """List the versions of a robot."""
     with database.reading() as session:
-        return VersionList(versions=store.of_robot(session, robots.get(session, robot).id))
+        return VersionList(versions=[wire.summary(v) for v in store.of_robot(session, robots.get(session, robot).id)])
 
 
 def get(database: Database, version_id: str) -> Version:
     """Return a version."""
     with database.reading() as session:
-        return store.get(session, version_id)
+        return wire.version(store.get(session, version_id))
 
 
 def activations(database: Database, robot: str) -> ActivationList:
     """Return who activated which version of a robot, and when."""
     with database.reading() as session:
-        return ActivationList(activations=store.activations(session, robots.get(session, robot).id))
+        found = store.activations(session, robots.get(session, robot).id)
+    return ActivationList(activations=[wire.activation(entry) for entry in found])
 
 
 def diff(database: Database, a: str, b: str) -> VersionDiff:
@@ -47,7 +48,7 @@ def diff(database: Database, a: str, b: str) -> VersionDiff:
 
     """
     with database.reading() as session:
-        first, second = store.get(session, a), store.get(session, b)
+        first, second = (wire.summary(store.get(session, version)) for version in (a, b))
         if first.robot != second.robot:
             raise ServiceError(
                 f"Version {a} is of robot {first.robot!r}, {b} of {second.robot!r}: compare versions of one robot.",
@@ -79,10 +80,9 @@ def _change(name: str, a: Value | None, b: Value | None) -> ParameterChange:
 def exported(database: Database, version_id: str, format_name: str) -> Exported:
     """Return a version as a file of another tool's format."""
     with database.reading() as session:
-        version = store.get(session, version_id)
-        robot = robots.get(session, version.robot)
-        document = store.row_of(session, version_id).calibration
-    return export(format_name, Exportable(robot.document, version, document))
+        record = store.get(session, version_id)
+        robot = robots.get(session, record.robot)
+    return export(format_name, Exportable(robot.document, wire.version(record), record.calibration))
 
 
 def residuals(database: Database, version_id: str, campaigns: Sequence[str], media: str) -> bytes:

@@ -11,6 +11,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import CampaignIds, ConfirmationIds, Json, MoreOptions, NoWait, Robot, ValidationText
+from kilter_client.cli.option_texts import EVALUATE, GAP, IDENTIFY, PLAN
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.results import show_job
@@ -19,9 +20,7 @@ from kilter_client.errors import UsageError
 from kilter_client.plots import can_draw, save_figures
 
 Frame = Literal["free", "fixed"]
-Reference = Annotated[
-    Literal["auto", "robot", "registration"] | None, typer.Option(help="Frames that corrections work in.")
-]
+Reference = Annotated[Literal["auto", "robot", "registration"] | None, typer.Option(help=IDENTIFY["reference"])]
 
 
 def register(app: typer.Typer) -> None:
@@ -40,37 +39,33 @@ def identify(
     robot: Robot,
     campaign: CampaignIds = None,
     validation: ValidationText = None,
-    level: Annotated[int | None, typer.Option(min=1, max=3, help="1 offsets, 2 geometry, 3 with effects.")] = None,
-    method: Annotated[str | None, typer.Option(help="Estimator; the server's default is least_squares.")] = None,
+    level: Annotated[int | None, typer.Option(min=1, max=3, help=IDENTIFY["level"])] = None,
+    method: Annotated[str | None, typer.Option(help=IDENTIFY["method"])] = None,
     effects: Annotated[
         list[str] | None,
-        typer.Option("--effects", "--effect", metavar="A,B", help="Effects to identify, by id (or one as JSON)."),
+        typer.Option("--effects", "--effect", metavar="A,B", help=IDENTIFY["effects"]),
     ] = None,
-    free: Annotated[
-        list[str] | None, typer.Option(metavar="A,B", help="Only these parameters (alpha_* works).")
-    ] = None,
-    fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Hold these parameters.")] = None,
+    free: Annotated[list[str] | None, typer.Option(metavar="A,B", help=IDENTIFY["free"])] = None,
+    fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help=IDENTIFY["fix"])] = None,
     base: Annotated[
         Literal["free", "fixed", "removed"] | None,
-        typer.Option(help="Frame of the measuring device; removed: only distances between poses count."),
+        typer.Option(help=IDENTIFY["base"]),
     ] = None,
-    tool: Annotated[Frame | None, typer.Option(help="Tool point.")] = None,
+    tool: Annotated[Frame | None, typer.Option(help=IDENTIFY["tool"])] = None,
     refit: Annotated[
         Literal["base", "none"] | None,
         typer.Option(help="A base to every campaign and session, or one to all; by default a sheet has its own."),
     ] = None,
     loss: Annotated[
         Literal["linear", "huber", "tukey"] | None,
-        typer.Option(help="huber forgives outliers, tukey lets them go."),
+        typer.Option(help=IDENTIFY["loss"]),
     ] = None,
     reference: Reference = None,
-    intervals: Annotated[
-        Literal["bootstrap", "profile"] | None, typer.Option(help="95 % intervals that do not rest on the sigmas.")
-    ] = None,
-    tilt_first: Annotated[bool, typer.Option("--tilt-first", help="Hold the starting version's effects.")] = False,
-    noise_mm: Annotated[float | None, typer.Option(help="Noise of a coordinate, when it is known.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the split.")] = None,
-    start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to start from.")] = None,
+    intervals: Annotated[Literal["bootstrap", "profile"] | None, typer.Option(help=IDENTIFY["intervals"])] = None,
+    tilt_first: Annotated[bool, typer.Option("--tilt-first", help=IDENTIFY["tilt_first"])] = False,
+    noise_mm: Annotated[float | None, typer.Option(help=IDENTIFY["noise_mm"])] = None,
+    seed: Annotated[int | None, typer.Option(help=IDENTIFY["seed"])] = None,
+    start: Annotated[str | None, typer.Option(metavar="VERSION", help=IDENTIFY["start"])] = None,
     option: MoreOptions = None,
     no_wait: NoWait = False,
     as_json: Json = False,
@@ -103,21 +98,19 @@ def gap(
     campaign: CampaignIds = None,
     validation: ValidationText = None,
     confirmation: ConfirmationIds = None,
-    start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to start from.")] = None,
-    alpha: Annotated[float | None, typer.Option(help="Chance of any false name; the server's default is 0.01.")] = None,
+    start: Annotated[str | None, typer.Option(metavar="VERSION", help=GAP["start"])] = None,
+    alpha: Annotated[float | None, typer.Option(help=GAP["alpha"])] = None,
     effects: Annotated[
         list[str] | None,
-        typer.Option("--effects", "--effect", metavar="A,B", help="Only these effects; default is the whole library."),
+        typer.Option("--effects", "--effect", metavar="A,B", help=GAP["effects"]),
     ] = None,
-    noise_mm: Annotated[
-        float | None, typer.Option(help="Noise of a coordinate, where no pose was measured twice.")
-    ] = None,
-    free: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these geometric parameters.")] = None,
-    fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Hold these parameters.")] = None,
-    base: Annotated[Frame | None, typer.Option(help="Frame of the measuring device.")] = None,
-    tool: Annotated[Frame | None, typer.Option(help="Tool point.")] = None,
+    noise_mm: Annotated[float | None, typer.Option(help=GAP["noise_mm"])] = None,
+    free: Annotated[list[str] | None, typer.Option(metavar="A,B", help=GAP["free"])] = None,
+    fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help=GAP["fix"])] = None,
+    base: Annotated[Frame | None, typer.Option(help=GAP["base"])] = None,
+    tool: Annotated[Frame | None, typer.Option(help=GAP["tool"])] = None,
     reference: Reference = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the split and of every resample.")] = None,
+    seed: Annotated[int | None, typer.Option(help=GAP["seed"])] = None,
     figures: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the figures there: Plotly JSON, PNG and SVG.")
     ] = None,
@@ -134,7 +127,7 @@ def gap(
         option,
         start=start,
         alpha=alpha,
-        effects=arguments.split_names(effects),
+        effects=arguments.effects(effects),
         noise_mm=noise_mm,
         free=arguments.split_names(free),
         fix=arguments.split_names(fix),
@@ -158,7 +151,7 @@ def gap(
 def evaluate(
     robot: Robot,
     campaign: CampaignIds = None,
-    version: Annotated[str | None, typer.Option(help="Version to evaluate; default is the active one.")] = None,
+    version: Annotated[str | None, typer.Option(help=EVALUATE["version"])] = None,
     refit: Annotated[str | None, typer.Option(metavar="base,tool", help="Frames that were set up anew.")] = None,
     option: MoreOptions = None,
     no_wait: NoWait = False,
@@ -174,27 +167,23 @@ def evaluate(
 def plan(
     robot: Robot,
     campaign: CampaignIds = None,
-    purpose: Annotated[str | None, typer.Option(help="iso9283, identify or separate.")] = None,
-    count: Annotated[int | None, typer.Option(min=1, help="Number of poses.")] = None,
+    purpose: Annotated[str | None, typer.Option(help=PLAN["purpose"])] = None,
+    count: Annotated[int | None, typer.Option(min=1, help=PLAN["count"])] = None,
     effects: Annotated[
-        list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help="Effects to see, or to separate.")
+        list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help=PLAN["effects"])
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the choice.")] = None,
-    start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to plan with.")] = None,
-    noise_mm: Annotated[float | None, typer.Option(help="Noise of a coordinate.")] = None,
-    floor_mm: Annotated[
-        float | None, typer.Option("--floor", metavar="MM", help="Height in the robot's base frame to stay above.")
-    ] = None,
+    seed: Annotated[int | None, typer.Option(help=PLAN["seed"])] = None,
+    start: Annotated[str | None, typer.Option(metavar="VERSION", help=PLAN["version"])] = None,
+    noise_mm: Annotated[float | None, typer.Option(help=PLAN["noise_mm"])] = None,
+    floor_mm: Annotated[float | None, typer.Option("--floor", metavar="MM", help=PLAN["floor_mm"])] = None,
     box: Annotated[
         str | None,
-        typer.Option(metavar="X,Y,Z,X,Y,Z", help="Lowest and highest corner (mm) of a box the tool stays in."),
+        typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["box_mm"]),
     ] = None,
     anywhere: Annotated[
         bool, typer.Option("--anywhere", help="Within the limits, also where the robot was never driven.")
     ] = False,
-    payload_kg: Annotated[
-        str | None, typer.Option(metavar="KG,KG", help="Loads at hand, where an effect feels them.")
-    ] = None,
+    payload_kg: Annotated[str | None, typer.Option(metavar="KG,KG", help=PLAN["payloads_kg"])] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the poses as CSV.", dir_okay=False)
     ] = None,
