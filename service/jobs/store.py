@@ -13,6 +13,7 @@ from service.campaigns import store as campaigns
 from service.db import Session
 from service.db.tables import JobRow, RobotRow, VersionRow, now
 from service.errors import ServiceError
+from service.jobs.drawing import signed
 from service.jobs.kind import JobInput, VersionContent
 from service.jobs.registry import kind_of
 from service.jobs.schemas import FINAL, Folds, Job, JobError, JobSummary, NewJob, Progress
@@ -143,6 +144,7 @@ def load(session: Session, job_id: str) -> JobInput:
         calibration=None if named is None else versions.calibration(session, named),
         covariance=None if named is None else versions.covariance(session, named),
         report=None if named is None else dict(versions.row_of(session, named).report),
+        names={c: campaigns.get(session, c).name for c in (*request.campaigns, *_listed(validation))},
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *_listed(validation))},
         driven=campaigns.driven(session, row.robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
@@ -180,6 +182,8 @@ def succeed(
         version_id = versions.add(session, row.robot_id, job_id, _version(row, content, used))
         objections = objections_of(content.report, content.limits)
         result = {**result, "version_id": version_id, "objections": [o.model_dump() for o in objections]}
+        robot = session.get_one(RobotRow, row.robot_id).name
+        result |= {"figures": signed(result["figures"], robot, used, version_id)} if "figures" in result else {}
     row.result = result
     _finish(row, "succeeded", "done", 1.0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,6 +22,13 @@ from kilter_client.plots import can_draw, save_figures
 Frame = Literal["free", "fixed"]
 Reference = Annotated[
     Literal["auto", "robot", "registration"] | None, typer.Option(help="Frames that corrections work in.")
+]
+Start = Annotated[str | None, typer.Option(metavar="VERSION", help="Version to start from.")]
+Loss = Annotated[
+    Literal["linear", "huber", "tukey"] | None, typer.Option(help="huber forgives outliers, tukey lets them go.")
+]
+Figures = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Write the figures there: Plotly JSON, PNG and SVG.", file_okay=False)
 ]
 
 
@@ -59,10 +67,7 @@ def identify(
         Literal["base", "none"] | None,
         typer.Option(help="A base to every campaign and session, or one to all; by default a sheet has its own."),
     ] = None,
-    loss: Annotated[
-        Literal["linear", "huber", "tukey"] | None,
-        typer.Option(help="huber forgives outliers, tukey lets them go."),
-    ] = None,
+    loss: Loss = None,
     reference: Reference = None,
     intervals: Annotated[
         Literal["bootstrap", "profile"] | None, typer.Option(help="95 % intervals that do not rest on the sigmas.")
@@ -70,12 +75,14 @@ def identify(
     tilt_first: Annotated[bool, typer.Option("--tilt-first", help="Hold the starting version's effects.")] = False,
     noise_mm: Annotated[float | None, typer.Option(help="Noise of a coordinate, when it is known.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the split.")] = None,
-    start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to start from.")] = None,
+    start: Start = None,
+    figures: Figures = None,
     option: MoreOptions = None,
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
     """Identify a robot's parameters from campaigns; the result is a new version."""
+    needs_result(no_wait, figures=figures)
     chosen = arguments.options(
         option,
         level=level,
@@ -95,7 +102,8 @@ def identify(
     )
     if refit is not None:
         chosen["refit"] = ["base"] if refit == "base" else []
-    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json)
+    drawn = partial(write_figures, figures, as_json)
+    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, files=drawn)
 
 
 def gap(
@@ -118,9 +126,7 @@ def gap(
     tool: Annotated[Frame | None, typer.Option(help="Tool point.")] = None,
     reference: Reference = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the split and of every resample.")] = None,
-    figures: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write the figures there: Plotly JSON, PNG and SVG.")
-    ] = None,
+    figures: Figures = None,
     poses: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the poses to measure next as CSV.", dir_okay=False)
     ] = None,
@@ -148,8 +154,7 @@ def gap(
         result = job.get("result") or {}
         if poses is not None:
             write_poses(poses, result.get("next_poses_csv"), as_json)
-        if figures is not None:
-            _write_figures(figures, result.get("figures") or {}, as_json)
+        write_figures(figures, as_json, job)
 
     again = arguments.split_names(confirmation)
     run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files, confirmation=again)
@@ -251,7 +256,11 @@ def write_poses(file: Path, text: str | None, as_json: bool) -> None:
     note(f"{file}: {text.count(chr(10)) - 1} poses", as_json)
 
 
-def _write_figures(folder: Path, drawn: dict[str, Any], as_json: bool) -> None:
+def write_figures(folder: Path | None, as_json: bool, job: dict[str, Any]) -> None:
+    """Write the figures of a job's result, if a folder was named, and say how many files."""
+    drawn = (job.get("result") or {}).get("figures") or {}
+    if folder is None:
+        return
     formats = ("png", "svg") if can_draw() else ()
     if not formats:
         note("Without matplotlib the figures are Plotly JSON only: pip install 'kilter-client[plots]'.", as_json)
