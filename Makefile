@@ -10,7 +10,7 @@ TESTERS ?= 2
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check contract bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds thesis silent-rows image fmt clean
+.PHONY: help setup demo serve test check contract coverage bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds thesis silent-rows image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -33,6 +33,16 @@ serve: $(KERNELS) ## run the server on this machine until Ctrl-C
 
 test: $(KERNELS) ## run the tests
 	$(BIN)/python -m pytest -n $(TESTERS) --dist loadscope
+
+# The kernels run compiled, where no line is counted: their tests run once more without the compiler.
+KERNEL_TESTS := tests/core/test_chain.py tests/core/test_moments.py tests/corrector/test_kernel.py
+
+coverage: $(KERNELS) ## count the lines that the tests run, those of the kernels without the compiler (slow)
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest -n $(TESTERS) --dist loadscope
+	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest -q $(KERNEL_TESTS)
+	$(BIN)/coverage combine -q
+	$(BIN)/coverage report
 
 check: $(KERNELS) ## style, types, import rules
 	$(BIN)/ruff check .

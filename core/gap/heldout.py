@@ -88,6 +88,11 @@ class Bench:
             r = referenced(r, segments(self.rows))
         return np.asarray(r @ np.linalg.inv(self._lower()).T)
 
+    def rms(self, columns: Sequence[int]) -> float:
+        """Rms error (m; rad of a joint) of the held-out rows that are measurements, by a set of columns."""
+        joint = isinstance(self.hunt.world.setting.source, LinkSource)
+        return rms(self.errors(columns)[self.kept], self._lower(), joint)
+
     @property
     def poses(self) -> int:
         """Held-out poses (of motions blocks) that took no part in choosing."""

@@ -27,7 +27,8 @@ class JobInput:
     ``validation`` is what the job names: rows, a fraction, folds.
     ``confirmation`` are campaigns in which what was found must be seen again.
 
-    ``devices`` are those of all campaigns. ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
+    ``devices`` and ``names`` are those of all campaigns, by id.
+    ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
     the version the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint
     readings of all the robot's campaigns, and ``origin``, the result of the job that made the version.
     """
@@ -41,6 +42,7 @@ class JobInput:
     covariance: dict[str, Any] | None = None
     report: dict[str, Any] | None = None
     devices: dict[str, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
     driven: NDArray[np.float64] | None = None
     origin: dict[str, Any] | None = None
     confirmation: dict[str, Observations] = field(default_factory=dict)

@@ -15,6 +15,7 @@ from service.contract.jobs.job import FINAL, NewJob
 from service.db import Session
 from service.db.tables import JobRow, RobotRow, VersionRow, now
 from service.errors import ServiceError
+from service.jobs.drawing import signed
 from service.jobs.kind import JobInput, VersionContent
 from service.jobs.records import JobRecord, JobRequest
 from service.jobs.refusals import read_options
@@ -139,6 +140,7 @@ def load(session: Session, job_id: str) -> JobInput:
         calibration=None if named is None else versions.calibration(session, named),
         covariance=None if named is None else versions.covariance(session, named),
         report=None if named is None else dict(versions.get(session, named).report),
+        names={c: campaigns.get(session, c).name for c in (*request.campaigns, *request.held)},
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *request.held)},
         driven=campaigns.driven(session, row.robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
@@ -173,6 +175,8 @@ def succeed(
         used = used_by(session, job_id) if used is None else used
         version_id = versions.add(session, row.robot_id, job_id, _version(row, content, used))
         result = {**result, "version_id": version_id, "objections": [dict(one) for one in objections]}
+        robot = session.get_one(RobotRow, row.robot_id).name
+        result |= {"figures": signed(result["figures"], robot, used, version_id)} if "figures" in result else {}
     row.result = result
     _finish(row, "succeeded", "done", 1.0)
 

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from service.contract.jobs.identify import IdentifyOptions
 from service.contract.versions import CorrectionLimits
+from service.jobs.identify_pictures import pictures, workspace_picture
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from service.jobs.plain import plain
 from service.jobs.setups import Setups
 from service.jobs.sheets import bar_lengths, doubts
 
@@ -49,14 +51,16 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job))
     report = found.to_document()
     report["base_refitted"] = setups.named(report["base_refitted"])
-    report["set_aside"] = _by_campaign(report["set_aside"], {name: len(rows) for name, rows in job.campaigns.items()})
+    counts = {name: len(rows) for name, rows in job.campaigns.items()}
+    report["set_aside"] = _by_campaign(report["set_aside"], counts)
     warning = setups.warning(report["base_refitted"])
     report["warnings"] += [*([] if warning is None else [warning]), *remarks]
     covariance = found.predictive.to_document()
     content = VersionContent(
         found.calibration.to_document(), report, covariance, job.options.limits or CorrectionLimits()
     )
-    return JobOutput(report, content)
+    drawn = pictures(found, report, job) | workspace_picture(found, train, options.seed)
+    return JobOutput({**report, "figures": plain(drawn)}, content)
 
 
 def _by_campaign(rows: list[dict[str, Any]], counts: dict[str, int]) -> list[dict[str, Any]]:

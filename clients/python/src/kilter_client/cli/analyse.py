@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,6 +22,10 @@ from kilter_client.plots import can_draw, save_figures
 
 Frame = Literal["free", "fixed"]
 Reference = Annotated[Literal["auto", "robot", "registration"] | None, typer.Option(help=IDENTIFY["reference"])]
+Loss = Annotated[Literal["linear", "huber", "tukey"] | None, typer.Option(help=IDENTIFY["loss"])]
+Figures = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Write the figures there: Plotly JSON, PNG and SVG.", file_okay=False)
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -56,21 +61,20 @@ def identify(
         Literal["base", "none"] | None,
         typer.Option(help="A base to every campaign and session, or one to all; by default a sheet has its own."),
     ] = None,
-    loss: Annotated[
-        Literal["linear", "huber", "tukey"] | None,
-        typer.Option(help=IDENTIFY["loss"]),
-    ] = None,
+    loss: Loss = None,
     reference: Reference = None,
     intervals: Annotated[Literal["bootstrap", "profile"] | None, typer.Option(help=IDENTIFY["intervals"])] = None,
     tilt_first: Annotated[bool, typer.Option("--tilt-first", help=IDENTIFY["tilt_first"])] = False,
     noise_mm: Annotated[float | None, typer.Option(help=IDENTIFY["noise_mm"])] = None,
     seed: Annotated[int | None, typer.Option(help=IDENTIFY["seed"])] = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help=IDENTIFY["start"])] = None,
+    figures: Figures = None,
     option: MoreOptions = None,
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
     """Identify a robot's parameters from campaigns; the result is a new version."""
+    needs_result(no_wait, figures=figures)
     chosen = arguments.options(
         option,
         level=level,
@@ -90,7 +94,8 @@ def identify(
     )
     if refit is not None:
         chosen["refit"] = ["base"] if refit == "base" else []
-    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json)
+    drawn = partial(write_figures, figures, as_json)
+    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, files=drawn)
 
 
 def gap(
@@ -111,9 +116,7 @@ def gap(
     tool: Annotated[Frame | None, typer.Option(help=GAP["tool"])] = None,
     reference: Reference = None,
     seed: Annotated[int | None, typer.Option(help=GAP["seed"])] = None,
-    figures: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write the figures there: Plotly JSON, PNG and SVG.")
-    ] = None,
+    figures: Figures = None,
     poses: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the poses to measure next as CSV.", dir_okay=False)
     ] = None,
@@ -141,8 +144,7 @@ def gap(
         result = job.get("result") or {}
         if poses is not None:
             write_poses(poses, result.get("next_poses_csv"), as_json)
-        if figures is not None:
-            _write_figures(figures, result.get("figures") or {}, as_json)
+        write_figures(figures, as_json, job)
 
     again = arguments.split_names(confirmation)
     run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files, confirmation=again)
@@ -240,7 +242,11 @@ def write_poses(file: Path, text: str | None, as_json: bool) -> None:
     note(f"{file}: {text.count(chr(10)) - 1} poses", as_json)
 
 
-def _write_figures(folder: Path, drawn: dict[str, Any], as_json: bool) -> None:
+def write_figures(folder: Path | None, as_json: bool, job: dict[str, Any]) -> None:
+    """Write the figures of a job's result, if a folder was named, and say how many files."""
+    drawn = (job.get("result") or {}).get("figures") or {}
+    if folder is None:
+        return
     formats = ("png", "svg") if can_draw() else ()
     if not formats:
         note("Without matplotlib the figures are Plotly JSON only: pip install 'kilter-client[plots]'.", as_json)
