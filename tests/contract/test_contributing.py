@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-COPIED = ("core", "service", "clients/python/src", "docs", "tests/contract", "migrations")
+COPIED = ("core", "service", "clients/python/src", "clients/matlab", "docs", "tests/contract", "migrations", "tools")
 SECONDS = 500
 
 EFFECT = '''"""Wobble of a joint: an error with the third multiple of its angle."""
@@ -57,10 +57,11 @@ from core.model import Calibration
 from core.observations import Observations
 from core.robots import preset_document, robot_from_document
 from tests.contract.test_docs import test_every_effect_is_documented
-from service.jobs.kinds.identify import check
+from service.jobs.registry import kind_of
+from service.jobs.refusals import read_options
 
 test_every_effect_is_documented()
-check({"effects": ["toy_wobble"]})
+kind_of("identify").check(read_options("identify", {"effects": [{"id": "toy_wobble", "joints": [2]}]}))
 robot = robot_from_document(preset_document("panda"))
 q = np.random.default_rng(0).uniform(*robot.limits.T, (80, 7))
 bent = q.copy()
@@ -102,9 +103,10 @@ from core.identify import IdentifyOptions, identify
 from core.model import Calibration
 from core.observations import Observations
 from core.robots import preset_document, robot_from_document
-from service.jobs.kinds.identify import check
+from service.jobs.registry import kind_of
+from service.jobs.refusals import read_options
 
-check({"method": "toy_twice", "loss": "tukey", "intervals": "profile"})
+kind_of("identify").check(read_options("identify", {"method": "toy_twice", "loss": "tukey", "intervals": "profile"}))
 robot = robot_from_document(preset_document("panda"))
 q = np.random.default_rng(0).uniform(*robot.limits.T, (60, 7))
 rows = Observations(q, position=Calibration.nominal(robot).predict(Observations(q + 1e-3)).position)
@@ -144,37 +146,77 @@ KIND = '''"""Job kind ``count``: how many rows there are."""
 
 from __future__ import annotations
 
-from typing import Any
-
-from core.errors import OptionError
+from service.contract.jobs.count import CountOptions
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 
 
-def check(options: dict[str, Any]) -> None:
-    """Refuse options: there are none."""
-    if options:
-        raise OptionError("count has no options: leave them out.", option=next(iter(options)))
+def check(options: CountOptions) -> None:
+    """All that can be asked goes together."""
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Count."""
     progress(0.5, "counting")
-    return JobOutput({"rows": {name: len(rows) for name, rows in job.campaigns.items()}})
+    return JobOutput({"rows": {name: -(-len(rows) // job.options.every) for name, rows in job.campaigns.items()}})
 
 
-COUNT = JobKind("count", check, run, takes_folds=False)
+COUNT = JobKind("count", CountOptions, check, run, takes_folds=False)
+'''
+KIND_OPTIONS = '''"""Jobs of kind ``count``: how many rows there are."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from service.contract.units import Asked, Stored
+
+
+class CountOptions(Asked):
+    """What can be asked of a count."""
+
+    every: Annotated[int, Field(ge=1, le=1000)] = Field(1, description="Count one row of so many.")
+
+
+class CountResult(Stored):
+    """How many rows there are."""
+
+    rows: dict[str, int] | None = Field(None, description="Rows, by campaign.")
+'''
+IMPORT = "from service.contract.jobs.count import CountOptions, CountResult\n"
+NEW_JOB = '''class NewCountJob(_NewJob):
+    """Count the rows of campaigns."""
+
+    kind: Literal["count"] = Field(description=KIND)
+    options: CountOptions = Field(CountOptions(), description=OPTIONS)
+
+
+'''
+COUNT_JOB = '''class CountJob(_Job):
+    """A count with what was asked and what came out."""
+
+    kind: Literal["count"] = Field(description=KIND)
+    options: CountOptions = Field(description="Options, as asked.")
+    result: CountResult | None = Field(description=RESULT)
+
+
 '''
 USE_KIND = """
 import numpy as np
 from core.observations import Observations
 from core.robots import preset_document, robot_from_document
+from pydantic import TypeAdapter
+from service.contract.jobs.job import NewJob
 from service.jobs.kind import JobInput
 from service.jobs.registry import kind_of
 
 kind = kind_of("count")
-kind.check({})
-job = JobInput(robot_from_document(preset_document("panda")), {"cmp_1": Observations(np.zeros((3, 7)))}, None, {})
-assert kind.run(job, lambda fraction, stage: None).result == {"rows": {"cmp_1": 3}}
+asked = TypeAdapter(NewJob).validate_python({"kind": "count", "robot": "arm", "options": {"every": 2}})
+kind.check(asked.options)
+robot = robot_from_document(preset_document("panda"))
+job = JobInput(robot, {"cmp_1": Observations(np.zeros((3, 7)))}, None, asked.options)
+assert kind.run(job, lambda fraction, stage: None).result == {"rows": {"cmp_1": 2}}
 """
 
 EXPORT = '''"""Export as a list of names, one a line."""
@@ -213,6 +255,7 @@ def lined(path: str, *lines: tuple[str, str]) -> str:
 METHODS, EFFECTS = "core/identify/methods.py", "core/effects/registry.py"
 FILES = "clients/python/src/kilter_client/files/__init__.py"
 KINDS, FORMATS = "service/jobs/registry.py", "service/exporters/registry.py"
+JOBS = "service/contract/jobs/job.py"
 PAGE, ROW = "docs/reference/effects.md", "| `toy_wobble` | a test | dq = w sin 3q | `toy_wobble`, deg | |\n"
 LOADER = """def _toy(path: Path) -> Table:
     from kilter_client.files.toy import read_toy
@@ -238,7 +281,12 @@ ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
         FILES: lined(FILES, ("# device name -> reader", LOADER),
                      ('    "inclinometer": _incl', '    "toy": _toy,\n')),
     }, USE_READER),
-    "kind of job": (2, {
+    "kind of job": (4, {
+        "service/contract/jobs/count.py": KIND_OPTIONS,
+        JOBS: lined(JOBS, ("from service.contract.jobs.evaluate", IMPORT),
+                    ("class NewPlanJob", NEW_JOB), ("class PlanJob", COUNT_JOB))
+        .replace("NewIdentifyJob |", "NewIdentifyJob | NewCountJob |")
+        .replace("[IdentifyJob |", "[IdentifyJob | CountJob |"),
         "service/jobs/kinds/count.py": KIND,
         KINDS: lined(KINDS, ("from service.jobs.kinds.evaluate", "from service.jobs.kinds.count import COUNT\n"))
         .replace("(IDENTIFY, GAP,", "(IDENTIFY, COUNT, GAP,"),
@@ -257,6 +305,8 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for folder in COPIED:
         shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__", "kernels"))
     (root / "core" / "kernels").symlink_to(REPOSITORY / "core" / "kernels", target_is_directory=True)
+    for file in ("pyproject.toml", "clients/python/pyproject.toml"):
+        shutil.copy(REPOSITORY / file, root / file)
     return root
 
 
@@ -268,11 +318,15 @@ def test_an_addition_touches_no_more_files_than_the_guide_says(what: str, copy: 
         (copy / path).write_text(text, encoding="utf-8")
     paths = os.pathsep.join([str(copy), str(copy / "clients/python/src")])
     environment = {**os.environ, "PYTHONPATH": paths, "PYTHONSAFEPATH": "1", "OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", f"import core; assert core.__file__.startswith({str(copy)!r})\n{use}"],
-        cwd=copy, env=environment, capture_output=True, text=True, timeout=SECONDS, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    # What `make contract` writes is no file that anybody edits.
+    for arguments in (
+        ["-m", "tools.contract"], ["-c", f"import core; assert core.__file__.startswith({str(copy)!r})\n{use}"],
+    ):  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, *arguments], cwd=copy, env=environment, capture_output=True, text=True, timeout=SECONDS,
+            check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
     guide = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8").lower()
     section = guide.split(f"## add {'an' if what[0] in 'e' else 'a'} {what}\n")[1].split("\n## ")[0]
     named = [path for path in changes if (REPOSITORY / path).exists()]

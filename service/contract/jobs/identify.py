@@ -26,9 +26,8 @@ from service.contract.jobs.shared import (
     Seed,
     Version,
 )
+from service.contract.methods import MethodName
 from service.contract.units import Asked, Deg, Mm
-
-Method = Literal["least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search", "linear_least_squares"]
 
 
 class IdentifyOptions(Asked):
@@ -38,7 +37,7 @@ class IdentifyOptions(Asked):
         None,
         description="1 joint offsets, 2 geometry, 3 geometry and effects; null: 3 when `effects` are named, else 2.",
     )
-    method: Method = Field("least_squares", description="The estimator.")
+    method: MethodName = Field("least_squares", description="The estimator.")
     tilt_first: bool = Field(
         False,
         description="Hold the effects while the geometry is identified: those of the start, else as fitted before it.",
