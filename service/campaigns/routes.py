@@ -12,6 +12,7 @@ from service.auth.access import Admin
 from service.bodies import receive
 from service.campaigns import reading, service
 from service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
+from service.page_query import PageOfList
 from service.routing import GuardedRoute
 from service.slots import compute
 from service.state import DatabaseOfApp, SettingsOfApp
@@ -37,9 +38,9 @@ def add(robot: str, campaign: NewCampaign, response: Response, database: Databas
 
 
 @router.get("/robots/{robot}/campaigns")
-def listed(robot: str, database: DatabaseOfApp, staged: bool = False) -> CampaignList:
+def listed(robot: str, database: DatabaseOfApp, page: PageOfList, staged: bool = False) -> CampaignList:
     """List the campaigns of a robot; with `staged` those whose parts are not all there yet."""
-    return service.listed(database, robot, staged)
+    return service.listed(database, robot, page, staged)
 
 
 @router.get("/campaigns/{campaign}")

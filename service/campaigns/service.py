@@ -16,6 +16,7 @@ from service.contract.campaigns import Campaign, CampaignList, NewCampaign, Part
 from service.contract.columns import CONTACTS
 from service.db import Database, Session
 from service.errors import ServiceError
+from service.paging import Page, in_time
 from service.robots import store as robots
 
 if TYPE_CHECKING:
@@ -80,11 +81,12 @@ def discard(database: Database, campaign_id: str) -> None:
         store.discard(session, campaign_id)
 
 
-def listed(database: Database, robot: str, staged: bool = False) -> CampaignList:
+def listed(database: Database, robot: str, page: Page, staged: bool = False) -> CampaignList:
     """List the campaigns of a robot, or those whose parts are not all there yet."""
     with database.reading() as session:
-        ids = store.ids_of_robot(session, robots.get(session, robot).id, staged)
-        return CampaignList(campaigns=[_shown(session, campaign_id) for campaign_id in ids])
+        found = store.listed(session, robots.get(session, robot).id, staged, page)
+        shown, cursor = page.cut(found, lambda campaign: in_time(campaign.created_at, campaign.id))
+        return CampaignList(campaigns=[_shown(session, campaign.id) for campaign in shown], next=cursor)
 
 
 def upload(database: Database, campaign_id: str, path: Path, media: str, sha256: str) -> Uploaded:

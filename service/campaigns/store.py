@@ -9,7 +9,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from sqlalchemy import delete, select
+from sqlalchemy import and_, delete, or_, select
 
 from core.errors import ObservationError
 from service.campaigns.assemble import observations as assemble
@@ -20,6 +20,7 @@ from service.contract.campaigns import NewCampaign
 from service.db import Session
 from service.db.tables import CampaignRow, ChunkRow, UploadRow
 from service.errors import ServiceError
+from service.paging import Page
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -52,7 +53,10 @@ def get(session: Session, campaign_id: str) -> CampaignRecord:
         ServiceError: there is none.
 
     """
-    row = _row(session, campaign_id)
+    return _record(_row(session, campaign_id))
+
+
+def _record(row: CampaignRow) -> CampaignRecord:
     return CampaignRecord(
         row.id, row.robot_id, row.name, row.device, row.role, row.conditions, row.notes, row.staged, row.created_at
     )
@@ -101,6 +105,16 @@ def staged_before(session: Session, robot_id: int, moment: datetime) -> list[str
     """Return the ids of a robot's staged campaigns that were begun before a moment."""
     query = select(CampaignRow.id).where(CampaignRow.robot_id == robot_id, CampaignRow.staged)
     return list(session.execute(query.where(CampaignRow.created_at < moment)).scalars())
+
+
+def listed(session: Session, robot_id: int, staged: bool, page: Page) -> list[CampaignRecord]:
+    """Return campaigns of a robot, oldest first, one more than the page shows."""
+    row = CampaignRow
+    query = select(row).where(row.robot_id == robot_id, row.staged == staged).order_by(row.created_at, row.id)
+    if page.moment is not None:
+        moment, key = page.moment
+        query = query.where(or_(row.created_at > moment, and_(row.created_at == moment, row.id > key)))
+    return [_record(found) for found in session.execute(query.limit(page.fetched)).scalars()]
 
 
 def ids_of_robot(session: Session, robot_id: int, staged: bool = False) -> list[str]:

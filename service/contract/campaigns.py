@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from service.contract.units import Celsius, Load, Newton, NewtonMetre, PointMm, Strict
+from service.contract.units import Celsius, Listed, Load, Newton, NewtonMetre, PointMm, Strict
 
 Role = Literal["train", "validation", "confirmation"]
 Text = Annotated[str, Field(max_length=200)]
@@ -74,7 +74,7 @@ class Parts(Strict):
     ] = Field(description="SHA-256 of each part, 64 hexadecimal digits.")
 
 
-class CampaignList(Strict):
+class CampaignList(Listed):
     """The campaigns of a robot, oldest first."""
 
     campaigns: list[Campaign] = Field(description="Campaigns, oldest first.")

@@ -7,7 +7,7 @@ from datetime import datetime
 from pydantic import Field, model_validator
 
 from service.contract.robots import RobotDocument
-from service.contract.units import Deg, Direction, JointType, Mm, PointMm, Pose, Strict
+from service.contract.units import Deg, Direction, JointType, Listed, Mm, PointMm, Pose, Strict
 
 KIND = "Whether the joint turns or slides."
 
@@ -51,7 +51,7 @@ class RobotReport(RobotSummary):
     document: RobotDocument = Field(description="The document as it was posted.")
 
 
-class RobotList(Strict):
+class RobotList(Listed):
     """All robots, by name."""
 
     robots: list[RobotSummary] = Field(description="Robots, by name.")

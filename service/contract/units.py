@@ -85,6 +85,12 @@ class Asked(_Written):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
 
+class Listed(Strict):
+    """A page of a list."""
+
+    next: str | None = Field(None, description="Give it as `after` for the page that follows; null: this is the last.")
+
+
 class Pose(Strict):
     """A frame: position, then Rz Ry Rx (the convention of URDF)."""
 

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter, Remark
 from service.contract.joints import JointMotions
-from service.contract.units import Deg, Mm, Stored, Strict
+from service.contract.units import Deg, Listed, Mm, Stored, Strict
 
 
 class CorrectionLimits(Strict):
@@ -129,7 +129,7 @@ class Version(VersionSummary):
     covariance: Covariance = Field(description="How well its parameters are known, SI.")
 
 
-class VersionList(Strict):
+class VersionList(Listed):
     """The versions of a robot, newest first."""
 
     versions: list[VersionSummary] = Field(description="Versions, newest first.")
@@ -147,7 +147,7 @@ class Activation(Strict):
     objections: list[Objection] = Field(description="What spoke against it.")
 
 
-class ActivationList(Strict):
+class ActivationList(Listed):
     """The log of active versions, newest first."""
 
     activations: list[Activation] = Field(description="Entries, newest first.")

@@ -12,6 +12,7 @@ from service.jobs import store, wire
 from service.jobs.kind import JobKind
 from service.jobs.queue import JobQueue
 from service.jobs.registry import kind_of
+from service.paging import Page, in_time
 from service.robots import store as robots
 from service.versions import store as versions
 
@@ -121,10 +122,12 @@ def get(database: Database, job_id: str) -> Job:
         return wire.job(store.get(session, job_id))
 
 
-def listed(database: Database, robot: str | None, limit: int) -> JobList:
+def listed(database: Database, robot: str | None, page: Page) -> JobList:
     """List the newest jobs."""
     with database.reading() as session:
-        return JobList(jobs=[wire.summary(job) for job in store.listed(session, robot, limit)])
+        found = store.listed(session, robot, page)
+    shown, cursor = page.cut(found, lambda job: in_time(job.created_at, job.id))
+    return JobList(jobs=[wire.summary(job) for job in shown], next=cursor)
 
 
 def cancel(database: Database, queue: JobQueue, job_id: str) -> Job:

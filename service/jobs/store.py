@@ -8,7 +8,7 @@ from dataclasses import asdict
 from datetime import timedelta
 from typing import Any
 
-from sqlalchemy import select, update
+from sqlalchemy import and_, or_, select, update
 
 from service.campaigns import store as campaigns
 from service.contract.jobs.job import FINAL, NewJob
@@ -20,6 +20,7 @@ from service.jobs.kind import JobInput, VersionContent
 from service.jobs.records import JobRecord, JobRequest
 from service.jobs.refusals import read_options
 from service.jobs.registry import kind_of
+from service.paging import Page
 from service.robots import store as robots
 from service.version import code_version
 from service.versions import store as versions
@@ -59,12 +60,16 @@ def get(session: Session, job_id: str) -> JobRecord:
     return _record(session, _row(session, job_id))
 
 
-def listed(session: Session, robot: str | None, limit: int) -> list[JobRecord]:
-    """Return the newest jobs, of one robot or of all."""
-    query = select(JobRow).order_by(JobRow.created_at.desc(), JobRow.id).limit(limit)
+def listed(session: Session, robot: str | None, page: Page) -> list[JobRecord]:
+    """Return the newest jobs, of one robot or of all, one more than the page shows."""
+    row = JobRow
+    query = select(row).order_by(row.created_at.desc(), row.id)
     if robot is not None:
-        query = query.where(JobRow.robot_id == robots.get(session, robot).id)
-    return [_record(session, row) for row in session.execute(query).scalars()]
+        query = query.where(row.robot_id == robots.get(session, robot).id)
+    if page.moment is not None:
+        moment, key = page.moment
+        query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
+    return [_record(session, found) for found in session.execute(query.limit(page.fetched)).scalars()]
 
 
 def _record(session: Session, row: JobRow) -> JobRecord:

@@ -15,6 +15,7 @@ from service.contract.robot_reports import FoundRobot, RobotCheck, RobotList, Ro
 from service.contract.robots import RobotDocument, Target
 from service.contract.units import Name
 from service.limits import MAX_CIRCLE_MB
+from service.page_query import PageOfList
 from service.robots import service
 from service.robots.wire import DOCUMENT
 from service.routing import GuardedRoute
@@ -80,9 +81,9 @@ def _found(path: Path, media: str, name: str, to: Target, base: str) -> FoundRob
 
 
 @router.get("")
-def listed(database: DatabaseOfApp) -> RobotList:
+def listed(database: DatabaseOfApp, page: PageOfList) -> RobotList:
     """List the robots."""
-    return service.listed(database)
+    return service.listed(database, page)
 
 
 @router.get("/{robot}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from service.contract.robot_reports import RobotList, RobotReport
 from service.contract.robots import RobotDocument
 from service.db import Database
+from service.paging import Page
 from service.robots import store, wire
 from service.robots.documents import core_document
 
@@ -33,15 +34,16 @@ def get(database: Database, name: str) -> RobotReport:
     """Report on the robot of a name."""
     with database.reading() as session:
         stored = store.get(session, name)
-        record = store.records(session, name)[0]
+        record = store.record(session, stored.id)
         robot = store.core_robot(session, stored.id)
     return wire.report(record, robot, core_document(stored.document).notes)
 
 
-def listed(database: Database) -> RobotList:
-    """List all robots."""
+def listed(database: Database, page: Page) -> RobotList:
+    """List the robots."""
     with database.reading() as session:
-        return RobotList(robots=[wire.summary(record) for record in store.records(session)])
+        shown, cursor = page.cut(store.listed(session, page), lambda robot: (robot.name,))
+    return RobotList(robots=[wire.summary(record) for record in shown], next=cursor)
 
 
 def remove(database: Database, name: str) -> None:

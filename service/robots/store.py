@@ -9,6 +9,7 @@ from sqlalchemy import delete, func, select
 from service.db import Session
 from service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
 from service.errors import ServiceError
+from service.paging import Page
 from service.robots.documents import core_document
 from service.robots.records import RobotRecord
 
@@ -98,11 +99,17 @@ def remove(session: Session, name: str) -> None:
     session.delete(session.get_one(RobotRow, stored.id))
 
 
-def records(session: Session, name: str | None = None) -> list[RobotRecord]:
-    """Return all robots, or the one of a name."""
-    query = select(RobotRow).order_by(RobotRow.name)
-    rows = session.execute(query if name is None else query.where(RobotRow.name == name)).scalars()
-    return [_record(session, row) for row in rows]
+def listed(session: Session, page: Page) -> list[RobotRecord]:
+    """Return robots by name, one more than the page shows."""
+    query = select(RobotRow).order_by(RobotRow.name).limit(page.fetched)
+    if page.name is not None:
+        query = query.where(RobotRow.name > page.name)
+    return [_record(session, row) for row in session.execute(query).scalars()]
+
+
+def record(session: Session, robot_id: int) -> RobotRecord:
+    """Return the robot of a key, and how much belongs to it."""
+    return _record(session, session.get_one(RobotRow, robot_id))
 
 
 def _record(session: Session, row: RobotRow) -> RobotRecord:

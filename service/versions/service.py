@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from service.contract.previews import VersionPreview
 from service.contract.versions import ActivationList, ParameterChange, Version, VersionDiff, VersionList
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.exporters.exportable import Exportable
 from service.exporters.registry import Exported, export
+from service.paging import Page, in_time
 from service.robots import store as robots
 from service.versions import store, wire
 from service.versions.store import ActiveVersion
@@ -21,10 +23,12 @@ def active_calibrations(session: Session) -> dict[str, ActiveVersion]:
     return {name: version for name, version in found.items() if version is not None}
 
 
-def listed(database: Database, robot: str) -> VersionList:
+def listed(database: Database, robot: str, page: Page) -> VersionList:
     """List the versions of a robot."""
     with database.reading() as session:
-        return VersionList(versions=[wire.summary(v) for v in store.of_robot(session, robots.get(session, robot).id)])
+        found = store.of_robot(session, robots.get(session, robot).id, page)
+    shown, cursor = page.cut(found, lambda version: in_time(version.created_at, version.id))
+    return VersionList(versions=[wire.summary(version) for version in shown], next=cursor)
 
 
 def get(database: Database, version_id: str) -> Version:
@@ -33,11 +37,12 @@ def get(database: Database, version_id: str) -> Version:
         return wire.version(store.get(session, version_id))
 
 
-def activations(database: Database, robot: str) -> ActivationList:
+def activations(database: Database, robot: str, page: Page) -> ActivationList:
     """Return who activated which version of a robot, and when."""
     with database.reading() as session:
-        found = store.activations(session, robots.get(session, robot).id)
-    return ActivationList(activations=[wire.activation(entry) for entry in found])
+        found = store.activations(session, robots.get(session, robot).id, page)
+    shown, cursor = page.cut(found, lambda entry: (str(entry.id),))
+    return ActivationList(activations=[wire.activation(entry) for entry in shown], next=cursor)
 
 
 def diff(database: Database, a: str, b: str) -> VersionDiff:
@@ -83,6 +88,13 @@ def exported(database: Database, version_id: str, format_name: str) -> Exported:
         record = store.get(session, version_id)
         robot = robots.get(session, record.robot)
     return export(format_name, Exportable(robot.document, wire.version(record), record.calibration))
+
+
+def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:
+    """Say how a version would correct, without activating it."""
+    from service.versions.preview import preview as looked_at  # compiled kernels: not at the start of the API process
+
+    return looked_at(database, version_id, temperature_c)
 
 
 def residuals(database: Database, version_id: str, campaigns: Sequence[str], media: str) -> bytes:

@@ -9,12 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import func, select
+from sqlalchemy import and_, func, or_, select
 
 from service.contract.versions import CorrectionLimits
 from service.db import Session
 from service.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
 from service.errors import ServiceError
+from service.paging import ALL, Page
 from service.robots import store as robots
 from service.versions.records import ActivationRecord, VersionRecord
 
@@ -141,11 +142,14 @@ def _record(session: Session, row: VersionRow) -> VersionRecord:
     )
 
 
-def of_robot(session: Session, robot_id: int) -> list[VersionRecord]:
-    """Return the versions of a robot, newest first."""
-    query = select(VersionRow).where(VersionRow.robot_id == robot_id)
-    rows = session.execute(query.order_by(VersionRow.created_at.desc(), VersionRow.id)).scalars()
-    return [_record(session, row) for row in rows]
+def of_robot(session: Session, robot_id: int, page: Page = ALL) -> list[VersionRecord]:
+    """Return the versions of a robot, newest first, one more than the page shows."""
+    row = VersionRow
+    query = select(row).where(row.robot_id == robot_id).order_by(row.created_at.desc(), row.id)
+    if page.moment is not None:
+        moment, key = page.moment
+        query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
+    return [_record(session, found) for found in session.execute(query.limit(page.fetched)).scalars()]
 
 
 def calibration(session: Session, version_id: str) -> Calibration:
@@ -203,10 +207,12 @@ def active_entry(session: Session, robot_id: int) -> ActivationRecord | None:
     return None if row is None else _entry(row)
 
 
-def activations(session: Session, robot_id: int) -> list[ActivationRecord]:
-    """Return the log of a robot's active versions, newest first."""
+def activations(session: Session, robot_id: int, page: Page = ALL) -> list[ActivationRecord]:
+    """Return the log of a robot's active versions, newest first, one more than the page shows."""
     query = select(ActivationRow).where(ActivationRow.robot_id == robot_id).order_by(ActivationRow.id.desc())
-    return [_entry(row) for row in session.execute(query).scalars()]
+    if page.number is not None:
+        query = query.where(ActivationRow.id < page.number)
+    return [_entry(row) for row in session.execute(query.limit(page.fetched)).scalars()]
 
 
 def _entry(row: ActivationRow) -> ActivationRecord:

@@ -12,7 +12,7 @@ from service.contract.jobs.gap import GapOptions, GapResult
 from service.contract.jobs.identify import IdentifyOptions, IdentifyResult
 from service.contract.jobs.joint_parameters import JointParametersOptions, JointParametersResult
 from service.contract.jobs.plan import PlanOptions, PlanResult
-from service.contract.units import Fraction, Id, Ids, Strict
+from service.contract.units import Fraction, Id, Ids, Listed, Strict
 
 State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 FINAL: frozenset[str] = frozenset({"succeeded", "failed", "cancelled"})
@@ -171,7 +171,7 @@ class JointParametersJob(_Job):
 Job = Annotated[IdentifyJob | GapJob | EvaluateJob | PlanJob | JointParametersJob, Field(discriminator="kind")]
 
 
-class JobList(Strict):
+class JobList(Listed):
     """Jobs, newest first."""
 
     jobs: list[JobSummary] = Field(description="Jobs, newest first.")
