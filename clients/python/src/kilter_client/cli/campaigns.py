@@ -31,7 +31,10 @@ Euler = Annotated[
 ]
 Joints = Annotated[
     Path | None,
-    typer.Option(help="Preset: joints of the points, in order: CSV, Parquet, a bag, a program.", exists=True),
+    typer.Option(
+        help="Preset: joints of the points, in order: CSV, a bag, a program. Map: its second file.",
+        exists=True,
+    ),
 ]
 
 
@@ -124,11 +127,15 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
         device if device in PRESETS and file.suffix.lower() not in (".json", ".parquet") else None
     )
     if preset is None or column_map is not None:
-        if points != _Points(None, None, None):
+        if replace(points, joints=None) != _Points(None, None, None):
             raise UsageError(
-                "--preset, --euler, --joints, --topic and --joint-order belong to a text export of points, without --map."
+                "--preset, --euler, --topic and --joint-order belong to a text export of points, without --map."
             )
-        return prepare(file, device, column_map)
+        if points.joints is not None and column_map is None:
+            raise UsageError(
+                "--joints goes with --preset (a text export of points) or with --map (a column map with a table [join])."
+            )
+        return prepare(file, device, column_map, points.joints)
     if preset not in PRESETS:
         raise UsageError(f"--preset {preset}: is none of {', '.join(PRESETS)}.")
     check_numpy()

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from kilter_client.errors import FileError
+from kilter_client.files.cell_numbers import parse_number
 from kilter_client.files.faults import fault, missing_package
 from kilter_client.files.recording import Floats
-from kilter_client.files.source_text import parse_number
 from kilter_client.files.text_layout import TextLayout
 
 MISSING = ("", "nan", "NaN", "NAN", "NA", "n/a", "N/A", "null", "NULL", "-", "--", "MISSING", "Missing", "missing")

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from kilter_client.files.cell_numbers import parse_number
 from kilter_client.files.faults import fault
 from kilter_client.files.marker_header import unit_above
 from kilter_client.files.orientation import from_euler, is_sequence
 from kilter_client.files.recording import Floats
-from kilter_client.files.source_text import parse_number
 from kilter_client.files.table import Table
 from kilter_client.files.text_blocks import blocks, count_rows, line_of, lines_of
 from kilter_client.files.text_layout import TextLayout, sniff
