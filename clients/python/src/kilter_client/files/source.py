@@ -99,7 +99,7 @@ def open_source(path: Path, form: str | None, layout: Layout) -> Source:
         FileError: an ending that says nothing, or a file its reader refuses.
 
     """
-    form = form or endings().get(path.suffix.lower())
+    form = form or _by_content(path) or endings().get(path.suffix.lower())
     if form is None:
         raise FileError(
             f"{path}: the ending {path.suffix!r} names no known format. "
@@ -107,6 +107,15 @@ def open_source(path: Path, form: str | None, layout: Layout) -> Source:
             file=str(path),
         )
     return FORMATS[form].read(path, layout)
+
+
+def _by_content(path: Path) -> str | None:
+    """KUKA's data lists end in .dat, and programs are sent as .txt: what they hold tells them from tables."""
+    if path.suffix.lower() not in (".dat", ".txt"):
+        return None
+    from kilter_client.files.targets import dialect_of
+
+    return "program" if dialect_of(path) is not None else None
 
 
 def _missing(layout: Layout) -> tuple[float, ...]:
