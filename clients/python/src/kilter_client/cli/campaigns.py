@@ -12,6 +12,7 @@ from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import File, Json, Robot
 from kilter_client.cli.checks import Unchecked
+from kilter_client.cli.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
 from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
@@ -21,6 +22,7 @@ from kilter_client.errors import ApiError, ObservationError, UsageError
 from kilter_client.files import DEVICES, Prepared, prepare
 from kilter_client.files.tracker_header import PRESETS
 
+SHOWN = 8  # lines of refused rows that are named in the sentence
 Role = Literal["train", "validation", "confirmation"]
 PresetName = Annotated[
     str | None,
@@ -72,7 +74,8 @@ def upload(
     tool_moment_nm: ToolMoment = None,
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what is understood of the file, send nothing.")
+        bool,
+        typer.Option("--dry-run", help="Show ranges, poses, repeats, loads and what would be refused; send nothing."),
     ] = False,
     unchecked: Unchecked = False,
     as_json: Json = False,
@@ -92,7 +95,10 @@ def upload(
     prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints, topic, joint_order))
     prepared = _understood(file, _looked_at(file, prepared, unchecked), as_json)
     if dry_run:
-        emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256}), as_json, lambda _: None)
+        found = what_it_holds(robot, prepared, conditions)
+        emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256} | found), as_json, show_dry_run)
+        if found["refused"]:
+            raise typer.Exit(1)
         return
     wanted = {
         "name": name or file.name,
@@ -207,7 +213,11 @@ def _with_place(error: ObservationError, file: Path, prepared: Prepared) -> Obse
     row = error.context.get("row")
     if prepared.lines and isinstance(row, int) and 0 < row <= len(prepared.lines):
         error.context |= {"file": str(file), "line": prepared.lines[row - 1]}
-        error.detail += f" That is line {prepared.lines[row - 1]} of {file}."
+        rows = [k for k in error.context.get("rows") or () if isinstance(k, int) and 0 < k <= len(prepared.lines)]
+        lines = [prepared.lines[k - 1] for k in rows or [row]]
+        error.context["lines"] = lines
+        shown = ", ".join(map(str, lines[:SHOWN])) + (" ..." if len(lines) > SHOWN else "")
+        error.detail += f" That is line {shown} of {file}."
     elif not prepared.lines and row is None:
         error.detail += f" {REMEDY_FOR_COLUMNS}"
     return error

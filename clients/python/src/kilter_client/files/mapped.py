@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from pathlib import Path
 from shlex import quote
 
 from kilter_client.errors import FileError
+from kilter_client.files.clusters import clusters
 from kilter_client.files.column_map import ColumnMap, Keep, Orientation
 from kilter_client.files.map_columns import TIMESTAMP, Column, expanded
 from kilter_client.files.map_join import partners, refuse_alone, stamps
@@ -244,21 +244,12 @@ def _dead(table: Table) -> None:
 
 def _number_poses(table: Table, tolerance_deg: float) -> None:
     """Rows whose joints agree within the tolerance (1 mm counts as 1 deg) share a pose_id, numbered as they come."""
-    clusters = []
+    labels = []
     for name, values in table.columns.items():
         if JOINT.fullmatch(name):
             convert = converter(unit_of(name) or "", "deg") or converter(unit_of(name) or "", "mm")
             assert convert is not None  # joints are angles or lengths
-            clusters.append(_clusters([convert(value) for value in values], tolerance_deg))
+            labels.append(clusters([convert(value) for value in values], tolerance_deg))
     numbers: dict[tuple[int, ...], int] = {}
-    table.columns["pose_id"] = [float(numbers.setdefault(key, len(numbers) + 1)) for key in zip(*clusters, strict=True)]
+    table.columns["pose_id"] = [float(numbers.setdefault(key, len(numbers) + 1)) for key in zip(*labels, strict=True)]
     table.notes.append(f"pose_id: {len(numbers)} poses among {len(table)} rows, by equal joints")
-
-
-def _clusters(values: list[float], tolerance: float) -> list[int]:
-    """Number the values so that those with no gap above the tolerance between them share a number."""
-    labels = [0] * len(values)
-    order = sorted(range(len(values)), key=values.__getitem__)
-    for before, after in itertools.pairwise(order):
-        labels[after] = labels[before] + (values[after] - values[before] > tolerance)
-    return labels
