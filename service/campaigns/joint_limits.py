@@ -83,10 +83,9 @@ class JointLimits:
         count = sum(one.count for one in found)
         rows = sorted({row for one in found for row in one.rows})
         remedy = "correct the row or the robot" if count == 1 else "correct the rows or the robot"
-        for one in found:
-            if one.column.name.endswith("_rad"):
-                remedy += f", or name the column {one.column.name[:-3]}deg if these are degrees"
-                break
+        radians = [f"{one.column.name[:-3]}deg" for one in found if one.column.name.endswith("_rad")]
+        if radians:
+            remedy += f", or name the column{'s' if len(radians) > 1 else ''} {', '.join(radians)} if these are degrees"
         if count == 1:
             what = f"Row {rows[0]}, column {first.column.name!r} is outside the limits {first.limits()}: {remedy} "
             what += f"({first.reading:.9g})."

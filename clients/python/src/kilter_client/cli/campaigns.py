@@ -84,13 +84,8 @@ def upload(
 
     Makes a campaign, or adds to --campaign. The same file again changes nothing.
     """
-    conditions = {
-        "payload_kg": payload_kg,
-        "temperature_c": temperature_c,
-        "tool_force_n": arguments.three("--tool-force-n", tool_force_n),
-        "tool_moment_nm": arguments.three("--tool-moment-nm", tool_moment_nm),
-    }
-    if campaign and (name or notes or any(value is not None for value in conditions.values())):
+    conditions = _conditions(payload_kg, temperature_c, tool_force_n, tool_moment_nm)
+    if campaign and (name or notes or conditions):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints, topic, joint_order))
     prepared = _understood(file, _looked_at(file, prepared, unchecked), as_json)
@@ -104,7 +99,7 @@ def upload(
         "name": name or file.name,
         "device": device or preset or "",
         "role": role,
-        "conditions": {key: value for key, value in conditions.items() if value is not None},
+        "conditions": conditions,
         "notes": notes,
     }
     with Kilter() as kilter:
@@ -114,6 +109,19 @@ def upload(
         else:
             done = _send_anew(kilter, robot, wanted, file, prepared, as_json)
     emit(_report(prepared, done), as_json, _show_upload)
+
+
+def _conditions(
+    payload_kg: float | None, temperature_c: float | None, force: str | None, moment: str | None
+) -> dict[str, Any]:
+    """Return what holds for the whole campaign."""
+    told = {
+        "payload_kg": payload_kg,
+        "temperature_c": temperature_c,
+        "tool_force_n": arguments.three("--tool-force-n", force),
+        "tool_moment_nm": arguments.three("--tool-moment-nm", moment),
+    }
+    return {key: value for key, value in told.items() if value is not None}
 
 
 @dataclass(frozen=True)

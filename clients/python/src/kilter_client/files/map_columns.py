@@ -159,6 +159,8 @@ def _pattern(columns: Section, target: str) -> Pattern:
     scales, offsets, signs = (section.numbers(key) for key in ("scale", "offset", "sign"))
     still = section.number("still_below")
     section.finish()
+    if source == UNKNOWN:
+        raise section.error("the draft could not tell which columns these are: name them, or delete the line", "from")
     if source is None or source.count("*") != 1 or target.count("*") != 1:
         raise section.error('a pattern has one * on either side, for example q*_deg = { from = "A*", unit = "deg" }')
     if unit == UNKNOWN:
