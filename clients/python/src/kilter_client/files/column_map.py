@@ -68,7 +68,9 @@ def read_map(path: Path) -> ColumnMap:
     try:
         text = path.read_text(encoding="utf-8-sig")
         top = Section(path, "", tomllib.loads(BARE_PATTERN.sub(r'\1"\2"\3', text)))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise FileError(f"{path}: is not UTF-8 text, as TOML is. Save it as UTF-8.", file=str(path)) from error
+    except (OSError, tomllib.TOMLDecodeError) as error:
         raise FileError(f"{path}: is no readable column map: {error}.", file=str(path)) from error
     form, layout = _file(top.part("file"))
     rows = top.part("rows")
