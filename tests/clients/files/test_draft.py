@@ -109,6 +109,44 @@ def test_the_actual_joints_go_before_the_commanded_ones(tmp_path: Path) -> None:
     assert "# other columns that might be the position: @_soll" in text
 
 
+def test_two_arms_in_one_file_are_left_to_the_person(tmp_path: Path) -> None:
+    text = drafted(tmp_path, table("left_joint1,left_joint2,right_joint1,right_joint2,x,y", ROWS))
+    assert (
+        'from = "?", unit = "deg" }   # ? could not tell which of these are the arm\'s joints: left_joint*, right_joint*'
+        in text
+    )
+    with pytest.raises(FileError, match=r"columns.q\*.from: the draft could not tell which columns these are"):
+        prepare(tmp_path / "lab.csv", column_map=write(tmp_path / "m.toml", text))
+
+
+def test_vectors_with_numbers_and_compound_words(tmp_path: Path) -> None:
+    head = [
+        *(f"actual_q_{k}" for k in range(3)),
+        *(f"actual_qd_{k}" for k in range(3)),
+        *(f"actual_TCP_pose_{k}" for k in range(6)),
+    ]
+    text = drafted(tmp_path, table(",".join(head), [[*r[:3], 1, 2, 3, *r[3:], 0.1, 0.2, 0.3] for r in ROWS]))
+    assert '"q*" = { from = "actual_q_*", unit = "deg" }' in text
+    assert 'z_mm = { from = "actual_TCP_pose_2", unit = "mm" }' in text
+    assert "What the controller computes from its joints is no measurement" in text
+    text = drafted(
+        tmp_path,
+        table(
+            "Achswinkel 1 in Grad,Achswinkel 2 in Grad,Achswinkel 3 in Grad,Messwert X in mm,Messwert Y in mm,Messwert Z in mm"
+        ),
+    )
+    assert '"q*" = { from = "Achswinkel * in Grad", unit = "deg" }' in text
+    assert 'x_mm = { from = "Messwert X in mm", unit = "mm" }\n' in text
+
+
+def test_an_instrument_goes_before_the_controllers_own_pose(tmp_path: Path) -> None:
+    text = drafted(
+        tmp_path, table("A1,A2,A3,TCP_x,TCP_y,TCP_z,tracker_x,tracker_y,tracker_z", [[*r, *r[3:]] for r in ROWS])
+    )
+    assert 'x_mm = { from = "tracker_x", unit = "mm" }' in text
+    assert "no measurement" not in text
+
+
 def test_torques_speeds_and_currents_are_no_joints(tmp_path: Path) -> None:
     text = drafted(tmp_path, table("torque_j1,torque_j2,torque_j3,x,y,z"))
     assert '"q*" = { from = "?", unit = "?" }' in text
@@ -201,3 +239,4 @@ def test_layouts(tmp_path: Path) -> None:
     assert (layout.delimiter, layout.encoding) == ("|", "utf-16")
     bare = drafted(tmp_path, "1,2,3,4\n5,6,7,8\n")
     assert "header = false" in bare
+    assert '"q*" = { from = "?", unit = "?" }' in bare

@@ -15,18 +15,21 @@ from kilter_client.files.table_shape import TableShape
 from kilter_client.files.time_stamps import stamp_of
 from kilter_client.files.units import SIZES
 
-JOINT = re.compile(r"\b(?:joints?|jnts?|axis|axes|ax|achsen?|gelenke?|winkel|angles?|theta|pos|position|[ajq])\b")
+JOINT = re.compile(r"\b(?:joint\w*|jnts?|axis\w*|axes|ax|achs\w*|gelenk\w*|\w*winkel|angles?|theta|[ajq])\b")
+PLACED = re.compile(r"\b(?:positions?|pos)\b")
+TOOL = re.compile(r"\b(?:tcp|tool|pose|cart\w*|xyz|flange|flansch|points?|punkt)\b")
 OTHER = re.compile(
-    r"\b(?:torques?|drehmoment\w*|moment\w*|tau|currents?|strom\w*|vel\w*|speed\w*|geschw\w*|qd+|acc\w*|temp\w*|motor\w*|"
-    r"error|err|std|sigma|rms|u95|dev\w*|force|kraft|f|voltage|volt)\b"
+    r"\b(?:\w*torques?|\w*moment\w*|tau|efforts?|\w*currents?|\w*strom\w*|\w*vel(?:ocity|ocities|s)?|\w*speeds?|"
+    r"geschw\w*|qd+|acc\w*|temp\w*|motor\w*|error|err|std|sigma|rms|u95|dev\w*|force|kraft|f|voltage|volt)\b"
 )
-MEASURED = re.compile(
-    r"\b(?:act\w*|meas\w*|ist|fbk|feedback|gemessen|tracker|laser|leica|smr|reflector|reflektor|tcp)\b"
-)
+MEASURED = re.compile(r"\b(?:act\w*|meas\w*|ist|fbk|feedback|gemessen|tracker|laser|leica|smr|reflector|reflektor)\b")
 COMMANDED = re.compile(r"\b(?:cmd|command\w*|soll|target|set|ref|desired|nominal|nom|goal|plan\w*|ziel)\b")
 TURNED = re.compile(
     r"\b(?:rot|rotation|quat\w*|orient\w*|q @|r @|n @)\b|^[rq]@|\b(?:std|sigma|u95|rms|unc\w*|goal|force|vel\w*|acc\w*)\b"
 )
+COMPUTED = re.compile(r"\b(?:tcp|flange|flansch|tool|cart\w*)\b")
+ASK_INSTRUMENT = "is this an instrument's reading? What the controller computes from its joints is no measurement"
+VECTORS = (3, 6, 7)  # a point, a point with three angles, a point with a quaternion
 ARMS = (
     ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3"),
     ("shoulder pan", "shoulder lift", "elbow", "wrist 1", "wrist 2", "wrist 3"),
@@ -109,15 +112,23 @@ def joints(columns: Columns) -> tuple[list[Entry], list[str]]:
         ((_joint_score(columns, family), family) for family in families(columns.names)), key=lambda f: -f[0]
     )
     ranked = [(score, family) for score, family in ranked if score >= 0]
-    if not ranked or ranked[0][0] < 3:
+    if not ranked or ranked[0][0] < 2.5:
         return [], [family.pattern for _, family in ranked]
     best = ranked[0][1]
+    equal = [family.pattern for score, family in ranked if score == ranked[0][0] and not _shared(family, best)]
+    if equal:
+        told = f"could not tell which of these are the arm's joints: {', '.join([best.pattern, *equal])}"
+        return [Entry("q*", UNKNOWN, _angle(columns, best.names)[0], told)], []
     others = [family.pattern for score, family in ranked[1:] if not set(family.names) & set(best.names)]
     units = {columns.unit(name) for name in best.names}
     if len(units) > 1 or columns.shape.form == "mat":
         return _single_joints(columns, best.names), others
     unit, remark = _angle(columns, best.names)
     return [Entry("q*", best.pattern, unit, remark, best.names)], others
+
+
+def _shared(one: Family, other: Family) -> bool:
+    return bool(set(one.names) & set(other.names))
 
 
 def _single_joints(columns: Columns, names: Sequence[str]) -> list[Entry]:
@@ -149,7 +160,8 @@ def _joint_score(columns: Columns, family: Family) -> float:
     if columns.largest(family.names) is None or _is_unit_length(columns, family):
         return -9.0
     unit = columns.unit(family.names[0])
-    score = 3.0 if JOINT.search(said) or not said else 0.0
+    score = 3.0 if JOINT.search(said) else 1.5 if PLACED.search(said) else 0.0
+    score -= 3.0 if TOOL.search(said) else 0.0
     score += 2.0 if unit in SIZES["angle"] else -4.0 if unit is not None and unit not in SIZES["length"] else 0.0
     score += (1.0 if len(family) >= 4 else 0.0) + (1.0 if MEASURED.search(said) else 0.0)
     return score - (2.0 if COMMANDED.search(said) else 0.0) - (6.0 if OTHER.search(said) else 0.0)
@@ -185,24 +197,29 @@ def points(columns: Columns, taken: set[str]) -> tuple[list[Entry], list[str]]:
     markers = _markers(columns, found)
     if markers:
         return markers, []
-    lists = [
-        _as_triple(family)
-        for family in families(free, 3)
-        if len(family) == 3 and family.pattern.endswith(("[*]", "(:,*)"))
-    ]
-    ranked = sorted([*found, *(t for t in lists if t)], key=lambda triple: -_point_score(columns, triple))
+    vectors = [_as_triple(family) for family in families(free, 3) if len(family) in VECTORS]
+    ranked = sorted([*found, *(t for t in vectors if t)], key=lambda triple: -_point_score(columns, triple))
     if not ranked:
         return [], []
     best = ranked[0]
     unit, remark = _length(columns, best.names)
+    equal = [t.pattern for t in ranked[1:] if _point_score(columns, t) == _point_score(columns, best)]
+    if equal:
+        told = f"could not tell which of these is the position: {', '.join([best.pattern, *equal])}"
+        return [Entry(f"{axis}_mm", UNKNOWN, unit, told) for axis in "xyz"], []
+    said = words_of(best.pattern)
+    if COMPUTED.search(said) and not re.search(r"\b(?:meas\w*|tracker|laser|leica|smr|gemessen)\b", said):
+        remark = "; ".join(text for text in (remark, ASK_INSTRUMENT) if text)
     axes = zip("xyz", best.names, strict=True)
     return [Entry(f"{axis}_mm", name, unit, remark, (name,)) for axis, name in axes], [t.pattern for t in ranked[1:]]
 
 
 def _as_triple(family: Family) -> Triple | None:
+    """The first three of a vector that is called a point or a pose."""
     said = words_of(family.pattern)
-    fits = re.search(r"\b(?:p|pos\w*|xyz|tcp|points?|punkt|coord\w*|trans\w*|tool|measured|m[ae]ss\w*)\b", said)
-    return Triple(family.pattern, (family.names[0], family.names[1], family.names[2])) if fits else None
+    fits = TOOL.search(said) or re.search(r"\b(?:p|pos\w*|coord\w*|trans\w*|measured|m[ae]ss\w*)\b", said)
+    wrong = OTHER.search(said) or TURNED.search(said)
+    return Triple(family.pattern, (family.names[0], family.names[1], family.names[2])) if fits and not wrong else None
 
 
 def _markers(columns: Columns, found: Sequence[Triple]) -> list[Entry]:

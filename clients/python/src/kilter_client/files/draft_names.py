@@ -42,7 +42,7 @@ def families(names: Iterable[str], fewest: int = 2) -> list[Family]:
     for pattern, numbered in found.items():
         numbers = sorted(numbered)
         whole = numbers[0] in (0, 1) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-        if whole and len(numbers) >= fewest:
+        if whole and len(numbers) >= fewest and pattern != "*":  # columns without a header are called by their index
             out.append(Family(pattern, tuple(numbered[k] for k in numbers)))
     return sorted(out, key=lambda family: -len(family))
 
