@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
 from kilter_client import FileError, Kilter, prepare
 from kilter_client.cli import run
 from kilter_client.files.draft import draft
@@ -19,6 +20,7 @@ from kilter_client.files.summary import columns_of
 from kilter_client.files.table_shape import shape_of
 
 from tests.clients.files.labs import LABS, Measured, write_lab
+from tests.clients.files.test_fuzz import EDITS, edited
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]
@@ -227,6 +229,12 @@ def test_the_report_says_what_to_check_and_what_comes_next(tmp_path: Path, capsy
     assert f"Then: kilter upload ROBOT '{path}' --map {tmp_path / 'm.toml'} --dry-run" in out
 
 
+def test_two_columns_of_one_name_are_refused_with_the_file(tmp_path: Path) -> None:
+    path = write(tmp_path / "lab.csv", table("A1,A1,A2,x,y,z"))
+    with pytest.raises(FileError, match=r"lab.csv: two columns are called 'A1'. Rename one"):
+        draft(path)
+
+
 @pytest.mark.parametrize("text", ["", "only words\nand more\n", "a,b\nx,y\n"])
 def test_no_table_no_draft(tmp_path: Path, text: str) -> None:
     with pytest.raises(FileError, match=r"no table of numbers was found in its beginning\. Export it as CSV"):
@@ -240,3 +248,24 @@ def test_layouts(tmp_path: Path) -> None:
     bare = drafted(tmp_path, "1,2,3,4\n5,6,7,8\n")
     assert "header = false" in bare
     assert '"q*" = { from = "?", unit = "?" }' in bare
+
+
+@pytest.mark.parametrize("name", ["german", "kuka", "lists", "workbook"])
+def test_damaged_files_are_drafted_or_refused_and_nothing_else(tmp_path: Path, name: str) -> None:
+    whole, _ = write_lab(tmp_path, name)
+    seed = whole.read_bytes()
+    path, column_map = tmp_path / f"damaged{whole.suffix}", tmp_path / "m.toml"
+
+    @settings(max_examples=40, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+    @given(EDITS)
+    def check(edits: list[tuple[str, int, bytes]]) -> None:
+        path.write_bytes(edited(seed, edits))
+        said = str(path)
+        try:
+            column_map.write_text(draft(path).text, encoding="utf-8")
+            prepare(path, column_map=column_map)
+        except FileError as error:
+            said = error.detail
+        assert str(path) in said or str(column_map) in said
+
+    check()

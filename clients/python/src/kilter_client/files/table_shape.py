@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from kilter_client.errors import FileError
 from kilter_client.files.cell_lists import parse_list
 from kilter_client.files.cell_numbers import parse_number
 from kilter_client.files.faults import fault, head_of
@@ -63,7 +64,7 @@ def _text(path: Path) -> tuple[Layout, dict[str, str | None]]:
         raise fault(
             path, "no table of numbers was found in its beginning", "Export it as CSV with a line of names above."
         )
-    head_line, header, units_row, comment, units = _head(rows[delimiter], decimal)
+    head_line, header, units_row, comment, units = _head(path, rows[delimiter], decimal)
     return Layout(delimiter, decimal, encoding, head_line - 1, header, comment, (), units_row), units
 
 
@@ -75,9 +76,9 @@ def _workbook(path: Path) -> tuple[Layout, dict[str, str | None]]:
         layout = Layout(header=False, sheet=sheet)
         try:
             found = read_xlsx(path, layout)
-        except Exception as error:  # an empty sheet among others
-            if best is None and sheet == sheet_names(path)[-1]:
-                raise error
+        except FileError as error:
+            if "holds no rows" not in error.detail:
+                raise
             continue
         rows = list(zip(found.lines, found.cells, strict=True))[:SAMPLE_ROWS]
         for decimal in (".", ","):
@@ -91,7 +92,7 @@ def _workbook(path: Path) -> tuple[Layout, dict[str, str | None]]:
         raise fault(
             path, "no table of numbers was found in its sheets", "Put the names of the columns above the numbers."
         )
-    head_line, header, units_row, comment, units = _head(best[2], best[1].decimal)
+    head_line, header, units_row, comment, units = _head(path, best[2], best[1].decimal)
     return replace(best[1], skip_rows=head_line - 1, header=header, units_row=units_row, comment=comment), units
 
 
@@ -139,7 +140,7 @@ def _score(rows: Sequence[Row], decimal: str) -> float:
     return sum(values - 1.5 * words for values, words in alike) + len(alike) - 3.0 * ragged
 
 
-def _head(rows: Sequence[Row], decimal: str) -> tuple[int, bool, bool, str, dict[str, str | None]]:
+def _head(path: Path, rows: Sequence[Row], decimal: str) -> tuple[int, bool, bool, str, dict[str, str | None]]:
     """Line of the header (or of the first row), whether there is one, a row of units below it, the sign of comments."""
     data = [k for k, (_, cells) in enumerate(rows) if _is_data(cells, decimal)]
     width = Counter(len(rows[k][1]) for k in data).most_common(1)[0][0]
@@ -153,7 +154,7 @@ def _head(rows: Sequence[Row], decimal: str) -> tuple[int, bool, bool, str, dict
     named = bool(above) and abs(len(above[-1][1]) - width) <= 1 and _kinds(above[-1][1], decimal)[1] > 0
     if not named:
         return rows[first][0], False, False, comment, {}
-    names = header_names(Path(), above[-1][1])
+    names = header_names(path, above[-1][1])
     told = {name: UNITS.get(unit.strip("[]() ").lower()) or None for name, unit in zip(names, units, strict=False)}
     return above[-1][0], True, bool(units), comment, told
 
