@@ -149,3 +149,19 @@ def test_rows_that_rules_leave_out_and_joints_that_do_not_fit(robot: str, tmp_pa
     (tmp_path / "gap.csv").write_text("q1_deg,x_mm,y_mm,z_mm\n1,2,3,\n")
     found = document(capsys, "upload", robot, tmp_path / "gap.csv", "--dry-run", code=1)
     assert "z_mm is empty or no number in 1 rows (row 1)" in found["refused"]
+
+
+def test_the_second_file_of_a_map_is_named_on_the_command_line(
+    no_settings: None, tmp_path: Path, capsys: Capture
+) -> None:
+    (tmp_path / "points.csv").write_text("x,y,z\n1,2,3\n4,5,6\n")
+    (tmp_path / "robot log.csv").write_text("A1;A2\n10;20\n30;40\n")
+    points = "".join(f'{a}_mm = {{ from = "{a}", unit = "mm" }}\n' for a in "xyz")
+    join = '[join]\nby = "row"\n[join.file]\ndelimiter = ";"\n[join.columns]\nq* = { from = "A*", unit = "deg" }\n'
+    (tmp_path / "map.toml").write_text(f"[columns]\n{points}{join}")
+    arguments = ("upload", "nobody", tmp_path / "points.csv", "--joints", tmp_path / "robot log.csv", "--dry-run")
+    found = document(capsys, *arguments, "--map", tmp_path / "map.toml")
+    assert [c["high"] for c in found["ranges"]] == [4, 5, 6, 30, 40]
+    assert any("of robot log.csv by row" in text for text in found["notes"])
+    said = document(capsys, *arguments, code=2)["detail"]
+    assert "--joints goes with --preset (a text export of points) or with --map" in said
