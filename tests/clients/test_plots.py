@@ -91,7 +91,7 @@ def test_lines_with_gaps_steps_colours_and_panels_are_drawn(tmp_path: Path) -> N
     assert {"x here", "y here", "z here"} <= set(said)
 
 
-CHECK = {
+CHECK: dict[str, Any] = {
     "name": "arm $5$", "reach_mm": 900.0,
     "zero": {"points_mm": [[0, 0, 0], [0, 0, 0], [0, 0, 300], [500, 0, 300], [900, 0, 300], [900, 0, 300]]},
     "axes": [{"direction": [0, 0, 1]}, {"direction": [0, -1, 0]}, {"direction": [0, -1, 0]}],
@@ -111,6 +111,21 @@ def test_an_arm_shows_its_axes_base_and_tool_from_three_sides(tmp_path: Path) ->
     assert (tmp_path / "arm.v2.svg").read_text().startswith("<?xml")
     with pytest.raises(FileError):
         save_arm(tmp_path / "nowhere" / "arm.png", CHECK, True)
+
+
+def test_labels_of_an_arm_that_would_cover_each_other_become_one() -> None:
+    points = [*CHECK["zero"]["points_mm"][:4], [525, 0, 300], [525, 0, 300]]
+    side, *_ = [
+        trace["text"]
+        for trace in arm_figure(CHECK | {"zero": {"points_mm": points}})["data"]
+        if trace["mode"] == "text"
+    ]
+    assert side == ["base, 1", "2", "3, tool"]
+    layout = arm_figure(CHECK)["layout"]
+    widths = [
+        layout[f"{k}axis{n}"]["range"][1] - layout[f"{k}axis{n}"]["range"][0] for k in "xy" for n in ("", "2", "3")
+    ]
+    assert widths == pytest.approx([widths[0]] * 6)
 
 
 def test_without_matplotlib_an_arm_is_a_plain_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

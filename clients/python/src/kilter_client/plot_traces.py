@@ -14,7 +14,6 @@ DOT = 0.6  # of Plotly's pixels, in matplotlib's points
 STEPS = {"hv": "post", "vh": "pre"}
 MARKERS = {"x": "x", "circle-open": "o", "circle": "o", "diamond": "D"}
 SYMBOL_LINE = 0.8
-ROOM = 0.15  # of the axes left free beside what has labels
 
 
 def words(text: str) -> str:
@@ -47,8 +46,6 @@ def _scatter(canvas: Any, axes: Any, trace: Trace) -> None:
         _line(axes, points, trace)
     if "markers" in mode:
         _dots(canvas, axes, points, trace)
-    if "text" in trace:
-        axes.margins(ROOM)
     for place, text in zip(zip(*points, strict=True), trace.get("text", ()), strict=False):
         axes.annotate(text, place, textcoords="offset points", xytext=(5, 5), fontsize=9, fontweight="bold")
 

@@ -140,8 +140,11 @@ def _name_axes(axes: Any, layout: Mapping[str, Any], pair: tuple[str, str]) -> N
         axes.set_xscale("log")
     if x.get("zeroline"):
         axes.axvline(0.0, color="#5f6368", linewidth=0.8)
+    for axis, limit in ((x, axes.set_xlim), (y, axes.set_ylim)):
+        if "range" in axis:
+            limit(*axis["range"])
     if y.get("scaleanchor"):
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_aspect("equal", adjustable="box" if "range" in y else "datalim")
 
 
 def _legend(canvas: Any, traces: Sequence[Mapping[str, Any]]) -> None:

@@ -20,7 +20,8 @@ Figure = dict[str, Any]
 VIEWS = ((0, 2, "from the side"), (1, 2, "from the front"), (0, 1, "from above"))
 LETTERS = "xyz"
 AXIS_SHARE = 0.07  # of the arm's size that half an axis is drawn as
-NEAR_SHARE = 0.045  # labels nearer than this become one
+LETTER_SHARE, HIGH_SHARE = 0.026, 0.055  # of the arm's size: width and height of a letter of a label
+ROOM = 0.68  # of the arm's size that is shown to either side of its middle, alike in all views
 END_ON = 0.2  # share of an axis seen from the side below which it points at the reader
 LINK, AXIS, END, MARK = "#3c5aa0", "#d2782a", "#2e8b57", "#1e1e1e"
 LONGEST_NAME = 60
@@ -52,7 +53,8 @@ def arm_figure(check: Mapping[str, Any]) -> Figure:
     name = str(check["name"])
     name = name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}…"
     title = f"{escape(name).replace('$', '&#36;')} at zero, reach {check['reach_mm']:.0f} mm"
-    return {"data": data, "layout": _layout(title)}
+    middle = [(max(p[k] for p in points) + min(p[k] for p in points)) / 2 for k in range(3)]
+    return {"data": data, "layout": _layout(title, [[m - ROOM * size, m + ROOM * size] for m in middle])}
 
 
 def _view(
@@ -82,22 +84,29 @@ def _view(
         trace("points on the axes", "markers", joints, marker={"color": MARK, "size": 5}),
         trace("base, flange and tool", "markers", ends, marker={"color": END, "size": 8, "symbol": "diamond"}),
     ]  # fmt: skip
-    places, labels = _labels(flat, len(axes), NEAR_SHARE * size)
+    places, labels = _labels(flat, len(axes), size)
     made.append(trace("", "text", places, text=labels, textposition="top right") | {"showlegend": False})
     return made
 
 
-def _labels(flat: Sequence[Point], count: int, near: float) -> tuple[list[Point], list[str]]:
-    """Where to write what: numbers of joints, base and tool; what stands at one place becomes one label."""
+def _labels(flat: Sequence[Point], count: int, size: float) -> tuple[list[Point], list[str]]:
+    """Where to write what: numbers of joints, base and tool; labels that would cover each other become one."""
     named = [("base", flat[0]), *((str(k), flat[k]) for k in range(1, count + 1)), ("tool", flat[-1])]
-    groups: list[tuple[Point, list[str]]] = []
-    for label, place in named:
-        mine = next((group for group in groups if math.dist(group[0], place) < near), None)
-        if mine is None:
-            groups.append((place, [label]))
-        else:
-            mine[1].append(label)
+    groups: list[tuple[Point, list[str]]] = [(place, [label]) for label, place in named]
+    while (pair := _covering(groups, size)) is not None:
+        first, second = pair
+        groups[first][1].extend(groups.pop(second)[1])
     return [place for place, _ in groups], [_run(members) for _, members in groups]
+
+
+def _covering(groups: Sequence[tuple[Point, list[str]]], size: float) -> tuple[int, int] | None:
+    """The first two labels, right above their places, that would cover each other."""
+    for i, (p, first) in enumerate(groups):
+        for j, (q, second) in enumerate(groups[i + 1 :], i + 1):
+            left, right = (first, q[0] - p[0]) if p[0] <= q[0] else (second, p[0] - q[0])
+            if abs(p[1] - q[1]) < HIGH_SHARE * size and right < LETTER_SHARE * size * (len(_run(left)) + 1):
+                return i, j
+    return None
 
 
 def _run(members: Sequence[str]) -> str:
@@ -109,17 +118,19 @@ def _run(members: Sequence[str]) -> str:
     return ", ".join(part[0] if len(part) == 1 else f"{part[0]}–{part[-1]}" for part in out)
 
 
-def _layout(title: str) -> Figure:
+def _layout(title: str, shown: Sequence[Sequence[float]]) -> Figure:
     made: Figure = {
         "title": {"text": title}, "width": 1500, "height": 620,
         "legend": {"orientation": "h", "yanchor": "top", "y": -0.18, "itemsizing": "constant"},
     }  # fmt: skip
     for n, (i, j, side) in enumerate(VIEWS):
-        own = "" if n == 0 else str(n + 1)
+        own, low = "" if n == 0 else str(n + 1), 0.355 * n
         made[f"xaxis{own}"] = {
-            "title": {"text": f"{LETTERS[i]}, mm ({side})"}, "domain": [0.355 * n, 0.355 * n + 0.29], "anchor": f"y{own}",
+            "title": {"text": f"{LETTERS[i]}, mm ({side})"}, "domain": [low, low + 0.29], "range": list(shown[i]),
+            "anchor": f"y{own}",
         }  # fmt: skip
         made[f"yaxis{own}"] = {
-            "title": {"text": f"{LETTERS[j]}, mm"}, "scaleanchor": f"x{own}", "scaleratio": 1, "anchor": f"x{own}",
+            "title": {"text": f"{LETTERS[j]}, mm"}, "range": list(shown[j]), "anchor": f"x{own}",
+            "scaleanchor": f"x{own}", "scaleratio": 1,
         }  # fmt: skip
     return made
