@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from core.correction import CorrectionOptions
 from core.observations import Observations
 from service.campaigns import store as campaigns
 from service.contract.previews import JointPreview, VersionPreview
 from service.contract.versions import CorrectionLimits
 from service.correction.follow import Corrected, corrected
+from service.correction.wire import options_of
 from service.corrector.frames import Status
 from service.db import Database
 from service.versions import store
@@ -44,8 +44,8 @@ def preview(database: Database, version_id: str, temperature_c: float | None) ->
         driven = campaigns.driven(session, record.robot_id, calibration.robot, MOST_POSES)
     q = drawn(calibration.robot) if driven is None else driven[:MOST_POSES]
     rows = Observations(q=q)
-    wide = corrected(calibration, rows, _options(WIDEST, temperature_c))
-    narrow = corrected(calibration, rows, _options(CorrectionLimits(**record.limits), temperature_c))
+    wide = corrected(calibration, rows, options_of(WIDEST, temperature_c))
+    narrow = corrected(calibration, rows, options_of(CorrectionLimits(**record.limits), temperature_c))
     return _said(record, calibration.robot, rows.q, wide, narrow, temperature_c, driven is not None)
 
 
@@ -56,15 +56,6 @@ def drawn(robot: Robot) -> Floats:
     outside = low > high  # limits that lie beyond a turn
     low, high = np.where(outside, robot.limits[:, 0], low), np.where(outside, robot.limits[:, 1], high)
     return np.random.default_rng(0).uniform(low, high, (DRAWN_POSES, len(free)))
-
-
-def _options(limits: CorrectionLimits, temperature_c: float | None) -> CorrectionOptions:
-    return CorrectionOptions(
-        largest_rad=math.radians(limits.max_joint_deg),
-        largest_m=limits.max_position_mm * 1e-3,
-        farthest_m=limits.max_position_mm * 1e-3,
-        temperature_c=temperature_c,
-    )
 
 
 def _said(
