@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from datetime import datetime
+from typing import Annotated
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from service.contract.robots import RobotDocument
 from service.contract.units import JointType, Pose, Strict
@@ -44,6 +45,10 @@ class RobotReport(RobotSummary):
     joints: list[JointSummary]
     parameters: list[str]
     notes: list[str]
+    sha256: Annotated[
+        str, Field(description="SHA-256 of the chain that the document was resolved to when it was posted")
+    ]
+    source_sha256: Annotated[str, Field(description="SHA-256 of the posted document, of a URDF that of its text")]
     document: RobotDocument
 
 

@@ -102,6 +102,10 @@ class Version(VersionSummary):
     """
 
     sha256: str
+    hash_scheme: Annotated[
+        int, Field(description="What `sha256` covers: 1 calibration and limits, 2 the robot's chain too", ge=1, le=2)
+    ]
+    robot_sha256: Annotated[str, Field(description="SHA-256 of the chain of the robot that the version was made on")]
     campaigns: list[UsedCampaign]
     limits: CorrectionLimits
     parameters: list[dict[str, Any]]

@@ -47,13 +47,21 @@ class Row(DeclarativeBase):
 
 
 class RobotRow(Row):
-    """A robot as it was posted."""
+    """A robot: the document it was posted as, and the chain (SI) that this was resolved to, which is what counts.
+
+    ``left_out`` is what of the document the chain does not have. A robot of before the chains that no longer resolves
+    has none.
+    """
 
     __tablename__ = "robots"
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(String(64), unique=True)
     document: Mapped[dict[str, Any]]
     created_at: Mapped[datetime] = mapped_column(default=now)
+    chain: Mapped[dict[str, Any] | None]
+    sha256: Mapped[str] = mapped_column(String(64), default="", server_default="")
+    source_sha256: Mapped[str] = mapped_column(String(64), default="", server_default="")
+    left_out: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
 
 
 class CampaignRow(Row):
@@ -117,7 +125,10 @@ class JobRow(Row):
 
 
 class VersionRow(Row):
-    """A set of identified parameters; never changed after it is stored."""
+    """A set of identified parameters; never changed after it is stored.
+
+    ``sha256`` covers calibration and limits (``hash_scheme`` 1), and the robot's chain too (2).
+    """
 
     __tablename__ = "versions"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -132,6 +143,8 @@ class VersionRow(Row):
     limits: Mapped[dict[str, Any]]
     code_version: Mapped[str] = mapped_column(String(64))
     created_at: Mapped[datetime] = mapped_column(default=now)
+    hash_scheme: Mapped[int] = mapped_column(default=1, server_default="1")
+    robot_sha256: Mapped[str] = mapped_column(String(64), default="", server_default="")
 
 
 class ActivationRow(Row):

@@ -11,7 +11,7 @@ from service.contract.robot_reports import JointSummary, RobotList, RobotReport
 from service.contract.robots import RobotDocument
 from service.db import Database
 from service.robots import store
-from service.robots.documents import core_document
+from service.robots.resolved import resolve
 
 if TYPE_CHECKING:
     from core.robot import Joint
@@ -27,16 +27,20 @@ def add(database: Database, document: RobotDocument) -> tuple[RobotReport, bool]
         ServiceError: the name is taken by another document.
 
     """
-    from core.robots import robot_from_document  # imports scipy: not at the start of the API process
-
     posted = document.model_dump(mode="json", exclude_none=True)
-    robot_from_document(core_document(posted).document)
+    resolved = resolve(posted)
     with database.transaction() as session:
         found = store.find(session, document.name)
         new = found is None or found.document != posted
         if new:
-            store.add(session, document.name, posted)
-    return get(database, document.name), new
+            store.add(session, document.name, posted, resolved)
+    report = get(database, document.name)
+    if report.sha256 != resolved.sha256:
+        report.notes.append(
+            "this document gives another arm today: the robot stays what it was when it was added. Add it under another "
+            "name to have the new one"
+        )
+    return report, new
 
 
 def get(database: Database, name: str) -> RobotReport:
@@ -44,12 +48,14 @@ def get(database: Database, name: str) -> RobotReport:
     with database.reading() as session:
         stored = store.get(session, name)
         summary = store.summaries(session, name)[0]
-        robot = store.core_robot(session, stored.id)
+    robot = stored.robot()
     return RobotReport(
         **summary.model_dump(),
         joints=[joint_summary(joint) for joint in robot.joints],
         parameters=[str(robot.chain.elements[k].name) for k in robot.chain.named],
-        notes=core_document(stored.document).notes,
+        notes=stored.notes,
+        sha256=stored.sha256,
+        source_sha256=stored.source_sha256,
         document=DOCUMENT.validate_python(stored.document),
     )
 

@@ -10,22 +10,47 @@ from service.contract.robot_reports import RobotSummary
 from service.db import Session
 from service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
 from service.errors import ServiceError
-from service.robots.documents import core_document
+from service.robots.resolved import Resolved
 
 if TYPE_CHECKING:
     from core.robot import Robot
 
 
 class StoredRobot(NamedTuple):
-    """A robot's key in the database, its name, and the document it was posted as."""
+    """A robot's key in the database, its name, the document it was posted as, and the chain that stands for it.
+
+    ``chain`` is None for a robot of before the chains that no longer resolves.
+    """
 
     id: int
     name: str
     document: dict[str, Any]
+    chain: dict[str, Any] | None
+    sha256: str
+    source_sha256: str
+    notes: list[str]
+
+    def robot(self) -> Robot:
+        """Build core's robot from the chain, whatever the document would be resolved to today.
+
+        Raises:
+            ServiceError: there is no chain.
+
+        """
+        from core.robots.resolved import robot_from_resolved  # imports numpy: not at the start of the API process
+
+        if self.chain is None:
+            raise ServiceError(
+                f"Robot {self.name!r} was stored by an earlier Kilter, and its document could not be resolved when the "
+                "database was migrated (the log of that start says why): add the robot anew under another name.",
+                code="robot_invalid",
+                robot=self.name,
+            )
+        return robot_from_resolved(self.name, self.chain)
 
 
-def add(session: Session, name: str, document: dict[str, Any]) -> None:
-    """Store a robot.
+def add(session: Session, name: str, document: dict[str, Any], resolved: Resolved) -> None:
+    """Store a robot with what it was resolved to.
 
     Raises:
         ServiceError: the name is taken.
@@ -37,14 +62,29 @@ def add(session: Session, name: str, document: dict[str, Any]) -> None:
             code="robot_exists",
             robot=name,
         )
-    session.add(RobotRow(name=name, document=document))
+    session.add(
+        RobotRow(
+            name=name,
+            document=document,
+            chain=resolved.chain,
+            sha256=resolved.sha256,
+            source_sha256=resolved.source_sha256,
+            left_out=resolved.notes,
+        )
+    )
     session.flush()
 
 
 def find(session: Session, name: str) -> StoredRobot | None:
     """Return the robot of a name, if there is one."""
     row = session.execute(select(RobotRow).where(RobotRow.name == name)).scalar_one_or_none()
-    return None if row is None else StoredRobot(row.id, row.name, row.document)
+    return None if row is None else _stored(row)
+
+
+def _stored(row: RobotRow) -> StoredRobot:
+    return StoredRobot(
+        row.id, row.name, row.document, row.chain, row.sha256, row.source_sha256, [str(note) for note in row.left_out]
+    )
 
 
 def get(session: Session, name: str) -> StoredRobot:
@@ -64,15 +104,12 @@ def get(session: Session, name: str) -> StoredRobot:
 
 def by_id(session: Session, robot_id: int) -> StoredRobot:
     """Return the robot of a key that another row refers to."""
-    row = session.get_one(RobotRow, robot_id)
-    return StoredRobot(row.id, row.name, row.document)
+    return _stored(session.get_one(RobotRow, robot_id))
 
 
 def core_robot(session: Session, robot_id: int) -> Robot:
-    """Build core's robot from the stored document."""
-    from core.robots import robot_from_document  # imports scipy: not at the start of the API process
-
-    return robot_from_document(core_document(by_id(session, robot_id).document).document)
+    """Build core's robot from the stored chain."""
+    return by_id(session, robot_id).robot()
 
 
 def remove(session: Session, name: str) -> None:

@@ -82,7 +82,7 @@ def exported(database: Database, version_id: str, format_name: str) -> Exported:
         version = store.get(session, version_id)
         robot = robots.get(session, version.robot)
         document = store.row_of(session, version_id).calibration
-    return export(format_name, Exportable(robot.document, version, document))
+    return export(format_name, Exportable(robot, version, document))
 
 
 def residuals(database: Database, version_id: str, campaigns: Sequence[str], media: str) -> bytes:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from service.db import Session
 from service.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
 from service.errors import ServiceError
 from service.robots import store as robots
+from service.robots.resolved import sha256_of
 from service.versions.objections import objections_of
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ class NewVersion:
 class ActiveVersion:
     """The version a robot is corrected with, ready for core.
 
-    ``epoch`` grows with every activation on this server; ``sha256`` is that of calibration and limits.
+    ``epoch`` grows with every activation on this server; ``sha256`` is the version's, its number in the stream.
     ``max_joint`` (rad) and ``max_position`` (m) are the largest correction the version may make.
     """
 
@@ -72,6 +71,7 @@ class Training:
     rounded: bool = False
 
 
+ROBOT_HASHED = 2  # the hash scheme of new versions: calibration, limits and the robot's chain
 POSES, BY_DISTANCE = "poses", "by distance"  # versions without it were split by rounded readings
 
 
@@ -80,13 +80,16 @@ def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
     version_id = f"ver_{job_id.removeprefix('job_')}"
     if session.get(VersionRow, version_id) is not None:
         return version_id
+    chain = robots.by_id(session, robot_id).sha256
     session.add(
         VersionRow(
             id=version_id,
             robot_id=robot_id,
             parent_id=new.parent_id,
             job_id=job_id,
-            sha256=_digest({"calibration": new.calibration, "limits": new.limits}),
+            sha256=sha256_of({"calibration": new.calibration, "limits": new.limits, "robot": chain}),
+            hash_scheme=ROBOT_HASHED,
+            robot_sha256=chain,
             calibration=new.calibration,
             report={**new.report, POSES: BY_DISTANCE},
             covariance=new.covariance,
@@ -125,6 +128,8 @@ def get(session: Session, version_id: str) -> Version:
     return Version(
         **_summary(session, row).model_dump(),
         sha256=row.sha256,
+        hash_scheme=row.hash_scheme,
+        robot_sha256=row.robot_sha256,
         campaigns=[UsedCampaign(**campaign) for campaign in row.campaigns],
         limits=CorrectionLimits(**row.limits),
         parameters=row.report.get("parameters", []),
@@ -281,7 +286,3 @@ def _summary(session: Session, row: VersionRow) -> VersionSummary:
         effects=[effect["id"] for effect in row.calibration["effects"]],
         metrics=row.report.get("metrics", {}),
     )
-
-
-def _digest(document: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(document, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
