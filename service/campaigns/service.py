@@ -16,6 +16,7 @@ from service.contract.campaigns import Campaign, CampaignList, NewCampaign, Part
 from service.contract.columns import CONTACTS
 from service.db import Database, Session
 from service.errors import ServiceError
+from service.references.retired import refuse_retired
 from service.robots import store as robots
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ MEASURED = ("x", "marker_x", "link", *CONTACTS)
 def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
     """Store a new campaign of a robot; one begun long ago whose parts never came is dropped on the way."""
     with database.transaction() as session:
-        robot_id = robots.get(session, robot).id
+        robot_id = robots.usable(session, robot).id
         for forgotten in store.staged_before(session, robot_id, datetime.now(UTC) - STAGED_FOR):
             store.discard(session, forgotten)
         campaign_id = store.add(session, robot_id, campaign)
@@ -80,10 +81,10 @@ def discard(database: Database, campaign_id: str) -> None:
         store.discard(session, campaign_id)
 
 
-def listed(database: Database, robot: str, staged: bool = False) -> CampaignList:
-    """List the campaigns of a robot, or those whose parts are not all there yet."""
+def listed(database: Database, robot: str, staged: bool = False, retired: bool = False) -> CampaignList:
+    """List the campaigns of a robot, or those whose parts are not all there yet; with ``retired`` also those out of use."""
     with database.reading() as session:
-        ids = store.ids_of_robot(session, robots.get(session, robot).id, staged)
+        ids = store.ids_of_robot(session, robots.get(session, robot).id, staged, retired)
         return CampaignList(campaigns=[store.get(session, campaign_id) for campaign_id in ids])
 
 
@@ -133,7 +134,8 @@ def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -
 
 
 def _uploaded(session: Session, campaign_id: str, sha256: str, *, new: bool) -> Uploaded | None:
-    store.row_of(session, campaign_id)
+    row = store.row_of(session, campaign_id)
+    refuse_retired("campaign", row.id, row.retired_at)
     uploads = store.uploads_of(session, campaign_id)
     total = sum(upload.rows for upload in uploads)
     for upload in uploads:

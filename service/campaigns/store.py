@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import uuid
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
@@ -16,9 +17,12 @@ from service.campaigns.assemble import observations as assemble
 from service.campaigns.chunks import Chunk, read_chunk
 from service.campaigns.columns import read_columns
 from service.contract.campaigns import Campaign, Conditions, NewCampaign, Upload
+from service.contract.jobs.job import FINAL
 from service.db import Session
-from service.db.tables import CampaignRow, ChunkRow, RobotRow, UploadRow
+from service.db.tables import CampaignRow, ChunkRow, JobRow, RobotRow, UploadRow
 from service.errors import ServiceError
+from service.references import store as references
+from service.references.retired import refuse_retired
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -29,11 +33,22 @@ if TYPE_CHECKING:
 
 
 def add(session: Session, robot_id: int, campaign: NewCampaign) -> str:
-    """Store a new campaign and return its id."""
+    """Store a new campaign and return its id.
+
+    Raises:
+        ServiceError: another campaign of the robot has the name, or it looks like an id.
+
+    """
+    name = campaign.name
+    if campaign.numbered:
+        references.check_form("campaign", name)
+        name = references.free_name(session, "campaign", robot_id, name)
+    else:
+        references.check_name(session, "campaign", robot_id, name)
     row = CampaignRow(
         id=f"cmp_{uuid.uuid4().hex[:16]}",
         robot_id=robot_id,
-        name=campaign.name,
+        name=name,
         device=campaign.device,
         role=campaign.role,
         conditions=campaign.conditions.model_dump(mode="json", exclude_none=True),
@@ -54,7 +69,8 @@ def row_of(session: Session, campaign_id: str) -> CampaignRow:
     row = session.get(CampaignRow, campaign_id)
     if row is None:
         raise ServiceError(
-            f"There is no campaign {campaign_id!r}: list them with GET /v1/robots/{{robot}}/campaigns.",
+            f"There is no campaign {campaign_id!r}: list them with GET /v1/robots/{{robot}}/campaigns."
+            + references.gone(session, "campaign", campaign_id),
             code="campaign_not_found",
             campaign=campaign_id,
         )
@@ -78,9 +94,37 @@ def whole_row_of(session: Session, campaign_id: str) -> CampaignRow:
     return row
 
 
+def usable_row_of(session: Session, campaign_id: str) -> CampaignRow:
+    """Return the row of a campaign that is whole and in use.
+
+    Raises:
+        ServiceError: there is none, parts of it are missing, or it is retired.
+
+    """
+    row = whole_row_of(session, campaign_id)
+    refuse_retired("campaign", row.id, row.retired_at)
+    return row
+
+
 def commit(session: Session, campaign_id: str) -> None:
-    """Make a staged campaign one that is listed and used."""
-    row_of(session, campaign_id).staged = False
+    """Make a staged campaign one that is listed and used; a name that was taken meanwhile gets a number."""
+    row = row_of(session, campaign_id)
+    if row.staged:
+        row.name = references.free_name(session, "campaign", row.robot_id, row.name)
+        row.staged = False
+
+
+def delete_whole(session: Session, campaign_id: str) -> None:
+    """Delete a campaign with all that was uploaded to it."""
+    session.execute(delete(UploadRow).where(UploadRow.campaign_id == campaign_id))
+    session.execute(delete(CampaignRow).where(CampaignRow.id == campaign_id))
+
+
+def unfinished_jobs(session: Session, campaign_id: str) -> list[str]:
+    """Return the ids of jobs that are not over and use a campaign."""
+    robot_id = row_of(session, campaign_id).robot_id
+    rows = session.execute(select(JobRow).where(JobRow.robot_id == robot_id, JobRow.state.not_in(FINAL))).scalars()
+    return [row.id for row in rows if campaign_id in json.dumps(row.request)]
 
 
 def discard(session: Session, campaign_id: str) -> None:
@@ -109,14 +153,20 @@ def get(session: Session, campaign_id: str) -> Campaign:
         notes=row.notes,
         staged=row.staged,
         created_at=row.created_at,
+        retired_at=row.retired_at,
         rows=sum(upload.rows for upload in uploads),
         uploads=uploads,
     )
 
 
-def ids_of_robot(session: Session, robot_id: int, staged: bool = False) -> list[str]:
-    """Return the ids of a robot's campaigns, oldest first; ``staged`` are those whose parts are not all there."""
+def ids_of_robot(session: Session, robot_id: int, staged: bool = False, retired: bool = False) -> list[str]:
+    """Return the ids of a robot's campaigns, oldest first; ``staged`` are those whose parts are not all there.
+
+    With ``retired`` also those that are out of use.
+    """
     query = select(CampaignRow.id).where(CampaignRow.robot_id == robot_id, CampaignRow.staged == staged)
+    if not retired:
+        query = query.where(CampaignRow.retired_at.is_(None))
     return list(session.execute(query.order_by(CampaignRow.created_at, CampaignRow.id)).scalars())
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
+from service.contract.references import RetiredAt
 from service.contract.units import Strict, Vector
 
 Role = Literal["train", "validation", "confirmation"]
@@ -32,6 +33,7 @@ class NewCampaign(Strict):
     conditions: Conditions = Conditions()
     notes: Annotated[str, Field(max_length=20_000)] = ""
     staged: bool = False
+    numbered: Annotated[bool, Field(description="Put a number behind the name when another campaign has it")] = False
 
 
 class Upload(Strict):
@@ -44,9 +46,16 @@ class Upload(Strict):
     created_at: datetime
 
 
-class Campaign(NewCampaign):
+class Campaign(Strict):
     """A campaign and what was uploaded to it."""
 
+    name: Text
+    device: Text
+    role: Role
+    conditions: Conditions
+    notes: str
+    staged: bool
+    retired_at: RetiredAt = None
     id: str
     robot: str
     created_at: datetime

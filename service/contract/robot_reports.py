@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from service.contract.references import RetiredAt
 from service.contract.robots import RobotDocument
 from service.contract.units import JointType, Pose, Strict
 
@@ -37,6 +38,8 @@ class RobotSummary(Strict):
     campaigns: int
     versions: int
     active_version: str | None
+    remarks: Annotated[str, Field(description="What people noted on the robot")] = ""
+    retired_at: RetiredAt = None
 
 
 class RobotReport(RobotSummary):

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from service.contract.references import Notes, RetiredAt, Title
 from service.contract.units import Strict
 
 
@@ -40,6 +41,9 @@ class VersionSummary(Strict):
     code_version: str
     effects: list[str]
     metrics: dict[str, Any]
+    name: Title = ""
+    notes: Notes = ""
+    retired_at: RetiredAt = None
 
 
 class ActivationWish(Strict):

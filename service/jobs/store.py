@@ -29,6 +29,7 @@ def add(session: Session, robot_id: int, job: NewJob) -> str:
         id=f"job_{uuid.uuid4().hex[:16]}",
         kind=job.kind,
         robot_id=robot_id,
+        name=job.name,
         request=job.model_dump(mode="json"),
         state="queued",
     )
@@ -80,6 +81,7 @@ def _summary(session: Session, row: JobRow) -> JobSummary:
         id=row.id,
         kind=row.kind,
         robot=session.get_one(RobotRow, row.robot_id).name,
+        name=row.name,
         state=row.state,
         progress=Progress(fraction=row.fraction, stage=row.stage),
         error=None if row.error is None else JobError(**row.error),
@@ -221,6 +223,7 @@ def _version(row: JobRow, content: VersionContent, used: list[dict[str, Any]]) -
         campaigns=used,
         parent_id=request.options.get(kind.version_option) if kind.version_option else None,
         code_version=code_version(),
+        name=request.name,
     )
 
 

@@ -7,9 +7,13 @@ from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter
 
+from service.contract.references import Tombstone
 from service.contract.robot_reports import JointSummary, RobotList, RobotReport
 from service.contract.robots import RobotDocument
 from service.db import Database
+from service.db.tables import now
+from service.references import retired
+from service.references import store as references
 from service.robots import store
 from service.robots.resolved import resolve
 
@@ -60,16 +64,43 @@ def get(database: Database, name: str) -> RobotReport:
     )
 
 
-def listed(database: Database) -> RobotList:
-    """List all robots."""
+def listed(database: Database, with_retired: bool = False) -> RobotList:
+    """List the robots, perhaps also those that are out of use."""
     with database.reading() as session:
-        return RobotList(robots=store.summaries(session))
+        return RobotList(robots=store.summaries(session, retired=with_retired))
 
 
-def remove(database: Database, name: str) -> None:
-    """Delete a robot without campaigns."""
+def remark(database: Database, name: str, remarks: str) -> RobotReport:
+    """Note something on a robot."""
     with database.transaction() as session:
+        store.row_of(session, store.get(session, name).id).remarks = remarks
+    return get(database, name)
+
+
+def retire(database: Database, name: str, actor: str) -> RobotReport:
+    """Take a robot out of use: no list shows it, nothing new is made of it. What is active goes on correcting."""
+    with database.transaction() as session:
+        retired.retire(store.row_of(session, store.get(session, name).id), actor)
+    return get(database, name)
+
+
+def restore(database: Database, name: str) -> RobotReport:
+    """Bring a robot back into use."""
+    with database.transaction() as session:
+        retired.restore(store.row_of(session, store.get(session, name).id))
+    return get(database, name)
+
+
+def purge(database: Database, name: str, actor: str) -> Tombstone:
+    """Delete a robot without campaigns and versions; its hash is kept."""
+    with database.transaction() as session:
+        stored = store.get(session, name)
         store.remove(session, name)
+        tombstone = Tombstone(
+            id=name, kind="robot", robot=name, name=name, sha256=stored.sha256, by=actor, at=now()
+        )  # fmt: skip
+        references.bury(session, tombstone)
+    return tombstone
 
 
 def joint_summary(joint: Joint) -> JointSummary:

@@ -10,6 +10,7 @@ from service.contract.robot_reports import RobotSummary
 from service.db import Session
 from service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
 from service.errors import ServiceError
+from service.references.retired import refuse_retired
 from service.robots.resolved import Resolved
 
 if TYPE_CHECKING:
@@ -96,15 +97,44 @@ def get(session: Session, name: str) -> StoredRobot:
     """
     found = find(session, name)
     if found is None:
-        names = session.execute(select(RobotRow.name).order_by(RobotRow.name)).scalars().all()
+        in_use = select(RobotRow.name).where(RobotRow.retired_at.is_(None)).order_by(RobotRow.name)
+        names = session.execute(in_use).scalars().all()
         known = f"There are: {', '.join(names)}." if names else "There is none yet: add one with `kilter robot add`."
         raise ServiceError(f"There is no robot {name!r}. {known}", code="robot_not_found", robot=name)
     return found
 
 
+def usable(session: Session, name: str) -> StoredRobot:
+    """Return the robot of a name, if it is in use.
+
+    Raises:
+        ServiceError: there is none, or it is retired.
+
+    """
+    found = get(session, name)
+    refuse_retired_robot(session, found.id)
+    return found
+
+
+def refuse_retired_robot(session: Session, robot_id: int) -> None:
+    """Refuse to work with a robot that is retired.
+
+    Raises:
+        ServiceError: it is.
+
+    """
+    row = row_of(session, robot_id)
+    refuse_retired("robot", row.name, row.retired_at)
+
+
+def row_of(session: Session, robot_id: int) -> RobotRow:
+    """Return the row of a robot."""
+    return session.get_one(RobotRow, robot_id)
+
+
 def by_id(session: Session, robot_id: int) -> StoredRobot:
     """Return the robot of a key that another row refers to."""
-    return _stored(session.get_one(RobotRow, robot_id))
+    return _stored(row_of(session, robot_id))
 
 
 def core_robot(session: Session, robot_id: int) -> Robot:
@@ -124,7 +154,7 @@ def remove(session: Session, name: str) -> None:
     if campaigns or _count(session, VersionRow, stored.id):
         raise ServiceError(
             f"Robot {name!r} has {campaigns} campaigns and cannot be deleted: measurements are kept. "
-            "Add a robot of another name instead.",
+            f"Retire it instead (kilter robot retire {name}), or purge its versions and campaigns first.",
             code="robot_in_use",
             robot=name,
             campaigns=campaigns,
@@ -135,10 +165,14 @@ def remove(session: Session, name: str) -> None:
     session.delete(session.get_one(RobotRow, stored.id))
 
 
-def summaries(session: Session, name: str | None = None) -> list[RobotSummary]:
-    """Return all robots, or the one of a name."""
+def summaries(session: Session, name: str | None = None, retired: bool = False) -> list[RobotSummary]:
+    """Return all robots in use, with ``retired`` also the others; or the one of a name."""
     query = select(RobotRow).order_by(RobotRow.name)
-    rows = session.execute(query if name is None else query.where(RobotRow.name == name)).scalars()
+    if name is not None:
+        query = query.where(RobotRow.name == name)
+    elif not retired:
+        query = query.where(RobotRow.retired_at.is_(None))
+    rows = session.execute(query).scalars()
     return [_summary(session, row) for row in rows]
 
 
@@ -151,6 +185,8 @@ def _summary(session: Session, row: RobotRow) -> RobotSummary:
         campaigns=_count(session, CampaignRow, row.id),
         versions=_count(session, VersionRow, row.id),
         active_version=session.execute(last.limit(1)).scalar_one_or_none(),
+        remarks=row.remarks,
+        retired_at=row.retired_at,
     )
 
 

@@ -21,10 +21,10 @@ def active_calibrations(session: Session) -> dict[str, ActiveVersion]:
     return {name: version for name, version in found.items() if version is not None}
 
 
-def listed(database: Database, robot: str) -> VersionList:
-    """List the versions of a robot."""
+def listed(database: Database, robot: str, retired: bool = False) -> VersionList:
+    """List the versions of a robot; with ``retired`` also those that are out of use."""
     with database.reading() as session:
-        return VersionList(versions=store.of_robot(session, robots.get(session, robot).id))
+        return VersionList(versions=store.of_robot(session, robots.get(session, robot).id, retired))
 
 
 def get(database: Database, version_id: str) -> Version:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,10 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import func, select
 
+from service.contract.jobs.job import FINAL
 from service.contract.versions import Activation, CorrectionLimits, Objection, UsedCampaign, Version, VersionSummary
 from service.db import Session
 from service.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
 from service.errors import ServiceError
+from service.references import store as references
+from service.references.retired import refuse_retired
 from service.robots import store as robots
 from service.robots.resolved import sha256_of
 from service.versions.objections import objections_of
@@ -33,6 +37,7 @@ class NewVersion:
     limits: dict[str, Any]
     parent_id: str | None
     code_version: str
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,7 @@ def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
             job_id=job_id,
             sha256=sha256_of({"calibration": new.calibration, "limits": new.limits, "robot": chain}),
             hash_scheme=ROBOT_HASHED,
+            name=references.free_name(session, "version", robot_id, new.name) if new.name else "",
             robot_sha256=chain,
             calibration=new.calibration,
             report={**new.report, POSES: BY_DISTANCE},
@@ -112,7 +118,8 @@ def row_of(session: Session, version_id: str) -> VersionRow:
     row = session.get(VersionRow, version_id)
     if row is None:
         raise ServiceError(
-            f"There is no version {version_id!r}: list them with GET /v1/robots/{{robot}}/versions.",
+            f"There is no version {version_id!r}: list them with GET /v1/robots/{{robot}}/versions."
+            + references.gone(session, "version", version_id),
             code="version_not_found",
             version=version_id,
         )
@@ -142,9 +149,38 @@ def get(session: Session, version_id: str) -> Version:
     )
 
 
-def of_robot(session: Session, robot_id: int) -> list[VersionSummary]:
-    """Return the versions of a robot, newest first."""
+def usable_row_of(session: Session, version_id: str) -> VersionRow:
+    """Return the row of a version that is in use.
+
+    Raises:
+        ServiceError: there is none, or it is retired.
+
+    """
+    row = row_of(session, version_id)
+    refuse_retired("version", row.id, row.retired_at)
+    return row
+
+
+def citing_campaign(session: Session, robot_id: int, campaign_id: str) -> list[str]:
+    """Return the versions that were made from a campaign."""
+    rows = session.execute(select(VersionRow.id, VersionRow.campaigns).where(VersionRow.robot_id == robot_id))
+    return [version for version, campaigns in rows if any(used["id"] == campaign_id for used in campaigns)]
+
+
+def citing_version(session: Session, robot_id: int, version_id: str) -> list[str]:
+    """Return the versions that continue a version, whether it was ever active, and the jobs not over that use it."""
+    children = session.execute(select(VersionRow.id).where(VersionRow.parent_id == version_id)).scalars().all()
+    once = select(func.count()).where(ActivationRow.version_id == version_id)
+    logged = ["the log of activations"] if session.execute(once).scalar_one() else []
+    jobs = session.execute(select(JobRow).where(JobRow.robot_id == robot_id, JobRow.state.not_in(FINAL))).scalars()
+    return [*children, *logged, *(job.id for job in jobs if version_id in json.dumps(job.request))]
+
+
+def of_robot(session: Session, robot_id: int, retired: bool = False) -> list[VersionSummary]:
+    """Return the versions of a robot, newest first; with ``retired`` also those that are out of use."""
     query = select(VersionRow).where(VersionRow.robot_id == robot_id)
+    if not retired:
+        query = query.where(VersionRow.retired_at.is_(None))
     rows = session.execute(query.order_by(VersionRow.created_at.desc(), VersionRow.id)).scalars()
     return [_summary(session, row) for row in rows]
 
@@ -285,4 +321,7 @@ def _summary(session: Session, row: VersionRow) -> VersionSummary:
         code_version=row.code_version,
         effects=[effect["id"] for effect in row.calibration["effects"]],
         metrics=row.report.get("metrics", {}),
+        name=row.name,
+        notes=row.notes,
+        retired_at=row.retired_at,
     )

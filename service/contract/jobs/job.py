@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from service.contract.references import Title
 from service.contract.units import Fraction, Id, Ids, Strict
 
 State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
@@ -27,6 +28,7 @@ class NewJob(Strict):
 
     kind: Id
     robot: Id
+    name: Annotated[Title, Field(description="What people call the job, and the version that it makes")] = ""
     campaigns: Ids = []
     validation: Ids | Fraction | Folds | None = None
     confirmation: Ids = []
@@ -65,6 +67,7 @@ class JobSummary(Strict):
     id: str
     kind: str
     robot: str
+    name: Title = ""
     state: State
     progress: Progress
     error: JobError | None
