@@ -10,15 +10,28 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import arguments
-from kilter_client.cli.arguments import CampaignIds, ConfirmationIds, Json, MoreOptions, NoWait, Robot, ValidationText
+from kilter_client.cli.arguments import (
+    CampaignIds,
+    ConfirmationIds,
+    JobName,
+    Json,
+    MoreOptions,
+    NoWait,
+    Robot,
+    ValidationText,
+)
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
+from kilter_client.cli.references import resolved_all, resolved_options
 from kilter_client.cli.results import show_job
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 from kilter_client.plots import can_draw, save_figures
 
 Frame = Literal["free", "fixed"]
+Loss = Annotated[
+    Literal["linear", "huber", "tukey"] | None, typer.Option(help="huber forgives outliers, tukey lets them go.")
+]
 Reference = Annotated[
     Literal["auto", "robot", "registration"] | None, typer.Option(help="Frames that corrections work in.")
 ]
@@ -59,10 +72,7 @@ def identify(
         Literal["base", "none"] | None,
         typer.Option(help="A base to every campaign and session, or one to all; by default a sheet has its own."),
     ] = None,
-    loss: Annotated[
-        Literal["linear", "huber", "tukey"] | None,
-        typer.Option(help="huber forgives outliers, tukey lets them go."),
-    ] = None,
+    loss: Loss = None,
     reference: Reference = None,
     intervals: Annotated[
         Literal["bootstrap", "profile"] | None, typer.Option(help="95 % intervals that do not rest on the sigmas.")
@@ -72,6 +82,7 @@ def identify(
     seed: Annotated[int | None, typer.Option(help="Seed of the split.")] = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to start from.")] = None,
     option: MoreOptions = None,
+    name: JobName = "",
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
@@ -95,7 +106,7 @@ def identify(
     )
     if refit is not None:
         chosen["refit"] = ["base"] if refit == "base" else []
-    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json)
+    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, name=name)
 
 
 def gap(
@@ -125,6 +136,7 @@ def gap(
         Path | None, typer.Option(metavar="FILE", help="Write the poses to measure next as CSV.", dir_okay=False)
     ] = None,
     option: MoreOptions = None,
+    name: JobName = "",
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
@@ -152,7 +164,7 @@ def gap(
             _write_figures(figures, result.get("figures") or {}, as_json)
 
     again = arguments.split_names(confirmation)
-    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files, confirmation=again)
+    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files, confirmation=again, name=name)
 
 
 def evaluate(
@@ -161,6 +173,7 @@ def evaluate(
     version: Annotated[str | None, typer.Option(help="Version to evaluate; default is the active one.")] = None,
     refit: Annotated[str | None, typer.Option(metavar="base,tool", help="Frames that were set up anew.")] = None,
     option: MoreOptions = None,
+    name: JobName = "",
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
@@ -168,7 +181,7 @@ def evaluate(
     chosen = arguments.options(option, version=version)
     if refit is not None:
         chosen["refit"] = arguments.split_names([refit])
-    run_job("evaluate", robot, campaign, None, chosen, no_wait, as_json)
+    run_job("evaluate", robot, campaign, None, chosen, no_wait, as_json, name=name)
 
 
 def plan(
@@ -199,6 +212,7 @@ def plan(
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the poses as CSV.", dir_okay=False)
     ] = None,
     option: MoreOptions = None,
+    name: JobName = "",
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
@@ -222,7 +236,7 @@ def plan(
         if output is not None:
             write_poses(output, (job.get("result") or {}).get("csv"), as_json)
 
-    run_job("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files)
+    run_job("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
 
 
 def _corners(text: str | None) -> list[list[float]] | None:
@@ -270,6 +284,7 @@ def run_job(
     needs_campaign: bool = True,
     files: Callable[[dict[str, Any]], None] | None = None,
     confirmation: Sequence[str] = (),
+    name: str = "",
 ) -> None:
     """Submit a job, follow it, and print it."""
     ids = arguments.split_names(campaign)
@@ -277,7 +292,12 @@ def run_job(
         raise UsageError(f"Name at least one --campaign ID: `kilter campaigns {robot}` lists them.")
     held_out = arguments.validation(validation)
     with Kilter() as kilter:
-        job = kilter.jobs.submit(kind, robot, ids, held_out, options, confirmation)
+        ids = resolved_all(kilter, "campaign", ids, robot, as_json)
+        again = resolved_all(kilter, "campaign", confirmation, robot, as_json)
+        if isinstance(held_out, list):
+            held_out = resolved_all(kilter, "campaign", held_out, robot, as_json)
+        options = resolved_options(kilter, options, robot, as_json)
+        job = kilter.jobs.submit(kind, robot, ids, held_out, options, again, name)
         if not no_wait:
             note(f"job {job['id']}", as_json)
             with job_bar(kind, as_json) as progress:
