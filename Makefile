@@ -10,7 +10,7 @@ TESTERS ?= 2
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds thesis silent-rows image fmt clean
+.PHONY: help setup demo serve test check contract coverage bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds thesis silent-rows image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -34,12 +34,27 @@ serve: $(KERNELS) ## run the server on this machine until Ctrl-C
 test: $(KERNELS) ## run the tests
 	$(BIN)/python -m pytest -n $(TESTERS) --dist loadscope
 
+# The kernels run compiled, where no line is counted: their tests run once more without the compiler. Then numpy warns of
+# overflows that the compiled code passes over, as it should: a rotation by an infinite cotangent is by nothing.
+KERNEL_TESTS := tests/core/test_chain.py tests/core/test_moments.py tests/core/test_poses.py tests/corrector/test_kernel.py
+
+coverage: $(KERNELS) ## count the lines that the tests run, those of the kernels without the compiler (slow)
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest -n $(TESTERS) --dist loadscope
+	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest -q -W ignore::RuntimeWarning $(KERNEL_TESTS)
+	$(BIN)/coverage combine -q
+	$(BIN)/coverage report
+
 check: $(KERNELS) ## style, types, import rules
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tools.contract --check
 	$(BIN)/python -m pytest -q tests/contract/test_layout.py tests/contract/test_docs.py tests/contract/test_openapi.py
+
+contract: $(KERNELS) ## write the effects of the contract, the tables of options and the help of commands anew
+	$(BIN)/python -m tools.contract
 
 bench: $(KERNELS) ## measure speed against other tools and print the ratios
 	$(BIN)/python -m benchmarks.core

@@ -7,13 +7,16 @@ joint's readings, so that an arc does as well as a circle; short arcs are refuse
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
+from core.circle_coupling import PARALLEL as COUPLED
+from core.circle_coupling import checked_follows, keeps_direction, leader_point, refuse_coupled
 from core.conversions import Screws, pose_document, robot_document
 from core.errors import ObservationError, TooFewPosesError
 from core.markers import fit_poses, marker_shape
@@ -70,25 +73,33 @@ def robot_from_circles(
     name: str,
     convention: str = "chain",
     frame: str = "axis",
+    follows: Mapping[int, int] | None = None,
 ) -> CircleRobot:
     """Find the axes of a robot from readings ``q (N, n)`` and measured ``points (N, m, 3)`` m (one point, or markers).
 
     The base frame stands on the first axis, its z along it (``frame`` "axis"), or is the device's ("device"). The flange is
     the measured point (the markers' middle, or the digitised ``tip (N, 3)``), turned as the markers are, or as the base.
+    ``follows`` are joints (from 0) read against the horizontal, follower -> leader: their links do not turn with the leader.
 
     Raises:
         ObservationError: ``joint_constant``, ``arc_too_short`` or ``circle_not_round``, naming the joint.
         TooFewPosesError: fewer than five rows of a joint.
 
     """
-    fits = tuple(_axis(q, points, j, bool(prismatic[j])) for j in range(q.shape[1]))
-    screws = _at_zero(fits)
+    pairs = checked_follows(follows or {}, prismatic)
+    middle = points.mean(axis=1, keepdims=True)
+    seen = [middle if j in pairs.values() else points for j in range(q.shape[1])]
+    fits = [_axis_or_pair(q, seen[j], j, prismatic) for j in range(q.shape[1])]
+    for follower, leader in pairs.items():
+        fits[leader] = _led(q, middle, fits[leader], fits[follower], (leader, follower))
+    screws = _at_zero(fits, pairs)
     home, rms = _home(screws, q, points, tip)
     base = np.eye(4) if frame == "device" else _on_first_axis(screws)
     placed = screws.moved(inverse(base), np.eye(4))
     axes = [
         {
-            "joint": f"j{k + 1}",
+            "joint": f"j{placed.joint[k] + 1}",
+            "ratio": float(placed.ratio[k]),
             "type": "prismatic" if placed.prismatic[k] else "revolute",
             "direction": placed.direction[k].tolist(),
             "point_mm": (1e3 * placed.point[k]).tolist(),
@@ -102,7 +113,43 @@ def robot_from_circles(
         "home": pose_document(inverse(base) @ home),
         "base": pose_document(base),
     }
-    return CircleRobot(robot_document(robot_from_document(document), convention), fits, rms)
+    return CircleRobot(robot_document(robot_from_document(document), convention), tuple(fits), rms)
+
+
+def _axis_or_pair(q: Floats, points: Floats, j: int, prismatic: NDArray[np.bool_]) -> AxisFit:
+    """Fit an axis; where its circle is none because a parallel joint is read against the horizontal, name that one."""
+    try:
+        return _axis(q, points, j, bool(prismatic[j]))
+    except ObservationError as error:
+        rows = _alone(q, j)
+        rows = rows[~np.isnan(points[rows]).any(axis=(1, 2))]
+        if error.code != "circle_not_round" or prismatic[j] or not keeps_direction(points[rows]):
+            raise
+        own = _axis(q, points.mean(axis=1, keepdims=True), j, False)
+        for k in range(j + 1, q.shape[1]):
+            if not prismatic[k] and abs(_axis(q, points, k, False).direction @ own.direction) > COUPLED:
+                refuse_coupled(j, k)
+        raise
+
+
+def _led(q: Floats, middle: Floats, fit: AxisFit, follower: AxisFit, pair: tuple[int, int]) -> AxisFit:
+    """The leader's axis: its circle's middle is off by as much as the points are off the follower's axis."""
+    leader, last = pair
+    before = [k for k in range(last) if k != leader]
+    apart = float(np.abs(fit.others[before] - follower.others[before]).max(initial=0.0))
+    if apart > STILL or abs(fit.direction @ follower.direction) < COUPLED:
+        what = "the axes are not parallel" if apart <= STILL else "the joints before stood elsewhere for their circles"
+        raise ObservationError(
+            f"Joint {last + 1} cannot follow joint {leader + 1}: {what}. Leave it out of follows, or measure both circles with "
+            "the joints before at the same readings.",
+            joint=leader + 1,
+            follower=last + 1,
+        )
+    rows = _alone(q, leader)
+    rows = rows[~np.isnan(middle[rows]).any(axis=(1, 2))]
+    at = float(follower.others[leader])
+    point = leader_point(q[rows, leader], middle[rows, 0], fit.direction, fit.point, at, follower.point)
+    return replace(fit, point=point)
 
 
 def _axis(q: Floats, points: Floats, j: int, prismatic: bool) -> AxisFit:
@@ -240,21 +287,31 @@ def _slide(shift: Floats, points: Floats, others: Floats, j: int) -> AxisFit:
     return AxisFit(mean / size, point, True, others, len(shift), stroke, 0.0, rms, sigma, 0.0)
 
 
-def _at_zero(fits: tuple[AxisFit, ...]) -> Screws:
-    """Axes with all joints at zero: each was seen with the joints before it wherever they stood."""
-    direction, point = np.zeros((0, 3)), np.zeros((0, 3))
-    kinds = np.array([f.prismatic for f in fits])
+def _at_zero(fits: Sequence[AxisFit], pairs: Mapping[int, int]) -> Screws:
+    """Axes with all joints at zero: each was seen with the joints before it wherever they stood.
+
+    The axis of a follower stands twice: its leader turns it back, then it turns itself.
+    """
+    out = Screws(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool), np.zeros(0, np.int64), np.zeros(0), np.eye(4))
     for i, fit in enumerate(fits):
-        before = _screws(direction, point, kinds[:i], np.eye(4))
-        back = inverse(before.poses(fit.others[None, :i])[0]) if i else np.eye(4)
-        direction = np.vstack([direction, back[:3, :3] @ fit.direction])
-        point = np.vstack([point, back[:3, :3] @ fit.point + back[:3, 3]])
-    return _screws(direction, point, kinds, np.eye(4))
+        back = inverse(out.poses(fit.others[None])[0])
+        direction, point = back[:3, :3] @ fit.direction, back[:3, :3] @ fit.point + back[:3, 3]
+        if i in pairs:
+            sense = math.copysign(1.0, fit.direction @ fits[pairs[i]].direction)
+            out = _with(out, direction, point, fit.prismatic, pairs[i], -sense)
+        out = _with(out, direction, point, fit.prismatic, i, 1.0)
+    return out
 
 
-def _screws(direction: Floats, point: Floats, kinds: NDArray[np.bool_], home: Floats) -> Screws:
-    n = len(kinds)
-    return Screws(direction, point, kinds, np.arange(n), np.ones(n), home)
+def _with(screws: Screws, direction: Floats, point: Floats, prismatic: bool, joint: int, ratio: float) -> Screws:
+    return Screws(
+        np.vstack([screws.direction, direction]),
+        np.vstack([screws.point, point]),
+        np.append(screws.prismatic, prismatic),
+        np.append(screws.joint, joint),
+        np.append(screws.ratio, ratio),
+        screws.home,
+    )
 
 
 def _home(screws: Screws, q: Floats, points: Floats, tip: Floats | None) -> tuple[Floats, float]:

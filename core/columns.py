@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.effects import BASE, TOOL, Derivative, Local
+from core.kernels import columns as kernel
+from core.load_slopes import LoadSlopes
+from core.loaded import Slope
 
 Floats = NDArray[np.float64]
+
+UNTURNED = np.eye(3)  # base and tool have twists in their own axes
 
 
 @dataclass(frozen=True)
@@ -27,15 +32,20 @@ class ToolColumns:
     def put(self, out: Floats, column: int, d: Derivative) -> None:
         """Add what a derivative moves to a column of ``out (N, 6, K)``."""
         if d.dq is not None:
-            out[:, :, column] += self.JQ[:, :, d.joint] * d.dq[:, None]
+            kernel.put_turn(out, column, self.JQ, d.joint, np.ascontiguousarray(d.dq, dtype=np.float64))
         if d.xi is not None:
-            out[:, :, column] += self.twist(d.joint, d.xi)
+            slot = self._slot(d.joint)
+            frame = self.frames[slot] if slot < len(self.frames) else UNTURNED
+            kernel.put_twist(out, column, self.JX, slot, frame, np.ascontiguousarray(d.xi, dtype=np.float64))
+
+    def _slot(self, joint: int) -> int:
+        n = len(self.frames)
+        return {BASE: n, TOOL: n + 1}.get(joint, joint)
 
     def twist(self, joint: int, xi: Floats) -> Floats:
         """Motion (N, 6) of the tool by a twist (N, 6) at a joint, :data:`BASE` or :data:`TOOL`."""
-        n = self.JQ.shape[2]
-        slot = {BASE: n, TOOL: n + 1}.get(joint, joint)
-        if slot < n:
+        slot = self._slot(joint)
+        if slot < len(self.frames):
             xi = (xi.reshape(-1, 2, 3) @ self.frames[slot].T).reshape(-1, 6)
         return np.asarray(np.einsum("nij,nj->ni", self.JX[:, :, 6 * slot : 6 * slot + 6], xi))
 
@@ -49,6 +59,16 @@ class ToolColumns:
         if local.base is not None:
             yield self.twist(BASE, local.base), None
 
+    def put_loads(
+        self, out: Floats, slopes: Iterable[Slope], by: LoadSlopes, errors: Sequence[tuple[int, int]]
+    ) -> None:
+        """Add to columns of ``out`` what load errors move through the ``slopes``; ``errors`` are columns and load errors."""
+        places, own = (np.array(k, dtype=np.int64) for k in zip(*errors, strict=True))
+        for slope in slopes:
+            load = by.of(slope.name, slope.part)
+            for moved, j in self.by_loads(slope.local):
+                kernel.put_loads(out, places, np.ascontiguousarray(moved), load if j is None else load[..., j], own)
+
 
 @dataclass(frozen=True)
 class Total:
@@ -60,20 +80,28 @@ class Total:
     parts: tuple[tuple[int, Local], ...]
 
     @staticmethod
-    def of(parts: tuple[tuple[int, Local], ...], rows: int, frames: Floats) -> Total:
-        """Sum the ``parts``, each with the place of its first value, over N ``rows``; ``frames`` as of ToolColumns."""
+    def of(parts: tuple[tuple[int, Local], ...], moves: Sequence[bool], rows: int, frames: Floats) -> Total:
+        """Sum the ``parts`` that have values (``moves``), each with the place of its first, over N ``rows``.
+
+        ``frames`` are those of ToolColumns.
+        """
         n = len(frames)
         dq, stretch = np.zeros((rows, n)), None
-        xi = np.zeros((0, n + 2, 6))
-        for _, local in parts:
-            dq = dq if local.dq is None else dq + local.dq
+        twisted = any(a is not None for _, local in parts for a in (local.xi, local.base, local.tool))
+        xi = np.zeros((rows if twisted else 0, n + 2, 6))
+        for (_, local), moving in zip(parts, moves, strict=True):
             if local.scale is not None:
                 stretch = (1.0 if stretch is None else stretch) + local.scale[:, None]
-            if local.xi is not None or local.base is not None or local.tool is not None:
-                xi = xi if len(xi) else np.zeros((rows, n + 2, 6))
-                xi[:, :n] += 0.0 if local.xi is None else _in_element_frames(local.xi, frames)
-                xi[:, n] += 0.0 if local.base is None else local.base
-                xi[:, n + 1] += 0.0 if local.tool is None else local.tool
+            if not moving:  # a search has hundreds of effects without values beside a few with
+                continue
+            if local.dq is not None:
+                dq += local.dq
+            if local.xi is not None:
+                xi[:, :n] += _in_element_frames(local.xi, frames)
+            if local.base is not None:
+                xi[:, n] += local.base
+            if local.tool is not None:
+                xi[:, n + 1] += local.tool
         return Total(dq, xi, stretch, parts)
 
 

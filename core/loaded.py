@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,20 +39,37 @@ class Reader:
 
     def loaded(self, batch: Batch, values: Floats) -> Batch:
         """The batch with the loads that the load errors in ``values`` leave."""
-        if batch.slopes is None:
+        change = self._change(batch, values)
+        return batch if change is None else batch.with_loads(change)
+
+    def read(self, batch: Batch, values: Floats, effects: Iterable[Effect]) -> Batch:
+        """The same with those loads alone that any of the ``effects`` reads: all of them take most of a fit's time."""
+        change = self._change(batch, values)
+        if change is None:
             return batch
+        following = [e for e in effects if "moments" in e.needs and not e.changes_loads]
+        if not all(e.reads for e in following):  # one that names none may read any
+            return batch.with_loads(change)
+        named: dict[str, set[int]] = {}
+        for name, parts in (read for e in following for read in e.reads):
+            named.setdefault(name, set()).update(parts)
+        return batch.with_loads(change, {name: tuple(sorted(parts)) for name, parts in named.items()})
+
+    def _change(self, batch: Batch, values: Floats) -> Floats | None:
+        """Load errors (K,) in ``values``; None without any."""
+        if batch.slopes is None:
+            return None
         change = np.zeros(len(batch.slopes))
         for place, column in self._places(batch):
             change[column] += values[place]
-        return batch.with_loads(change) if np.any(change) else batch
+        return change if np.any(change) else None
 
     def load_errors(self, batch: Batch, wanted: Container[int]) -> list[tuple[int, int]]:
         """Parameter and load error, of those among the ``wanted`` parameters that these rows have."""
         return [] if batch.slopes is None else [(p, c) for p, c in self._places(batch) if p in wanted]
 
-    def slopes(self, batch: Batch, values: Floats) -> Iterator[Slope]:
-        """How the corrections of effects with values follow the loads: exact where they are linear in them."""
-        here = self.loaded(batch, values)
+    def slopes(self, here: Batch, values: Floats) -> Iterator[Slope]:
+        """How the corrections of effects with values follow the loads of the batch: exact where they are linear in them."""
         for effect, where in self:
             if effect.reads and np.any(values[where]):
                 yield from _slopes(effect, here, values[where])

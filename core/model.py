@@ -17,10 +17,10 @@ from core.errors import ObservationError
 from core.frames import frame_parameters, increment
 from core.kernels import kinematics
 from core.load_chain import LoadChain
-from core.load_slopes import LoadSlopes
+from core.load_slopes import LoadSlopes, payload_sensitivity
 from core.loaded import Reader
 from core.model_program import Program, model_program
-from core.moments import Loads, axial_loads, loads_of, payload_sensitivity
+from core.moments import Loads, axial_loads, loads_of
 from core.observations import Observations
 from core.parameters import Parameter, indices, refuse_collisions
 from core.robot import Robot
@@ -29,6 +29,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 THE_ROBOTS_OWN = np.empty((0, 0))
+NOTHING = np.zeros(0, dtype=np.int64)  # no parameter
 
 
 @dataclass(frozen=True)
@@ -155,9 +156,12 @@ class RobotModel:
         return Loads(none, none, np.zeros((len(o), 6)), np.zeros((len(o), 3)))
 
     def predict(self, observations: Observations | Batch, values: Floats) -> Prediction:
-        """Tool poses at ``values (P,)``."""
+        """Tool poses at ``values (P,)``.
+
+        Of observations every effect is asked, and may refuse what they lack; of a batch, as fits have it, those with values.
+        """
         batch = self._as_batch(observations)
-        total = self._local(batch, values)
+        total, _ = self._local(batch, values, NOTHING if batch is observations else np.arange(len(values)))
         position, rotation = np.empty((len(batch), 3)), np.empty((len(batch), 3, 3))
         p = self.program
         kinematics.poses(
@@ -175,13 +179,10 @@ class RobotModel:
         """
         batch = self._as_batch(observations)
         free = np.arange(len(self.names)) if free is None else free
-        total = self._local(batch, values, free)
-        prediction, J, JQ, JX = self._screws(batch, values, total, free[free < self.n_geometric], 6 if turns else 3)
-        if np.any(free >= self.n_geometric):
-            columns = self._columns(JQ, JX)
-            own = self._effect_columns(total, free, columns, prediction.position)
-            self._add_loads(own, batch, values, free, columns)
-            J = np.concatenate([J, own], axis=2)
+        total, here = self._local(batch, values, free)
+        prediction, J, columns = self._screws(batch, values, total, free, 6 if turns else 3)
+        self._put_effects(J, total, free, columns, prediction.position)
+        self._put_loads(J, here, values, free, columns)
         if total.stretch is None:
             return prediction, J
         J[:, :3] *= total.stretch[:, :, None]
@@ -194,19 +195,20 @@ class RobotModel:
     def doubts(self, observations: Observations | Batch, values: Floats) -> tuple[Prediction, Floats]:
         """Poses and (N, 6, S) the independent displacements of one standard deviation that blurred loads leave open."""
         batch = self._as_batch(observations)
-        prediction, _, JQ, JX = self._screws(batch, values, self._local(batch, values), np.zeros(0, dtype=np.int64))
-        here = self._reader.loaded(batch, values)
-        found = [d for effect, where in self._reader for d in effect.doubt(here, values[where])]
-        out = np.zeros((*JQ.shape[:2], len(found)))
+        total, here = self._local(batch, values)
+        prediction, _, columns = self._screws(batch, values, total, NOTHING)
+        live = ((effect, values[at]) for effect, at in self._reader if np.any(values[at]))
+        found = [d for effect, own in live for d in effect.doubt(here, own)]
+        out = np.zeros((*columns.JQ.shape[:2], len(found)))
         for k, d in enumerate(found):
-            self._columns(JQ, JX).put(out, k, d)
+            columns.put(out, k, d)
         return prediction, out
 
     def joint_jacobian(self, observations: Observations | Batch, values: Floats) -> tuple[Prediction, Floats]:
         """Poses and their derivative (N, 6, n) by the joint readings, the effects held still."""
         batch = self._as_batch(observations)
-        prediction, _, JQ, _ = self._screws(batch, values, self._local(batch, values), np.zeros(0, dtype=np.int64))
-        return prediction, JQ
+        prediction, _, columns = self._screws(batch, values, self._local(batch, values)[0], NOTHING)
+        return prediction, columns.JQ
 
     def contribution(self, observations: Observations, values: Floats) -> dict[str, Floats]:
         """Displacement of the tool point (N, 3) m by each effect: the model with all effects minus that without it."""
@@ -222,7 +224,7 @@ class RobotModel:
     def link_angles(self, observations: Observations | Batch, values: Floats) -> Floats:
         """Joint angles (N, n) behind gear and play: reading plus zero offset error plus the effects' corrections."""
         batch = self._as_batch(observations)
-        return batch.q + self._local(batch, values).dq
+        return batch.q + self._local(batch, values)[0].dq
 
     def folded(self, values: Floats) -> tuple[RobotModel, Floats]:
         """Move the base and tool increments of ``values`` into the frames: an equal model with increments zero."""
@@ -255,62 +257,54 @@ class RobotModel:
         out[self.program.element_of] = values[: self.n_geometric]
         return out
 
-    def _local(self, batch: Batch, values: Floats, free: Ints | None = None) -> Total:
-        """Sum of the local corrections, with each effect's own where it has values or ``free`` parameters."""
-        parts = []
-        batch = self._reader.loaded(batch, values)
-        for effect, where in self._reader:
-            idle = free is not None and not np.any((free >= where.start) & (free < where.stop))
-            if not idle or np.any(values[where]):
-                parts.append((where.start, effect.local(batch, values[where])))
-        return Total.of(tuple(parts), len(batch), self.robot.chain.program.joint_frame)
+    def _local(self, batch: Batch, values: Floats, free: Ints = NOTHING) -> tuple[Total, Batch]:
+        """Sum of the local corrections of effects with values or ``free`` parameters, and the loads that these read."""
+        live = [
+            (e, at) for e, at in self._reader if np.any(values[at]) or np.any((free >= at.start) & (free < at.stop))
+        ]
+        batch = self._reader.read(batch, values, [e for e, _ in live])
+        parts = tuple((at.start, effect.local(batch, values[at])) for effect, at in live)
+        moves = [bool(np.any(values[at])) for _, at in live]
+        return Total.of(parts, moves, len(batch), self.robot.chain.program.joint_frame), batch
 
     def _screws(
-        self, batch: Batch, values: Floats, total: Total, geometric: Ints, each: int = 6
-    ) -> tuple[Prediction, Floats, Floats, Floats]:
+        self, batch: Batch, values: Floats, total: Total, free: Ints, each: int = 6
+    ) -> tuple[Prediction, Floats, ToolColumns]:
+        """Poses, their derivatives (N, each, F) with the columns of geometry filled in, and those of local corrections."""
         rows, n = batch.q.shape
         p = self.program
+        geometric = free[free < self.n_geometric]
         column = np.full(len(p.axis), -1, dtype=np.int64)
         column[p.element_of[geometric]] = np.arange(len(geometric))
         position, rotation = np.empty((rows, 3)), np.empty((rows, 3, 3))
-        JE, JQ = np.empty((rows, each, len(geometric))), np.empty((rows, each, n))
+        J, JQ = np.zeros((rows, each, len(free))), np.empty((rows, each, n))
         JX = np.empty((rows if len(total.xi) else 0, each, 6 * n + 12))
         kinematics.screws(
             p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
-            batch.q, total.dq, total.xi, column, position, rotation, JE, JQ, JX,
+            batch.q, total.dq, total.xi, column, position, rotation, J, JQ, JX,
         )  # fmt: skip
-        return Prediction(position, rotation), JE, JQ, JX
+        return Prediction(position, rotation), J, ToolColumns(self.robot.chain.program.joint_frame, JQ, JX)
 
-    def _effect_columns(self, total: Total, free: Ints, columns: ToolColumns, position: Floats) -> Floats:
+    def _put_effects(self, J: Floats, total: Total, free: Ints, columns: ToolColumns, position: Floats) -> None:
         """Chain rule: tool columns of the free effect parameters from the local derivatives."""
-        place = {int(k): c for c, k in enumerate(free[free >= self.n_geometric])}
-        out = np.zeros((*columns.JQ.shape[:2], len(place)))
+        place = {int(k): c for c, k in enumerate(free) if k >= self.n_geometric}
         for start, local in total.parts:
             for d in local.derivatives:
                 c = place.get(start + d.parameter)
                 if c is None:
                     continue
-                columns.put(out, c, d)
+                columns.put(J, c, d)
                 if d.scale is not None:
                     assert total.stretch is not None
                     # The stretch that multiplies all columns afterwards must not multiply its own derivative.
-                    out[:, :3, c] += position / total.stretch * d.scale[:, None]
-        return out
+                    J[:, :3, c] += position / total.stretch * d.scale[:, None]
 
-    def _add_loads(self, out: Floats, batch: Batch, values: Floats, free: Ints, columns: ToolColumns) -> None:
+    def _put_loads(self, J: Floats, batch: Batch, values: Floats, free: Ints, columns: ToolColumns) -> None:
         """Chain rule for the load errors: they change the loads that the other effects read."""
-        place = {int(k): c for c, k in enumerate(free[free >= self.n_geometric])}
-        errors = self._reader.load_errors(batch, place)
-        if not errors or batch.slopes is None:
-            return
-        own = [place[k] for k, _ in errors]
-        for slope in self._reader.slopes(batch, values):
-            load = batch.slopes.of(slope.name, slope.part)[[c for _, c in errors]]
-            for moved, j in columns.by_loads(slope.local):
-                out[:, :, own] += moved[:, :, None] * (load if j is None else load[..., j]).T[:, None, :]
-
-    def _columns(self, JQ: Floats, JX: Floats) -> ToolColumns:
-        return ToolColumns(self.robot.chain.program.joint_frame, JQ, JX)
+        place = {int(k): c for c, k in enumerate(free) if k >= self.n_geometric}
+        errors = [(place[k], error) for k, error in self._reader.load_errors(batch, place)]
+        if errors and batch.slopes is not None:
+            columns.put_loads(J, self._reader.slopes(batch, values), batch.slopes, errors)
 
 
 @dataclass(frozen=True)

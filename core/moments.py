@@ -7,7 +7,7 @@ the one drawn, or one with constants that an earlier fit found (:class:`~core.lo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,16 +93,3 @@ def axial_loads(robot: Robot, loads: Loads) -> Floats:
     """Load (N, n) that works on each joint: moment about a revolute axis (N·m), force along a prismatic one (N)."""
     revolute = [joint.kind == "revolute" for joint in robot.joints]
     return np.where(revolute, loads.joints[:, :, 5], loads.joints[:, :, 2])
-
-
-def payload_sensitivity(robot: Robot, o: Observations) -> Floats:
-    """Axial load (N, n, 4) of 1 kg at the payload's place, and of 1 kg·m of first moment along tool x, y, z."""
-    bare, one = replace(robot, links=()), np.ones(len(o))
-    place = np.zeros((len(o), 3)) if o.payload_com is None else o.payload_com
-
-    def of_kilogram(com: Floats) -> Floats:
-        return axial_loads(robot, joint_loads(bare, o.q, qd=o.qd, qdd=o.qdd, payload_kg=one, payload_com=com))
-
-    # A point mass's load is quadratic in its place at most, so central differences of any width are exact.
-    slopes = [(of_kilogram(place + e) - of_kilogram(place - e)) / 2.0 for e in np.eye(3)]
-    return np.stack([of_kilogram(place), *slopes], axis=2)

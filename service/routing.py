@@ -58,5 +58,5 @@ class GuardedRoute(APIRoute):
             # FastAPI checks on the event loop. What is wrong, and may be so in many places, is found here.
             _, errors = await run_in_threadpool(self.body_field.validate, found._json, loc=("body",))
             if errors:
-                raise RequestValidationError(errors)
+                raise RequestValidationError(errors, body=found._json)
         return found

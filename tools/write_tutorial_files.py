@@ -13,13 +13,18 @@ from tools import demo, demo_path
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "tutorial"
 CIRCLE_RATE_HZ = 25.0
+APPROACHED_AGAIN = 20  # poses of the fit: repeats tell the noise, without which a hunt confirms nothing
 
 
 def main() -> None:
     """Write measured.csv, held-out.csv and circle.csv into docs/tutorial."""
     twin = thesis_katana(demo.PRESET)
-    for name, count, seed in (("measured", demo.TRAIN_POSES, 1), ("held-out", demo.HELD_OUT_POSES, 2)):
+    for name, count, again, seed in (
+        ("measured", demo.TRAIN_POSES, APPROACHED_AGAIN, 1),
+        ("held-out", demo.HELD_OUT_POSES, 0, 2),
+    ):
         poses = iso_poses(twin.robot, count, seed)
+        poses = np.vstack([poses, poses[:again]])
         demo.write_campaign(FOLDER / f"{name}.csv", twin.observe(poses, noise_m=demo.NOISE_MM / 1000.0, seed=seed))
     path = demo_path.circle(twin.robot, seconds=demo.CIRCLE_S, rate_hz=CIRCLE_RATE_HZ)
     with (FOLDER / "circle.csv").open("w", newline="", encoding="utf-8") as out:

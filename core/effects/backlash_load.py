@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear, soft_sign, width_of
+from core.effects.base import SOFTENING, Batch, Derivative, Effect, Floats, Local, linear, option, soft_sign, width_of
 from core.parameters import Parameter
 from core.robot import Robot
 
@@ -31,7 +31,7 @@ class BacklashLoad(Effect):
     aliases = ("axial_compliance", "eccentricity", "backlash")
     remedy = "measure poses where the load on the joint has both signs, or the same poses with another payload"
 
-    softening_nm: float | tuple[float, ...] = 0.0
+    softening_nm: float | tuple[float, ...] = option(0.0, SOFTENING, low=0.0)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Backlash b per joint, rad."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -33,6 +33,8 @@ _COLUMNS = {
 }
 
 
+WRENCH = (0, 1, 2, 3, 4, 5)
+ALL_LOADS = {"axial": (0,), "wrench": WRENCH, "end_wrench": WRENCH, "base_wrench": WRENCH}  # of a batch, by component
 NOT_OF_ROWS = ("link_vectors", "blur")  # arrays of a batch that have no row for each of its rows
 
 
@@ -71,14 +73,19 @@ class Batch:
     slopes: LoadSlopes | None = None
     blur: Floats | None = None
 
-    def with_loads(self, change: Floats) -> Batch:
-        """The same rows with load errors ``change (K,)`` in the order of ``slopes``."""
+    def with_loads(self, change: Floats, reads: Mapping[str, tuple[int, ...]] | None = None) -> Batch:
+        """The same rows with load errors ``change (K,)`` in the order of ``slopes``.
+
+        ``reads`` gives the components of each load that are wanted; all when None. The others stay as they were.
+        """
         assert self.slopes is not None
-        wrench = self.wrench + np.tensordot(change, self.slopes.joints, axes=1)
-        axial = self.axial + np.tensordot(change, self.slopes.moments[..., 2], axes=1)
-        ends = self.end_wrench + np.tensordot(change, self.slopes.ends, axes=1)
-        base = self.base_wrench + np.tensordot(change, self.slopes.base, axes=1)
-        return replace(self, wrench=wrench, axial=axial, end_wrench=ends, base_wrench=base)
+        loads: dict[str, Any] = {}
+        for name, parts in (ALL_LOADS if reads is None else reads).items():
+            loads[name] = getattr(self, name).copy()
+            for part, moved in zip(parts, self.slopes.changes(name, parts, change), strict=True):
+                here = loads[name] if name == "axial" else loads[name][..., part]
+                here += moved
+        return replace(self, **loads)
 
     def part(self, rows: slice) -> Batch:
         """The conditions of some of the rows, as views."""
@@ -141,15 +148,23 @@ def linear(batch: Batch, values: Floats, derivatives: Iterable[Derivative]) -> L
 
     for d in derivatives:
         value = values[d.parameter]
-        if d.dq is not None:
-            total("dq")[:, d.joint] += value * d.dq
-        if d.xi is not None and d.joint in (BASE, TOOL):
-            total("base" if d.joint == BASE else "tool")[:] += value * d.xi
-        elif d.xi is not None:
-            total("xi")[:, d.joint] += value * d.xi
-        if d.scale is not None:
-            total("scale")[:] += value * d.scale
+        at_end = {BASE: "base", TOOL: "tool"}.get(d.joint)
+        for name, amount in (("dq", d.dq), (at_end or "xi", d.xi), ("scale", d.scale)):
+            if amount is None:
+                continue
+            whole = total(name)
+            if value != 0.0:
+                here = whole[:, d.joint] if name in ("dq", "xi") else whole
+                here += value * amount
     return Local(**sums, derivatives=derivatives)
+
+
+SOFTENING = "Half-width over which the sign of the load changes, N m, 0 or more; one for all joints, or one for each."
+
+
+def option(default: Any, text: str, **limits: Any) -> Any:
+    """Say what an option of an effect means, and what it may be: ``low``, ``above``, ``high``, or ``choices``."""
+    return field(default=default, metadata={"text": text, **limits})
 
 
 @dataclass(frozen=True)
@@ -185,7 +200,7 @@ class Effect(ABC):
     reads: ClassVar[tuple[tuple[str, tuple[int, ...]], ...]] = ()
     counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents
 
-    joints: tuple[int, ...] | None = None
+    joints: tuple[int, ...] | None = option(None, "Joints it acts on, from 1; null: all that it can act on.")
 
     def __post_init__(self) -> None:
         if self.joints is None:

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import Batch, Derivative, Effect, Floats, Local, soft_sign, width_of
+from core.effects.base import SOFTENING, Batch, Derivative, Effect, Floats, Local, option, soft_sign, width_of
 from core.errors import OptionError
 from core.parameters import Parameter
 from core.robot import Robot
@@ -34,8 +34,12 @@ class ClearanceTilt(Effect):
     aliases = ("radial_compliance", "link_bending", "base_compliance")
     remedy = "measure poses that turn the transverse load round the joint, or the same poses with another payload"
 
-    share: str = "thesis"
-    softening_nm: float | tuple[float, ...] = 0.0
+    share: str = option(
+        "thesis",
+        "How the load is shared among x and y: `thesis` (eq. 5.16) or `vector`, whichever way the joint frame is turned.",
+        choices=("thesis", "vector"),
+    )
+    softening_nm: float | tuple[float, ...] = option(0.0, SOFTENING, low=0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()

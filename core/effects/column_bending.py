@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear, option
 from core.parameters import Parameter
 from core.robot import Robot
 
@@ -24,7 +24,7 @@ class ColumnBending(Effect):
     remedy = "measure a reflector on the base cold and warm, or revisit the same poses all around cold and warm"
     at_joints = False
 
-    reference_c: float = 20.0
+    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rates kx, ky about x and y of the base frame, rad/K."""

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -30,7 +30,9 @@ class Drift(Effect):
     remedy = "revisit a reference pose during the campaign, and visit the others in random order"
     at_joints = False
 
-    t0_s: float | None = None
+    t0_s: float | None = option(
+        None, "When the base stood as the geometry says, s on the clock of the rows; null: the earliest row."
+    )
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Start the drift at the earliest row."""

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import Batch, Effect, Floats, Local
+from core.effects.base import Batch, Effect, Floats, Local, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -29,8 +29,8 @@ class GearError(Effect):
     aliases = ("unknown_joint_curve",)
     remedy = "know the gear ratio exactly, and measure the joint at several angles within one turn of its motor"
 
-    orders: tuple[float, ...] = (1, 2)
-    ratios: tuple[float, ...] | None = None
+    orders: tuple[float, ...] = option((1, 2), "Multiples of the motor's turn; fractions are allowed.")
+    ratios: tuple[float, ...] | None = option(None, "Gear ratios of the joints named; null: the robot's.")
 
     def __post_init__(self) -> None:
         super().__post_init__()

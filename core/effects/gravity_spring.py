@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import Batch, Effect, Floats, Local
+from core.effects.base import Batch, Effect, Floats, Local, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -32,9 +32,11 @@ class GravitySpring(Effect):
     aliases = ("eccentricity", "encoder_scale", "axial_compliance", "second_harmonic")
     remedy = "give the spring's pins and free length, move the joint over its whole range, add a second payload"
 
-    arms_m: tuple[float, float] | None = None
-    angle_rad: float = 0.0
-    free_length_m: float = 0.0
+    arms_m: tuple[float, float] | None = option(
+        None, "Distances of the spring's two pins from the axis, m; null: the effect cannot be told from eccentricity."
+    )
+    angle_rad: float = option(0.0, "Angle between the pins at q = 0, rad.")
+    free_length_m: float = option(0.0, "Length of the spring without load, m, 0 or more.", low=0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Self
 
-from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -30,7 +30,9 @@ class JointCoupling(Effect):
     remedy = "move the two joints independently of each other"
     counted = ("joints", "drivers")
 
-    drivers: tuple[int, ...] | None = None
+    drivers: tuple[int, ...] | None = option(
+        None, "For each of the joints the joint that it follows, from 1; null: the one before it."
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

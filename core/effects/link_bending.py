@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear, option
 from core.errors import OptionError
 from core.moments import joint_loads
 from core.observations import Observations
@@ -39,7 +39,9 @@ class LinkBending(Effect):
     aliases = ("axial_compliance", "radial_compliance", "base_compliance", "gravity_spring")
     remedy = "usually not separable from the next joint's compliance: put a reflector on the link, or accept the class"
 
-    centres_m: tuple[float, ...] | None = None
+    centres_m: tuple[float, ...] | None = option(
+        None, "Where along each link its centre of mass lies, m; null: from the robot's links."
+    )
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on the links that have a length, with their centres of mass."""

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear, option
 from core.observations import Observations
 from core.parameters import Parameter
 from core.robot import Robot
@@ -30,7 +30,7 @@ class LinkGrowth(Effect):
     aliases = ("thermal_growth", "zero_thermal", "drift")
     remedy = "revisit the same poses cold and warm, with the link stretched out and turned back"
 
-    reference_c: float = 20.0
+    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on the links that have a length."""

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import Batch, Effect, Floats, Local
+from core.effects.base import Batch, Effect, Floats, Local, option
 from core.load_slopes import NO_COLUMNS, LoadSlopes, weighed
 from core.observations import Observations
 from core.parameters import Parameter
@@ -33,7 +33,9 @@ class LoadError(Effect):
     nuisance = True
     changes_loads = True
 
-    payload_kg: float = 0.0
+    payload_kg: float = option(
+        0.0, "Mean payload of the rows, kg, which scales the prior of its mass; 0: the payload is as stated.", low=0.0
+    )
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Take the mean payload from the rows."""

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear, option
 from core.errors import OptionError
 from core.load_slopes import NO_COLUMNS, LoadSlopes
 from core.observations import Observations
@@ -35,7 +35,10 @@ class PayloadError(Effect):
     at_joints = False
     changes_loads = True
 
-    compliances: tuple[float, ...] = ()
+    compliances: tuple[float, ...] = option(
+        (),
+        "Compliance of each joint, rad/(N m), as identified before; empty: the effects beside it read the changed load.",
+    )
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Check that every joint has a compliance, or none; without them one load alone shows nothing.

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -40,8 +40,11 @@ class RandomWalk(Effect):
     at_joints = False
     supple = True
 
-    knots_s: tuple[float, ...] = ()
-    pieces: int = PIECES
+    knots_s: tuple[float, ...] = option(
+        (),
+        "Times between which the base goes straight on, s; empty: as many pieces as `pieces` says, with as many rows each.",
+    )
+    pieces: int = option(PIECES, "How many pieces, 1 to 50.", low=1, high=MOST_PIECES)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import TOOL, Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import TOOL, Batch, Derivative, Effect, Floats, Local, linear, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -30,7 +30,9 @@ class SessionShift(Effect):
     remedy = "repeat some poses of the first session in every other one, with a session number in every row"
     at_joints = False
 
-    sessions: tuple[int, ...] = ()
+    sessions: tuple[int, ...] = option(
+        (), "Session numbers, the reference first; a session that is not named counts as the reference."
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

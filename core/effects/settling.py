@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -35,8 +35,8 @@ class Settling(Effect):
     remedy = "revisit a reference pose often at the beginning, and let robot and instrument warm up first"
     at_joints = False
 
-    tau_s: float | None = None
-    t0_s: float | None = None
+    tau_s: float | None = option(None, "Time constant, s, above 0; null: a fifth of the rows' time.", above=0.0)
+    t0_s: float | None = option(None, "When it began, s on the clock of the rows; null: the earliest row.")
 
     def __post_init__(self) -> None:
         super().__post_init__()

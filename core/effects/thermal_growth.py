@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear, option
 from core.parameters import Parameter
 from core.robot import Robot
 
@@ -27,7 +27,7 @@ class ThermalGrowth(Effect):
     remedy = "revisit the same poses cold and warm, with a temperature in every row"
     at_joints = False
 
-    reference_c: float = 20.0
+    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Coefficient of expansion α, 1/K; steel has 12e-6, aluminium 23e-6.

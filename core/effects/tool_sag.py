@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import Batch, Derivative, Effect, Floats, Local, linear, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -31,7 +31,9 @@ class ToolSag(Effect):
     remedy = "measure two loads with the tool pointing sideways and down, or a reflector on the flange besides"
     at_joints = False
 
-    axis: tuple[float, ...] | None = None
+    axis: tuple[float, ...] | None = option(
+        None, "The tool's z in the frame of the last joint, along which nothing sags; null: from the robot."
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -32,8 +32,10 @@ class UnknownField(Effect):
     empirical = True
     at_joints = False
 
-    degree: int = 2
-    reach_m: float | None = None
+    degree: int = option(2, "Degree of the polynomial, 1 to 3.", low=1, high=3)
+    reach_m: float | None = option(
+        None, "Length by which positions are scaled, m, above 0; null: from the robot.", above=0.0
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import Batch, Effect, Floats, Local
+from core.effects.base import Batch, Effect, Floats, Local, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -30,8 +30,8 @@ class UnknownJointCurve(Effect):
     empirical = True
     counted = ("joints", "partner")
 
-    orders: tuple[int, ...] = (3, 4, 5, 6)
-    partner: int | None = None
+    orders: tuple[int, ...] = option((3, 4, 5, 6), "Waves per turn; empty: only the product with the partner.")
+    partner: int | None = option(None, "Joint whose angle multiplies the curve, from 1; null: none.")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear
+from core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -41,12 +41,19 @@ class UnknownResidual(Effect):
     remedy = "measure more poses where the arm works: what is learned holds only near the poses it was learned from"
     counted = ("joints", "inputs")
 
-    inputs: tuple[int, ...] | None = None
-    length: float | None = None
-    amplitude_m: float = 3e-4
-    most_centres: int = MOST_CENTRES
-    centres: tuple[tuple[float, ...], ...] = ()
-    slides_m: tuple[float, ...] = ()
+    inputs: tuple[int, ...] | None = option(None, "Joints it depends on, from 1; null: all.")
+    length: float | None = option(
+        None,
+        "Distance over which poses are alike, rad (slides: thirds of their travel), above 0; null: half the median distance.",
+        above=0.0,
+    )
+    amplitude_m: float = option(3e-4, "Standard deviation of the shift, m, above 0.", above=0.0)
+    most_centres: int = option(MOST_CENTRES, "Most centres of the basis.", low=1)
+    centres: tuple[tuple[float, ...], ...] = option(
+        (),
+        "Centres of the basis, a row of joint values (rad; slides in thirds of their travel) for each; empty: from the rows.",
+    )
+    slides_m: tuple[float, ...] = option((), "Travel that scales each joint that slides, m; empty: from the rows.")
 
     def __post_init__(self) -> None:
         super().__post_init__()

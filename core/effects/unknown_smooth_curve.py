@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.polynomial import legendre
 
-from core.effects.base import Batch, Effect, Floats, Local
+from core.effects.base import Batch, Effect, Floats, Local, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -35,9 +35,9 @@ class UnknownSmoothCurve(Effect):
     remedy = "sweep the joint alone in small steps over its whole range, best over more than one turn"
     empirical = True
 
-    orders: tuple[int, ...] = (1, 2, 3, 4, 5)
-    centres: tuple[float, ...] | None = None
-    halves: tuple[float, ...] | None = None
+    orders: tuple[int, ...] = option((1, 2, 3, 4, 5), "Orders of the polynomials over the range of the joint.")
+    centres: tuple[float, ...] | None = option(None, "Middle of each joint's range, rad or m; null: from the rows.")
+    halves: tuple[float, ...] | None = option(None, "Half of each joint's range, rad or m; null: from the rows.")
 
     def __post_init__(self) -> None:
         super().__post_init__()

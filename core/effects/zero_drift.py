@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from core.effects.base import Batch, Effect, Floats, Local
+from core.effects.base import Batch, Effect, Floats, Local, option
 from core.errors import OptionError
 from core.observations import Observations
 from core.parameters import Parameter
@@ -29,7 +29,7 @@ class ZeroDrift(Effect):
     aliases = ("drift", "zero_thermal", "settling")
     remedy = "revisit poses during the campaign that move this joint's zero differently from the base, in random order"
 
-    t0_s: float | None = None
+    t0_s: float | None = option(None, "When the zeros were right, s on the clock of the rows; null: the earliest row.")
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Start at the earliest row."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.effects.base import Batch, Effect, Floats, Local
+from core.effects.base import Batch, Effect, Floats, Local, option
 from core.parameters import Parameter
 from core.robot import Robot
 
@@ -22,7 +22,7 @@ class ZeroThermal(Effect):
     aliases = ("thermal_drift", "zero_drift", "column_bending", "thermal_growth", "link_growth")
     remedy = "revisit the same poses cold and warm, with a temperature in every row"
 
-    reference_c: float = 20.0
+    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rate k per joint, rad/K."""

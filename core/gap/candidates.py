@@ -16,6 +16,7 @@ from core.effects.settling import Settling, time_constants
 from core.effects.unknown_joint_curve import UnknownJointCurve
 from core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from core.errors import OptionError
+from core.gap.wanted import Asked, wanted
 from core.observations import Observations
 from core.parameters import Parameter
 from core.robot import Robot
@@ -83,27 +84,27 @@ class Library:
     refused: tuple[Untestable, ...]
 
 
-def library_of(robot: Robot, rows: Observations, started: Sequence[str] = (), only: Sequence[str] = ()) -> Library:
+def library_of(robot: Robot, rows: Observations, started: Sequence[str] = (), only: Sequence[Asked] = ()) -> Library:
     """Every effect that the rows have columns for and the robot can show.
 
-    ``started`` are parameters that the starting model already has; ``only`` restricts the library to some ids.
+    ``started`` are parameters that the starting model already has; ``only`` restricts the library to some effects,
+    or to some joints of them.
 
     Raises:
-        OptionError: ``only`` names an effect that does not exist.
+        OptionError: ``only`` names an effect or a joint that does not exist, or one that is not searched for.
 
     """
-    unknown = [k for k in only if k not in EFFECTS]
-    if unknown:
-        raise OptionError(f"There is no effect {unknown[0]!r}. There are: {', '.join(EFFECTS)}.", option="effects")
-    carried = [k for k in only if EFFECTS[k].nuisance]
-    if carried:
-        raise OptionError(f"{carried[0]} is carried by every hunt, not searched: leave it out.", option="effects")
-    learned = [k for k in only if EFFECTS[k].learned]
-    if learned:
-        raise OptionError(f"{learned[0]} is learned, not searched: give it to an identification.", option="effects")
-    shelf = _Shelf(robot, rows, frozenset(started))
+    at = wanted(only)
+    for effect_id, joints in at.items():
+        for j in sorted(joints or ()):
+            if j >= robot.n_joints:
+                raise OptionError(
+                    f"{effect_id} is to be looked for at joint {j + 1}, the robot has {robot.n_joints}.",
+                    option="effects",
+                )
+    shelf = _Shelf(robot, rows, frozenset(started), at)
     for effect_id, kind in EFFECTS.items():
-        if effect_id in only or (not only and not kind.learned and not kind.nuisance):
+        if effect_id in at or (not at and not kind.learned and not kind.nuisance):
             shelf.add(kind)
     return Library(tuple(shelf.effects), tuple(shelf.parameters), tuple(shelf.candidates), tuple(shelf.refused))
 
@@ -115,6 +116,7 @@ class _Shelf:
     robot: Robot
     rows: Observations
     started: frozenset[str]
+    at: Mapping[str, frozenset[int] | None] = field(default_factory=dict)
     effects: list[Effect] = field(default_factory=list)
     parameters: list[Parameter] = field(default_factory=list)
     candidates: list[Candidate] = field(default_factory=list)
@@ -143,8 +145,10 @@ class _Shelf:
                 self._put(whole)
                 self.candidates.append(self._candidate((whole,), None, WHOLE))
             return
-        single = {}
+        single, named = {}, self.at.get(kind.id)
         for j in whole.acting(self.robot.n_joints):
+            if named is not None and j not in named:
+                continue
             try:
                 one = kind(**{**config, "joints": (j,)}).on(self.robot, self.rows)
             except OptionError:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from core.gap.candidates import Candidate
 from core.gap.hunt import Hunt
-from core.gap.scan import residual_given, summed
+from core.gap.scan import grouping, residual_given
 from core.gap.tails import tail
-from core.gap.world import world_at
+from core.gap.world import columns_at
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -53,13 +53,13 @@ def controls(hunt: Hunt, shuffles: int, seed: int, tell: Callable[[float], None]
     count = min(shuffles, FEW) if len(hunt.world.setting.used) > LARGE else shuffles
     out = []
     for n, place in enumerate(hunt.chosen):
-        candidate = hunt.selector.scorer.candidates[place]
-        label = _label_of(candidate)
+        bench = _Bench.of(hunt, place)
+        label = bench.label
         hits = 0
         for k in range(count):
             tell((n + k / count) / len(hunt.chosen))
             order = _order(hunt.world.setting.group, rng, label is not None and hunt.world.setting.inflation <= 1.0)
-            hits += _poses_named(hunt, place, order) if label is None else _label_named(hunt, place, label, order)
+            hits += bench.poses_named(order) if label is None else bench.label_named(label, order)
         out.append(Control(place, "poses" if label is None else WORDS.get(label, label), count, hits / count))
     return tuple(out)
 
@@ -78,12 +78,12 @@ def false_names(hunt: Hunt, shuffles: int, seed: int) -> float:
     basis = world.basis(hunt.columns)
     r = residual_given(world, hunt.columns).reshape(-1, size)
     given = world.gram.given(hunt.columns)
-    W = world.W
+    columns = world.projection
     hits = 0
     for _ in range(shuffles):
         mixed = r[_order(world.setting.group, rng)].reshape(-1)
         mixed = mixed - basis @ (basis.T @ mixed)
-        k, _ = selector.entry(given.with_data(W.T @ mixed, float(mixed @ mixed)), (), hunt.critical)
+        k, _ = selector.entry(given.with_data(columns.under(mixed), float(mixed @ mixed)), (), hunt.critical)
         hits += k is not None
     return hits / shuffles
 
@@ -100,32 +100,44 @@ def _order(group: Ints, rng: np.random.Generator, inside: bool = False) -> Ints:
     return np.lexsort((ties, rank[group])).astype(np.int64)
 
 
-def _label_named(hunt: Hunt, place: int, label: str, order: Ints) -> bool:
-    """Whether the effect, fed with shuffled labels, would still be entered in its own place."""
-    world = hunt.world
-    source = world.setting.source
-    batch = source.batch
-    shuffled = replace(batch, **{n: v[order] for n in LABELS[label] if (v := getattr(batch, n)) is not None})
-    rest = hunt.selector.columns([k for k in hunt.chosen if k != place])
-    columns = hunt.selector.scorer.candidates[place].columns
-    other = world.soft(world_at(world.setting, world.values, shuffled, columns).W_raw)
-    basis = world.basis(rest)
-    return _named(hunt, place, other - basis @ (basis.T @ other), residual_given(world, rest))
+@dataclass(frozen=True)
+class _Bench:
+    """One chosen effect on shuffled labels or residuals; what no shuffle changes is made once."""
 
+    hunt: Hunt
+    place: int
+    label: str | None
+    basis: Floats  # of geometry and the other effects
+    left: Floats  # by them
 
-def _poses_named(hunt: Hunt, place: int, order: Ints) -> bool:
-    """Whether the effect would be entered for the residuals of other poses."""
-    world = hunt.world
-    rest = hunt.selector.columns([k for k in hunt.chosen if k != place])
-    size = world.setting.whitener.shape[-1]
-    r = residual_given(world, rest).reshape(-1, size)[order].reshape(-1)
-    basis = world.basis(rest)
-    W = world.soft(_only(hunt.selector.scorer.candidates[place], world.W_raw))
-    return _named(hunt, place, W - basis @ (basis.T @ W), r - basis @ (basis.T @ r))
+    @staticmethod
+    def of(hunt: Hunt, place: int) -> _Bench:
+        rest = hunt.selector.columns([k for k in hunt.chosen if k != place])
+        label = _label_of(hunt.selector.scorer.candidates[place])
+        basis = hunt.world.basis(rest)
+        return _Bench(hunt, place, label, basis, residual_given(hunt.world, rest, basis))
 
+    @property
+    def columns(self) -> list[int]:
+        return list(self.hunt.selector.scorer.candidates[self.place].columns)
 
-def _only(candidate: Candidate, W: Floats) -> Floats:
-    return W[:, list(candidate.columns)]
+    def label_named(self, label: str, order: Ints) -> bool:
+        """Whether the effect, fed with shuffled labels, would still be entered in its own place."""
+        world = self.hunt.world
+        batch = world.setting.source.batch
+        shuffled = replace(batch, **{n: v[order] for n in LABELS[label] if (v := getattr(batch, n)) is not None})
+        return self._named(columns_at(world.setting, world.values, shuffled, self.columns), self.left)
+
+    def poses_named(self, order: Ints) -> bool:
+        """Whether the effect would be entered for the residuals of other poses."""
+        world = self.hunt.world
+        size = world.setting.whitener.shape[-1]
+        r = self.left.reshape(-1, size)[order].reshape(-1)
+        return self._named(world.W_raw[:, self.columns], r - self.basis @ (self.basis.T @ r))
+
+    def _named(self, columns: Floats, r: Floats) -> bool:
+        W = self.hunt.world.soft(columns)
+        return _named(self.hunt, self.place, W - self.basis @ (self.basis.T @ W), r)
 
 
 def _named(hunt: Hunt, place: int, W: Floats, r: Floats) -> bool:
@@ -153,7 +165,7 @@ def by_blocks(u: Floats, r: Floats, blocks: Ints) -> tuple[float, int, float]:
     whatever the noise is. A shuffled label matches a true delay in a few cycles by chance, which a test that counts
     samples calls certain. Blocks that were shuffled are independent of one another.
     """
-    share = summed(u * r[:, None], blocks, int(blocks.max()) + 1)
+    share = grouping(blocks, int(blocks.max()) + 1, r) @ u
     share = share[np.any(share != 0.0, axis=1)]
     count, d = len(share), u.shape[1]
     if count <= d + 1:

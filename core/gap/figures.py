@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.gap.heldout import rms
+from core.gap.heldout import Bench, rms
 from core.gap.hunt import Hunt
 from core.gap.scan import residual_given
 from core.gap.source import LinkSource, ToolSource
@@ -20,14 +20,14 @@ Floats = NDArray[np.float64]
 MOST_POINTS = 1500
 
 
-def figures(hunt: Hunt, rows: Observations, gap: dict[str, Any]) -> dict[str, Any]:
-    """Plain lists, ready to be drawn; lengths in mm (deg for joint data)."""
+def figures(hunt: Hunt, rows: Observations, gap: dict[str, Any], held: Bench) -> dict[str, Any]:
+    """Plain lists, ready to be drawn; lengths in mm (deg for joint data). ``held`` are the held-out rows, if any."""
     return {
         "residual_by_angle": [_by_angle(hunt, rows, j) for j in _joints(hunt, rows)],
         "residual_by_direction": _by_label(hunt, rows, "direction"),
         "residual_by_load": _by_label(hunt, rows, "payload_kg"),
         "contribution": contributions(hunt),
-        "gap_bar": _gap_bar(hunt, gap),
+        "gap_bar": _gap_bar(hunt, gap, held),
     }
 
 
@@ -79,7 +79,8 @@ def _by_angle(hunt: Hunt, rows: Observations, j: int) -> dict[str, Any]:
     own = [k for c in hunt.chosen if j in (hunt.selector.scorer.candidates[c].joints or ())
            for k in hunt.selector.scorer.candidates[c].columns]  # fmt: skip
     order = np.argsort(rows.q[:, j], kind="stable")
-    order = order[world.setting.used[order]][:: max(1, len(order) // MOST_POINTS)]
+    order = order[world.setting.used[order]]
+    order = order[:: -(-len(order) // MOST_POINTS) or 1]
     curve = moved_by(world, hunt.columns, sorted(set(own))) if own else np.zeros((len(rows), along.shape[1]))
 
     def drawn(values: Floats) -> list[float]:
@@ -136,21 +137,30 @@ def _by_label(hunt: Hunt, rows: Observations, name: str) -> list[dict[str, Any]]
     return out
 
 
-def _gap_bar(hunt: Hunt, gap: dict[str, Any]) -> list[dict[str, Any]]:
-    """The error before, after each effect in the order of what it takes off, and the noise; no label twice."""
+def _gap_bar(hunt: Hunt, gap: dict[str, Any], held: Bench) -> list[dict[str, Any]]:
+    """The error before, after each effect in the order of what it takes off, and the noise; no label twice.
+
+    ``held_out`` is the same on rows that took no part in the fit, None where there are none.
+    """
     unit = "deg" if "before_deg" in gap else "mm"
     bars = [{"label": "before", "value": gap[f"before_{unit}"]}]
+    fitted: list[list[int]] = [[]]
     taken: list[int] = []
     seen: dict[str, int] = {}
     while len(taken) < len(hunt.chosen):
         sizes = {k: _left(hunt, [*taken, k]) for k in hunt.chosen if k not in taken}
         best = min(sizes, key=lambda k: sizes[k])
         taken.append(best)
+        fitted.append(hunt.selector.columns(taken))
         label = "+ " + hunt.selector.scorer.candidates[best].label
         seen[label] = seen.get(label, 0) + 1
         value = gap[f"after_{unit}"] if len(taken) == len(hunt.chosen) else sizes[best]
         bars.append({"label": label if seen[label] == 1 else f"{label} ({seen[label]})", "value": value})
-    return [*bars, {"label": "noise", "value": gap[f"noise_rms_{unit}"]}]
+    bars.append({"label": "noise", "value": gap[f"noise_rms_{unit}"]})
+    if held.rows is None:
+        return [{**bar, "held_out": None} for bar in bars]
+    others = [*(held.rms(columns) * _unit(hunt) for columns in fitted), gap[f"validation_noise_rms_{unit}"]]
+    return [{**bar, "held_out": other} for bar, other in zip(bars, others, strict=True)]
 
 
 def _left(hunt: Hunt, chosen: Sequence[int]) -> float:

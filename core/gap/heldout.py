@@ -29,8 +29,7 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is no measurement
-SPIKES = 0.02  # share of such rows above which they are what the model cannot predict, no broken beams: all then count
-
+SPIKES = 0.02  # share of such rows, or that of the search, above which the model cannot predict them: all then count
 SPIKES_SURE = 0.99  # chance that so many broken beams at that share are no more than counted
 
 
@@ -89,6 +88,11 @@ class Bench:
             r = referenced(r, segments(self.rows))
         return np.asarray(r @ np.linalg.inv(self._lower()).T)
 
+    def rms(self, columns: Sequence[int]) -> float:
+        """Rms error (m; rad of a joint) of the held-out rows that are measurements, by a set of columns."""
+        joint = isinstance(self.hunt.world.setting.source, LinkSource)
+        return rms(self.errors(columns)[self.kept], self._lower(), joint)
+
     @property
     def poses(self) -> int:
         """Held-out poses (of motions blocks) that took no part in choosing."""
@@ -124,11 +128,13 @@ class Bench:
     def kept(self) -> Bools:
         """Held-out rows that are measurements: all but spikes, unless those are more than broken beams make by chance.
 
-        A share alone would call one broken beam among thirty rows structure, and let it decide what the others cannot.
+        A share alone would call one broken beam among thirty rows structure, and let it decide what the others cannot. Where
+        more of the rows of the search were wrong, as many are to be expected here.
         """
         before, after = self.errors([]), self.errors(self.hunt.columns)
         spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
-        if self.rows is None or np.sum(spike) > binom.ppf(SPIKES_SURE, len(spike), SPIKES):
+        share = max(SPIKES, 1.0 - float(np.mean(self.hunt.world.setting.used)))
+        if self.rows is None or np.sum(spike) > binom.ppf(SPIKES_SURE, len(spike), share):
             return np.ones(len(spike), dtype=bool)
         return np.asarray(~spike)
 

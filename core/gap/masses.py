@@ -64,16 +64,22 @@ def blurred(source: Source, values: Floats, covariance: Floats | None = None) ->
 def blur_of(source: ToolSource, values: Floats, covariance: Floats) -> Floats:
     """Standard deviation (n, 2) N·m of the load across and about each joint, in the rows where its sign is in doubt."""
     batch = source.model.loaded(source.batch, values)
-    assert batch.slopes is not None
+    slopes = batch.slopes
+    assert slopes is not None
     effect = next(e for e in source.model.effects if e.nuisance)
-    columns = effect.load_columns(batch.slopes)
+    columns = effect.load_columns(slopes)
     known = [k for k, c in enumerate(columns) if c >= 0]
-    M = batch.slopes.moments[[columns[k] for k in known]]
+    kept = [columns[k] for k in known]
     C = covariance[np.ix_(known, known)]
-    sigma = np.sqrt(np.maximum(np.einsum("knja,kl,lnja->nja", M, C, M, optimize=True), 0.0))
-    load = np.concatenate([batch.moment[:, :, :2], batch.axial[:, :, None]], axis=2)
-    each = [[_where_near(load[:, j, a], sigma[:, j, a]) for a in range(3)] for j in range(load.shape[1])]
-    return np.array([[max(row[:2]), row[2]] for row in each])
+
+    def near(name: str, part: int, load: Floats) -> list[float]:
+        """Deviations (n,) of one component, in the rows where its sign is in doubt."""
+        by = slopes.of(name, part)[kept]
+        sigma = np.sqrt(np.maximum(np.einsum("knj,knj->nj", by, np.tensordot(C, by, axes=1)), 0.0))
+        return [_where_near(load[:, j], sigma[:, j]) for j in range(load.shape[1])]
+
+    across = [near("wrench", 3 + a, batch.moment[:, :, a]) for a in range(2)]
+    return np.stack([np.max(across, axis=0), near("axial", 0, batch.axial)], axis=1)
 
 
 def _where_near(load: Floats, sigma: Floats) -> float:

@@ -22,16 +22,17 @@ CHOICES = {"base": FRAME, "tool": FRAME, "reference": ("auto", "robot", "registr
 class GapOptions:
     """Options of a gap hunt.
 
-    ``alpha`` is the family-wise chance of any false name. ``effects`` restricts the library to these ids (all when
-    empty). ``noise_mm`` states the standard deviation of one coordinate when the data have no repeats. ``free`` and
-    ``fix`` choose the geometric parameters as in an identification, ``base`` and ``tool`` are "free" or "fixed",
-    and ``reference`` says in which frames a correction works, as there ("auto", "robot", "registration").
-    ``next_poses`` is how many poses to propose. ``matters_um`` is the movement of the tool below which a misfit or an
-    effect is said to be too small to matter, unless the instrument promises less than that.
+    ``alpha`` is the family-wise chance of any false name. ``effects`` restricts the library to these ids, or to these
+    joints of them ({"id": ..., "joints": [2]}, from 1); all when empty. ``noise_mm`` states the standard deviation of one
+    coordinate when the data have no repeats. ``free`` and ``fix`` choose the geometric parameters as in an
+    identification, ``base`` and ``tool`` are "free" or "fixed", and ``reference`` says in which frames a correction
+    works, as there ("auto", "robot", "registration"). ``next_poses`` is how many poses to propose. ``matters_um`` is the
+    movement of the tool below which a misfit or an effect is said to be too small to matter, unless the instrument
+    promises less than that.
     """
 
     alpha: float = 0.01
-    effects: tuple[str, ...] = ()
+    effects: tuple[str | Mapping[str, Any], ...] = ()
     noise_mm: float | None = None
     free: tuple[str, ...] = ()
     fix: tuple[str, ...] = ()

@@ -14,6 +14,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from core.gap.projection import Stacked
 from core.gap.world import Setting, World
 from core.gap.wrong_rows import are_wrong
 from core.identify.robust import redescended
@@ -41,9 +42,9 @@ def outliers(world: World, chosen: Sequence[int] = ()) -> Bools:
     geometry = world.G.shape[1]
     limit, alike = _limit(setting)
     found = _far(world, whole, y, limit, alike)
-    if whole.shape[1] > SUPPLE * setting.used.sum() * size:
+    if whole.width > SUPPLE * setting.used.sum() * size:
         known = [*range(geometry), *(geometry + k for k in chosen)]
-        found |= _far(world, whole[:, known], y, np.sqrt(WILD) * limit, alike)
+        found |= _far(world, whole.only(known), y, np.sqrt(WILD) * limit, alike)
     return found
 
 
@@ -62,16 +63,15 @@ def _limit(setting: Setting) -> tuple[float, int]:
     return float(np.sqrt(chi2.isf(CHANCE / len(setting.used), size / alike))), alike
 
 
-def _far(world: World, X: Floats, y: Floats, limit: float, alike: int) -> Bools:
+def _far(world: World, X: Stacked, y: Floats, limit: float, alike: int) -> Bools:
     """Visits beyond the limit, if they are wrong readings and no structure."""
     used = world.setting.used
-    width = len(y) // len(used)
-    dimension = max(1, round(width / alike))
+    dimension = max(1, round(X.size / alike))
 
     def sizes(weight: Floats) -> Floats:
         every = np.zeros(len(used))
         every[used] = weight
-        return np.sqrt(_left_out(X, y, every, width)[used] / alike)
+        return np.sqrt(_left_out(X, y, every)[used] / alike)
 
     start = sizes(np.ones(int(used.sum())))
     far = np.zeros(len(used), dtype=bool)
@@ -86,23 +86,32 @@ def _far(world: World, X: Floats, y: Floats, limit: float, alike: int) -> Bools:
     return far if are_wrong(world, far, whole) else np.zeros_like(far)
 
 
-def _left_out(X: Floats, y: Floats, weight: Floats, size: int) -> Floats:
+def _left_out(X: Stacked, y: Floats, weight: Floats) -> Floats:
     """Squared studentised distance (V,) of every visit from the weighted fit to all others."""
-    root = np.repeat(np.sqrt(weight), size)[:, None]
-    K = X * root
-    H = K.T @ K
-    H[np.diag_indices_from(H)] += 1.0
-    factor = scipy.linalg.cho_factor(H)
-    e = y - X @ scipy.linalg.cho_solve(factor, K.T @ (y * root[:, 0]))
-    root_inverse = scipy.linalg.solve_triangular(
-        factor[0], np.eye(len(H)), lower=factor[1], trans=0 if factor[1] else 1
-    )
-    half = X @ root_inverse.T  # a product is twice as fast as solving for every row
-    blocks = half.reshape(-1, size, X.shape[1])
-    w, V = np.linalg.eigh(np.matmul(blocks, blocks.transpose(0, 2, 1)))
-    z = np.einsum("vij,vi->vj", V, e.reshape(-1, size))
-    # Without its own visit a direction is off by z / (1 - w h) and known to 1 + h / (1 - w h).
-    free = 1.0 - weight[:, None] * w
-    spread = free * (free + w)
-    # A visit that nothing else can predict has no residual of its own: its directions count as nothing.
-    return np.asarray(np.sum(np.where(free > UNSEEN, z**2 / np.maximum(spread, UNSEEN**2), 0.0), axis=1))
+    beta, root_inverse = _fit(X, y, weight)
+    out = np.empty(len(weight))
+    for part, columns in X.each():
+        visits = slice(part.start // X.size, part.stop // X.size)
+        half = columns @ root_inverse.T  # a product is twice as fast as solving for every row
+        blocks = half.reshape(-1, X.size, X.width)
+        w, V = np.linalg.eigh(np.matmul(blocks, blocks.transpose(0, 2, 1)))
+        z = np.einsum("vij,vi->vj", V, (y[part] - columns @ beta).reshape(-1, X.size))
+        # Without its own visit a direction is off by z / (1 - w h) and known to 1 + h / (1 - w h).
+        free = 1.0 - weight[visits, None] * w
+        spread = free * (free + w)
+        # A visit that nothing else can predict has no residual of its own: its directions count as nothing.
+        out[visits] = np.sum(np.where(free > UNSEEN, z**2 / np.maximum(spread, UNSEEN**2), 0.0), axis=1)
+    return out
+
+
+def _fit(X: Stacked, y: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Amounts (F,) of the weighted fit within the priors, and the inverse root (F, F) of its matrix."""
+    H, b = np.eye(X.width), np.zeros(X.width)
+    for part, columns in X.each():
+        root = np.repeat(np.sqrt(weight[part.start // X.size : part.stop // X.size]), X.size)
+        K = columns * root[:, None]
+        H += K.T @ K
+        b += K.T @ (y[part] * root)
+    factor, lower = scipy.linalg.cho_factor(H)
+    inverse = scipy.linalg.solve_triangular(factor, np.eye(len(H)), lower=lower, trans=0 if lower else 1)
+    return scipy.linalg.cho_solve((factor, lower), b), inverse

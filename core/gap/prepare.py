@@ -347,9 +347,12 @@ def _unexplained(world: World) -> Floats:
     """Whitened residual (V, m) off geometry and the whole library, every parameter within its prior."""
     setting = world.setting
     y, X = world.within_priors()
-    H = X.T @ X
-    H[np.diag_indices_from(H)] += 1.0
-    r = y - X @ scipy.linalg.solve(H, X.T @ y, assume_a="pos")
+    H, b = np.eye(X.width), np.zeros(X.width)
+    for part, columns in X.each():
+        H += columns.T @ columns
+        b += columns.T @ y[part]
+    beta = scipy.linalg.solve(H, b, assume_a="pos")
+    r = np.concatenate([y[part] - columns @ beta for part, columns in X.each()])
     return np.asarray(r.reshape(-1, setting.whitener.shape[-1]))
 
 

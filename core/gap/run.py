@@ -188,7 +188,7 @@ class _Run:
                 *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
                 *self._worse(found, held, kept), *far_from_stated(kept.load_model()),
             ),
-            figures=figures(found, rows, gap), library=prepared.library,
+            figures=figures(found, rows, gap, held), library=prepared.library,
         )  # fmt: skip
 
     def _judged(

@@ -14,10 +14,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from core.gap.candidates import Candidate
 from core.gap.gram import VISIBLE, Gram
 from core.gap.noise import Noise
+from core.gap.projection import Projection
 from core.gap.tails import tail
 from core.gap.world import World
 
@@ -31,6 +33,7 @@ CAUTION = 0.5
 STRICTER = 1e-3  # the most that sign flips may tighten the limit of the bootstrap
 FEWEST_FLIPS = 12  # poses below which sign flips cannot reach a 1 % level
 _NUMBERS = itertools.count()
+AT_A_TIME = 100  # flips of signs: all of thousands of poses fill the memory
 ALMOST_ALL = 0.999  # leverage beyond which a residual says nothing
 
 
@@ -228,8 +231,11 @@ def null_of(world: World, scorer: Scorer, chosen: Sequence[int], draws: int, see
     known = world.setting.inflation > 1.0 or not scorer.candidates
     best = () if known else scorer.candidates[int(np.argmin(scorer.scores(gram).p))].columns
     drawn = bootstrap(gram, scorer, draws, rng)
-    calm = _flips(world, gram, scorer, (chosen, sorted({*chosen, *best})), draws // 2, rng)
-    return Null(drawn, calm, None if chosen else _flips(world, gram, scorer, (chosen, chosen), draws // 2, rng))
+    flips = _Flips.of(world, gram, scorer, chosen, draws // 2)
+    if flips is None:
+        return Null(drawn, None, None)
+    calm = flips.tails(sorted({*chosen, *best}), rng)
+    return Null(drawn, calm, None if chosen else flips.tails(chosen, rng))
 
 
 def bootstrap(gram: Gram, scorer: Scorer, draws: int, rng: np.random.Generator) -> Floats:
@@ -245,40 +251,57 @@ def bootstrap(gram: Gram, scorer: Scorer, draws: int, rng: np.random.Generator) 
     return scorer.best_tail(scorer.scaled(S, d, yy, gram.nu, noise), d, gram.nu)
 
 
-def _flips(
-    world: World, gram: Gram, scorer: Scorer, taken: tuple[Sequence[int], Sequence[int]], draws: int,
-    rng: np.random.Generator,
-) -> Floats | None:  # fmt: skip
-    """Smallest tail probabilities (draws,) given the chosen columns, of what chosen and others leave: both in ``taken``."""
-    group = world.setting.group
-    poses = int(group.max()) + 1
-    if poses < FEWEST_FLIPS:
-        return None
-    basis, full = (world.basis(columns) for columns in taken)
-    r = residual_given(world, taken[1]) / np.sqrt(1.0 - np.minimum(np.sum(full**2, axis=1), ALMOST_ALL))
-    flips = rng.choice([-1.0, 1.0], size=(draws, poses))
-    W = world.W
-    W -= basis @ (basis.T @ W)
-    W *= r[:, None]
-    rows = group[world.row_visit]
-    c = flips @ summed(W, rows, poses)
-    yy = float(r @ r) - np.sum((flips @ summed(basis * r[:, None], rows, poses)) ** 2, axis=1)
-    S, d = scorer.reductions(gram, c)
-    return scorer.best_tail(scorer.scaled(S, d, np.maximum(yy, 0.0), gram.nu, np.ones(draws)), d, gram.nu)
+@dataclass(frozen=True)
+class _Flips:
+    """Flips of the signs of whole poses: candidates' ``columns`` with the chosen ones, of ``basis``, taken out."""
+
+    world: World
+    gram: Gram
+    scorer: Scorer
+    draws: int
+    basis: Floats
+    columns: Projection
+
+    @staticmethod
+    def of(world: World, gram: Gram, scorer: Scorer, chosen: Sequence[int], draws: int) -> _Flips | None:
+        if int(world.setting.group.max()) + 1 < FEWEST_FLIPS:
+            return None
+        basis = world.basis(chosen)
+        return _Flips(world, gram, scorer, draws, basis, world.projection.less(basis))
+
+    def tails(self, taken: Sequence[int], rng: np.random.Generator) -> Floats:
+        """Smallest tail probabilities (draws,) of what the columns ``taken`` leave."""
+        world, scorer, gram = self.world, self.scorer, self.gram
+        group = world.setting.group
+        poses = int(group.max()) + 1
+        full = world.basis(taken)
+        r = residual_given(world, taken, full) / np.sqrt(1.0 - np.minimum(np.sum(full**2, axis=1), ALMOST_ALL))
+        sums = grouping(group[world.row_visit], poses, r)
+        c, along = flipped((self.columns.under(sums), sums @ self.basis), self.draws, rng)
+        yy = float(r @ r) - np.sum(along**2, axis=1)
+        S, d = scorer.reductions(gram, c)
+        tails = scorer.scaled(S, d, np.maximum(yy, 0.0), gram.nu, np.ones(self.draws))
+        return scorer.best_tail(tails, d, gram.nu)
 
 
-def residual_given(world: World, chosen: Sequence[int]) -> Floats:
-    """Whitened residual (R,) with geometry and the chosen columns taken out."""
-    basis = world.basis(chosen)
+def residual_given(world: World, chosen: Sequence[int], basis: Floats | None = None) -> Floats:
+    """Whitened residual (R,) with geometry and the chosen columns, whose ``basis`` may be known, taken out."""
+    basis = world.basis(chosen) if basis is None else basis
     return np.asarray(world.y - basis @ (basis.T @ world.y))
 
 
-def summed(values: Floats, group: Ints, groups: int) -> Floats:
-    """Sums of the rows (R, Q) of each group (G, Q)."""
+def flipped(sums: Sequence[Floats], draws: int, rng: np.random.Generator) -> list[Floats]:
+    """Each of the sums (G, K) over the poses, under flips of their signs (draws, K)."""
+    parts = []
+    for k in range(0, draws, AT_A_TIME):
+        signs = rng.choice([-1.0, 1.0], size=(min(AT_A_TIME, draws - k), len(sums[0])))
+        parts.append([signs @ one for one in sums])
+    return [np.concatenate(own) for own in zip(*parts, strict=True)]
+
+
+def grouping(group: Ints, groups: int, weight: Floats | None = None) -> csr_array:
+    """What sums the rows, times their ``weight (R,)``, of each group: a sparse matrix (G, R)."""
     order = np.argsort(group, kind="stable")
-    starts = np.searchsorted(group[order], np.arange(groups))
-    padded = np.vstack([values[order], np.zeros((1, values.shape[1]))])
-    sums = np.add.reduceat(padded, np.minimum(starts, len(values)), axis=0)
-    empty = np.bincount(group, minlength=groups) == 0
-    sums[empty] = 0.0
-    return np.asarray(sums)
+    starts = np.concatenate([[0], np.cumsum(np.bincount(group, minlength=groups))])
+    data = np.ones(len(group)) if weight is None else weight[order]
+    return csr_array((data, order, starts), shape=(groups, len(group)))

@@ -146,6 +146,7 @@ class ToolSource:
         """Residuals and derivatives."""
         wanted = np.arange(self.n_library) if only is None else np.array(only, dtype=np.int64)
         order = np.argsort(wanted)
+        place = slice(None) if np.array_equal(order, np.arange(len(order))) else order
         start = len(self.model.names) - self.n_library
         columns = np.concatenate([self.free, start + wanted[order]])
         count = len(self.free)
@@ -156,7 +157,7 @@ class ToolSource:
             if rows.start == 0:
                 G = np.empty((len(self.batch), r.shape[1], count))
                 W = np.empty((len(self.batch), r.shape[1], len(wanted)))
-            G[rows], W[rows][:, :, order] = D[:, :, :count], D[:, :, count:]
+            G[rows], W[rows][:, :, place] = D[:, :, :count], D[:, :, count:]
         return Linear(np.concatenate(parts), G, W)
 
     def _parts(self, columns: int) -> list[slice]:
@@ -331,10 +332,8 @@ def zeros(begin: Calibration) -> dict[str, tuple[int, float]]:
 def _derivatives(residual: Residual, columns: int) -> Floats:
     """Derivatives (V, m, columns) of the prediction, points first."""
     assert residual.d_points is not None
-    parts = [residual.d_points.reshape(len(residual.points), -1, columns)]
-    if residual.d_turns is not None:
-        parts.append(residual.d_turns)
-    return np.concatenate(parts, axis=1)
+    points = residual.d_points.reshape(len(residual.points), -1, columns)
+    return points if residual.d_turns is None else np.concatenate([points, residual.d_turns], axis=1)
 
 
 def _stacked(residual: Residual) -> Floats:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from core.gap.gram import Gram
 from core.gap.hunt import Hunt
-from core.gap.scan import FEWEST_FLIPS, residual_given, summed
+from core.gap.scan import FEWEST_FLIPS, grouping, residual_given
 from core.gap.world import World
 
 Floats = NDArray[np.float64]
@@ -106,7 +106,7 @@ def _scores(hunt: Hunt, poses: int) -> tuple[Floats, Floats]:
     world = hunt.world
     r = residual_given(world, hunt.columns)
     group = world.setting.group[world.row_visit]
-    return summed(world.W * r[:, None], group, poses), np.bincount(group, r**2, poses).astype(np.float64)
+    return world.projection.under(grouping(group, poses, r)), np.bincount(group, r**2, poses).astype(np.float64)
 
 
 def _moved(hunt: Hunt, scores: Floats, sizes: Floats, weight: Floats) -> Gram:

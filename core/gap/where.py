@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import chi2
 
+from core.gap.scan import flipped
 from core.gap.source import LinkSource, ToolSource
 from core.gap.world import World
 from core.observations import Observations
@@ -116,18 +117,19 @@ def _bins(world: World, rows: Observations, r: Floats, scale: float, seed: int) 
     bins = [b for b in bins if b[2].sum() >= FEWEST]
     if not bins:
         return []
-    rng = np.random.default_rng(seed)
     poses = int(group.max()) + 1
-    flips = np.vstack([np.ones(poses), rng.choice([-1.0, 1.0], size=(FLIPS, poses))])
-    z = []
-    excess = []
-    for _, _, mask, part in bins:
-        sums = np.stack([np.bincount(group[mask], c[mask], poses) for c in part.T], axis=1) / np.sqrt(
-            mask.sum() * scale
-        )
-        T = np.sum((flips @ sums) ** 2, axis=1)
-        excess.append(float(T[0]) / part.shape[1] - 1.0)
-        z.append(unlikelihood(*_matched(T)))
+    sums = [
+        np.bincount(group[mask], c[mask], poses) / np.sqrt(mask.sum() * scale)
+        for _, _, mask, part in bins
+        for c in part.T
+    ]
+    as_is = np.stack(sums, axis=1)
+    under = flipped((as_is,), FLIPS, np.random.default_rng(seed))[0]
+    squares = np.vstack([np.sum(as_is, axis=0), under]) ** 2
+    ends = np.cumsum([part.shape[1] for *_, part in bins])
+    T = [np.sum(own, axis=1) for own in np.split(squares, ends[:-1], axis=1)]
+    excess = [float(t[0]) / part.shape[1] - 1.0 for t, (*_, part) in zip(T, bins, strict=True)]
+    z = [unlikelihood(*_matched(t)) for t in T]
     Z = np.stack(z)
     best = Z[:, 1:].max(axis=0)
     return [

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from core.effects import Batch
 from core.gap.gram import VISIBLE, Gram
 from core.gap.noise import Noise
+from core.gap.projection import Projection, Stacked
 from core.gap.soft import Soft
 from core.gap.source import MOST_NUMBERS, Source, ToolSource
 from core.identify.solver import BEND, minimise
@@ -104,18 +105,24 @@ class World:
 
     def projected(self, columns: Sequence[int] | slice) -> Floats:
         """Some of them."""
-        return _projected(self.soft, self.U, self.W_raw[:, columns])
+        return Projection.of(self.soft, self.U, self.W_raw[:, columns]).rows(slice(None))
 
     @property
     def size(self) -> Floats:
         """Raw whitened norm (Q,) of one unit of each parameter, the inverse of ``scale``."""
         return np.where(self.scale > 0.0, 1.0 / np.where(self.scale > 0.0, self.scale, 1.0), 0.0)
 
-    def within_priors(self) -> tuple[Floats, Floats]:
+    @property
+    def projection(self) -> Projection:
+        """All unit columns with geometry projected off, not made."""
+        return Projection.of(self.soft, self.U, self.W_raw)
+
+    def within_priors(self) -> tuple[Floats, Stacked]:
         """Whitened data (R,) without any library effect, and the columns (R, P + Q) of one prior sigma each."""
         source = self.setting.source
-        columns = np.hstack([self.G * source.prior_sigma, self.W_raw * (source.library_sigma * self.size)])
-        return self.raw + self.W_raw @ (source.library(self.values) * self.size), columns
+        sigmas = np.concatenate([source.prior_sigma, source.library_sigma * self.size])
+        y = self.raw + self.W_raw @ (source.library(self.values) * self.size)
+        return y, Stacked(self.G, self.W_raw, sigmas, self.setting.whitener.shape[-1])
 
     @property
     def chi2(self) -> float:
@@ -142,8 +149,8 @@ class World:
         U = _seen((self.G * source.prior_sigma)[:, self.setting.hard])
         y = self.raw + self.W_raw @ (source.library(self.values) * self.size)
         y -= U @ (U.T @ y)
-        P = self.W_raw - U @ (U.T @ self.W_raw)
-        return Gram(P.T @ P, P.T @ y, float(y @ y), self.nu + self.U.shape[1] - U.shape[1])
+        products = Projection.of(Soft.of(U[:, :0]), U, self.W_raw).products(y)
+        return Gram(*products, float(y @ y), self.nu + self.U.shape[1] - U.shape[1])
 
     @property
     def rows(self) -> int:
@@ -173,7 +180,7 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     G = _white(setting, linear.G)
     W = _white(setting, linear.W)
     del linear
-    norm = np.linalg.norm(W, axis=0)
+    norm = _lengths(W)
     unit = np.where(norm > 0.0, norm, 1.0)
     W /= unit
     source, hard = setting.source, setting.hard
@@ -188,18 +195,22 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
     nu = float(setting.used.sum() * setting.whitener.shape[-1] / setting.inflation - U.shape[1])
     scale = np.where(norm > 0.0, 1.0 / unit, 0.0)
-    return World(setting, values, y, U, scale, nu, *_products(soft, U, W, y), r, G, W, soft)
+    return World(setting, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, G, W, soft)
 
 
-def _products(soft: Soft, U: Floats, W: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Inner products (Q, Q) of the projected columns, and (Q,) with the data."""
-    P = _projected(soft, U, W)
-    return P.T @ P, P.T @ y
+def _lengths(W: Floats) -> Floats:
+    """Norms (Q,) of columns, without a copy of them squared."""
+    return np.asarray(np.sqrt(np.einsum("rq,rq->q", W, W)))
 
 
-def _projected(soft: Soft, U: Floats, W: Floats) -> Floats:
-    P = soft(W)
-    return np.asarray(P - U @ (U.T @ P))
+def columns_at(setting: Setting, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:
+    """Whitened unit columns (R, K) of the library, as :func:`world_at` has them, without the geometry."""
+    source = setting.source
+    bare = replace(source, free=np.zeros(0, dtype=np.int64)) if isinstance(source, ToolSource) else source
+    W = _white(setting, bare.linear(values, batch, only).W)
+    norm = _lengths(W)
+    W /= np.where(norm > 0.0, norm, 1.0)
+    return W
 
 
 def _away(source: Source, values: Floats) -> Floats:

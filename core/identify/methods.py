@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -20,15 +20,29 @@ from core.identify.per_pose import influence, pose_pseudo_inverse
 from core.measurement import Measurement
 from core.model import Calibration, RobotModel
 
-Method = Callable[[Calibration, Measurement, IdentifyOptions, Progress | None], Fit]
+Fitter = Callable[[Calibration, Measurement, IdentifyOptions, Progress | None], Fit]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to fit.
+
+    ``minimum`` says that it ends at a least-squares minimum, which intervals rest on; ``lets_rows_go`` that it goes with
+    loss "tukey".
+    """
+
+    fit: Fitter
+    minimum: bool = False
+    lets_rows_go: bool = False
+
 
 ESTIMATORS: Mapping[str, Method] = MappingProxyType({
-    "least_squares": estimate,
-    "linear_least_squares": linear_least_squares,
-    "pose_pseudo_inverse": pose_pseudo_inverse,
-    "influence": influence,
-    "kalman": kalman,
-    "global_search": global_search,
+    "least_squares": Method(estimate, minimum=True, lets_rows_go=True),
+    "pose_pseudo_inverse": Method(pose_pseudo_inverse),
+    "influence": Method(influence),
+    "kalman": Method(kalman, minimum=True),
+    "global_search": Method(global_search, minimum=True, lets_rows_go=True),
+    "linear_least_squares": Method(linear_least_squares),
 })  # fmt: skip
 
 
@@ -87,7 +101,7 @@ def _fitted(
     if options.method == "kalman":
         fit = kalman(begin, measurement, options, progress, prior)
     else:
-        fit = ESTIMATORS[options.method](begin, measurement, options, progress)
+        fit = ESTIMATORS[options.method].fit(begin, measurement, options, progress)
     if not options.tilt_first:
         return fit
     return replace(fit, report={**fit.report, "effects": "held" if begin is start else "fitted first"})

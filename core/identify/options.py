@@ -15,9 +15,6 @@ from core.errors import OptionError
 from core.model import RobotModel
 
 FULL_TILTING = ("clearance_tilt", "backlash_load", "axial_compliance")
-NO_MINIMUM = ("linear_least_squares", "pose_pseudo_inverse", "influence")
-LETS_ROWS_GO = ("least_squares", "global_search")
-METHODS = ("least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search", "linear_least_squares")
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ class IdentifyOptions:
 
     def __post_init__(self) -> None:
         self._one_of("level", (None, 1, 2, 3))
-        self._one_of("method", METHODS)
+        self._check_method()
         self._one_of("base", ("free", "fixed", "removed"))
         self._one_of("tool", ("free", "fixed"))
         self._one_of("loss", ("linear", "huber", "tukey"))
@@ -82,20 +79,28 @@ class IdentifyOptions:
                     f'socket_distances_mm has {pair!r}: {value!r}. Give two socket ids and a length, {{"1-2": 400.0}}.',
                     option="socket_distances_mm",
                 )
-        if self.intervals is not None and self.method in NO_MINIMUM:
+        if self.level in (1, 2) and self.effects:
+            raise OptionError(
+                f"Level {self.level} has no effects: drop them, or ask for level 3.", option="level", level=self.level
+            )
+
+    def _check_method(self) -> None:
+        """Refuse a method that there is not, and what does not go with the one there is."""
+        from core.identify.methods import ESTIMATORS  # the methods need this module: here it is complete
+
+        self._one_of("method", tuple(ESTIMATORS))
+        method = ESTIMATORS[self.method]
+        if self.intervals is not None and not method.minimum:
             raise OptionError(
                 f"Intervals are those of a least-squares minimum, which {self.method} does not end at. Leave intervals "
                 "out, or take method least_squares.",
                 option="intervals",
             )
-        if self.loss == "tukey" and self.method not in LETS_ROWS_GO:
+        if self.loss == "tukey" and not method.lets_rows_go:
+            fitting = " or ".join(name for name, other in ESTIMATORS.items() if other.lets_rows_go)
             raise OptionError(
-                f'Loss "tukey" goes with method {" or ".join(LETS_ROWS_GO)}, not with {self.method}: take loss "huber".',
+                f'Loss "tukey" goes with method {fitting}, not with {self.method}: take loss "huber".',
                 option="loss",
-            )
-        if self.level in (1, 2) and self.effects:
-            raise OptionError(
-                f"Level {self.level} has no effects: drop them, or ask for level 3.", option="level", level=self.level
             )
 
     @staticmethod

@@ -27,6 +27,7 @@ from core.identify.predictive import Predictive, left_of, predictive
 from core.identify.redescending import set_aside
 from core.identify.reference import named, refuse_contradicted, registered, wanted_frames
 from core.identify.report import null_rows, parameter_rows, warnings_of
+from core.identify.row_errors import RowErrors
 from core.identify.seeing import seen
 from core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
 from core.identify.worse import PoseErrors, geometry_alone
@@ -63,6 +64,8 @@ class Identification:
     learned: Learned | None = None
     own_frames: tuple[OwnFrame, ...] = ()
     inside: Ints | None = None  # rows of those given that were fitted, all when None
+    fitted_rows: RowErrors | None = None
+    held_rows: RowErrors | None = None  # of the validation when that is rows of its own, else of those given
 
     @property
     def scale(self) -> tuple[float, float]:
@@ -150,12 +153,10 @@ def identify(
     tell(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
     compared: PoseErrors | None = None
-    inside: Ints | None = None
+    by_row: RowErrors | None = None
     if isinstance(validation, Folds):
-        held, compared = _cross_validated(nominal, begin, train, validation, options, tell, prior)
-    elif isinstance(validation, float):
-        inside, outside = split(train, validation, options.seed)
-        train, validation = train.select(inside), train.select(outside)
+        held, compared, by_row = _cross_validated(nominal, begin, train, validation, options, tell, prior)
+    train, validation, inside, outside = _parted(train, validation, options.seed)
     measurement = seen(train, options, begin.marker_points)
     refuse_feigned_turns(begin, measurement)
     remarks = refuse_foreign(begin, measurement)
@@ -168,7 +169,8 @@ def identify(
     own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):
         plain = geometry_alone(begin, measurement, options)
-        held, compared, own[len(own) :] = held_out(stages, plain, frames, validation, options, measurement)
+        held, compared, by_row, own[len(own) :] = held_out(stages, plain, frames, validation, options, measurement)
+        by_row = by_row.numbered(outside)
     tell(0.95, "identifiability")
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
@@ -177,7 +179,18 @@ def identify(
         without_frames(calibration), fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned
     )
     said = (*result.warnings, *remarks, *(compared.warnings() if compared else ()))
-    return replace(result, own_frames=tuple(own), warnings=said, inside=inside)
+    fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
+    return replace(result, own_frames=tuple(own), warnings=said, inside=inside, fitted_rows=fitted, held_rows=by_row)
+
+
+def _parted(
+    train: Observations, validation: Validation, seed: int
+) -> tuple[Observations, Validation, Ints | None, Ints | None]:
+    """Rows to fit and to hold out, and which of those given they are where a fraction was to be held out."""
+    if not isinstance(validation, float):
+        return train, validation, None, None
+    inside, outside = split(train, validation, seed)
+    return train.select(inside), train.select(outside), inside, outside
 
 
 def _reported(
@@ -277,11 +290,12 @@ def _cross_validated(
     options: IdentifyOptions,
     tell: Progress,
     prior: Prior | None = None,
-) -> tuple[dict[str, Errors], PoseErrors]:
+) -> tuple[dict[str, Errors], PoseErrors, RowErrors]:
     """Errors on held-out poses, pooled over the folds."""
     shape = seen(train, options, begin.marker_points).marker_points
     parts: dict[str, list[Errors]] = {"nominal": [], "registration_only": [], "identified": []}
     poses: list[PoseErrors] = []
+    by_row: list[RowErrors] = []
     for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
         tell(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
         report = _within(tell, k, folds.folds)
@@ -297,7 +311,9 @@ def _cross_validated(
         for name, stage in stages.items():
             parts[name].append(Errors.of(stage, unseen))
         poses.append(PoseErrors.of({**stages, "geometry": geometry_alone(model, shown, options)}, unseen))
-    return {name: Errors.concatenate(errors) for name, errors in parts.items()}, PoseErrors.concatenate(poses)
+        by_row.append(RowErrors.of(stages, unseen, outside))
+    held = {name: Errors.concatenate(errors) for name, errors in parts.items()}
+    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row)
 
 
 def _within(tell: Progress, fold: int, folds: int) -> Progress:

@@ -21,6 +21,7 @@ from core.frames import FRAME_ANGLE_PRIOR_RAD, FRAME_LENGTH_PRIOR_M, increment
 from core.identify.estimate import bounded, estimate
 from core.identify.least_squares import Fit
 from core.identify.options import FRAME_NAMES, IdentifyOptions
+from core.identify.row_errors import RowErrors
 from core.identify.seeing import seen
 from core.identify.worse import PoseErrors
 from core.measurement import Measurement
@@ -218,8 +219,9 @@ def held_out(
     rows: Observations,
     options: IdentifyOptions,
     train: Measurement,
-) -> tuple[dict[str, Errors], PoseErrors, list[OwnFrame]]:
-    """Errors of each stage on rows that were not fitted, pose by pose too, and the set-ups whose base came from them.
+) -> tuple[dict[str, Errors], PoseErrors, RowErrors, list[OwnFrame]]:
+    """Errors of each stage on rows that were not fitted, pose by pose and row by row too, and the set-ups whose base came
+    from them.
 
     What a new set-up cannot know, where the robot stands in its frame, is fitted to its own rows for every stage but the
     robot as drawn. The ``geometry`` alone, where there is one, is compared pose by pose only.
@@ -229,6 +231,7 @@ def held_out(
     own: list[OwnFrame] = []
     parts: dict[str, list[Errors]] = {name: [] for name in stages}
     poses: list[PoseErrors] = []
+    by_row: list[RowErrors] = []
     for code in [None, *new]:
         mask = np.ones(len(rows), bool) if rows.setup is None or not new else _of(rows.setup, code, new)
         if not mask.any():
@@ -241,11 +244,12 @@ def held_out(
         for name in stages:
             parts[name].append(Errors.of(here[name], shown))
         poses.append(PoseErrors.of(here, shown))
+        by_row.append(RowErrors.of({name: here[name] for name in stages}, shown, np.flatnonzero(mask)))
         if code is not None:
             before = without_frames(stages["identified"]).model.T_base
             own.append(_apart(code, "validation", before, here["identified"].model.T_base))
     held = {name: Errors.concatenate(found) for name, found in parts.items()}
-    return held, PoseErrors.concatenate(poses), own
+    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row), own
 
 
 def _new_codes(frames: Frames | None, rows: Observations) -> list[int]:

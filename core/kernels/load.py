@@ -240,3 +240,122 @@ def load_wrenches(
             k = _next_joint(primary, i)
             where, following = (flange, elements) if k < 0 else (feet[k], primary[k])
             _in_frame(frames[i], where, forces[following], moments[following], end[row, i], t)
+
+
+@njit(cache=True)
+def load_slopes(
+    axis, joint, ratio, value, primary, joint_frame, body_element, com, gravity, tool, carried, payload, payload_com,
+    q, where, parts, change, out,
+):  # fmt: skip
+    """Derivatives of static loads by the mass, then by the first moment along x, y, z, of each body; the payload last.
+
+    ``body_element (B,)`` is the element in whose frame the place ``com (B, 3)`` of a link's unit mass is given.
+    ``carried (N,)`` is 1 in rows with a payload, of ``payload (N,)`` kg at ``payload_com (N, 3)`` in the tool frame: its
+    first moment counts per metre of shift. ``where (n,)`` says of which point of each joint: 0 of the joint itself, 1 of
+    the end of its link, 2 of the base (then n is 1). Writes ``out (C, K, N, n)``, components ``parts (n, C)`` (0-2 force,
+    3-5 moment) as :func:`load_wrenches` orders them; without columns of the payload it is left out. With a ``change (K,)``
+    of the K masses and moments it writes what that changes, ``out (C, 1, N, n)``.
+    """
+    elements = axis.shape[0]
+    bodies = body_element.shape[0]
+    summed = change.shape[0] > 0
+    each = 1 if summed else 4
+    laden = (change.shape[0] if summed else out.shape[1]) > 4 * bodies
+    count = each * (bodies + 1 if laden else bodies)
+    R = np.empty((3, 3))
+    turned = np.empty((3, 3))
+    p = np.empty(3)
+    r = np.empty(3)
+    still = np.zeros(3)
+    about = np.empty(3)
+    frames = np.zeros((where.shape[0], 3, 3))
+    points = np.zeros((where.shape[0], 3))
+    feet = np.empty((primary.shape[0], 3))
+    first = np.zeros(where.shape[0], dtype=np.int64)
+    own = np.empty((2, 4, 3))
+    force = np.empty((count, 3))
+    moment = np.empty((count, 3))
+    for i in range(where.shape[0]):
+        k = _next_joint(primary, i)
+        first[i] = 0 if where[i] == 2 else primary[i] if where[i] == 0 else elements if k < 0 else primary[k]
+        if where[i] == 2:
+            for a in range(3):
+                frames[i, a, a] = 1.0
+    for row in range(q.shape[0]):
+        _at_rest(R, p, still, still, still)
+        for e in range(elements):
+            for i in range(primary.shape[0]):
+                if primary[i] == e:
+                    for a in range(3):
+                        feet[i, a] = p[a]
+            _move(axis[e], value[e] + (ratio[e] * q[row, joint[e]] if joint[e] >= 0 else 0.0), R, p)
+            for i in range(where.shape[0]):
+                if where[i] != 2 and primary[i] == e:
+                    for a in range(3):
+                        points[i, a] = p[a]
+                        for b in range(3):
+                            F = joint_frame[i]
+                            frames[i, a, b] = R[a, 0] * F[0, b] + R[a, 1] * F[1, b] + R[a, 2] * F[2, b]
+            for b in range(bodies):
+                if body_element[b] == e:
+                    _slopes_of(R, p, com[b], gravity, 1.0, 1.0, own[0], own[1], r)
+                    _put_slopes(own, change, 4 * b, force, moment, each * b)
+        for i in range(where.shape[0]):
+            if where[i] == 1:
+                k = _next_joint(primary, i)
+                for a in range(3):
+                    points[i, a] = p[a] if k < 0 else feet[k, a]
+        if laden:
+            for a in range(3):
+                p[a] += R[a, 0] * tool[0, 3] + R[a, 1] * tool[1, 3] + R[a, 2] * tool[2, 3]
+                for b in range(3):
+                    turned[a, b] = R[a, 0] * tool[0, b] + R[a, 1] * tool[1, b] + R[a, 2] * tool[2, b]
+            _slopes_of(turned, p, payload_com[row], gravity, carried[row], payload[row], own[0], own[1], r)
+            _put_slopes(own, change, 4 * bodies, force, moment, each * bodies)
+        for i in range(where.shape[0]):
+            for m in range(parts.shape[1]):
+                out[m, 0, row, i] = 0.0
+            for c in range(count):
+                column = 0 if summed else c
+                if c // each < bodies and body_element[c // each] < first[i]:
+                    for m in range(0 if summed else parts.shape[1]):
+                        out[m, column, row, i] = 0.0
+                    continue
+                about[:] = 0.0
+                _add_cross(points[i], force[c], about)
+                for m in range(parts.shape[1]):
+                    a = parts[i, m] % 3
+                    total = out[m, 0, row, i] if summed else 0.0
+                    for k in range(3):
+                        total += frames[i, k, a] * (force[c, k] if parts[i, m] < 3 else moment[c, k] - about[k])
+                    out[m, column, row, i] = total
+
+
+@njit(cache=True)
+def _slopes_of(R, p, com, gravity, mass, shift, force, moment, r):
+    """Force (4, 3), and moment about the base origin, of ``mass`` at a place and of ``shift`` along each axis from it."""
+    force[:] = 0.0
+    moment[:] = 0.0
+    for i in range(3):
+        force[0, i] = mass * gravity[i]
+        r[i] = mass * (p[i] + R[i, 0] * com[0] + R[i, 1] * com[1] + R[i, 2] * com[2])
+    _add_cross(r, gravity, moment[0])
+    for c in range(3):
+        for i in range(3):
+            r[i] = shift * R[i, c]
+        _add_cross(r, gravity, moment[c + 1])
+
+
+@njit(cache=True)
+def _put_slopes(own, change, at, force, moment, to):
+    """Put the four columns of a body, or what its part of ``change`` makes of them, in their place."""
+    if change.shape[0] == 0:
+        force[to : to + 4] = own[0]
+        moment[to : to + 4] = own[1]
+        return
+    for i in range(3):
+        force[to, i] = 0.0
+        moment[to, i] = 0.0
+        for c in range(4):
+            force[to, i] += change[at + c] * own[0, c, i]
+            moment[to, i] += change[at + c] * own[1, c, i]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from service.campaigns import store
+from service.campaigns.records import CampaignRecord
+from service.campaigns.service import shown
 from service.contract.campaigns import Campaign
 from service.contract.references import Change, Tombstone
 from service.db import Database, Session
 from service.db.tables import now
 from service.errors import ServiceError
-from service.references import retired
 from service.references import store as references
+from service.references.records import TombstoneRecord
+from service.references.wire import tombstone
 from service.robots import store as robots
 from service.robots.resolved import sha256_of
 from service.versions import store as versions
@@ -23,24 +26,20 @@ def change(database: Database, campaign_id: str, wanted: Change) -> Campaign:
 
     """
     with database.transaction() as session:
-        row = store.whole_row_of(session, campaign_id)
-        if wanted.name is not None and wanted.name != row.name:
+        campaign = store.whole(session, campaign_id)
+        if wanted.name is not None and wanted.name != campaign.name:
             if not wanted.name:
                 raise ServiceError("A campaign needs a name: give one.", code="name_invalid")
-            references.check_name(session, "campaign", row.robot_id, wanted.name, row.id)
-            row.name = wanted.name
-        if wanted.notes is not None:
-            row.notes = wanted.notes
-        session.flush()
-        return store.get(session, campaign_id)
+            references.check_name(session, "campaign", campaign.robot_id, wanted.name, campaign.id)
+        store.change(session, campaign_id, wanted.name, wanted.notes)
+        return shown(session, campaign_id)
 
 
 def retire(database: Database, campaign_id: str, actor: str) -> Campaign:
     """Take a campaign out of use: no list shows it and no job uses it; what cites it stays as it is."""
     with database.transaction() as session:
-        retired.retire(store.whole_row_of(session, campaign_id), actor)
-        session.flush()
-        return store.get(session, campaign_id)
+        store.retire(session, store.whole(session, campaign_id).id, actor)
+        return shown(session, campaign_id)
 
 
 def restore(database: Database, campaign_id: str) -> Campaign:
@@ -51,12 +50,11 @@ def restore(database: Database, campaign_id: str) -> Campaign:
 
     """
     with database.transaction() as session:
-        row = store.whole_row_of(session, campaign_id)
-        if row.retired_at is not None:
-            references.check_name(session, "campaign", row.robot_id, row.name, row.id)
-            retired.restore(row)
-        session.flush()
-        return store.get(session, campaign_id)
+        campaign = store.whole(session, campaign_id)
+        if campaign.retired_at is not None:
+            references.check_name(session, "campaign", campaign.robot_id, campaign.name, campaign.id)
+            store.restore(session, campaign_id)
+        return shown(session, campaign_id)
 
 
 def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
@@ -67,25 +65,27 @@ def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
 
     """
     with database.transaction() as session:
-        campaign = store.get(session, store.whole_row_of(session, campaign_id).id)
+        campaign = store.whole(session, campaign_id)
         _refuse_cited(session, campaign)
-        tombstone = Tombstone(
+        left = TombstoneRecord(
             id=campaign.id,
             kind="campaign",
-            robot=campaign.robot,
+            robot=robots.by_id(session, campaign.robot_id).name,
             name=campaign.name,
-            sha256=sha256_of([upload.sha256 for upload in campaign.uploads]),
+            sha256=sha256_of([upload.sha256 for upload in store.uploads_of(session, campaign_id)]),
             by=actor,
             at=now(),
         )
-        references.bury(session, tombstone)
+        references.bury(session, left)
         store.delete_whole(session, campaign_id)
-    return tombstone
+    return tombstone(left)
 
 
-def _refuse_cited(session: Session, campaign: Campaign) -> None:
-    robot_id = robots.get(session, campaign.robot).id
-    citing = versions.citing_campaign(session, robot_id, campaign.id) + store.unfinished_jobs(session, campaign.id)
+def _refuse_cited(session: Session, campaign: CampaignRecord) -> None:
+    citing = [
+        *versions.citing_campaign(session, campaign.robot_id, campaign.id),
+        *store.unfinished_jobs(session, campaign.id),
+    ]
     if citing:
         raise ServiceError(
             f"Campaign {campaign.id} is cited by {', '.join(citing[:10])}{' and more' if len(citing) > 10 else ''}: "

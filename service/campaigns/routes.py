@@ -13,6 +13,7 @@ from service.bodies import receive
 from service.campaigns import keeping, reading, service
 from service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
 from service.contract.references import Change, Tombstone
+from service.page_query import PageOfList
 from service.routing import GuardedRoute
 from service.slots import compute
 from service.state import DatabaseOfApp, SettingsOfApp
@@ -38,9 +39,11 @@ def add(robot: str, campaign: NewCampaign, response: Response, database: Databas
 
 
 @router.get("/robots/{robot}/campaigns")
-def listed(robot: str, database: DatabaseOfApp, staged: bool = False, retired: bool = False) -> CampaignList:
+def listed(
+    robot: str, database: DatabaseOfApp, page: PageOfList, staged: bool = False, retired: bool = False
+) -> CampaignList:
     """List the campaigns of a robot; with `staged` those whose parts are not all there yet, with `retired` all others too."""
-    return service.listed(database, robot, staged, retired)
+    return service.listed(database, robot, page, staged, retired)
 
 
 @router.get("/campaigns/{campaign}")

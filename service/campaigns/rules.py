@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from core.errors import ObservationError
 from service.campaigns.columns import Column
+from service.campaigns.joint_limits import JointLimits
 from service.contract.columns import CONTACTS
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-LIMIT_TOLERANCE = 1e-6  # rad or m: rounding of a controller's file
 QUATERNION_TOLERANCE = 1e-3
 ABSOLUTE_ZERO_C = -273.15
 # Two points of a workspace are at most twice the reach apart; three leaves room for a long tool.
@@ -36,6 +36,7 @@ class RowRules:
         self.columns = columns
         self.robot = robot
         self.rows = 0
+        self._limits = JointLimits()
         self._low: dict[str, float] = {}
         self._high: dict[str, float] = {}
         self._sample: list[tuple[Floats, Floats]] = []
@@ -58,12 +59,13 @@ class RowRules:
         self.rows += table.num_rows
 
     def finish(self) -> None:
-        """Check what only the whole upload shows: whether the arm could reach that far.
+        """Check what only the whole upload shows: readings outside the limits, and whether the arm could reach that far.
 
         Raises:
-            ObservationError: the positions cannot be in their unit.
+            ObservationError: readings outside the limits, or positions that cannot be in their unit.
 
         """
+        self._limits.finish()
         reach = self._reach()
         spreads = {c: self._high.get(c.name, 0.0) - self._low.get(c.name, 0.0) for c in self._lengths()}
         if not spreads or not reach > 0 or not self._sample:
@@ -93,17 +95,7 @@ class RowRules:
         if column.quantity == "temperature":
             self._refuse(cells < ABSOLUTE_ZERO_C, column.name, "is below absolute zero", cells)
         if column.quantity == "q" and column.number is not None:
-            self._check_limits(column, column.number, cells)
-
-    def _check_limits(self, column: Column, number: int, cells: Floats) -> None:
-        joint = self.robot.joints[number]
-        q = cells * column.factor
-        outside = (q < joint.lower - LIMIT_TOLERANCE) | (q > joint.upper + LIMIT_TOLERANCE)
-        low, high = joint.lower / column.factor, joint.upper / column.factor
-        what = f"is outside the limits {low:.6g} to {high:.6g} of joint {joint.name!r}: correct the row or the robot"
-        if column.name.endswith("_rad"):
-            what += f", or name the column {column.name[:-3]}deg if these are degrees"
-        self._refuse(outside, column.name, what, cells)
+            self._limits.check(column, self.robot.joints[column.number], cells, self.rows + 1)
 
     def _check_markers(self, cells: dict[str, Floats]) -> None:
         for x in (c for c in self.columns if c.quantity == "marker_x"):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from core.errors import ObservationError
-from service.campaigns import reading, store
+from service.campaigns import reading, store, wire
 from service.campaigns.chunks import Chunk, write_chunk
 from service.campaigns.columns import has, read_columns
 from service.campaigns.rules import RowRules
@@ -16,7 +16,8 @@ from service.contract.campaigns import Campaign, CampaignList, NewCampaign, Part
 from service.contract.columns import CONTACTS
 from service.db import Database, Session
 from service.errors import ServiceError
-from service.references.retired import refuse_retired
+from service.paging import Page, in_time
+from service.references import retired
 from service.robots import store as robots
 
 if TYPE_CHECKING:
@@ -34,13 +35,13 @@ def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
             store.discard(session, forgotten)
         campaign_id = store.add(session, robot_id, campaign)
         session.flush()
-        return store.get(session, campaign_id)
+        return shown(session, campaign_id)
 
 
 def get(database: Database, campaign_id: str) -> Campaign:
     """Return a campaign."""
     with database.reading() as session:
-        return store.get(session, campaign_id)
+        return shown(session, campaign_id)
 
 
 def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
@@ -51,7 +52,7 @@ def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
 
     """
     with database.transaction() as session:
-        store.row_of(session, campaign_id)
+        store.get(session, campaign_id)
         there, named = {upload.sha256 for upload in store.uploads_of(session, campaign_id)}, set(parts.sha256)
         if there != named:
             raise ServiceError(
@@ -63,7 +64,7 @@ def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
             )
         store.commit(session, campaign_id)
         session.flush()
-        return store.get(session, campaign_id)
+        return shown(session, campaign_id)
 
 
 def discard(database: Database, campaign_id: str) -> None:
@@ -74,18 +75,21 @@ def discard(database: Database, campaign_id: str) -> None:
 
     """
     with database.transaction() as session:
-        if not store.row_of(session, campaign_id).staged:
+        if not store.get(session, campaign_id).staged:
             raise ServiceError(
                 f"Campaign {campaign_id} is whole: measurements are kept. Use another one.", code="campaign_committed"
             )
         store.discard(session, campaign_id)
 
 
-def listed(database: Database, robot: str, staged: bool = False, retired: bool = False) -> CampaignList:
-    """List the campaigns of a robot, or those whose parts are not all there yet; with ``retired`` also those out of use."""
+def listed(
+    database: Database, robot: str, page: Page, staged: bool = False, with_retired: bool = False
+) -> CampaignList:
+    """List the campaigns of a robot, or those whose parts are not all there yet; ``with_retired`` those out of use too."""
     with database.reading() as session:
-        ids = store.ids_of_robot(session, robots.get(session, robot).id, staged, retired)
-        return CampaignList(campaigns=[store.get(session, campaign_id) for campaign_id in ids])
+        read = store.listed(session, robots.get(session, robot).id, staged, page, with_retired)
+        found, cursor = page.cut(read, lambda campaign: in_time(campaign.created_at, campaign.id))
+        return CampaignList(campaigns=[shown(session, campaign.id) for campaign in found], next=cursor)
 
 
 def upload(database: Database, campaign_id: str, path: Path, media: str, sha256: str) -> Uploaded:
@@ -102,7 +106,7 @@ def upload(database: Database, campaign_id: str, path: Path, media: str, sha256:
         if known:
             return known
         _same_columns(session, campaign_id, names)
-        robot = robots.core_robot(session, store.row_of(session, campaign_id).robot_id)
+        robot = robots.core_robot(session, store.get(session, campaign_id).robot_id)
     chunks = checked_chunks(path, media, names, robot)
     # Parsed outside, so that this transaction is short: SQLite has one writer at a time.
     with database.transaction() as session:
@@ -133,21 +137,19 @@ def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -
     return chunks
 
 
+def shown(session: Session, campaign_id: str) -> Campaign:
+    """Return a campaign as it is shown."""
+    record = store.get(session, campaign_id)
+    return wire.campaign(record, robots.by_id(session, record.robot_id).name, store.uploads_of(session, campaign_id))
+
+
 def _uploaded(session: Session, campaign_id: str, sha256: str, *, new: bool) -> Uploaded | None:
-    row = store.row_of(session, campaign_id)
-    refuse_retired("campaign", row.id, row.retired_at)
+    retired.refuse("campaign", campaign_id, store.get(session, campaign_id).retired_at)
     uploads = store.uploads_of(session, campaign_id)
     total = sum(upload.rows for upload in uploads)
     for upload in uploads:
         if upload.sha256 == sha256:
-            return Uploaded(
-                campaign_id=campaign_id,
-                sha256=sha256,
-                rows=upload.rows,
-                columns=upload.columns,
-                total_rows=total,
-                new=new,
-            )
+            return wire.uploaded(campaign_id, upload, total, new=new)
     return None
 
 

@@ -10,19 +10,21 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from sqlalchemy import delete, select
+from sqlalchemy import and_, delete, or_, select
 
 from core.errors import ObservationError
 from service.campaigns.assemble import observations as assemble
 from service.campaigns.chunks import Chunk, read_chunk
 from service.campaigns.columns import read_columns
-from service.contract.campaigns import Campaign, Conditions, NewCampaign, Upload
+from service.campaigns.records import CampaignRecord, UploadRecord
+from service.contract.campaigns import NewCampaign
 from service.contract.jobs.job import FINAL
 from service.db import Session
-from service.db.tables import CampaignRow, ChunkRow, JobRow, RobotRow, UploadRow
+from service.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow
 from service.errors import ServiceError
+from service.paging import Page
+from service.references import retired
 from service.references import store as references
-from service.references.retired import refuse_retired
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -59,13 +61,24 @@ def add(session: Session, robot_id: int, campaign: NewCampaign) -> str:
     return row.id
 
 
-def row_of(session: Session, campaign_id: str) -> CampaignRow:
-    """Return the row of a campaign.
+def get(session: Session, campaign_id: str) -> CampaignRecord:
+    """Return a campaign.
 
     Raises:
         ServiceError: there is none.
 
     """
+    return _record(_row(session, campaign_id))
+
+
+def _record(row: CampaignRow) -> CampaignRecord:
+    return CampaignRecord(
+        row.id, row.robot_id, row.name, row.device, row.role, row.conditions, row.notes, row.staged, row.created_at,
+        row.retired_at,
+    )  # fmt: skip
+
+
+def _row(session: Session, campaign_id: str) -> CampaignRow:
     row = session.get(CampaignRow, campaign_id)
     if row is None:
         raise ServiceError(
@@ -77,38 +90,57 @@ def row_of(session: Session, campaign_id: str) -> CampaignRow:
     return row
 
 
-def whole_row_of(session: Session, campaign_id: str) -> CampaignRow:
-    """Return the row of a campaign whose parts are all there.
+def whole(session: Session, campaign_id: str) -> CampaignRecord:
+    """Return a campaign whose parts are all there.
 
     Raises:
         ServiceError: there is none, or parts of it are missing.
 
     """
-    row = row_of(session, campaign_id)
-    if row.staged:
+    found = get(session, campaign_id)
+    if found.staged:
         raise ServiceError(
             f"Campaign {campaign_id} is not whole: give the command that sends it again, and it goes on.",
             code="campaign_incomplete",
             campaign=campaign_id,
         )
-    return row
+    return found
 
 
-def usable_row_of(session: Session, campaign_id: str) -> CampaignRow:
-    """Return the row of a campaign that is whole and in use.
+def usable(session: Session, campaign_id: str) -> CampaignRecord:
+    """Return a campaign that is whole and in use.
 
     Raises:
         ServiceError: there is none, parts of it are missing, or it is retired.
 
     """
-    row = whole_row_of(session, campaign_id)
-    refuse_retired("campaign", row.id, row.retired_at)
-    return row
+    found = whole(session, campaign_id)
+    retired.refuse("campaign", found.id, found.retired_at)
+    return found
+
+
+def change(session: Session, campaign_id: str, name: str | None, notes: str | None) -> None:
+    """Write what people call a campaign and note on it; None stays as it is."""
+    row = _row(session, campaign_id)
+    row.name, row.notes = row.name if name is None else name, row.notes if notes is None else notes
+    session.flush()
+
+
+def retire(session: Session, campaign_id: str, actor: str) -> None:
+    """Take a campaign out of use; again changes nothing."""
+    retired.retire(_row(session, campaign_id), actor)
+    session.flush()
+
+
+def restore(session: Session, campaign_id: str) -> None:
+    """Bring a campaign back into use."""
+    retired.restore(_row(session, campaign_id))
+    session.flush()
 
 
 def commit(session: Session, campaign_id: str) -> None:
     """Make a staged campaign one that is listed and used; a name that was taken meanwhile gets a number."""
-    row = row_of(session, campaign_id)
+    row = _row(session, campaign_id)
     if row.staged:
         row.name = references.free_name(session, "campaign", row.robot_id, row.name)
         row.staged = False
@@ -122,7 +154,7 @@ def delete_whole(session: Session, campaign_id: str) -> None:
 
 def unfinished_jobs(session: Session, campaign_id: str) -> list[str]:
     """Return the ids of jobs that are not over and use a campaign."""
-    robot_id = row_of(session, campaign_id).robot_id
+    robot_id = _row(session, campaign_id).robot_id
     rows = session.execute(select(JobRow).where(JobRow.robot_id == robot_id, JobRow.state.not_in(FINAL))).scalars()
     return [row.id for row in rows if campaign_id in json.dumps(row.request)]
 
@@ -139,46 +171,31 @@ def staged_before(session: Session, robot_id: int, moment: datetime) -> list[str
     return list(session.execute(query.where(CampaignRow.created_at < moment)).scalars())
 
 
-def get(session: Session, campaign_id: str) -> Campaign:
-    """Return a campaign with its uploads."""
-    row = row_of(session, campaign_id)
-    uploads = uploads_of(session, campaign_id)
-    return Campaign(
-        id=row.id,
-        robot=session.get_one(RobotRow, row.robot_id).name,
-        name=row.name,
-        device=row.device,
-        role=row.role,
-        conditions=Conditions(**row.conditions),
-        notes=row.notes,
-        staged=row.staged,
-        created_at=row.created_at,
-        retired_at=row.retired_at,
-        rows=sum(upload.rows for upload in uploads),
-        uploads=uploads,
-    )
+def listed(
+    session: Session, robot_id: int, staged: bool, page: Page, with_retired: bool = False
+) -> list[CampaignRecord]:
+    """Return campaigns of a robot, oldest first, one more than the page shows; those out of use only when asked for."""
+    row = CampaignRow
+    query = select(row).where(row.robot_id == robot_id, row.staged == staged).order_by(row.created_at, row.id)
+    if not with_retired:
+        query = query.where(row.retired_at.is_(None))
+    if page.moment is not None:
+        moment, key = page.moment
+        query = query.where(or_(row.created_at > moment, and_(row.created_at == moment, row.id > key)))
+    return [_record(found) for found in session.execute(query.limit(page.fetched)).scalars()]
 
 
-def ids_of_robot(session: Session, robot_id: int, staged: bool = False, retired: bool = False) -> list[str]:
-    """Return the ids of a robot's campaigns, oldest first; ``staged`` are those whose parts are not all there.
-
-    With ``retired`` also those that are out of use.
-    """
-    query = select(CampaignRow.id).where(CampaignRow.robot_id == robot_id, CampaignRow.staged == staged)
-    if not retired:
-        query = query.where(CampaignRow.retired_at.is_(None))
-    return list(session.execute(query.order_by(CampaignRow.created_at, CampaignRow.id)).scalars())
+def ids_of_robot(session: Session, robot_id: int) -> list[str]:
+    """Return the ids of a robot's campaigns that are whole and in use, oldest first."""
+    row = CampaignRow
+    query = select(row.id).where(row.robot_id == robot_id, row.staged.is_(False), row.retired_at.is_(None))
+    return list(session.execute(query.order_by(row.created_at, row.id)).scalars())
 
 
-def uploads_of(session: Session, campaign_id: str) -> list[Upload]:
+def uploads_of(session: Session, campaign_id: str) -> list[UploadRecord]:
     """Return the uploads of a campaign, oldest first."""
     rows = session.execute(select(UploadRow).where(UploadRow.campaign_id == campaign_id).order_by(UploadRow.id))
-    return [
-        Upload(
-            sha256=row.sha256, rows=row.rows, columns=row.columns, media_type=row.media_type, created_at=row.created_at
-        )
-        for row in rows.scalars()
-    ]
+    return [UploadRecord(row.sha256, row.rows, row.columns, row.media_type, row.created_at) for row in rows.scalars()]
 
 
 def add_upload(
@@ -197,7 +214,7 @@ def add_upload(
 
 def device(session: Session, campaign_id: str) -> str:
     """Return what a campaign was measured with."""
-    return whole_row_of(session, campaign_id).device
+    return whole(session, campaign_id).device
 
 
 def observations(session: Session, campaign_id: str, robot: Robot, only: Collection[str] | None = None) -> Observations:
@@ -209,7 +226,7 @@ def observations(session: Session, campaign_id: str, robot: Robot, only: Collect
     """
     from pyarrow import concat_tables  # 0.4 s: not at the start of the API process
 
-    row = whole_row_of(session, campaign_id)
+    row = whole(session, campaign_id)
     query = select(UploadRow).where(UploadRow.campaign_id == campaign_id).order_by(UploadRow.id)
     uploads = [u for u in session.execute(query).scalars() if only is None or u.sha256 in only]
     if not uploads:

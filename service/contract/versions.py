@@ -3,70 +3,76 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
-from service.contract.references import Notes, RetiredAt, Title
-from service.contract.units import Strict
+from service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter, Remark
+from service.contract.joints import JointMotions
+from service.contract.references import RETIRED_AT, TITLE
+from service.contract.units import Deg, Listed, Mm, Stored, Strict
 
 
 class CorrectionLimits(Strict):
     """The largest correction a version may make; anything larger is refused, not clipped."""
 
-    max_joint_deg: Annotated[float, Field(gt=0, le=30)] = 1.0
-    max_position_mm: Annotated[float, Field(gt=0, le=200)] = 5.0
+    max_joint_deg: Annotated[Deg, Field(gt=0, le=30)] = Field(
+        1.0, description="Largest correction of a joint, degrees, above 0 to 30."
+    )
+    max_position_mm: Annotated[Mm, Field(gt=0, le=200)] = Field(
+        5.0, description="Largest correction of the tool, and of a joint that slides, mm, above 0 to 200."
+    )
 
 
-class UsedCampaign(Strict):
+class UsedCampaign(Stored):
     """A campaign a version was made from, and the hashes of its uploads."""
 
-    id: str
-    name: str
-    role: str
-    use: str
-    rows: int
-    sha256: list[str]
+    id: str = Field(description="Id of the campaign.")
+    name: str = Field(description="Name of the campaign.")
+    role: str = Field(description="What the campaign is meant for.")
+    use: str = Field(description="What it was used for: `train`, `validation` or `confirmation`.")
+    rows: int = Field(description="Rows it had then.")
+    sha256: list[str] = Field(description="SHA-256 of the files it had then.")
 
 
 class VersionSummary(Strict):
     """A version in a list; metrics are those of the identification."""
 
-    id: str
-    robot: str
-    active: bool
-    parent_id: str | None
-    job_id: str
-    created_at: datetime
-    code_version: str
-    effects: list[str]
-    metrics: dict[str, Any]
-    name: Title = ""
-    notes: Notes = ""
-    retired_at: RetiredAt = None
+    id: str = Field(description="Id of the version, `ver_` and 16 hexadecimal digits.")
+    robot: str = Field(description="Name of its robot.")
+    active: bool = Field(description="Whether the robot is corrected with it.")
+    parent_id: str | None = Field(description="The version it was started from; null: the robot as drawn.")
+    job_id: str = Field(description="The job that made it.")
+    created_at: datetime = Field(description="When it was made.")
+    code_version: str = Field(description="Release of Kilter that made it.")
+    effects: list[str] = Field(description="Ids of its effects.")
+    metrics: Metrics = Field(description="Errors on the rows fitted and on those held out.")
+    name: str = Field("", description=TITLE)
+    notes: str = Field("", description="What people noted on it.")
+    retired_at: datetime | None = Field(None, description=RETIRED_AT)
 
 
 class ActivationWish(Strict):
     """How to activate a version: ``force`` in spite of what speaks against it. The log keeps ``reason``."""
 
-    force: bool = False
-    reason: Annotated[str, Field(max_length=500)] = ""
+    force: bool = Field(False, description="Activate it in spite of what speaks against it.")
+    reason: Annotated[str, Field(max_length=500)] = Field("", description="Why, for the log; at most 500 characters.")
 
 
-class Objection(Strict):
+class Objection(Stored):
     """What speaks against activating a version."""
 
-    code: str
-    message: str
+    code: str = Field(description="Stable name of the objection.")
+    message: str = Field(description="What speaks against it, in words.")
 
 
 class Rival(Strict):
     """What a version is compared with. It is worse when its error is larger by more than ``margin_mm``."""
 
-    poses: int
-    mean_mm: float
-    larger_by_mm: float
-    margin_mm: float
+    poses: int = Field(description="Poses compared.")
+    mean_mm: Mm = Field(description="Mean error of the rival, mm.")
+    larger_by_mm: Mm = Field(description="By how much the version's mean error is larger, mm; below 0: it is smaller.")
+    margin_mm: Mm = Field(description="By how much it may be larger by chance, mm.")
 
 
 class Comparison(Strict):
@@ -75,13 +81,13 @@ class Comparison(Strict):
     ``active`` is null when no version was active, or when it cannot predict these rows or was fitted to all of them.
     """
 
-    rows: int
-    poses: int
-    campaigns: list[str]
-    mean_mm: float
-    registration_only: Rival
-    active_version: str | None
-    active: Rival | None
+    rows: int = Field(description="Rows compared.")
+    poses: int = Field(description="Poses they are at.")
+    campaigns: list[str] = Field(description="Ids of the campaigns they are from.")
+    mean_mm: Mm = Field(description="Mean error of the version, mm.")
+    registration_only: Rival = Field(description="The robot as drawn, base and tool fitted.")
+    active_version: str | None = Field(description="The version that was active.")
+    active: Rival | None = Field(description="The version that was active, on the rows it can be compared on.")
 
 
 class ActivatedVersion(VersionSummary):
@@ -91,11 +97,21 @@ class ActivatedVersion(VersionSummary):
     ``objections`` are what would have refused it without ``forced``. A roll-back is never compared.
     """
 
-    unsupported_effects: list[str]
-    forced: bool = False
-    objections: list[Objection] = []
-    compared: Comparison | None = None
-    warnings: list[dict[str, Any]] = []
+    unsupported_effects: list[str] = Field(description="Ids of its effects that are not corrected at run time.")
+    forced: bool = Field(False, description="Whether it was activated in spite of what speaks against it.")
+    objections: list[Objection] = Field([], description="What would have refused it without `force`.")
+    compared: Comparison | None = Field(None, description="How it was compared; null: there was nothing to compare on.")
+    warnings: list[Remark] = Field([], description="What the comparison left out.")
+
+
+class Details(FitDetails):
+    """What else the job of a version said. Which of it there is depends on the kind of job."""
+
+    held_out_fraction: float | None = Field(None, description="Share of the poses that a hunt held out unasked.")
+    measured_by: str | None = Field(
+        None, description="What joints were measured by: `inclinometer` or `link-side encoder`."
+    )
+    joints: list[JointMotions] | None = Field(None, description="What link-side encoders say of each joint.")
 
 
 class Version(VersionSummary):
@@ -105,63 +121,65 @@ class Version(VersionSummary):
     ``details`` is what else its job said: method, observability, correlated groups, influence, intervals.
     """
 
-    sha256: str
-    hash_scheme: Annotated[
-        int, Field(description="What `sha256` covers: 1 calibration and limits, 2 the robot's chain too", ge=1, le=2)
-    ]
-    robot_sha256: Annotated[str, Field(description="SHA-256 of the chain of the robot that the version was made on")]
-    campaigns: list[UsedCampaign]
-    limits: CorrectionLimits
-    parameters: list[dict[str, Any]]
-    null_directions: list[dict[str, Any]]
-    noise_mm: float | None
-    warnings: list[dict[str, Any]]
-    objections: list[Objection] = []
-    details: dict[str, Any]
-    covariance: dict[str, Any]
+    sha256: str = Field(description="SHA-256 of what the version holds, 64 hexadecimal digits.")
+    hash_scheme: Annotated[int, Field(ge=1, le=2)] = Field(
+        description="What `sha256` covers: 1 calibration and limits, 2 the robot's chain too."
+    )
+    robot_sha256: str = Field(
+        description="SHA-256 of the chain of the robot it was made on, 64 hexadecimal digits; empty: it could not be resolved."
+    )
+    campaigns: list[UsedCampaign] = Field(description="Campaigns it was made from.")
+    limits: CorrectionLimits = Field(description="The largest correction it may make.")
+    parameters: list[Parameter] = Field(description="Parameters that were identified.")
+    null_directions: list[NullDirection] = Field(description="What the data could not tell.")
+    noise_mm: Mm | None = Field(description="Standard deviation of a coordinate of the noise, mm.")
+    warnings: list[Remark] = Field(description="What to know before trusting it.")
+    objections: list[Objection] = Field([], description="What its own identification says against activating it.")
+    details: Details = Field(description="What else its job said.")
+    covariance: Covariance = Field(description="How well its parameters are known, SI.")
 
 
-class VersionList(Strict):
+class VersionList(Listed):
     """The versions of a robot, newest first."""
 
-    versions: list[VersionSummary]
+    versions: list[VersionSummary] = Field(description="Versions, newest first.")
 
 
 class Activation(Strict):
     """An entry of the log of active versions; ``objections`` were overruled where it was ``forced``."""
 
-    version_id: str
-    action: str
-    actor: str
-    at: datetime
-    forced: bool
-    reason: str
-    objections: list[Objection]
+    version_id: str = Field(description="The version that became active.")
+    action: str = Field(description="`activate` or `rollback`.")
+    actor: str = Field(description="Who did it.")
+    at: datetime = Field(description="When.")
+    forced: bool = Field(description="Whether it was forced.")
+    reason: str = Field(description="Why, as it was given.")
+    objections: list[Objection] = Field(description="What spoke against it.")
 
 
-class ActivationList(Strict):
+class ActivationList(Listed):
     """The log of active versions, newest first."""
 
-    activations: list[Activation]
+    activations: list[Activation] = Field(description="Entries, newest first.")
 
 
 class ParameterChange(Strict):
     """A parameter in two versions; null where a version does not have it."""
 
-    name: str
-    unit: str
-    a: float | None
-    b: float | None
-    change: float | None
+    name: str = Field(description="Name of the parameter; base and tool are whole frames, `base_x` ... `tool_rz`.")
+    unit: str = Field(description="Unit of the numbers.")
+    a: float | None = Field(description="Value in version a.")
+    b: float | None = Field(description="Value in version b.")
+    change: float | None = Field(description="b minus a.")
 
 
 class VersionDiff(Strict):
     """What differs from version a to version b."""
 
-    a: str
-    b: str
-    effects_added: list[str]
-    effects_removed: list[str]
-    parameters: list[ParameterChange]
-    metrics_a: dict[str, Any]
-    metrics_b: dict[str, Any]
+    a: str = Field(description="Id of version a.")
+    b: str = Field(description="Id of version b.")
+    effects_added: list[str] = Field(description="Ids of effects that only b has.")
+    effects_removed: list[str] = Field(description="Ids of effects that only a has.")
+    parameters: list[ParameterChange] = Field(description="All parameters of both, and how they differ.")
+    metrics_a: Metrics = Field(description="Errors of a.")
+    metrics_b: Metrics = Field(description="Errors of b.")

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from service.contract.units import Asked
 from service.contract.versions import CorrectionLimits
 
 if TYPE_CHECKING:
@@ -21,10 +22,13 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class JobInput:
-    """All a kind needs, loaded from the database. ``validation`` is what the job names: rows, a fraction, folds.
+    """All a kind needs, loaded from the database. ``options`` are those of the kind, as the contract has them.
+
+    ``validation`` is what the job names: rows, a fraction, folds.
     ``confirmation`` are campaigns in which what was found must be seen again.
 
-    ``devices`` are those of all campaigns. ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
+    ``devices`` and ``names`` are those of all campaigns, by id.
+    ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
     the version the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint
     readings of all the robot's campaigns, and ``origin``, the result of the job that made the version.
     """
@@ -32,12 +36,13 @@ class JobInput:
     robot: Robot
     campaigns: dict[str, Observations]
     validation: dict[str, Observations] | float | int | None
-    options: dict[str, Any]
+    options: Any
     version_id: str | None = None
     calibration: Calibration | None = None
     covariance: dict[str, Any] | None = None
     report: dict[str, Any] | None = None
     devices: dict[str, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
     driven: NDArray[np.float64] | None = None
     origin: dict[str, Any] | None = None
     confirmation: dict[str, Observations] = field(default_factory=dict)
@@ -65,7 +70,8 @@ class JobOutput:
 class JobKind:
     """A kind of job.
 
-    ``check`` refuses options at once, before the job is queued; it raises a CoreError. ``run`` computes: it gets
+    ``options`` is the contract's model of them. ``check`` refuses at once, before the job is queued, what that model
+    cannot say (which options go together); it raises a CoreError. ``run`` computes: it gets
     ``progress(fraction, stage)``, which raises ``CancelledError`` when the job was cancelled, and must call it at
     least once a second. Both import core inside, for the API process lists the kinds without it. ``version_option``
     names the option that holds a version; ``needs_campaigns``, ``takes_folds`` and ``takes_confirmation`` say what a
@@ -75,7 +81,8 @@ class JobKind:
     """
 
     name: str
-    check: Callable[[dict[str, Any]], None]
+    options: type[Asked]
+    check: Callable[[Any], None]
     run: Callable[[JobInput, Progress], JobOutput]
     version_option: str | None = None
     needs_campaigns: bool = True

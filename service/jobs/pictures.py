@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-Document = dict[str, Any]
-
-GREY, BLUE, RED, GREEN = "#9aa0a6", "#1f6fb2", "#c0392b", "#2e8b57"
+from service.jobs.drawing import BLUE, FRAME_PX, GREEN, GREY, ORANGE, RED, ROW_PX, Document, apart, layout, lying
 
 
 def pictures(report: Mapping[str, Any]) -> dict[str, Document]:
@@ -29,58 +27,74 @@ def pictures(report: Mapping[str, Any]) -> dict[str, Document]:
     return drawn
 
 
-def _layout(title: str, x: str, y: str) -> Document:
-    return {"title": {"text": title}, "xaxis": {"title": {"text": x}}, "yaxis": {"title": {"text": y}}}
-
-
 def _gap_bar(bars: Sequence[Mapping[str, Any]], unit: str) -> Document:
-    colours = [RED, *[BLUE] * (len(bars) - 2), GREY]
-    trace = {
-        "type": "bar", "x": [b["label"] for b in bars], "y": [b["value"] for b in bars], "marker": {"color": colours},
-    }  # fmt: skip
-    return {"data": [trace], "layout": _layout("The gap, step by step", "", f"rms error, {unit}")}
+    """Error after each step; rows that took no part in the fit beside those that did."""
+    labels = apart([bar["label"] for bar in bars])
+
+    def trace(name: str, key: str, colour: str) -> Document:
+        return {
+            "type": "bar", "orientation": "h", "name": name, "y": labels, "x": [bar[key] for bar in bars],
+            "marker": {"color": [colour] * (len(bars) - 1) + [GREY]}, "showlegend": True,
+        }  # fmt: skip
+
+    data = [trace("rows that were fitted", "value", BLUE)]
+    if bars[0]["held_out"] is not None:
+        data.append(trace("held-out rows", "held_out", ORANGE))
+    title = "The gap, step by step: what is left with each effect added to those above it"
+    return {"data": data, "layout": lying(title, f"rms error, {unit}", labels, len(data), barmode="group")}
 
 
 def _by_angle(one: Mapping[str, Any], unit: str) -> Document:
-    def points(name: str, y: str, colour: str, mode: str = "markers") -> Document:
-        look = {"marker": {"color": colour, "size": 4}} if mode == "markers" else {"line": {"color": colour}}
-        return {"type": "scatter", "mode": mode, "name": name, "x": one["q_deg"], "y": one[y], **look}
+    def points(name: str, y: str, colour: str) -> Document:
+        return {
+            "type": "scatter", "mode": "markers", "name": name, "x": one["q_deg"], "y": one[y],
+            "marker": {"color": colour, "size": 4},
+        }  # fmt: skip
 
-    data = [points("before", "before", GREY), points("after", "after", BLUE)]
+    joint = one["joint"]
+    data = [points("residual before", "before", GREY), points("residual after", "after", BLUE)]
     if any(one["curve"]):
-        data.append(points("fitted", "curve", RED, "markers"))
-    title = f"Residual along what joint {one['joint']} moves"
-    return {"data": data, "layout": _layout(title, f"joint {one['joint']}, deg", f"residual, {unit}")}
+        data.append(points(f"what the effects named at joint {joint} move there", "curve", RED))
+    title = f"Residual along what joint {joint} moves, before and after its effects are fitted"
+    return {"data": data, "layout": layout(title, f"joint {joint}, deg", f"residual, {unit}")}
 
 
-def _by_label(rows: Sequence[Mapping[str, Any]], title: str, unit: str) -> Document:
-    names = [("" if r["joint"] is None else f"j{r['joint']}: ") + f"{r['value']:g}" for r in rows]
+def _by_label(rows: Sequence[Mapping[str, Any]], what: str, unit: str) -> Document:
+    names = [("" if r["joint"] is None else f"joint {r['joint']}: ") + f"{r['value']:g}" for r in rows]
 
     def bars(name: str, colour: str) -> Document:
         spread = {"type": "data", "array": [r[f"{name}_sd"] for r in rows]}
         return {
-            "type": "bar", "name": name, "x": names, "y": [r[f"{name}_mean"] for r in rows], "error_y": spread,
-            "marker": {"color": colour},
+            "type": "bar", "orientation": "h", "name": name, "y": names, "x": [r[f"{name}_mean"] for r in rows],
+            "error_x": spread, "marker": {"color": colour},
         }  # fmt: skip
 
-    layout = _layout(f"Residual by {title[0].lower()}{title[1:]}", title, f"residual, {unit}")
-    return {"data": [bars("before", GREY), bars("after", BLUE)], "layout": layout | {"barmode": "group"}}
+    title = f"Residual by {what[0].lower()}{what[1:]}: mean and standard deviation"
+    made = lying(title, f"residual, {unit}", names, 2, barmode="group")
+    made["yaxis"]["title"] = {"text": what}
+    return {"data": [bars("before", GREY), bars("after", BLUE)], "layout": made}
 
 
 def _contribution(rows: Sequence[Mapping[str, Any]], unit: str) -> Document:
+    labels = apart([r["label"] for r in rows])
+
     def bars(name: str, colour: str) -> Document:
         return {
-            "type": "bar", "name": name, "x": [r["label"] for r in rows], "y": [r[name] for r in rows],
+            "type": "bar", "orientation": "h", "name": name, "y": labels, "x": [r[name] for r in rows],
             "marker": {"color": colour},
         }  # fmt: skip
 
-    layout = _layout("Displacement by each named effect", "", unit)
-    return {"data": [bars("rms", GREEN), bars("largest", GREY)], "layout": layout | {"barmode": "group"}}
+    made = lying("How far each named effect moves the tool", f"displacement, {unit}", labels, 2, barmode="group")
+    return {"data": [bars("rms", GREEN), bars("largest", GREY)], "layout": made}
 
 
 def _aliases(matrix: Mapping[str, Any]) -> Document:
+    labels = apart(matrix["labels"])
     trace = {
-        "type": "heatmap", "x": matrix["labels"], "y": matrix["labels"], "z": matrix["values"], "zmin": 0, "zmax": 1,
-        "colorscale": "Blues",
+        "type": "heatmap", "x": labels, "y": labels, "z": matrix["values"], "zmin": 0, "zmax": 1, "colorscale": "Blues",
     }  # fmt: skip
-    return {"data": [trace], "layout": _layout("How alike signatures are after the geometry is fitted", "", "")}
+    side = FRAME_PX + 120 + ROW_PX * max(8, len(labels))
+    made = layout("How alike signatures are after the geometry is fitted", "", "", width=side + 80, height=side)
+    made["xaxis"] |= {"automargin": True, "tickangle": -60}
+    made["yaxis"] |= {"autorange": "reversed"}
+    return {"data": [trace], "layout": made}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
@@ -13,10 +13,11 @@ from service.contract.jobs.job import Job, JobList, NewJob
 from service.jobs import service
 from service.jobs.events import events
 from service.jobs.queue import JobQueue
-from service.routing import GuardedRoute
+from service.jobs.request import JobRoute
+from service.page_query import PageOfJobs
 from service.state import DatabaseOfApp
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=GuardedRoute)
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=JobRoute)
 
 
 def queue_of(request: Request) -> JobQueue:
@@ -37,11 +38,9 @@ def submit(job: NewJob, response: Response, database: DatabaseOfApp, queue: Queu
 
 
 @router.get("")
-def listed(
-    database: DatabaseOfApp, robot: str | None = None, limit: Annotated[int, Query(ge=1, le=1000)] = 100
-) -> JobList:
+def listed(database: DatabaseOfApp, page: PageOfJobs, robot: str | None = None) -> JobList:
     """List the newest jobs."""
-    return service.listed(database, robot, limit)
+    return service.listed(database, robot, page)
 
 
 @router.get("/{job}")

@@ -17,6 +17,7 @@ from service.db import Database
 from service.jobs import store
 from service.jobs.kind import JobKind, VersionContent
 from service.jobs.registry import kind_of
+from service.versions.objections import objections_of
 
 log = logging.getLogger("kilter.worker")
 
@@ -55,7 +56,7 @@ class Runner:
 
     def _kind(self, job_id: str) -> JobKind:
         with self._database.reading() as session:
-            return kind_of(store.row_of(session, job_id).kind)
+            return kind_of(store.get(session, job_id).kind)
 
     def _compute(self, job_id: str, tell: Teller) -> Outcome:
         kind = self._kind(job_id)
@@ -78,7 +79,9 @@ class Runner:
         with self._database.transaction() as session:
             if outcome["state"] == "succeeded":
                 version = _as_content(outcome["version"])
-                store.succeed(session, job_id, outcome["result"], version, outcome.get("used"))
+                said = [] if version is None else objections_of(version.report, version.limits)
+                objections = [objection.model_dump() for objection in said]
+                store.succeed(session, job_id, outcome["result"], version, outcome.get("used"), objections)
             elif outcome["state"] == "failed":
                 store.fail(session, job_id, outcome["code"], outcome["message"])
             elif outcome["state"] == "cancelled":

@@ -8,10 +8,11 @@ from service.campaigns import store as campaigns
 from service.contract.jobs.job import FINAL, Folds, Job, JobList, NewJob
 from service.db import Database, Session
 from service.errors import ServiceError
-from service.jobs import store
+from service.jobs import store, wire
 from service.jobs.kind import JobKind
 from service.jobs.queue import JobQueue
 from service.jobs.registry import kind_of
+from service.paging import Page, in_time
 from service.references import store as references
 from service.robots import store as robots
 from service.versions import store as versions
@@ -47,7 +48,7 @@ def _checked(session: Session, job: NewJob, kind: JobKind) -> int:
         references.check_name(session, "job", robot_id, job.name)
         references.check_name(session, "version", robot_id, job.name)
     _check_campaigns(session, robot_id, job, kind)
-    version = job.options.get(kind.version_option) if kind.version_option else None
+    version = getattr(job.options, kind.version_option) if kind.version_option else None
     if version is not None:
         _check_version(session, robot_id, str(version))
     return robot_id
@@ -56,13 +57,13 @@ def _checked(session: Session, job: NewJob, kind: JobKind) -> int:
 def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind) -> None:
     held = job.validation if isinstance(job.validation, list) else []
     for campaign in [*job.campaigns, *held, *job.confirmation]:
-        if campaigns.usable_row_of(session, campaign).robot_id != robot_id:
+        if campaigns.usable(session, campaign).robot_id != robot_id:
             raise ServiceError(
                 f"Campaign {campaign} is not of robot {job.robot!r}: name campaigns of that robot.",
                 code="campaigns_invalid",
                 campaign=campaign,
             )
-    others = [name for name in kind.instead_of_campaigns if job.options.get(name)]
+    others = [name for name in kind.instead_of_campaigns if getattr(job.options, name)]
     if not job.campaigns and kind.needs_campaigns and not others:
         instead = "".join(f", or {name} in `options`" for name in kind.instead_of_campaigns)
         raise ServiceError(
@@ -115,20 +116,22 @@ def _hashes(session: Session, ids: list[str]) -> dict[str, str]:
 
 
 def _check_version(session: Session, robot_id: int, version: str) -> None:
-    if versions.usable_row_of(session, version).robot_id != robot_id:
+    if versions.usable(session, version).robot_id != robot_id:
         raise ServiceError(f"Version {version} is of another robot.", code="option_invalid", version=version)
 
 
 def get(database: Database, job_id: str) -> Job:
     """Return a job."""
     with database.reading() as session:
-        return store.get(session, job_id)
+        return wire.job(store.get(session, job_id))
 
 
-def listed(database: Database, robot: str | None, limit: int) -> JobList:
+def listed(database: Database, robot: str | None, page: Page) -> JobList:
     """List the newest jobs."""
     with database.reading() as session:
-        return JobList(jobs=store.listed(session, robot, limit))
+        found = store.listed(session, robot, page)
+    shown, cursor = page.cut(found, lambda job: in_time(job.created_at, job.id))
+    return JobList(jobs=[wire.summary(job) for job in shown], next=cursor)
 
 
 def cancel(database: Database, queue: JobQueue, job_id: str) -> Job:
@@ -139,7 +142,7 @@ def cancel(database: Database, queue: JobQueue, job_id: str) -> Job:
 
     """
     with database.transaction() as session:
-        row = store.row_of(session, job_id)
+        row = store.get(session, job_id)
         if row.state in FINAL and row.state != "cancelled":
             raise ServiceError(f"Job {job_id} has {row.state}: there is nothing to cancel.", code="job_finished")
         never_began = store.request_cancel(session, job_id)

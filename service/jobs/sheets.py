@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from core.errors import ObservationError, OptionError
+from core.errors import ObservationError
 from service.jobs.setups import LAID_ANEW
 
 if TYPE_CHECKING:
@@ -15,18 +15,7 @@ if TYPE_CHECKING:
     from core.observations import Observations
     from core.robot import Robot
 
-OPTION, CHECKED, GIVEN = "sheet_order", "checked", "given"
-
-
-def check_option(value: object) -> None:
-    """Refuse another value of the option than there is.
-
-    Raises:
-        OptionError: it is neither "checked" nor "given".
-
-    """
-    if value not in (None, CHECKED, GIVEN):
-        raise OptionError(f'{OPTION} is {value!r}: give "{CHECKED}" or "{GIVEN}".', option=OPTION, value=value)
+OPTION, GIVEN = "sheet_order", "given"
 
 
 def doubts(

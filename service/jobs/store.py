@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import timedelta
 from typing import Any
 
-from sqlalchemy import select, update
+from sqlalchemy import and_, or_, select, update
 
 from service.campaigns import store as campaigns
-from service.contract.jobs.job import FINAL, Folds, Job, JobError, JobSummary, NewJob, Progress
+from service.contract.jobs.job import FINAL, NewJob
 from service.db import Session
 from service.db.tables import JobRow, RobotRow, VersionRow, now
 from service.errors import ServiceError
+from service.jobs.drawing import signed
 from service.jobs.kind import JobInput, VersionContent
+from service.jobs.records import JobRecord, JobRequest
+from service.jobs.refusals import read_options
 from service.jobs.registry import kind_of
+from service.paging import Page
 from service.robots import store as robots
 from service.version import code_version
 from service.versions import store as versions
-from service.versions.objections import objections_of
 from service.versions.store import NewVersion
 
 
@@ -38,13 +42,7 @@ def add(session: Session, robot_id: int, job: NewJob) -> str:
     return row.id
 
 
-def row_of(session: Session, job_id: str) -> JobRow:
-    """Return the row of a job.
-
-    Raises:
-        ServiceError: there is none.
-
-    """
+def _row(session: Session, job_id: str) -> JobRow:
     row = session.get(JobRow, job_id)
     if row is None:
         raise ServiceError(
@@ -53,41 +51,45 @@ def row_of(session: Session, job_id: str) -> JobRow:
     return row
 
 
-def get(session: Session, job_id: str) -> Job:
-    """Return a job with its result."""
-    row = row_of(session, job_id)
-    request = NewJob(**row.request)
-    return Job(
-        **_summary(session, row).model_dump(),
-        campaigns=request.campaigns,
-        validation=request.validation,
-        confirmation=request.confirmation,
-        options=request.options,
-        attempts=row.attempts,
-        result=row.result,
-    )
+def get(session: Session, job_id: str) -> JobRecord:
+    """Return a job.
+
+    Raises:
+        ServiceError: there is none.
+
+    """
+    return _record(session, _row(session, job_id))
 
 
-def listed(session: Session, robot: str | None, limit: int) -> list[JobSummary]:
-    """Return the newest jobs, of one robot or of all."""
-    query = select(JobRow).order_by(JobRow.created_at.desc(), JobRow.id).limit(limit)
+def listed(session: Session, robot: str | None, page: Page) -> list[JobRecord]:
+    """Return the newest jobs, of one robot or of all, one more than the page shows."""
+    row = JobRow
+    query = select(row).order_by(row.created_at.desc(), row.id)
     if robot is not None:
-        query = query.where(JobRow.robot_id == robots.get(session, robot).id)
-    return [_summary(session, row) for row in session.execute(query).scalars()]
+        query = query.where(row.robot_id == robots.get(session, robot).id)
+    if page.moment is not None:
+        moment, key = page.moment
+        query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
+    return [_record(session, found) for found in session.execute(query.limit(page.fetched)).scalars()]
 
 
-def _summary(session: Session, row: JobRow) -> JobSummary:
-    return JobSummary(
+def _record(session: Session, row: JobRow) -> JobRecord:
+    return JobRecord(
         id=row.id,
         kind=row.kind,
+        robot_id=row.robot_id,
         robot=session.get_one(RobotRow, row.robot_id).name,
         name=row.name,
         state=row.state,
-        progress=Progress(fraction=row.fraction, stage=row.stage),
-        error=None if row.error is None else JobError(**row.error),
+        fraction=row.fraction,
+        stage=row.stage,
+        error=row.error,
         created_at=row.created_at,
         started_at=row.started_at,
         finished_at=row.finished_at,
+        request=JobRequest.of(row.request),
+        attempts=row.attempts,
+        result=row.result,
     )
 
 
@@ -101,7 +103,7 @@ def request_cancel(session: Session, job_id: str) -> bool:
 
 def begin(session: Session, job_id: str) -> int:
     """Note that a worker works on the job now; returns which attempt this is, 0 when the job is over already."""
-    row = row_of(session, job_id)
+    row = _row(session, job_id)
     if row.state in FINAL:
         return 0
     row.state, row.attempts, row.started_at = "running", row.attempts + 1, row.started_at or now()
@@ -124,28 +126,29 @@ def unfinished(session: Session, older_than_s: float) -> list[tuple[str, str]]:
 
 def load(session: Session, job_id: str) -> JobInput:
     """Load all a job needs."""
-    row = row_of(session, job_id)
-    request, kind = NewJob(**row.request), kind_of(row.kind)
+    row = _row(session, job_id)
+    request, kind = JobRequest.of(row.request), kind_of(row.kind)
     robot = robots.core_robot(session, row.robot_id)
     named = request.options.get(kind.version_option) if kind.version_option else None
     if named is None and kind.version_option == "version":
-        active = versions.active_row(session, row.robot_id)
+        active = versions.active_entry(session, row.robot_id)
         named = None if active is None else active.version_id
-    validation = request.validation
+    held = request.validation
     return JobInput(
         robot=robot,
         campaigns={c: campaigns.observations(session, c, robot) for c in request.campaigns},
-        validation=validation.folds
-        if isinstance(validation, Folds)
-        else {c: campaigns.observations(session, c, robot) for c in validation}
-        if isinstance(validation, list)
-        else validation,
-        options=request.options,
+        validation=request.folds
+        if isinstance(held, dict)
+        else {c: campaigns.observations(session, c, robot) for c in held}
+        if isinstance(held, list)
+        else held,
+        options=read_options(row.kind, request.options),
         version_id=named,
         calibration=None if named is None else versions.calibration(session, named),
         covariance=None if named is None else versions.covariance(session, named),
-        report=None if named is None else dict(versions.row_of(session, named).report),
-        devices={c: campaigns.device(session, c) for c in (*request.campaigns, *_listed(validation))},
+        report=None if named is None else dict(versions.get(session, named).report),
+        names={c: campaigns.get(session, c).name for c in (*request.campaigns, *request.held)},
+        devices={c: campaigns.device(session, c) for c in (*request.campaigns, *request.held)},
         driven=campaigns.driven(session, row.robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
         confirmation={c: campaigns.observations(session, c, robot) for c in request.confirmation},
@@ -159,36 +162,35 @@ def _origin(session: Session, version_id: str) -> dict[str, Any] | None:
     return None if job is None else job.result
 
 
-def _listed(validation: object) -> list[str]:
-    return validation if isinstance(validation, list) else []
-
-
 def succeed(
     session: Session,
     job_id: str,
     result: dict[str, Any],
     content: VersionContent | None,
     used: list[dict[str, Any]] | None = None,
+    objections: Sequence[Mapping[str, str]] = (),
 ) -> None:
     """Store the result and the version of a job; a job that is over already is left alone.
 
-    ``used`` are the campaigns as they were when the job read them (None: as they are now).
+    ``used`` are the campaigns as they were when the job read them (None: as they are now), ``objections`` what the job
+    says against activating its version.
     """
-    row = row_of(session, job_id)
+    row = _row(session, job_id)
     if row.state in FINAL:
         return
     if content is not None:
         used = used_by(session, job_id) if used is None else used
         version_id = versions.add(session, row.robot_id, job_id, _version(row, content, used))
-        objections = objections_of(content.report, content.limits)
-        result = {**result, "version_id": version_id, "objections": [o.model_dump() for o in objections]}
+        result = {**result, "version_id": version_id, "objections": [dict(one) for one in objections]}
+        robot = session.get_one(RobotRow, row.robot_id).name
+        result |= {"figures": signed(result["figures"], robot, used, version_id)} if "figures" in result else {}
     row.result = result
     _finish(row, "succeeded", "done", 1.0)
 
 
 def fail(session: Session, job_id: str, code: str, message: str) -> None:
     """Store why a job failed; a job that is over already is left alone."""
-    row = row_of(session, job_id)
+    row = _row(session, job_id)
     if row.state not in FINAL:
         row.error = {"code": code, "message": message}
         _finish(row, "failed", "failed", row.fraction)
@@ -196,7 +198,7 @@ def fail(session: Session, job_id: str, code: str, message: str) -> None:
 
 def cancel(session: Session, job_id: str) -> None:
     """Store that a job was cancelled; a job that is over already is left alone."""
-    row = row_of(session, job_id)
+    row = _row(session, job_id)
     if row.state not in FINAL:
         _finish(row, "cancelled", "cancelled", row.fraction)
 
@@ -207,15 +209,15 @@ def _finish(row: JobRow, state: str, stage: str, fraction: float) -> None:
 
 def used_by(session: Session, job_id: str) -> list[dict[str, Any]]:
     """Return the campaigns a job uses, with the hashes of what was uploaded so far."""
-    request = NewJob(**row_of(session, job_id).request)
+    request = JobRequest.of(_row(session, job_id).request)
     named = {
-        "train": request.campaigns, "validation": _listed(request.validation), "confirmation": request.confirmation,
+        "train": request.campaigns, "validation": request.held, "confirmation": request.confirmation,
     }  # fmt: skip
     return [_used(session, campaign, use) for use, campaigns_ in named.items() for campaign in campaigns_]
 
 
 def _version(row: JobRow, content: VersionContent, used: list[dict[str, Any]]) -> NewVersion:
-    request, kind = NewJob(**row.request), kind_of(row.kind)
+    request, kind = JobRequest.of(row.request), kind_of(row.kind)
     fields = {key: value for key, value in asdict(content).items() if key != "limits"}
     return NewVersion(
         **fields,
@@ -223,17 +225,17 @@ def _version(row: JobRow, content: VersionContent, used: list[dict[str, Any]]) -
         campaigns=used,
         parent_id=request.options.get(kind.version_option) if kind.version_option else None,
         code_version=code_version(),
-        name=request.name,
+        name=row.name,
     )
 
 
 def _used(session: Session, campaign_id: str, use: str) -> dict[str, Any]:
-    campaign = campaigns.get(session, campaign_id)
+    campaign, uploads = campaigns.get(session, campaign_id), campaigns.uploads_of(session, campaign_id)
     return {
         "id": campaign.id,
         "name": campaign.name,
         "role": campaign.role,
         "use": use,
-        "rows": campaign.rows,
-        "sha256": [upload.sha256 for upload in campaign.uploads],
+        "rows": sum(upload.rows for upload in uploads),
+        "sha256": [upload.sha256 for upload in uploads],
     }

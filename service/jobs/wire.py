@@ -1,43 +1,71 @@
-"""What several kinds of job share: limits of the version they make, and numbers that JSON can hold."""
+"""Jobs as they go over the wire."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from pydantic import ValidationError
+from pydantic import BaseModel
 
-from core.errors import OptionError
-from service.contract.versions import CorrectionLimits
+from service.contract.jobs.evaluate import EvaluateResult
+from service.contract.jobs.gap import GapResult
+from service.contract.jobs.identify import IdentifyResult
+from service.contract.jobs.job import (
+    EvaluateJob,
+    GapJob,
+    IdentifyJob,
+    Job,
+    JobError,
+    JobSummary,
+    JointParametersJob,
+    PlanJob,
+    Progress,
+)
+from service.contract.jobs.joint_parameters import JointParametersResult
+from service.contract.jobs.plan import PlanResult
+from service.contract.units import Asked
+from service.contract.written import as_written
+from service.jobs.records import JobRecord
+from service.jobs.registry import kind_of
+
+ANSWERS: dict[str, tuple[type[Job], type[BaseModel]]] = {
+    "identify": (IdentifyJob, IdentifyResult),
+    "gap": (GapJob, GapResult),
+    "evaluate": (EvaluateJob, EvaluateResult),
+    "plan": (PlanJob, PlanResult),
+    "joint_parameters": (JointParametersJob, JointParametersResult),
+}
 
 
-def version_limits(limits: Any) -> CorrectionLimits:
-    """Read the option ``limits`` of a kind that makes a version.
+def job(record: JobRecord) -> Job:
+    """Say all of a job; what an earlier release wrote otherwise is left out."""
+    answer, result = ANSWERS[record.kind]
+    options: Asked = as_written(kind_of(record.kind).options, record.request.options)
+    return answer(
+        **_told(record),
+        campaigns=record.request.campaigns,
+        validation=record.request.validation,
+        confirmation=record.request.confirmation,
+        options=options,
+        attempts=record.attempts,
+        result=None if record.result is None else as_written(result, record.result),
+    )
 
-    Raises:
-        OptionError: a limit that does not exist or cannot be.
 
-    """
-    try:
-        return CorrectionLimits.model_validate(limits or {})
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise OptionError(f"options.limits.{place}: {first['msg']}.", option="limits") from error
+def summary(record: JobRecord) -> JobSummary:
+    """Say what lists tell of a job."""
+    return JobSummary(**_told(record))
 
 
-def plain(value: Any) -> Any:
-    """Return a document with Python's own types, and None where a number is not finite."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(part) for part in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def _told(record: JobRecord) -> dict[str, Any]:
+    return {
+        "id": record.id,
+        "kind": record.kind,
+        "robot": record.robot,
+        "name": record.name,
+        "state": record.state,
+        "progress": Progress(fraction=record.fraction, stage=record.stage),
+        "error": None if record.error is None else JobError(**record.error),
+        "created_at": record.created_at,
+        "started_at": record.started_at,
+        "finished_at": record.finished_at,
+    }

@@ -27,7 +27,7 @@ def restore(row: Retirable) -> None:
     row.retired_at, row.retired_by = None, ""
 
 
-def refuse_retired(kind: str, id_: str, retired_at: datetime | None) -> None:
+def refuse(kind: str, id_: str, retired_at: datetime | None) -> None:
     """Refuse to work with what is retired.
 
     Raises:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Literal
 
-from service.contract.references import Kind, Reference, TombstoneList
+from service.contract.references import By, Kind, ResolvedReference, TombstoneList
 from service.db import Database, Session
 from service.errors import ServiceError
-from service.references import store
+from service.paging import Page, in_time
+from service.references import store, wire
 from service.references.store import LATEST, PREFIXES, Found
 from service.robots import store as robots
 
@@ -17,7 +17,7 @@ HEXADECIMAL = re.compile("[0-9a-f]+")
 MOST_NAMED = 10
 
 
-def resolve(database: Database, kind: Kind, reference: str, robot: str | None) -> Reference:
+def resolve(database: Database, kind: Kind, reference: str, robot: str | None) -> ResolvedReference:
     """Find what a reference stands for, among those of one robot or of all.
 
     A name goes before the prefix of an id, for somebody chose it; what is in use goes before what is retired.
@@ -38,7 +38,7 @@ def resolve(database: Database, kind: Kind, reference: str, robot: str | None) -
         text = reference.removeprefix(PREFIXES[kind])
         found = store.beginning_with(session, kind, robot_id, reference) if HEXADECIMAL.fullmatch(text) else []
         exact = [one for one in found if one.id == reference]
-        by: Literal["id", "prefix"] = "id" if exact else "prefix"
+        by: By = "id" if exact else "prefix"
         return _one(session, kind, reference, robot, robot_id, exact or found, by)
 
 
@@ -53,13 +53,13 @@ def _one(
     robot: str | None,
     robot_id: int | None,
     found: Sequence[Found],
-    by: Literal["id", "prefix", "name", "latest"],
-) -> Reference:
+    by: By,
+) -> ResolvedReference:
     if not found:
         raise _nothing(session, kind, reference, robot, robot_id)
     if len(found) > 1:
         raise _several(kind, reference, found, by)
-    return Reference(kind=kind, id=found[0].id, robot=found[0].robot, name=found[0].name, by=by)
+    return ResolvedReference(kind=kind, id=found[0].id, robot=found[0].robot, name=found[0].name, by=by)
 
 
 def _nothing(session: Session, kind: Kind, reference: str, robot: str | None, robot_id: int | None) -> ServiceError:
@@ -95,7 +95,9 @@ def _told(one: Found, with_robot: bool) -> str:
     return f"{one.id}{name}" + (f" of robot {one.robot!r}" if with_robot else "")
 
 
-def tombstones(database: Database, robot: str | None) -> TombstoneList:
+def tombstones(database: Database, robot: str | None, page: Page) -> TombstoneList:
     """Return what was purged."""
     with database.reading() as session:
-        return TombstoneList(tombstones=store.tombstones(session, robot))
+        found = store.tombstones(session, robot, page)
+    shown, cursor = page.cut(found, lambda tombstone: in_time(tombstone.at, tombstone.id))
+    return TombstoneList(tombstones=[wire.tombstone(one) for one in shown], next=cursor)

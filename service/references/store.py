@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from datetime import datetime
 from typing import NamedTuple
 
-from sqlalchemy import ColumnElement, Select, and_, func, select
+from sqlalchemy import ColumnElement, Select, and_, func, or_, select
 
-from service.contract.references import Kind, Tombstone
+from service.contract.references import Kind
 from service.db import Session
 from service.db.tables import CampaignRow, JobRow, RobotRow, TombstoneRow, VersionRow
 from service.errors import ServiceError
+from service.paging import Page
+from service.references.records import TombstoneRecord, Whose
 
 Table = type[CampaignRow] | type[VersionRow] | type[JobRow]
 TABLES: Mapping[Kind, Table] = {"campaign": CampaignRow, "version": VersionRow, "job": JobRow}
@@ -120,19 +123,24 @@ def free_name(session: Session, kind: Kind, robot_id: int, name: str) -> str:
     return tried
 
 
-def bury(session: Session, tombstone: Tombstone) -> None:
+def bury(session: Session, record: TombstoneRecord) -> None:
     """Keep what is left of something that is purged."""
-    session.add(TombstoneRow(**tombstone.model_dump()))
+    session.add(TombstoneRow(**asdict(record)))
 
 
-def tombstones(session: Session, robot: str | None = None) -> list[Tombstone]:
-    """Return what was purged, newest first."""
-    query = select(TombstoneRow).order_by(TombstoneRow.at.desc(), TombstoneRow.id)
-    rows = session.execute(query if robot is None else query.where(TombstoneRow.robot == robot)).scalars()
-    return [_tombstone(row) for row in rows]
+def tombstones(session: Session, robot: str | None, page: Page) -> list[TombstoneRecord]:
+    """Return what was purged, newest first, one more than the page shows."""
+    row = TombstoneRow
+    query = select(row).order_by(row.at.desc(), row.id)
+    if robot is not None:
+        query = query.where(row.robot == robot)
+    if page.moment is not None:
+        moment, key = page.moment
+        query = query.where(or_(row.at < moment, and_(row.at == moment, row.id > key)))
+    return [_tombstone(found) for found in session.execute(query.limit(page.fetched)).scalars()]
 
 
-def tombstone_of(session: Session, kind: str, id_: str) -> Tombstone | None:
+def tombstone_of(session: Session, kind: str, id_: str) -> TombstoneRecord | None:
     """Return what is left of something that was purged, if it was."""
     query = select(TombstoneRow).where(TombstoneRow.kind == kind, TombstoneRow.id == id_)
     row = session.execute(query.order_by(TombstoneRow.at.desc()).limit(1)).scalar_one_or_none()
@@ -147,10 +155,9 @@ def gone(session: Session, kind: str, id_: str) -> str:
     return f" It was purged by {found.by} on {found.at:%Y-%m-%d %H:%M} UTC (sha256 {found.sha256[:12]})."
 
 
-def _tombstone(row: TombstoneRow) -> Tombstone:
-    return Tombstone(
-        id=row.id, kind=row.kind, robot=row.robot, name=row.name, sha256=row.sha256, by=row.by, at=row.at
-    )  # fmt: skip
+def _tombstone(row: TombstoneRow) -> TombstoneRecord:
+    kind: Whose = row.kind  # type: ignore[assignment]  # checked when it was stored, and again by the model
+    return TombstoneRecord(row.id, kind, row.robot, row.name, row.sha256, row.by, row.at)
 
 
 def count_of(session: Session, kind: Kind, robot_id: int) -> int:

@@ -16,8 +16,8 @@ from service.contract.robot_reports import AxisReport, RobotCheck, Zero
 from service.contract.robots import RobotDocument
 from service.contract.units import Pose
 from service.robots.documents import core_document
-from service.robots.service import joint_summary
 from service.robots.suspicion import suspicions
+from service.robots.wire import joint_summary
 
 if TYPE_CHECKING:
     from core.robot import Robot

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from core.circle_points import AxisFit, robot_from_circles
-from core.errors import ObservationError
+from core.errors import ObservationError, OptionError
 from service.campaigns import reading
 from service.campaigns.assemble import observations
 from service.campaigns.columns import read_columns
@@ -22,8 +23,15 @@ from service.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_ROWS
 JOINT = re.compile(r"q([1-9][0-9]?)_(deg|rad|mm|m)")
 
 
-def found_robot(path: Path, media: str, name: str, convention: Target, frame: str) -> FoundRobot:
+FOLLOWS = re.compile(r"j([1-9][0-9]?)=j([1-9][0-9]?)")
+
+
+def found_robot(
+    path: Path, media: str, name: str, convention: Target, frame: str, follows: Sequence[str] = ()
+) -> FoundRobot:
     """Read a table (``q1_deg`` or ``q1_mm`` ..., and ``x_mm`` ... or markers) and find the robot whose joints moved in it.
+
+    ``follows`` are pairs "j3=j2" of joints that are read against the horizontal.
 
     Raises:
         ObservationError: the table cannot be read, or shows no axes. TooFewPosesError: too few rows of a joint.
@@ -39,10 +47,33 @@ def found_robot(path: Path, media: str, name: str, convention: Target, frame: st
         raise ObservationError("Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ... .")
     slides = np.array([kind == "prismatic" for kind in kinds])
     found = robot_from_circles(
-        rows.q, slides, points.reshape(len(rows), -1, 3), rows.tip, name=name, convention=convention, frame=frame
+        rows.q,
+        slides,
+        points.reshape(len(rows), -1, 3),
+        rows.tip,
+        name=name,
+        convention=convention,
+        frame=frame,
+        follows=_follows(follows),
     )
     axes = [_axis(k, fit) for k, fit in enumerate(found.axes)]
     return FoundRobot(robot=_document(found.document), axes=axes, rms_mm=found.rms * 1e3)
+
+
+def _follows(pairs: Sequence[str]) -> dict[int, int]:
+    """Follower -> leader, from 0.
+
+    Raises:
+        OptionError: a pair that is not written j3=j2.
+
+    """
+    found = [FOLLOWS.fullmatch(pair.replace(" ", "")) for pair in pairs]
+    wrong = [pair for pair, match in zip(pairs, found, strict=True) if match is None]
+    if wrong:
+        raise OptionError(
+            f"follows is {wrong[0]!r}: give the follower and its leader, for example j3=j2.", option="follows"
+        )
+    return {int(match[1]) - 1: int(match[2]) - 1 for match in found if match}
 
 
 def _kinds(names: list[str]) -> list[str]:
@@ -81,6 +112,6 @@ def _axis(k: int, fit: AxisFit) -> CircleAxis:
 
 
 def _document(document: dict[str, Any]) -> Any:
-    from service.robots.service import DOCUMENT
+    from service.robots.wire import DOCUMENT
 
     return DOCUMENT.validate_python(document)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 
 from service.auth.access import Admin
 from service.bodies import receive
@@ -14,15 +14,21 @@ from service.campaigns import reading
 from service.contract.references import RobotChange, Tombstone
 from service.contract.robot_reports import FoundRobot, RobotCheck, RobotList, RobotReport
 from service.contract.robots import RobotDocument, Target
-from service.contract.units import Name
+from service.contract.units import MAX_JOINTS, Name
 from service.limits import MAX_CIRCLE_MB
+from service.page_query import PageOfList
 from service.robots import service
+from service.robots.wire import DOCUMENT
 from service.routing import GuardedRoute
 from service.slots import compute
 from service.state import DatabaseOfApp, SettingsOfApp
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=GuardedRoute)
 
+Follows = Annotated[
+    list[str] | None,
+    Query(description='Joints read against the horizontal, each with its leader: "j3=j2".', max_length=MAX_JOINTS),
+]
 FILE = {"schema": {"type": "string", "format": "binary"}}
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array"}}}
 CONTENT = {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS}
@@ -50,7 +56,7 @@ def convert(document: RobotDocument, to: Target) -> RobotDocument:
     """Write a document in another convention, without adding it: the same poses at the same joint readings."""
     from service.robots.convert import convert as converted  # imports numpy and scipy: not at the start of the process
 
-    return service.DOCUMENT.validate_python(converted(document, to))
+    return DOCUMENT.validate_python(converted(document, to))
 
 
 @router.post(
@@ -64,25 +70,26 @@ async def from_circles(
     name: Name = "found",
     to: Target = "chain",
     base: Literal["axis", "device"] = "axis",
+    follows: Follows = None,
 ) -> FoundRobot:
     """Find a robot from points measured while one joint moved at a time (CSV, Parquet or JSON columns); none is added."""
     media = reading.media_type(request.headers.get("content-type"))
     with tempfile.TemporaryDirectory(prefix="kilter-circles-") as folder:
         path = Path(folder) / "body"
         await receive(request, path, min(settings.max_upload_mb, MAX_CIRCLE_MB))
-        return await compute(request, _found, path, media, name, to, base)
+        return await compute(request, _found, path, media, name, to, base, follows or [])
 
 
-def _found(path: Path, media: str, name: str, to: Target, base: str) -> FoundRobot:
+def _found(path: Path, media: str, name: str, to: Target, base: str, follows: list[str]) -> FoundRobot:
     from service.robots.circles import found_robot  # imports numpy and scipy: not at the start of the API process
 
-    return found_robot(path, media, name, to, base)
+    return found_robot(path, media, name, to, base, follows)
 
 
 @router.get("")
-def listed(database: DatabaseOfApp, retired: bool = False) -> RobotList:
+def listed(database: DatabaseOfApp, page: PageOfList, retired: bool = False) -> RobotList:
     """List the robots; with `retired` also those that are out of use."""
-    return service.listed(database, retired)
+    return service.listed(database, page, retired)
 
 
 @router.get("/{robot}")

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sqlalchemy import delete, func, select
 
-from service.contract.robot_reports import RobotSummary
 from service.db import Session
 from service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
 from service.errors import ServiceError
-from service.references.retired import refuse_retired
+from service.paging import Page
+from service.references import retired
+from service.robots.records import RobotRecord
 from service.robots.resolved import Resolved
 
 if TYPE_CHECKING:
@@ -123,18 +124,32 @@ def refuse_retired_robot(session: Session, robot_id: int) -> None:
         ServiceError: it is.
 
     """
-    row = row_of(session, robot_id)
-    refuse_retired("robot", row.name, row.retired_at)
+    row = session.get_one(RobotRow, robot_id)
+    retired.refuse("robot", row.name, row.retired_at)
 
 
-def row_of(session: Session, robot_id: int) -> RobotRow:
-    """Return the row of a robot."""
-    return session.get_one(RobotRow, robot_id)
+def remark(session: Session, name: str, remarks: str) -> None:
+    """Note something on a robot, in the place of what was noted before."""
+    _row(session, name).remarks = remarks
+
+
+def retire(session: Session, name: str, actor: str) -> None:
+    """Take a robot out of use; again changes nothing."""
+    retired.retire(_row(session, name), actor)
+
+
+def restore(session: Session, name: str) -> None:
+    """Bring a robot back into use."""
+    retired.restore(_row(session, name))
+
+
+def _row(session: Session, name: str) -> RobotRow:
+    return session.get_one(RobotRow, get(session, name).id)
 
 
 def by_id(session: Session, robot_id: int) -> StoredRobot:
     """Return the robot of a key that another row refers to."""
-    return _stored(row_of(session, robot_id))
+    return _stored(session.get_one(RobotRow, robot_id))
 
 
 def core_robot(session: Session, robot_id: int) -> Robot:
@@ -165,28 +180,36 @@ def remove(session: Session, name: str) -> None:
     session.delete(session.get_one(RobotRow, stored.id))
 
 
-def summaries(session: Session, name: str | None = None, retired: bool = False) -> list[RobotSummary]:
-    """Return all robots in use, with ``retired`` also the others; or the one of a name."""
-    query = select(RobotRow).order_by(RobotRow.name)
-    if name is not None:
-        query = query.where(RobotRow.name == name)
-    elif not retired:
+def listed(session: Session, page: Page, with_retired: bool = False) -> list[RobotRecord]:
+    """Return robots by name, one more than the page shows; those out of use only when they are asked for."""
+    query = select(RobotRow).order_by(RobotRow.name).limit(page.fetched)
+    if not with_retired:
         query = query.where(RobotRow.retired_at.is_(None))
-    rows = session.execute(query).scalars()
-    return [_summary(session, row) for row in rows]
+    if page.name is not None:
+        query = query.where(RobotRow.name > page.name)
+    return [_record(session, row) for row in session.execute(query).scalars()]
 
 
-def _summary(session: Session, row: RobotRow) -> RobotSummary:
+def record(session: Session, robot_id: int) -> RobotRecord:
+    """Return the robot of a key, and how much belongs to it."""
+    return _record(session, session.get_one(RobotRow, robot_id))
+
+
+def _record(session: Session, row: RobotRow) -> RobotRecord:
     last = select(ActivationRow.version_id).where(ActivationRow.robot_id == row.id).order_by(ActivationRow.id.desc())
-    return RobotSummary(
+    return RobotRecord(
+        id=row.id,
         name=row.name,
-        convention=row.document["convention"],
+        document=row.document,
         created_at=row.created_at,
         campaigns=_count(session, CampaignRow, row.id),
         versions=_count(session, VersionRow, row.id),
         active_version=session.execute(last.limit(1)).scalar_one_or_none(),
         remarks=row.remarks,
         retired_at=row.retired_at,
+        notes=[str(note) for note in row.left_out],
+        sha256=row.sha256,
+        source_sha256=row.source_sha256,
     )
 
 

@@ -6,7 +6,7 @@ from service.contract.versions import ActivatedVersion, ActivationWish, VersionS
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.robots import store as robots
-from service.versions import store
+from service.versions import store, wire
 from service.versions.guard import Verdict, judge
 
 ACTIVATE, ROLLBACK = "activate", "rollback"
@@ -60,7 +60,7 @@ def _left_out(database: Database, version_id: str, temperature_c: float | None) 
 
 def _refuse_retired(session: Session, version_id: str) -> int:
     """Refuse a version that is out of use, or of a robot that is; returns the robot's key."""
-    robot_id = store.usable_row_of(session, version_id).robot_id
+    robot_id = store.usable(session, version_id).robot_id
     robots.refuse_retired_robot(session, robot_id)
     return robot_id
 
@@ -84,16 +84,16 @@ def _activated(
     """Write the activation; None when another version became active since the verdict."""
     with database.transaction() as session:
         robot_id = _refuse_retired(session, version_id)
-        last = store.active_row(session, robot_id)
+        last = store.active_entry(session, robot_id)
         active = None if last is None else last.version_id
         if active != version_id:
             if active != verdict.active:
                 return None
             store.activate(
                 session, robot_id, version_id, ACTIVATE, actor,
-                forced=wish.force, reason=wish.reason, objections=verdict.objections,
+                forced=wish.force, reason=wish.reason, objections=[objection.model_dump() for objection in verdict.objections],
             )  # fmt: skip
-        return store.summary(session, version_id)
+        return wire.summary(store.get(session, version_id))
 
 
 def rollback(database: Database, robot: str, actor: str, temperature_c: float | None = None) -> ActivatedVersion:
@@ -115,7 +115,7 @@ def rollback(database: Database, robot: str, actor: str, temperature_c: float | 
                 robot=robot,
             )
         store.activate(session, robot_id, before, ROLLBACK, actor)
-        summary = store.summary(session, before)
+        summary = wire.summary(store.get(session, before))
     return ActivatedVersion(**summary.model_dump(), unsupported_effects=_left_out(database, before, temperature_c))
 
 
@@ -127,5 +127,5 @@ def _before(session: Session, robot_id: int) -> str | None:
                 stack.pop()
         elif stack[-1:] != [entry.version_id]:
             stack.append(entry.version_id)
-    earlier = (version for version in reversed(stack[:-1]) if store.row_of(session, version).retired_at is None)
+    earlier = (version for version in reversed(stack[:-1]) if store.get(session, version).retired_at is None)
     return next(earlier, None)

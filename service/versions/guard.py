@@ -54,9 +54,9 @@ def judge(database: Database, version_id: str) -> Verdict:
     """Compare a version with the active one and with registration only; takes up to some seconds."""
     with _ONE_AT_A_TIME:
         with database.reading() as session:
-            row = store.row_of(session, version_id)
+            row = store.get(session, version_id)
             own = objections_of(row.report, CorrectionLimits(**row.limits))
-            last = store.active_row(session, row.robot_id)
+            last = store.active_entry(session, row.robot_id)
             if last is not None and last.version_id == version_id:
                 return Verdict(version_id, (), None, ())
             cases = _cases(session, row.robot_id, version_id, None if last is None else last.version_id)

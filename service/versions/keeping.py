@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from service.contract.references import Change, Tombstone
 from service.contract.versions import Version
-from service.db import Database, Session
-from service.db.tables import VersionRow, now
+from service.db import Database
+from service.db.tables import now
 from service.errors import ServiceError
-from service.references import retired
 from service.references import store as references
-from service.robots import store as robots
-from service.versions import store
+from service.references.records import TombstoneRecord
+from service.references.wire import tombstone
+from service.versions import store, wire
+from service.versions.records import VersionRecord
 
 
 def change(database: Database, version_id: str, wanted: Change) -> Version:
@@ -21,14 +22,11 @@ def change(database: Database, version_id: str, wanted: Change) -> Version:
 
     """
     with database.transaction() as session:
-        row = store.row_of(session, version_id)
-        if wanted.name is not None and wanted.name != row.name:
-            references.check_name(session, "version", row.robot_id, wanted.name, row.id)
-            row.name = wanted.name
-        if wanted.notes is not None:
-            row.notes = wanted.notes
-        session.flush()
-        return store.get(session, version_id)
+        version = store.get(session, version_id)
+        if wanted.name is not None and wanted.name != version.name:
+            references.check_name(session, "version", version.robot_id, wanted.name, version.id)
+        store.change(session, version_id, wanted.name, wanted.notes)
+        return wire.version(store.get(session, version_id))
 
 
 def retire(database: Database, version_id: str, actor: str) -> Version:
@@ -39,11 +37,9 @@ def retire(database: Database, version_id: str, actor: str) -> Version:
 
     """
     with database.transaction() as session:
-        row = store.row_of(session, version_id)
-        _refuse_active(session, row, "retired")
-        retired.retire(row, actor)
-        session.flush()
-        return store.get(session, version_id)
+        _refuse_active(store.get(session, version_id), "retired")
+        store.retire(session, version_id, actor)
+        return wire.version(store.get(session, version_id))
 
 
 def restore(database: Database, version_id: str) -> Version:
@@ -54,12 +50,11 @@ def restore(database: Database, version_id: str) -> Version:
 
     """
     with database.transaction() as session:
-        row = store.row_of(session, version_id)
-        if row.retired_at is not None:
-            references.check_name(session, "version", row.robot_id, row.name, row.id)
-            retired.restore(row)
-        session.flush()
-        return store.get(session, version_id)
+        version = store.get(session, version_id)
+        if version.retired_at is not None:
+            references.check_name(session, "version", version.robot_id, version.name, version.id)
+            store.restore(session, version_id)
+        return wire.version(store.get(session, version_id))
 
 
 def purge(database: Database, version_id: str, actor: str) -> Tombstone:
@@ -70,33 +65,29 @@ def purge(database: Database, version_id: str, actor: str) -> Tombstone:
 
     """
     with database.transaction() as session:
-        row = store.row_of(session, version_id)
-        _refuse_active(session, row, "purged")
-        citing = store.citing_version(session, row.robot_id, row.id)
+        version = store.get(session, version_id)
+        _refuse_active(version, "purged")
+        citing = store.citing_version(session, version.robot_id, version.id)
         if citing:
             raise ServiceError(
-                f"Version {row.id} is cited by {', '.join(citing[:10])}{' and more' if len(citing) > 10 else ''}: purge "
-                f"what can be purged first, or retire it instead (kilter versions retire {row.id}).",
+                f"Version {version.id} is cited by {', '.join(citing[:10])}{' and more' if len(citing) > 10 else ''}: purge "
+                f"what can be purged first, or retire it instead (kilter versions retire {version.id}).",
                 code="cited",
-                version=row.id,
+                version=version.id,
                 cited_by=citing,
             )
-        robot = robots.by_id(session, row.robot_id).name
-        tombstone = Tombstone(
-            id=row.id, kind="version", robot=robot, name=row.name, sha256=row.sha256, by=actor, at=now()
-        )  # fmt: skip
-        references.bury(session, tombstone)
-        session.delete(row)
-    return tombstone
+        left = TombstoneRecord(version.id, "version", version.robot, version.name, version.sha256, actor, now())
+        references.bury(session, left)
+        store.remove(session, version_id)
+    return tombstone(left)
 
 
-def _refuse_active(session: Session, row: VersionRow, what: str) -> None:
-    last = store.active_row(session, row.robot_id)
-    if last is not None and last.version_id == row.id:
-        robot = robots.by_id(session, row.robot_id).name
+def _refuse_active(version: VersionRecord, what: str) -> None:
+    if version.active:
         raise ServiceError(
-            f"Robot {robot!r} is corrected with version {row.id}, so it cannot be {what}: activate another one first.",
+            f"Robot {version.robot!r} is corrected with version {version.id}, so it cannot be {what}: activate another "
+            "one first.",
             code="version_active",
-            version=row.id,
-            robot=robot,
+            version=version.id,
+            robot=version.robot,
         )

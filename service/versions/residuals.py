@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from service.campaigns import store as campaigns
 from service.correction.formats import write_trajectory
 from service.db import Database, Session
-from service.db.tables import VersionRow
 from service.errors import ServiceError
 from service.versions import store
+from service.versions.records import VersionRecord
 from service.versions.unseen import Archive
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def residuals(database: Database, version: str, wanted: Sequence[str], media: st
     import pyarrow as pa
 
     with database.reading() as session:
-        row = store.row_of(session, version)
+        row = store.get(session, version)
         calibration, known = store.calibration(session, version), store.known(session, version)
         parts = list(_parts(session, row, wanted))
         report = row.report
@@ -55,10 +55,10 @@ def residuals(database: Database, version: str, wanted: Sequence[str], media: st
     return write_trajectory(pa.concat_tables(tables), media)
 
 
-def _parts(session: Session, version: VersionRow, wanted: Sequence[str]) -> Iterator[Part]:
+def _parts(session: Session, version: VersionRecord, wanted: Sequence[str]) -> Iterator[Part]:
     archive = Archive(session, version.robot_id)
     for campaign in wanted or dict.fromkeys(used["id"] for used in version.campaigns):
-        if campaigns.whole_row_of(session, campaign).robot_id != version.robot_id:
+        if campaigns.whole(session, campaign).robot_id != version.robot_id:
             raise ServiceError(
                 f"Campaign {campaign} is of another robot than version {version.id}: name campaigns of its robot.",
                 code="option_invalid",

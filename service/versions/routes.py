@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Query, Response
 
 from service.auth.access import Admin
 from service.campaigns.reading import CSV, PARQUET
+from service.contract.previews import VersionPreview
 from service.contract.references import Change, Tombstone
 from service.contract.units import MAX_NAMED
 from service.contract.versions import (
@@ -18,6 +19,7 @@ from service.contract.versions import (
     VersionDiff,
     VersionList,
 )
+from service.page_query import PageOfList
 from service.routing import GuardedRoute
 from service.slots import reading_turn
 from service.state import DatabaseOfApp, SettingsOfApp
@@ -29,15 +31,15 @@ router = APIRouter(prefix="/v1", tags=["versions"], route_class=GuardedRoute)
 
 
 @router.get("/robots/{robot}/versions")
-def listed(robot: str, database: DatabaseOfApp, retired: bool = False) -> VersionList:
+def listed(robot: str, database: DatabaseOfApp, page: PageOfList, retired: bool = False) -> VersionList:
     """List the versions of a robot, newest first; with `retired` also those that are out of use."""
-    return service.listed(database, robot, retired)
+    return service.listed(database, robot, page, retired)
 
 
 @router.get("/robots/{robot}/activations")
-def activations(robot: str, database: DatabaseOfApp) -> ActivationList:
+def activations(robot: str, database: DatabaseOfApp, page: PageOfList) -> ActivationList:
     """Show who activated which version, and when."""
-    return service.activations(database, robot)
+    return service.activations(database, robot, page)
 
 
 @router.post("/robots/{robot}/rollback")
@@ -90,6 +92,15 @@ def activate(
     which of its effects are not corrected at run time.
     """
     return activation.activate(database, version, actor, wish or ActivationWish(), settings.temperature_c)
+
+
+@router.get("/versions/{version}/preview", dependencies=[Depends(reading_turn)])
+def preview(version: str, database: DatabaseOfApp, settings: SettingsOfApp) -> VersionPreview:
+    """Say how a version would correct, without activating it: its largest correction, where, and what it leaves out.
+
+    The poses are those that the robot was driven to in its campaigns, else poses drawn within its limits.
+    """
+    return service.preview(database, version, settings.temperature_c)
 
 
 @router.get("/versions/{a}/diff/{b}", dependencies=[Depends(reading_turn)])

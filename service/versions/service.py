@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from service.contract.previews import VersionPreview
 from service.contract.versions import ActivationList, ParameterChange, Version, VersionDiff, VersionList
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.exporters.exportable import Exportable
 from service.exporters.registry import Exported, export
+from service.paging import Page, in_time
 from service.robots import store as robots
-from service.versions import store
+from service.versions import store, wire
 from service.versions.store import ActiveVersion
 from service.versions.values import Value, wire_values
 
@@ -21,22 +23,26 @@ def active_calibrations(session: Session) -> dict[str, ActiveVersion]:
     return {name: version for name, version in found.items() if version is not None}
 
 
-def listed(database: Database, robot: str, retired: bool = False) -> VersionList:
-    """List the versions of a robot; with ``retired`` also those that are out of use."""
+def listed(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
+    """List the versions of a robot; ``with_retired`` those that are out of use too."""
     with database.reading() as session:
-        return VersionList(versions=store.of_robot(session, robots.get(session, robot).id, retired))
+        found = store.of_robot(session, robots.get(session, robot).id, page, with_retired)
+    shown, cursor = page.cut(found, lambda version: in_time(version.created_at, version.id))
+    return VersionList(versions=[wire.summary(version) for version in shown], next=cursor)
 
 
 def get(database: Database, version_id: str) -> Version:
     """Return a version."""
     with database.reading() as session:
-        return store.get(session, version_id)
+        return wire.version(store.get(session, version_id))
 
 
-def activations(database: Database, robot: str) -> ActivationList:
+def activations(database: Database, robot: str, page: Page) -> ActivationList:
     """Return who activated which version of a robot, and when."""
     with database.reading() as session:
-        return ActivationList(activations=store.activations(session, robots.get(session, robot).id))
+        found = store.activations(session, robots.get(session, robot).id, page)
+    shown, cursor = page.cut(found, lambda entry: (str(entry.id),))
+    return ActivationList(activations=[wire.activation(entry) for entry in shown], next=cursor)
 
 
 def diff(database: Database, a: str, b: str) -> VersionDiff:
@@ -47,7 +53,7 @@ def diff(database: Database, a: str, b: str) -> VersionDiff:
 
     """
     with database.reading() as session:
-        first, second = store.get(session, a), store.get(session, b)
+        first, second = (wire.summary(store.get(session, version)) for version in (a, b))
         if first.robot != second.robot:
             raise ServiceError(
                 f"Version {a} is of robot {first.robot!r}, {b} of {second.robot!r}: compare versions of one robot.",
@@ -79,10 +85,16 @@ def _change(name: str, a: Value | None, b: Value | None) -> ParameterChange:
 def exported(database: Database, version_id: str, format_name: str) -> Exported:
     """Return a version as a file of another tool's format."""
     with database.reading() as session:
-        version = store.get(session, version_id)
-        robot = robots.get(session, version.robot)
-        document = store.row_of(session, version_id).calibration
-    return export(format_name, Exportable(robot, version, document))
+        record = store.get(session, version_id)
+        robot = robots.get(session, record.robot)
+    return export(format_name, Exportable(robot, wire.version(record), record.calibration))
+
+
+def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:
+    """Say how a version would correct, without activating it."""
+    from service.versions.preview import preview as looked_at  # compiled kernels: not at the start of the API process
+
+    return looked_at(database, version_id, temperature_c)
 
 
 def residuals(database: Database, version_id: str, campaigns: Sequence[str], media: str) -> bytes:

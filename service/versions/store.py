@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import func, select
+from sqlalchemy import and_, func, or_, select
 
 from service.contract.jobs.job import FINAL
-from service.contract.versions import Activation, CorrectionLimits, Objection, UsedCampaign, Version, VersionSummary
+from service.contract.versions import CorrectionLimits
 from service.db import Session
 from service.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
 from service.errors import ServiceError
+from service.paging import ALL, Page
+from service.references import retired
 from service.references import store as references
-from service.references.retired import refuse_retired
 from service.robots import store as robots
 from service.robots.resolved import sha256_of
-from service.versions.objections import objections_of
+from service.versions.records import ActivationRecord, VersionRecord
 
 if TYPE_CHECKING:
     from core.identify.predictive import Predictive
@@ -108,13 +109,18 @@ def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
     return version_id
 
 
-def row_of(session: Session, version_id: str) -> VersionRow:
-    """Return the row of a version.
+def get(session: Session, version_id: str) -> VersionRecord:
+    """Return a version.
 
     Raises:
         ServiceError: there is none.
 
     """
+    row = _row(session, version_id)
+    return _record(session, row)
+
+
+def _row(session: Session, version_id: str) -> VersionRow:
     row = session.get(VersionRow, version_id)
     if row is None:
         raise ServiceError(
@@ -126,39 +132,66 @@ def row_of(session: Session, version_id: str) -> VersionRow:
     return row
 
 
-OF_ITS_OWN = ("parameters", "null_directions", "noise_mm", "warnings", "metrics")  # parts of a report with fields
-
-
-def get(session: Session, version_id: str) -> Version:
-    """Return a version with all it holds."""
-    row = row_of(session, version_id)
-    return Version(
-        **_summary(session, row).model_dump(),
+def _record(session: Session, row: VersionRow) -> VersionRecord:
+    last = active_entry(session, row.robot_id)
+    return VersionRecord(
+        id=row.id,
+        robot_id=row.robot_id,
+        robot=robots.by_id(session, row.robot_id).name,
+        active=last is not None and last.version_id == row.id,
+        parent_id=row.parent_id,
+        job_id=row.job_id,
+        created_at=row.created_at,
+        code_version=row.code_version,
         sha256=row.sha256,
+        calibration=row.calibration,
+        report=row.report,
+        covariance=row.covariance,
+        campaigns=row.campaigns,
+        limits=row.limits,
         hash_scheme=row.hash_scheme,
         robot_sha256=row.robot_sha256,
-        campaigns=[UsedCampaign(**campaign) for campaign in row.campaigns],
-        limits=CorrectionLimits(**row.limits),
-        parameters=row.report.get("parameters", []),
-        null_directions=row.report.get("null_directions", []),
-        noise_mm=row.report.get("noise_mm"),
-        warnings=row.report.get("warnings", []),
-        objections=objections_of(row.report, CorrectionLimits(**row.limits)),
-        details={key: value for key, value in row.report.items() if key not in OF_ITS_OWN},
-        covariance=row.covariance,
+        name=row.name,
+        notes=row.notes,
+        retired_at=row.retired_at,
     )
 
 
-def usable_row_of(session: Session, version_id: str) -> VersionRow:
-    """Return the row of a version that is in use.
+def usable(session: Session, version_id: str) -> VersionRecord:
+    """Return a version that is in use.
 
     Raises:
         ServiceError: there is none, or it is retired.
 
     """
-    row = row_of(session, version_id)
-    refuse_retired("version", row.id, row.retired_at)
-    return row
+    found = get(session, version_id)
+    retired.refuse("version", found.id, found.retired_at)
+    return found
+
+
+def change(session: Session, version_id: str, name: str | None, notes: str | None) -> None:
+    """Write what people call a version and note on it; None stays as it is."""
+    row = _row(session, version_id)
+    row.name, row.notes = row.name if name is None else name, row.notes if notes is None else notes
+    session.flush()
+
+
+def retire(session: Session, version_id: str, actor: str) -> None:
+    """Take a version out of use; again changes nothing."""
+    retired.retire(_row(session, version_id), actor)
+    session.flush()
+
+
+def restore(session: Session, version_id: str) -> None:
+    """Bring a version back into use."""
+    retired.restore(_row(session, version_id))
+    session.flush()
+
+
+def remove(session: Session, version_id: str) -> None:
+    """Delete a version."""
+    session.delete(_row(session, version_id))
+    session.flush()
 
 
 def citing_campaign(session: Session, robot_id: int, campaign_id: str) -> list[str]:
@@ -176,33 +209,36 @@ def citing_version(session: Session, robot_id: int, version_id: str) -> list[str
     return [*children, *logged, *(job.id for job in jobs if version_id in json.dumps(job.request))]
 
 
-def of_robot(session: Session, robot_id: int, retired: bool = False) -> list[VersionSummary]:
-    """Return the versions of a robot, newest first; with ``retired`` also those that are out of use."""
-    query = select(VersionRow).where(VersionRow.robot_id == robot_id)
-    if not retired:
-        query = query.where(VersionRow.retired_at.is_(None))
-    rows = session.execute(query.order_by(VersionRow.created_at.desc(), VersionRow.id)).scalars()
-    return [_summary(session, row) for row in rows]
+def of_robot(session: Session, robot_id: int, page: Page = ALL, with_retired: bool = False) -> list[VersionRecord]:
+    """Return the versions of a robot, newest first, one more than the page shows; those out of use only when asked for."""
+    row = VersionRow
+    query = select(row).where(row.robot_id == robot_id).order_by(row.created_at.desc(), row.id)
+    if not with_retired:
+        query = query.where(row.retired_at.is_(None))
+    if page.moment is not None:
+        moment, key = page.moment
+        query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
+    return [_record(session, found) for found in session.execute(query.limit(page.fetched)).scalars()]
 
 
 def calibration(session: Session, version_id: str) -> Calibration:
     """Build core's calibration of a version."""
     from core.model import Calibration  # loads compiled kernels: not at the start of the API process
 
-    row = row_of(session, version_id)
+    row = _row(session, version_id)
     return Calibration.from_document(robots.core_robot(session, row.robot_id), row.calibration)
 
 
 def covariance(session: Session, version_id: str) -> dict[str, Any]:
     """Return what a version knows about its parameters: {names, matrix, units}, empty when it was not identified."""
-    return dict(row_of(session, version_id).covariance)
+    return dict(_row(session, version_id).covariance)
 
 
 def known(session: Session, version_id: str) -> Predictive | None:
     """Return how far a version says the arm may be from it; None when it has no covariance."""
     from core.identify.predictive import Predictive
 
-    row = row_of(session, version_id)
+    row = _row(session, version_id)
     return Predictive.from_document(row.covariance, row.report)
 
 
@@ -217,10 +253,10 @@ def active_stamp(session: Session) -> int:
 
 def active_version(session: Session, robot: str) -> ActiveVersion | None:
     """Return the version the robot of this name is corrected with; None when none was ever activated."""
-    last = active_row(session, robots.get(session, robot).id)
+    last = active_entry(session, robots.get(session, robot).id)
     if last is None:
         return None
-    row = row_of(session, last.version_id)
+    row = _row(session, last.version_id)
     limits = CorrectionLimits(**row.limits)
     return ActiveVersion(
         robot=robot,
@@ -233,27 +269,25 @@ def active_version(session: Session, robot: str) -> ActiveVersion | None:
     )
 
 
-def active_row(session: Session, robot_id: int) -> ActivationRow | None:
+def active_entry(session: Session, robot_id: int) -> ActivationRecord | None:
     """Return the last activation of a robot, the one that holds."""
     query = select(ActivationRow).where(ActivationRow.robot_id == robot_id).order_by(ActivationRow.id.desc()).limit(1)
-    return session.execute(query).scalar_one_or_none()
+    row = session.execute(query).scalar_one_or_none()
+    return None if row is None else _entry(row)
 
 
-def activations(session: Session, robot_id: int) -> list[Activation]:
-    """Return the log of a robot's active versions, newest first."""
+def activations(session: Session, robot_id: int, page: Page = ALL) -> list[ActivationRecord]:
+    """Return the log of a robot's active versions, newest first, one more than the page shows."""
     query = select(ActivationRow).where(ActivationRow.robot_id == robot_id).order_by(ActivationRow.id.desc())
-    return [
-        Activation(
-            version_id=row.version_id,
-            action=row.action,
-            actor=row.actor,
-            at=row.at,
-            forced=row.forced,
-            reason=row.reason,
-            objections=[Objection(**objection) for objection in row.objections],
-        )
-        for row in session.execute(query).scalars()
-    ]
+    if page.number is not None:
+        query = query.where(ActivationRow.id < page.number)
+    return [_entry(row) for row in session.execute(query.limit(page.fetched)).scalars()]
+
+
+def _entry(row: ActivationRow) -> ActivationRecord:
+    return ActivationRecord(
+        row.id, row.robot_id, row.version_id, row.action, row.actor, row.at, row.forced, row.reason, row.objections
+    )
 
 
 def activate(
@@ -265,7 +299,7 @@ def activate(
     *,
     forced: bool = False,
     reason: str = "",
-    objections: Sequence[Objection] = (),
+    objections: Sequence[Mapping[str, str]] = (),
 ) -> None:
     """Write into the log that a version is active from now on."""
     session.add(
@@ -276,7 +310,7 @@ def activate(
             actor=actor,
             forced=forced,
             reason=reason,
-            objections=[objection.model_dump() for objection in objections],
+            objections=[dict(objection) for objection in objections],
         )
     )
     session.flush()
@@ -302,26 +336,3 @@ def robots_with_active(session: Session) -> list[str]:
     """Return the names of the robots that have an active version."""
     query = select(RobotRow.name).where(RobotRow.id.in_(select(ActivationRow.robot_id))).order_by(RobotRow.name)
     return list(session.execute(query).scalars())
-
-
-def summary(session: Session, version_id: str) -> VersionSummary:
-    """Return what lists tell of a version."""
-    return _summary(session, row_of(session, version_id))
-
-
-def _summary(session: Session, row: VersionRow) -> VersionSummary:
-    last = active_row(session, row.robot_id)
-    return VersionSummary(
-        id=row.id,
-        robot=robots.by_id(session, row.robot_id).name,
-        active=last is not None and last.version_id == row.id,
-        parent_id=row.parent_id,
-        job_id=row.job_id,
-        created_at=row.created_at,
-        code_version=row.code_version,
-        effects=[effect["id"] for effect in row.calibration["effects"]],
-        metrics=row.report.get("metrics", {}),
-        name=row.name,
-        notes=row.notes,
-        retired_at=row.retired_at,
-    )

@@ -247,10 +247,11 @@ def test_example_maps_are_readable() -> None:
 
 def test_the_full_example_does_what_it_says(tmp_path: Path) -> None:
     folder = Path(__file__).resolve().parents[2] / "clients/python/examples"
-    head = "joint 1;joint 2;encoder 3;X;Y;Z;time;T;speed 1;rx;ry;rz;state;quality"
+    head = "joint 1;joint 2;encoder 3;X;Y;Z;time;T;speed 1;torque 1;torque 2;rx;ry;rz;state;quality"
     text = (
-        f"A lab\n17°C\n{head}\n# pause\n0,1;0,2;16384;1;2;3;500;293,15;-3;0;0;0;ok;0,9\n"
-        "0,1;0,2;16384;1;-;3;600;293,15;-3;0;0;0;ok;0,9\n0,1;0,2;16384;1;2;3;700;293,15;-3;0;0;0;bad;0,9\n"
+        f"A lab\n17°C\n{head}\n# pause\n0,1;0,2;16384;1;2;3;500;293,15;-3;7;8;0;0;0;ok;0,9\n"
+        "0,1;0,2;16384;1;-;3;600;293,15;-3;7;8;0;0;0;ok;0,9\n"
+        "0,1;0,2;16384;1;2;3;700;293,15;-3;7;8;0;0;0;bad;0,9\n"
     )
     (tmp_path / "lab.csv").write_bytes(text.encode("latin-1"))
     prepared = prepare(tmp_path / "lab.csv", column_map=folder / "columns.toml")
@@ -259,7 +260,7 @@ def test_the_full_example_does_what_it_says(tmp_path: Path) -> None:
     assert row["q3_deg"] == pytest.approx(90)
     assert (row["t_s"], row["payload_kg"], row["pose_id"], row["y_mm"]) == (0.5, 2.5, 1, 2000)
     assert row["temperature_c"] == pytest.approx(20)
-    assert row["dir1"] == -1
+    assert (row["dir1"], row["tau1_nm"], row["tau2_nm"]) == (-1, 7, 8)
     assert prepared.lines == (5,)
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kilter_client import FileError
+from kilter_client.files.cell_numbers import parse_number
 from kilter_client.files.orientation import from_euler
-from kilter_client.files.source_text import Layout, parse_number, read_text
+from kilter_client.files.source_text import Layout, read_text
 from kilter_client.files.units import converter, unit_of
 from scipy.spatial.transform import Rotation
 

@@ -70,3 +70,22 @@ def test_learned_weights_stand_on_one_line(capsys: Capture) -> None:
     assert "24 learned weights" in text
     assert "held out 0.3456 mm without, 0.1 mm with it, p = 2.1e-09" in text
     assert "outside its physical range" in text
+
+
+def test_figures_are_files_that_name_robot_version_and_campaigns(
+    robot: str, write_campaign: Callable[..., Path], capsys: Capture, tmp_path: Path
+) -> None:
+    campaign = json.loads(printed(capsys, "upload", robot, write_campaign(), "--json", "--name", "Tuesday"))[
+        "campaign_id"
+    ]
+    folder = tmp_path / "figures"
+    asked_for = ("identify", robot, "-c", campaign, "-v", "0.25", "--level", "1", "--figures", folder)
+    job = json.loads(printed(capsys, *asked_for, "--json"))
+    drawn = {file.stem for file in folder.glob("*.json")}
+    assert drawn == set(job["result"]["figures"]) >= {"held_out_errors", "residual_arrows_3d", "predicted_error"}
+    for name in drawn:
+        meta = json.loads((folder / f"{name}.json").read_text())["layout"]["meta"]
+        assert meta == {"robot": robot, "campaigns": ["Tuesday"], "version": job["result"]["version_id"]}
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    assert '"figures"' not in printed(capsys, "version", job["result"]["version_id"], "--json")
+    assert run([*map(str, asked_for), "--no-wait"]) == 2

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterator
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
+import yaml
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
@@ -17,6 +20,8 @@ PAGES = sorted(
         *DOCS.rglob("*.md"),
         REPOSITORY / "README.md",
         REPOSITORY / "CHANGELOG.md",
+        REPOSITORY / "CONTRIBUTING.md",
+        REPOSITORY / "SECURITY.md",
         REPOSITORY / "clients/python/README.md",
     ]
 )
@@ -86,6 +91,29 @@ def test_decisions_are_numbered_and_listed() -> None:
     for name in pages:
         text = text_of(f"decisions/{name}")
         assert all(f"\n## {part}\n" in text for part in ("Context", "Decision", "Consequences")), name
+        stands = re.match(r"# \d{4} .+\n\n(Accepted|Rejected|Replaced by \d{4}), (\d{4}-\d\d-\d\d)\.\n\n", text)
+        assert stands, f"{name} does not say how it stands, and since when"
+        date.fromisoformat(stands.group(2))
+
+
+def test_the_citation_names_this_software_and_the_thesis() -> None:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    cited = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {"cff-version", "message", "title", "authors", "version", "license", "references"} <= set(cited)
+    assert (cited["version"], cited["license"]) == (project["version"], project["license"])
+    (thesis,) = cited["references"]
+    assert thesis["type"] == "thesis"
+    assert "Joints Tilting" in thesis["title"]
+
+
+def test_the_guide_names_what_there_is() -> None:
+    """Paths and make targets of CONTRIBUTING.md exist."""
+    guide = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:core|service|clients|tests|docs|tools)/[\w./-]+)`", guide))
+    assert len(named) > 10
+    assert not [name for name in named if not (REPOSITORY / name).exists()]
+    targets = set(re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    assert set(re.findall(r"`make ([a-z-]+)`", guide)) <= targets
 
 
 def test_every_setting_is_documented() -> None:

@@ -156,20 +156,53 @@ def test_what_shows_no_axis_is_refused_by_joint() -> None:
     assert (code, "joint 4" in message, "another unit" in message) == ("circle_not_round", True, True)
 
 
-def test_a_joint_that_carries_another_along_is_noticed_by_markers() -> None:
+def horizontal(ratio: float = -1.0, tail: bool = False) -> Arm:
     """FANUC's third joint is read against the horizontal: moving the second keeps the forearm's direction."""
-    steps = (
-        Step("rz", 0.0, 0), Step("tz", 0.5), Step("ry", 0.0, 1), Step("tz", 0.6), Step("ry", 0.0, 1, -1.0),
-        Step("ry", 0.0, 2, -1.0), Step("tx", 0.7),
-    )  # fmt: skip
-    arm, rng = Arm(steps, 3), np.random.default_rng(0)
-    q = []
-    for j in range(3):
-        block = np.tile([0.2, 0.3, 0.4], (20, 1))
-        block[:, j] += np.linspace(-0.6, 0.6, 20)
-        q.append(block)
-    position, rotation = arm.poses(np.concatenate(q))
-    points = position[:, None] + np.einsum("nij,mj->nmi", rotation, 2 * MARKERS) + rng.normal(0, NOISE, (60, 3, 3))
-    with pytest.raises(CoreError, match="another joint moved along") as refused:
-        robot_from_circles(np.concatenate(q), np.zeros(3, dtype=bool), points, name="f")
-    assert (refused.value.code, refused.value.context["joint"]) == ("circle_not_round", 2)
+    steps = [
+        Step("rz", 0.0, 0), Step("tz", 0.5), Step("tx", 0.1), Step("ry", 0.0, 1), Step("tz", 0.6), Step("ry", 0.0, 1, -1.0),
+        Step("ry", 0.0, 2, ratio), Step("tx", 0.7),
+    ]  # fmt: skip
+    if tail:
+        steps += [Step("rx", 0.0, 3), Step("tx", 0.1), Step("ry", 0.0, 4), Step("tx", 0.12)]
+    return Arm(tuple(steps), 5 if tail else 3)
+
+
+def test_a_joint_that_carries_another_along_is_named_by_markers() -> None:
+    q, points = circles(horizontal(), np.array([0.2, 0.3, 0.4]), arc=1.2)
+    with pytest.raises(CoreError, match=r"another joint moved along. It is joint 3, .*--follows j3=j2") as refused:
+        robot_from_circles(q, np.zeros(3, dtype=bool), points, name="f")
+    assert (refused.value.code, refused.value.context) == ("circle_not_round", {"joint": 2, "follower": 3})
+
+
+@pytest.mark.parametrize("ratio", [-1.0, 1.0])
+@pytest.mark.parametrize("see", ["markers", "point"])
+def test_uncoupled_joints_give_the_arm(ratio: float, see: str) -> None:
+    """The remedy works: elsewhere, with all joints moved, the arm is where Pinocchio has it."""
+    rng = np.random.default_rng(1)
+    plain = horizontal(ratio, tail=True)
+    arm = Arm(plain.steps, plain.n, some_pose(rng, 1.0), some_pose(rng, 0.1))
+    q, points = circles(arm, np.array([0.2, 0.3, 0.4, -0.5, 0.6]), see)
+    found = robot_from_circles(q, np.zeros(5, dtype=bool), points, name="f", follows={2: 1})
+    assert found.rms < 3e-4
+    elsewhere = rng.uniform(-1.2, 1.2, (40, 5))
+    position, rotation = arm.poses(elsewhere)
+    body = MARKERS.mean(axis=0) if see == "markers" else np.array([0.05, -0.03, 0.02])
+    gap = np.linalg.norm(predicted(found.document, elsewhere)[0] - (position + rotation @ body), axis=1)
+    assert gap.max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("follows", "words"),
+    [({1: 2}, "both must turn"), ({6: 1}, "the rows have 6 joints"), ({1: 0}, "the axes are not parallel")],
+)
+def test_followers_that_cannot_be_are_refused(follows: dict[int, int], words: str) -> None:
+    q, points = circles(ur10(), HOME)
+    with pytest.raises(CoreError, match=rf"Joint \d cannot follow joint \d: .*{words}"):
+        robot_from_circles(q, np.zeros(6, dtype=bool), points, name="f", follows=follows)
+
+
+def test_another_unit_is_no_coupling() -> None:
+    arm = ur10()
+    q, points = circles(arm, HOME)
+    q[25:50, 1] = HOME[1] + 2 * (q[25:50, 1] - HOME[1])
+    assert "another unit" in refused(q, points, arm)[1]

@@ -11,7 +11,7 @@ import pytest
 from core.correction import CorrectionOptions, compile_program
 from core.effects import EFFECTS as KNOWN
 from core.effects import make_effect
-from core.load_slopes import LoadSlopes, with_masses
+from core.load_slopes import LoadSlopes, with_masses, with_payload
 from core.model import Calibration, RobotModel
 from core.moments import axial_loads, loads_of
 from core.observations import Observations
@@ -67,6 +67,80 @@ def test_a_robot_with_the_masses_has_the_loads_of_the_slopes(dynamic: bool) -> N
         for part in range(6):
             moved = np.tensordot(errors, slopes.of(name, part), axes=1)
             np.testing.assert_allclose(before[..., part] + moved, after[..., part], atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("dynamic", [False, True])
+@pytest.mark.parametrize("kind", [{}, {"prismatic": True}, {"coupled": True}])
+def test_changes_of_loads_are_those_of_other_masses_and_another_payload(kind: dict[str, bool], dynamic: bool) -> None:
+    """Made at once, from slopes that a derivative left, and of a part of the rows."""
+    rng = np.random.default_rng(3)
+    robot = robot_from_document(with_bodies(some_arm(rng, 5, **kind), rng).document())
+    q, kg, place = rng.uniform(-2.0, 2.0, (9, 5)), rng.choice([0.0, 2.0], 9), rng.normal(0.0, 0.1, (9, 3))
+    motion = {"qd": rng.normal(size=q.shape), "qdd": rng.normal(size=q.shape)} if dynamic else {}
+    rows = Observations(q, payload_kg=kg, payload_com=place, **motion)
+    slopes = LoadSlopes(robot, rows)
+    errors = rng.normal(0.0, 1e-3, len(slopes))
+    laden = [with_payload(m, c, errors[-4:]) for m, c in zip(kg, place, strict=True)]
+    other = replace(rows, payload_kg=np.array([m for m, _ in laden]), payload_com=np.array([c for _, c in laden]))
+    once, anew = loads_of(robot, rows), loads_of(with_masses(robot, errors[:-4]), other)
+    truth = {
+        "axial": (axial_loads(robot, anew) - axial_loads(robot, once))[..., None], "wrench": anew.joints - once.joints,
+        "end_wrench": anew.ends - once.ends, "base_wrench": anew.base - once.base,
+    }  # fmt: skip
+    for again in range(2):
+        for name, moved in truth.items():
+            parts = tuple(range(moved.shape[-1]))
+            found = (slopes.changes(name, parts, errors), slopes.part(slice(2, 6)).changes(name, parts, errors))
+            # A dynamic load is quadratic in a place: products of two errors are left out.
+            np.testing.assert_allclose(np.moveaxis(found[0], 0, -1), moved, rtol=0, atol=1e-3 if dynamic else 1e-10)
+            assert np.abs(moved).max() > 0.01
+            np.testing.assert_allclose(np.moveaxis(found[1], 0, -1), np.moveaxis(found[0], 0, -1)[2:6], atol=1e-12)
+            if again == 0:
+                slopes.of(name, parts[-1])
+
+
+def test_slopes_that_nobody_reads_are_not_made() -> None:
+    """All of them took 20 kB a row."""
+    found = loaded_calibration("axial_compliance")
+    model, batch = found.model, found.model.batch(rows_of(KATANA, 30))
+    assert batch.slopes is not None
+    model.predict(batch, found.values)
+    assert not batch.slopes._made
+    model.jacobian(batch, found.values)
+    assert [name for name, _ in batch.slopes._made] == ["axial"]
+
+
+@pytest.mark.parametrize("effect", sorted(k for k, e in KNOWN.items() if "moments" in e.needs and not e.nuisance))
+def test_an_effect_reads_no_load_that_it_does_not_name(effect: str) -> None:
+    """In a fit only those follow the masses."""
+    found = loaded_calibration(effect)
+    rows = replace(rows_of(KATANA, 30), direction=np.random.default_rng(0).choice([-1.0, 1.0], (30, 5)))
+    batch, (own, errors) = found.model.batch(rows), found.model.effect_slices().values()
+    made = found.model.effects[0]
+    loaded = (batch.with_loads(found.values[errors], reads) for reads in (dict(made.reads) or None, None))
+    some, every = (made.local(one, found.values[own]) for one in loaded)
+    for name in ("dq", "xi", "base", "tool"):
+        one, other = getattr(some, name), getattr(every, name)
+        assert (one is None) == (other is None)
+        if one is not None:
+            np.testing.assert_array_equal(one, other)
+
+
+def test_of_a_batch_only_effects_with_values_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hunt predicts with hundreds of effects, of which a few have values."""
+    model = RobotModel(KATANA, (make_effect("eccentricity"), make_effect("axial_compliance")))
+    asked = []
+    for kind in {type(e) for e in model.effects}:
+        local = kind.local
+        monkeypatch.setattr(kind, "local", lambda self, *a, local=local: asked.append(self.id) or local(self, *a))
+    values = model.values0()
+    values[model.effect_slices()["axial_compliance"]] = 1e-5
+    rows = rows_of(KATANA, 10)
+    of_rows = model.predict(rows, values).position
+    assert sorted(asked) == ["axial_compliance", "eccentricity"]
+    asked.clear()
+    assert np.array_equal(model.predict(model.batch(rows), values).position, of_rows)
+    assert asked == ["axial_compliance"]
 
 
 def rows_of(robot: Robot, count: int, payload: bool = True) -> Observations:

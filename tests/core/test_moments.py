@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.effects import make_effect
+from core.load_slopes import payload_sensitivity
 from core.model import Calibration
-from core.moments import axial_loads, joint_loads, payload_sensitivity
+from core.moments import axial_loads, joint_loads
 from core.observations import Observations
 from core.robot import Robot
 from core.robots import preset_document, robot_from_document

@@ -14,9 +14,10 @@ from sqlalchemy import update
 
 from core.identify.holdout import split
 from core.poses import rounded_poses
-from service.contract.jobs.job import NewJob
+from service.contract.jobs.identify import IdentifyOptions
+from service.contract.jobs.job import NewIdentifyJob
 from service.db import Database
-from service.db.tables import VersionRow
+from service.db.tables import JobRow, VersionRow
 from service.jobs import store as jobs
 from service.jobs.runner import Runner
 from service.robots import store as robots
@@ -67,7 +68,9 @@ class Lab:
 
     def outcome(self, campaigns: list[str], validation: Any = None, **options: Any) -> dict[str, Any]:
         """Do an identify job as the worker does it; returns the job."""
-        job = NewJob(kind="identify", robot="arm", campaigns=campaigns, validation=validation, options=options)
+        job = NewIdentifyJob(
+            kind="identify", robot="arm", campaigns=campaigns, validation=validation, options=IdentifyOptions(**options)
+        )
         with self.database.transaction() as session:
             job_id = jobs.add(session, robots.get(session, "arm").id, job)
         runner = Runner(self.database)
@@ -83,14 +86,14 @@ class Lab:
     def stored(self, like: str, name: str, change: Callable[[dict[str, Any]], None], **report: Any) -> str:
         """A version like another, its calibration changed, with a report of its own."""
         with self.database.transaction() as session:
-            row = store.row_of(session, like)
+            row = store.get(session, like)
             job_id = f"job_{name}"
             calibration = {**row.calibration, "values": dict(row.calibration["values"])}
             change(calibration["values"])
-            request = jobs.row_of(session, row.job_id)
-            copied = NewJob(kind="identify", robot="arm", campaigns=request.request["campaigns"])
+            request = jobs.get(session, row.job_id).request
+            copied = NewIdentifyJob(kind="identify", robot="arm", campaigns=request.campaigns)
             made = jobs.add(session, row.robot_id, copied)
-            jobs.row_of(session, made).id = job_id
+            session.get_one(JobRow, made).id = job_id
             session.flush()
             new = NewVersion(calibration, report, row.covariance, row.campaigns, row.limits, None, "test")
             return store.add(session, row.robot_id, job_id, new)
@@ -223,16 +226,16 @@ def test_versions_split_by_rounded_readings_keep_their_split(lab: Lab) -> None:
     version = lab.identify([campaign], validation=0.3, seed=5)
     # Stored in degrees, the readings come back with another last bit.
     with lab.database.reading() as session:
-        archive = guard.Archive(session, store.row_of(session, version).robot_id)
+        archive = guard.Archive(session, store.get(session, version).robot_id)
         rows = archive.rows(campaign)
         assert rows is not None
         now = np.flatnonzero(archive.fitted(version, campaign))
     np.testing.assert_array_equal(now, split(rows, 0.3, 5)[0])
     with lab.database.transaction() as session:
-        report = {k: v for k, v in store.row_of(session, version).report.items() if k != store.POSES}
+        report = {k: v for k, v in store.get(session, version).report.items() if k != store.POSES}
         session.execute(update(VersionRow).where(VersionRow.id == version).values(report=report))
     with lab.database.reading() as session:
-        archive = guard.Archive(session, store.row_of(session, version).robot_id)
+        archive = guard.Archive(session, store.get(session, version).robot_id)
         before = np.flatnonzero(archive.fitted(version, campaign))
     expected = split(replace(rows, pose_id=rounded_poses(rows.q)), 0.3, 5)[0]
     np.testing.assert_array_equal(before, expected)
@@ -249,7 +252,7 @@ def test_the_held_out_poses_of_a_fraction_are_found_again(lab: Lab) -> None:
     assert (compared["poses"], compared["rows"]) == (18, metrics["validation"]["n"])
     other = lab.identify([first, second], validation=0.3, seed=6)
     with lab.database.reading() as session:
-        archive = guard.Archive(session, store.row_of(session, other).robot_id)
+        archive = guard.Archive(session, store.get(session, other).robot_id)
         mine, both = archive.unseen([version]).rows, archive.unseen([version, other]).rows
     assert sum(len(rows) for rows in both.values()) < sum(len(rows) for rows in mine.values())
 

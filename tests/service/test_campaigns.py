@@ -140,6 +140,14 @@ def scaled(factor: float, unit: str) -> str:
     })  # fmt: skip
 
 
+def moved(**cells: dict[int, float]) -> str:
+    rows = columns(40)
+    for name, changes in cells.items():
+        for row, value in changes.items():
+            rows[name][row - 1] = value
+    return csv_of(rows)
+
+
 LINES = csv_of(columns()).splitlines()
 
 BAD: list[tuple[str, str, int | None, str | None]] = [
@@ -342,3 +350,36 @@ def test_a_staged_campaign_is_dropped_with_its_rows(client: httpx.Client) -> Non
     assert client.get(f"/v1/campaigns/{staged}").json()["code"] == "campaign_not_found"
     client.post("/v1/robots/arm/campaigns", json={"name": "other", "staged": True}).raise_for_status()
     assert client.delete("/v1/robots/arm").status_code == 204  # a staged campaign does not hold a robot
+
+
+def test_readings_a_hair_beyond_a_limit_are_taken(shared_client: httpx.Client, shared_campaign: str) -> None:
+    """Limits of a URDF are rounded: 0.3 deg beyond counts as inside."""
+    taken = moved(q2_deg={2: 120.29, 9: -120.29})
+    assert send(shared_client, shared_campaign, taken).status_code == 201
+    refused = send(shared_client, shared_campaign, moved(q2_deg={2: 120.31}))
+    assert (refused.status_code, refused.json()["context"]["row"]) == (400, 2)
+
+
+def test_all_readings_beyond_their_limits_are_listed_at_once(shared_client: httpx.Client, shared_campaign: str) -> None:
+    many = {row: 121.0 + 0.1 * row for row in range(20, 31)}
+    answer = send(shared_client, shared_campaign, moved(q2_deg=many, q1_deg={7: 200.0}))
+    assert answer.status_code == 400
+    problem = answer.json()
+    assert problem["code"] == "observations_invalid"
+    assert problem["context"]["rows"] == [7, *range(20, 31)]
+    assert (problem["context"]["row"], problem["context"]["column"]) == (7, "q1_deg")
+    said = problem["detail"]
+    assert said.startswith("12 readings are outside the limits of their joints: column 'q1_deg' (limits ")
+    assert "row 7, by up to " in said
+    assert "column 'q2_deg' (limits -120 to 120 of joint 'j2') row 20, 21, 22, 23, 24, 25, 26, 27 and 3 more" in said
+    assert "by up to 4 deg. Correct the rows or the robot." in said
+
+
+def test_rows_in_later_pieces_have_their_numbers(shared_client: httpx.Client, shared_campaign: str) -> None:
+    rows = 9000
+    table = {name: np.tile(values, rows // 5) for name, values in columns().items()}
+    table["q2_deg"][[3, 8500]] = 125.0
+    stream = io.BytesIO()
+    parquet.write_table(pa.table(table), stream, row_group_size=1000)
+    answer = send(shared_client, shared_campaign, stream.getvalue(), "application/vnd.apache.parquet")
+    assert answer.json()["context"]["rows"] == [4, 8501]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.core.conversions.test_documents import poses
-from tests.core.test_circle_points import HOME, circles, middle
+from tests.core.test_circle_points import HOME, circles, horizontal, middle
 from tests.core.truth import Arm, Step, ur10
 
 
@@ -45,6 +45,21 @@ def test_a_slide_is_told_by_its_unit(shared_client: httpx.Client) -> None:
     found = shared_client.post("/v1/robots/from-circles", json=columns(q, points, ["deg", "deg", "mm"])).json()
     assert [axis["kind"] for axis in found["axes"]] == ["revolute", "revolute", "prismatic"]
     assert found["axes"][2]["stroke_mm"] == pytest.approx(300)
+
+
+def test_a_coupled_axis_is_named_with_the_option_that_uncouples_it(shared_client: httpx.Client) -> None:
+    arm = horizontal()
+    q, points = circles(arm, np.array([0.2, 0.3, 0.4]), arc=1.2)
+    table = columns(q, points, ["deg"] * 3)
+    refused = shared_client.post("/v1/robots/from-circles", json=table)
+    assert (refused.status_code, refused.json()["code"]) == (400, "circle_not_round")
+    assert refused.json()["context"] == {"joint": 2, "follower": 3}
+    assert "follows=j3=j2" in refused.json()["detail"]
+    found = shared_client.post("/v1/robots/from-circles?follows=j3=j2", json=table).raise_for_status().json()
+    some = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+    assert np.abs(poses(found["robot"], some)[0] - middle(arm, some)).max() < 2e-3
+    odd = shared_client.post("/v1/robots/from-circles?follows=3=2", json=table)
+    assert (odd.status_code, "for example j3=j2" in odd.json()["detail"]) == (400, True)
 
 
 def test_refusals_have_their_codes(shared_client: httpx.Client) -> None:

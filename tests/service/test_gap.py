@@ -9,7 +9,9 @@ import httpx
 import numpy as np
 import pytest
 
+from service.db import Database
 from tests.blind.generator import Case, Hidden, Options, generate
+from tests.service.stored_results import same_as_stored
 
 Until = Callable[..., None]
 Columns = dict[str, list[float]]
@@ -60,7 +62,9 @@ def without(columns: Columns, *stems: str) -> Columns:
     return {name: values for name, values in columns.items() if not name.startswith(stems)}
 
 
-def test_a_hidden_effect_is_named_stored_and_gone_afterwards(client: httpx.Client, worker: Any, until: Until) -> None:
+def test_a_hidden_effect_is_named_stored_and_gone_afterwards(
+    client: httpx.Client, database: Database, worker: Any, until: Until
+) -> None:
     arm = Arm(client)
     campaign = arm.upload()
     worker.start()
@@ -71,6 +75,7 @@ def test_a_hidden_effect_is_named_stored_and_gone_afterwards(client: httpx.Clien
     gap = found["gap"]
     assert gap["validation_after_mm"] < 0.7 * gap["validation_before_mm"]
     assert {p["factor"] for p in found["where"]}
+    same_as_stored(database, client.get("/v1/jobs").json()["jobs"][0] | {"result": found})
     figures = found["figures"]
     assert {"gap_bar", "residual_joint_1", "contribution", "alias_matrix"} <= set(figures)
     assert all(set(figure) == {"data", "layout"} for figure in figures.values())

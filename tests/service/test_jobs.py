@@ -11,6 +11,7 @@ import pytest
 
 from service.db import Database
 from service.versions import store as versions
+from tests.service.stored_results import same_as_stored
 
 Until = Callable[..., None]
 FINAL = ("succeeded", "failed", "cancelled")
@@ -36,7 +37,9 @@ def finished(client: httpx.Client, job: dict[str, Any], until: Until) -> dict[st
     return found
 
 
-def test_identify_evaluate_and_follow(client: httpx.Client, katana: Any, worker: Any, until: Until) -> None:
+def test_identify_evaluate_and_follow(
+    client: httpx.Client, database: Database, katana: Any, worker: Any, until: Until
+) -> None:
     campaign, other = katana.campaign(client, 60), katana.campaign(client, 40, seed=1)
     worker.start()
     job = submit(client, campaigns=[campaign], validation=[other], options={"level": 2})
@@ -53,6 +56,7 @@ def test_identify_evaluate_and_follow(client: httpx.Client, katana: Any, worker:
     done = json.loads(events[-1][1])
     assert done["state"] == "succeeded", done
     assert done["progress"]["fraction"] == 1
+    same_as_stored(database, done)
     assert done == client.get(f"/v1/jobs/{job['id']}").json()
     metrics = done["result"]["metrics"]["validation"]
     assert metrics["n"] == 40
@@ -71,7 +75,9 @@ def test_identify_evaluate_and_follow(client: httpx.Client, katana: Any, worker:
 
     options = {"version": version["id"], "refit": ["base"]}
     job = submit(client, kind="evaluate", campaigns=[other], options=options)
-    result = finished(client, job, until)["result"]
+    done = finished(client, job, until)
+    same_as_stored(database, done)
+    result = done["result"]
     assert result["version_id"] == version["id"]
     assert result["metrics"][other]["identified"]["mean_mm"] == pytest.approx(metrics["identified"]["mean_mm"], rel=0.2)
     assert result["metrics"][other]["within_u95"] > 0.8
@@ -97,7 +103,7 @@ def test_a_running_job_is_cancelled_within_seconds(
     until(lambda: state(client, job) == "cancelled", seconds=10)
     again = client.post(f"/v1/jobs/{job['id']}/cancel")
     assert (again.status_code, again.json()["state"]) == (200, "cancelled")
-    assert client.get("/v1/robots/katana/versions").json() == {"versions": []}
+    assert client.get("/v1/robots/katana/versions").json() == {"versions": [], "next": None}
     # The worker is free for the next one.
     few = katana.campaign(client, 3, seed=2)
     failed = finished(client, submit(client, campaigns=[few]), until)
@@ -184,7 +190,7 @@ def test_what_cannot_run_is_refused_at_once(client: httpx.Client, katana: Any) -
         job = {"kind": "identify", "robot": "katana", "campaigns": [campaign], **change}
         answer = client.post("/v1/jobs", json=job)
         assert (answer.status_code, answer.json()["code"]) == (status, code), (change, answer.text)
-    assert client.get("/v1/jobs").json() == {"jobs": []}
+    assert client.get("/v1/jobs").json() == {"jobs": [], "next": None}
     assert client.get("/v1/jobs/job_none").json()["code"] == "job_not_found"
     assert client.get("/v1/jobs/job_none/events").json()["code"] == "job_not_found"
 
@@ -218,17 +224,21 @@ def test_iso_9283_is_reported_or_refused(client: httpx.Client, katana: Any, work
     assert (wrong.status_code, wrong.json()["code"]) == (400, "option_invalid")
 
 
-def test_joint_parameters_from_planned_readings(client: httpx.Client, katana: Any, worker: Any, until: Until) -> None:
+def test_joint_parameters_from_planned_readings(
+    client: httpx.Client, database: Database, katana: Any, worker: Any, until: Until
+) -> None:
     katana.campaign(client, 3)
     worker.start()
     asked = {"propose": "j3", "count": 10, "payloads_kg": [0.0, 0.5]}
     plan = finished(client, submit(client, kind="joint_parameters", options=asked), until)
     assert plan["state"] == "succeeded", plan
+    same_as_stored(database, plan)
     rows = plan["result"]["configurations"]
     assert len(rows) == 10
     readings = [{**row, "reading_deg": 0.01} for row in rows]  # a joint that never gives way, mounted 0.01 degrees off
     done = finished(client, submit(client, kind="joint_parameters", options={"readings": readings}), until)
     assert done["state"] == "succeeded", done
+    same_as_stored(database, done)
     found = {p["name"]: p for p in done["result"]["parameters"]}
     assert set(found) == {"clearance_3", "backlash_load_3", "compliance_3"}
     assert all(abs(p["value"]) <= 3 * p["sigma"] for p in found.values())

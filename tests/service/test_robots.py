@@ -80,7 +80,7 @@ def test_a_document_that_is_no_robot_is_refused(
     answer = client.post("/v1/robots", json=document)
     assert answer.status_code == status
     assert words in answer.json()["detail"]
-    assert client.get("/v1/robots").json() == {"robots": []}
+    assert client.get("/v1/robots").json() == {"robots": [], "next": None}
 
 
 def test_changes_need_the_token(client: httpx.Client) -> None:

@@ -2,6 +2,24 @@ function job = gap(robot, campaigns, varargin)
 % GAP  Find and name what the model is missing; waits for the end.
 %   job = kilter.gap('arm', {train, more}, 'alpha', 0.01)
 %   Further pairs are the job's options. JOB.result holds the result; a job that fails is an error kilter:CODE.
+%     start                Id of the version to continue from; left out: the robot as drawn.
+%     alpha                Chance of any false name in the whole hunt, between 0 and 0.5.
+%     effects              Look for these effects only, by id or at some joints; left out: for all.
+%     noise_mm             Standard deviation of a coordinate, mm, above 0, where no pose was measured twice.
+%     free                 Parameters to identify, by name or pattern (alpha_*); left out: those of the level.
+%     fix                  Parameters to hold, by name or pattern (alpha_*).
+%     base                 Whether the base is fitted.
+%     tool                 Whether the tool is fitted.
+%     reference            Frames that corrections work in: the robot's own, those of the registration, or auto: the
+%                          robot's own for a frame that is fixed or found within 10 mm and 1 degree of it.
+%     max_effects          Most effects to name, 1 to 50.
+%     bootstraps           Resamples behind the p-value of an effect, 1 to 20000.
+%     resamples            Resamples of poses on which a name must return, 1 to 10000.
+%     permutations         Shuffles of the negative control, 1 to 10000.
+%     next_poses           Poses to propose, 0 to 1000.
+%     seed                 Seed of everything that is drawn by chance, 0 or more.
+%     matters_um           Movement of the tool below which nothing matters, micrometres (um), 0 or more.
+%     limits               The largest correction the version may make; left out: 1 degree and 5 mm.
 [options, validation] = kilter.internal.options(varargin);
 job = kilter.internal.run('gap', robot, campaigns, options, validation);
 end

@@ -2,6 +2,21 @@ function job = plan(robot, campaigns, varargin)
 % PLAN  Plan poses to measure; waits for the end. CAMPAIGNS may be {}.
 %   job = kilter.plan('arm', {}, 'purpose', 'iso9283', 'count', 30)
 %   Further pairs are the job's options. JOB.result holds the result; a job that fails is an error kilter:CODE.
+%     purpose              iso9283: cube and planes of the standard; identify: poses that determine the parameters
+%                          best; separate: poses that tell two effects apart.
+%     method               Of identify: d_optimal or the poses of iso9283; of iso9283: five_poses or two_poses for
+%                          its cycles.
+%     count                Poses, 1 to 2000, or cycles; left out: 118, 60 or 12 poses by purpose, 30 cycles.
+%     effects              Of identify: effects to see; of separate: the two, or one to tell from geometry; left out:
+%                          what the hunt that made the version left undecided.
+%     seed                 Seed of the choice, 0 or more.
+%     noise_mm             Standard deviation of a coordinate, mm, above 0; left out: that of the repeats, else 0.05.
+%     version              Id of the version to plan with; left out: the robot as drawn.
+%     box_mm               Lowest and highest corner, mm, of a box the tool stays in, in the frame of the
+%                          measurements.
+%     floor_mm             Height in the robot's base frame, mm, that no joint and no tool point goes below.
+%     within               Where poses may be: where the robot was driven before, or anywhere in its limits.
+%     payloads_kg          Loads at hand, kg, 0 to 1000; used where an effect feels them.
 [options, validation] = kilter.internal.options(varargin);
 job = kilter.internal.run('plan', robot, campaigns, options, validation);
 end

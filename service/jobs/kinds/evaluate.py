@@ -2,41 +2,32 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from core.errors import OptionError
+from service.contract.jobs.evaluate import EvaluateOptions
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 
 if TYPE_CHECKING:
     from core.model import Calibration
 
-VERSION, REFIT, METRICS, CRITERIA = "version", "refit", "metrics", "criteria"
-KINDS_OF_METRICS = ("errors", "iso9283")
 REFITS: tuple[list[str], ...] = ([], ["base"], ["base", "tool"])
 
 
-def check(options: dict[str, Any]) -> None:
-    """Refuse options that evaluate does not have.
+def check(options: EvaluateOptions) -> None:
+    """Refuse options that do not go together.
 
     Raises:
-        OptionError: one that does not exist or cannot be.
+        OptionError: a tool refitted without its base, or criteria without their standard.
 
     """
-    unknown = sorted(set(options) - {VERSION, REFIT, METRICS, CRITERIA})
-    if unknown:
+    if options.refit not in REFITS:
         raise OptionError(
-            f"evaluate has no option {unknown[0]!r}. It has: {VERSION}, {REFIT}, {METRICS}, {CRITERIA}.",
-            option=unknown[0],
+            f'options.refit is {options.refit}: give [], ["base"] or ["base", "tool"], for a job of kind evaluate.',
+            option="refit",
         )
-    if options.get(REFIT, []) not in REFITS:
-        raise OptionError(f'refit is {options[REFIT]}: give [], ["base"] or ["base", "tool"].', option=REFIT)
-    if options.get(METRICS, "errors") not in KINDS_OF_METRICS:
-        raise OptionError(f"metrics is {options[METRICS]!r}: give {' or '.join(KINDS_OF_METRICS)}.", option=METRICS)
-    wanted = options.get(CRITERIA, [])
-    if not isinstance(wanted, list) or (wanted and options.get(METRICS) != "iso9283"):
-        raise OptionError(
-            'criteria is a list of symbols such as ["AP", "RP"], with metrics "iso9283".', option=CRITERIA
-        )
+    if options.criteria and options.metrics != "iso9283":
+        raise OptionError('options.criteria goes with metrics "iso9283": give both, or none.', option="criteria")
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
@@ -45,17 +36,17 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     from core.identify.predictive import Predictive
     from core.model import Calibration
 
+    options: EvaluateOptions = job.options
     calibration = job.calibration or Calibration.nominal(job.robot)
-    if job.options.get(METRICS) == "iso9283":
+    if options.metrics == "iso9283":
         return _iso9283(job, calibration, progress)
     known = Predictive.from_document(job.covariance or {}, job.report)
     metrics, rows = {}, {}
     for number, (campaign, seen) in enumerate(job.campaigns.items()):
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
-        metrics[campaign] = evaluate(calibration, seen, job.options.get(REFIT, []), known)
+        metrics[campaign] = evaluate(calibration, seen, options.refit, known)
         rows[campaign] = metrics[campaign].pop("rows")
-    refit = job.options.get(REFIT, [])
-    return JobOutput({"version_id": job.version_id, "refit": refit, "metrics": metrics, "rows": rows})
+    return JobOutput({"version_id": job.version_id, "refit": options.refit, "metrics": metrics, "rows": rows})
 
 
 def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> JobOutput:
@@ -65,8 +56,8 @@ def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> Job
     commanded, reports = calibration.wanted(), {}
     for number, (campaign, rows) in enumerate(job.campaigns.items()):
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
-        reports[campaign] = criteria(Trial.of(commanded.predict(rows), rows), job.options.get(CRITERIA, []))
+        reports[campaign] = criteria(Trial.of(commanded.predict(rows), rows), job.options.criteria)
     return JobOutput({"version_id": job.version_id, "standard": "ISO 9283:1998", "iso9283": reports})
 
 
-EVALUATE = JobKind("evaluate", check, run, version_option=VERSION)
+EVALUATE = JobKind("evaluate", EvaluateOptions, check, run, version_option="version")

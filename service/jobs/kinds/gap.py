@@ -6,35 +6,33 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from core.errors import OptionError
+from service.contract.jobs.gap import GapOptions
+from service.contract.versions import CorrectionLimits
 from service.jobs.attended import attended
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from service.jobs.pictures import pictures
+from service.jobs.plain import plain
 from service.jobs.poses import Pose, document_of
-from service.jobs.wire import plain, version_limits
 from service.versions.store import HELD_OUT
 
 if TYPE_CHECKING:
-    from core.gap import GapOptions, GapReport
+    from core.gap import GapOptions as Asked
+    from core.gap import GapReport
     from core.observations import Observations
 
-START, LIMITS = "start", "limits"
+NOT_OF_THE_CORE = {"start", "limits"}
 
 
-def check(options: dict[str, Any]) -> None:
-    """Refuse options that gap does not have.
+def check(options: GapOptions) -> None:
+    """Refuse what the core would.
 
     Raises:
-        OptionError: one that does not exist or cannot be.
+        OptionError: an effect that is not searched for, or an option of one that a hunt chooses itself.
 
     """
-    from core.effects import EFFECTS
+    from core.gap.wanted import wanted
 
-    chosen = _options(options)
-    unknown = [effect for effect in chosen.effects if effect not in EFFECTS]
-    if unknown:
-        raise OptionError(f"There is no effect {unknown[0]!r}. There are: {', '.join(EFFECTS)}.", option="effects")
-    version_limits(options.get(LIMITS))
+    wanted(_core(options).effects)
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
@@ -47,7 +45,7 @@ def _hunt(job: JobInput, progress: Progress) -> JobOutput:
     from core.gap import find_gap  # compiled kernels: only the worker needs them
     from core.gap.holding import parted, share_of
 
-    options = _options(job.options)
+    options = _core(job.options)
     rows, validation, confirmation = _rows(job)
     progress(0.0, "fitting the geometry")
     report = find_gap(job.robot, rows, options, job.calibration, validation, progress, confirmation)
@@ -114,22 +112,17 @@ def _version(
         "reference": stored.reference(),
         HELD_OUT: share,
     }
-    limits = version_limits(job.options.get(LIMITS))
+    limits = job.options.limits or CorrectionLimits()
     return VersionContent(stored.calibration.to_document(), plain(document), plain(stored.covariance()), limits)
 
 
-def _options(options: dict[str, Any]) -> GapOptions:
-    from core.gap import GapOptions
+def _core(options: GapOptions) -> Asked:
+    """What was asked, as the core has it: whatever was not keeps the core's default."""
+    from core.gap import GapOptions as Asked
 
-    own = {key: value for key, value in options.items() if key not in (START, LIMITS)}
-    for name in ("effects", "free", "fix"):
-        names = own.get(name, [])
-        if not isinstance(names, list) or not all(isinstance(one, str) for one in names):
-            raise OptionError(f'{name} is {names!r}: give a list of names, as ["backlash"].', option=name)
-    try:
-        return GapOptions.from_document(own)
-    except TypeError as error:
-        raise OptionError(f"The options cannot be read: {error}.") from error
+    return Asked.from_document(options.model_dump(mode="json", exclude=NOT_OF_THE_CORE))
 
 
-GAP = JobKind("gap", check, run, version_option=START, takes_folds=False, takes_confirmation=True, long=True)
+GAP = JobKind(
+    "gap", GapOptions, check, run, version_option="start", takes_folds=False, takes_confirmation=True, long=True
+)

@@ -5,28 +5,29 @@ from __future__ import annotations
 from bisect import bisect_right
 from typing import TYPE_CHECKING, Any
 
-from core.errors import OptionError
+from service.contract.jobs.identify import IdentifyOptions
+from service.contract.versions import CorrectionLimits
+from service.jobs.identify_pictures import pictures, workspace_picture
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from service.jobs.plain import plain
 from service.jobs.setups import Setups
-from service.jobs.sheets import OPTION, bar_lengths, check_option, doubts
-from service.jobs.wire import version_limits
+from service.jobs.sheets import bar_lengths, doubts
 
 if TYPE_CHECKING:
-    from core.identify import IdentifyOptions, Prior
+    from core.identify import IdentifyOptions as Asked
+    from core.identify import Prior
 
-START, LIMITS = "start", "limits"
+NOT_OF_THE_CORE = {"start", "limits", "sheet_order"}
 
 
-def check(options: dict[str, Any]) -> None:
-    """Refuse options that identify does not have.
+def check(options: IdentifyOptions) -> None:
+    """Refuse options that do not go together.
 
     Raises:
-        OptionError: one that does not exist or cannot be.
+        OptionError: a method without what another option needs, effects at a level without them, ...
 
     """
-    _options(options).make_effects()
-    check_option(options.get(OPTION))
-    version_limits(options.get(LIMITS))
+    _core(options).make_effects()
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
@@ -35,10 +36,10 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     from core.observations import Observations
     from service.campaigns.store import numbered
 
-    options = _options(job.options)
+    options = _core(job.options)
     setups = Setups(options.refit, job.devices)
     named = [*job.campaigns.items(), *(job.validation.items() if isinstance(job.validation, dict) else ())]
-    remarks = doubts(job.robot, named, job.devices, job.options.get(OPTION)) + bar_lengths(job.robot, named)
+    remarks = doubts(job.robot, named, job.devices, job.options.sheet_order) + bar_lengths(job.robot, named)
     parts = numbered(setups.marked(named))
     validation: Observations | float | Folds | None
     if isinstance(job.validation, dict):
@@ -50,14 +51,16 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job))
     report = found.to_document()
     report["base_refitted"] = setups.named(report["base_refitted"])
-    report["set_aside"] = _by_campaign(report["set_aside"], {name: len(rows) for name, rows in job.campaigns.items()})
+    counts = {name: len(rows) for name, rows in job.campaigns.items()}
+    report["set_aside"] = _by_campaign(report["set_aside"], counts)
     warning = setups.warning(report["base_refitted"])
     report["warnings"] += [*([] if warning is None else [warning]), *remarks]
     covariance = found.predictive.to_document()
     content = VersionContent(
-        found.calibration.to_document(), report, covariance, version_limits(job.options.get(LIMITS))
+        found.calibration.to_document(), report, covariance, job.options.limits or CorrectionLimits()
     )
-    return JobOutput(report, content)
+    drawn = pictures(found, report, job) | workspace_picture(found, train, options.seed)
+    return JobOutput({**report, "figures": plain(drawn)}, content)
 
 
 def _by_campaign(rows: list[dict[str, Any]], counts: dict[str, int]) -> list[dict[str, Any]]:
@@ -80,14 +83,11 @@ def _prior(job: JobInput) -> Prior | None:
     return Prior(tuple(known["names"]), np.array(known["matrix"])) if known.get("names") else None
 
 
-def _options(options: dict[str, Any]) -> IdentifyOptions:
-    from core.identify import IdentifyOptions
+def _core(options: IdentifyOptions) -> Asked:
+    """What was asked, as the core has it: whatever was not keeps the core's default."""
+    from core.identify import IdentifyOptions as Asked
 
-    own = {key: value for key, value in options.items() if key not in (START, LIMITS, OPTION)}
-    try:
-        return IdentifyOptions.from_document(own)
-    except TypeError as error:
-        raise OptionError(f"The options cannot be read: {error}.") from error
+    return Asked.from_document(options.model_dump(mode="json", exclude=NOT_OF_THE_CORE))
 
 
-IDENTIFY = JobKind("identify", check, run, version_option=START)
+IDENTIFY = JobKind("identify", IdentifyOptions, check, run, version_option="start")

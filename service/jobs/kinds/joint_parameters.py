@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
-
 from core.errors import OptionError
-from service.contract.jobs.joint_parameters import Options
+from service.contract.jobs.joint_parameters import JointParametersOptions as Options
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 
 if TYPE_CHECKING:
@@ -20,19 +18,20 @@ if TYPE_CHECKING:
 AXES = "xyz"
 
 
-def check(options: dict[str, Any]) -> None:
-    """Refuse options that joint_parameters does not have.
+def check(options: Options) -> None:
+    """Refuse options that do not go together.
 
     Raises:
-        OptionError: one that does not exist or cannot be, or both readings and a joint.
+        OptionError: both readings and a joint.
 
     """
-    _read(options)
+    if options.readings and options.propose is not None:
+        raise OptionError("Give either `readings`, or in `propose` the joint to plan readings for.", option="readings")
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Measure the joints of the readings or of the campaigns, or propose configurations for one joint."""
-    options = _read(job.options)
+    options: Options = job.options
     if options.propose is not None:
         progress(0.1, "choosing configurations")
         return JobOutput({"joint": options.propose, **_proposed(job.robot, options)})
@@ -108,18 +107,6 @@ def _at_the_tool(name: str) -> dict[str, str]:
     }
 
 
-def _read(options: dict[str, Any]) -> Options:
-    try:
-        read = Options.model_validate(options)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise OptionError(f"options.{place}: {first['msg']}.", option=place) from error
-    if read.readings and read.propose is not None:
-        raise OptionError("Give either `readings`, or in `propose` the joint to plan readings for.", option="readings")
-    return read
-
-
 def _joint(robot: Robot, name: str) -> int:
     names = [joint.name for joint in robot.joints]
     if name not in names:
@@ -183,5 +170,5 @@ def _row(p: JointParameter) -> dict[str, Any]:
 
 
 JOINT_PARAMETERS = JobKind(
-    "joint_parameters", check, run, takes_folds=False, instead_of_campaigns=("readings", "propose")
+    "joint_parameters", Options, check, run, takes_folds=False, instead_of_campaigns=("readings", "propose")
 )

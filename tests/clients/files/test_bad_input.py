@@ -112,7 +112,7 @@ CASES: dict[str, tuple[Make, str, set[str]]] = {
     "clocks apart": (with_points(WANDER, stepped, "--by", "frames"),
                      r"clock and that of log.csv jump against each other by \+3.00 s between 1\d.* --piecewise", {"file"}),
     "degrees called radians": (rows(HEAD.replace("_deg", "_rad") + "\n" + GOOD.replace("8,16", "170,16")),
-                               "Row 4, column 'q1_rad' is outside the limits .* name the column q1_deg if these are degrees",
+                               "outside the limits .*'q1_rad' .*row 4, .* name the columns q1_deg, q2_deg, q3_deg if these are",
                                {"row", "column"}),
     "degrees called radians in a log": (
         with_points(POINTS, lambda f: write_log(f / "log.csv", POSES)), "two turns: are these degrees. Name the column",

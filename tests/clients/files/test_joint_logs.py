@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kilter_client import FileError
+from kilter_client import FileError, prepare
 from kilter_client.cli import run
+from kilter_client.files import targets
 from kilter_client.files.inspection import inspect
 from kilter_client.files.joint_bag import read_bag
 from kilter_client.files.joint_log import LogHints, read_joint_log
-from kilter_client.files.targets import read_targets
+from kilter_client.files.targets import Dialect, Targets, read_targets
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -203,6 +205,123 @@ def test_programs(tmp_path: Path, text: str, dialect: str, joints: Any, lines: l
         np.testing.assert_allclose(found.joints_deg, joints)
     assert any(word in " ".join(found.notes + found.warnings) for word in said.split("|"))
     assert inspect(path)["kind"] == "joint-log"
+
+
+POSE = "[[600,0,500],[1,0,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+KRL_DATA = """&ACCESS RVP
+DEFDAT  MEASURE PUBLIC
+DECL E6POS XP0={X 500.0,Y 0.0,Z 800.0,A 0.0,B 90.0,C 0.0,S 2,T 10}
+DECL E6AXIS XP1={A1 1.0,A2 -90.0,A3 90.0,A4 0.0,A5 0.0,A6 0.0,E1 0.0}
+DECL E6AXIS Q[2]
+Q[1]={E6AXIS: A1 2.0,A2 -90.0,A3 90.0,A4 0.0,A5 0.0,A6 0.0}
+Q[2]={A1 3.0,A2 -90.0,A3 90.0,A4 0.0,A5 0.0,A6 0.0}
+DECL FDAT FP1={TOOL_NO 1,BASE_NO 0,IPO_FRAME #BASE,POINT2[] " "}
+$BASE={X 0,Y 0,Z 0,A 0,B 0,C 0}
+ENDDAT
+"""
+LS_GROUPS = """/PROG A
+/POS
+P[1]{
+   GP1:
+    UF : 0, UT : 1,
+    J1= 1 deg, J2= 2 deg, J3= 3 deg
+   GP2:
+    UF : 0, UT : 1,
+    J1= 77 deg
+};
+/END
+"""
+URSCRIPT = """def measure():
+  global Waypoint_1_p=p[.4, .1, .3, 0, 3.14, 0]
+  global Waypoint_1_q=[0.1, -1.5, 1, 0, 0, 0]
+  here = [d2r(90), 0, 0, 0, 0, d2r(-45.0)]
+  movej(here, a=1.4)
+  movej(get_inverse_kin(Waypoint_1_p, qnear=Waypoint_1_q), a=1.39, v=1.05)
+  movej(Waypoint_1_p)
+  movel(p[.4, .1, .3, 0, 3.14, 0])
+end
+"""
+
+
+def targets_of(folder: Path, text: str) -> Any:
+    (folder / "program.txt").write_text(text)
+    return read_targets(folder / "program.txt")
+
+
+def test_rapid_with_declarations_of_poses_beside_joints(tmp_path: Path) -> None:
+    text = RAPID.replace(
+        "MODULE Poses\n", f"MODULE Poses\n  LOCAL PERS robtarget pA:={POSE};\n  PERS tooldata t:=[TRUE];\n"
+    )
+    found = targets_of(tmp_path, text)
+    assert len(found.joints_deg) == 3
+    assert "2 places are left out, for they are poses and hold no joints: pA (line 2), p1 (line 8)" in found.warnings
+
+
+def test_krl_with_declarations(tmp_path: Path) -> None:
+    found = targets_of(tmp_path, KRL_DATA)
+    assert found.names == ["XP1", "Q[1]", "Q[2]"]
+    assert [q[0] for q in found.joints_deg] == [1, 2, 3]
+    assert found.lines == [4, 6, 7]
+    assert "1 places are left out, for they are poses and hold no joints: XP0 (line 3)" in found.warnings
+    moves = "DEF MEASURE()\n PTP Q[2]\n LIN XP0\n PTP XP1\nEND\n"
+    found = targets_of(tmp_path, KRL_DATA + moves)
+    assert found.names == ["Q[2]", "XP1"]
+    assert "in the order in which the program moves to them" in found.notes
+
+
+def test_fanuc_with_a_second_motion_group(tmp_path: Path) -> None:
+    found = targets_of(tmp_path, LS_GROUPS)
+    assert found.joints_deg == [[1, 2, 3]]
+    assert any("beside GP1 are left out" in text for text in found.warnings)
+
+
+def test_urscript_with_variables(tmp_path: Path) -> None:
+    found = targets_of(tmp_path, URSCRIPT)
+    np.testing.assert_allclose(found.joints_deg, [[90, 0, 0, 0, 0, -45], np.degrees([0.1, -1.5, 1, 0, 0, 0])])
+    assert found.names == ["here", "Waypoint_1_q"]
+    assert found.lines == [5, 6]
+    assert any("1 moves to a pose count with the joints of their qnear" in text for text in found.warnings)
+    said = "2 places are left out, for they are poses and hold no joints: Waypoint_1_p (line 7), a move along"
+    assert any(said in text for text in found.warnings)
+
+
+def test_a_program_comes_in_through_a_map_by_its_content(tmp_path: Path) -> None:
+    (tmp_path / "measure.dat").write_text(KRL_DATA)
+    (tmp_path / "points.csv").write_text("x,y,z\n1,2,3\n4,5,6\n7,8,9\n")
+    columns = "".join(f'{a}_mm = {{ from = "{a}", unit = "mm" }}\n' for a in "xyz")
+    (tmp_path / "map.toml").write_text(f'[columns]\n{columns}[join]\npath = "measure.dat"\nby = "row"\n')
+    lines = prepare(tmp_path / "points.csv", column_map=tmp_path / "map.toml").content.decode().splitlines()
+    assert lines[0] == "x_mm,y_mm,z_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg"
+    assert lines[3].startswith("7.0,8.0,9.0,3.0,-90.0,")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f"MODULE m\nCONST robtarget p10:={POSE};\nMoveL p10,v100,fine,tool0;\nENDMODULE\n",
+         r"line 2: holds poses and no joints: p10 \(line 2\). Store jointtargets: CJointT\(\)"),
+        ("DEFDAT a\nDECL E6POS XP1={X 1,Y 2,Z 3,A 0,B 0,C 0}\n", r"line 2: holds poses and no joints: XP1 .*Store E6AXIS"),
+        ("/PROG A\n/POS\nP[1]{\n GP1:\n X = 1 mm\n};\nP[7]{\n GP1:\n X = 2 mm\n};\n",
+         r"line 3: are given as poses: P\[1\] \(line 3\), P\[7\] \(line 7\). Show them as joints"),
+        ("movej(p[.4, .1, .3, 0, 3.14, 0])\n", r"line 1: holds poses and no joints: movej \(line 1\). Give movej joints"),
+        ("movej(home)\n", r"line 1: movej goes to 'home', which is set to no joints .* Write home = \[...\] before"),
+    ],
+)  # fmt: skip
+def test_programs_of_poses_are_refused_with_every_place(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(FileError, match=words):
+        targets_of(tmp_path, text)
+    with pytest.raises(FileError, match=words):
+        inspect(tmp_path / "program.txt")
+
+
+def test_a_new_dialect_is_one_entry_and_its_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read(path: Path, text: str, found: Targets) -> None:
+        for number, line in enumerate(text.splitlines()[1:], 2):
+            found.add("GO", [float(cell) for cell in line.split()[1:]], number)
+
+    monkeypatch.setitem(targets.DIALECTS, "TOY", Dialect(re.compile("^TOYBOT"), read, "none"))
+    assert targets_of(tmp_path, "TOYBOT 1\nGO 1 2 3 4\nGO 5 6 7 8\n").joints_deg == [[1, 2, 3, 4], [5, 6, 7, 8]]
+    assert inspect(tmp_path / "program.txt")["kind"] == "joint-log"
 
 
 @pytest.mark.parametrize(

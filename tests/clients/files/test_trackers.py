@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kilter_client import FileError
+from kilter_client.files.inspection import Hints, inspect
 from kilter_client.files.tracker_text import read_tracker
+from openpyxl import Workbook
 from scipy.spatial.transform import Rotation
 
 EXPORTS = [
@@ -70,7 +72,7 @@ def test_quaternions(tmp_path: Path) -> None:
         ("x,y,z,u95\n1,2,3,0.1\n1,2,3,-4\n", r"line 3, column 'u95': a negative uncertainty"),
         ("x,y,z\n1,2,3\n1,2,3\nx,y,z\n1,2,3\n", r"line 4: a second header stands here: two recordings are glued"),
         ("x,y,z\n1,2,3\n1,2,3\n1,2,3,4\n", r"line 4: 4 cells where the first row has 3"),
-        ("name,a,b\nP1,1,2\nP2,1,2\n", "no columns x, y and z among name, a, b. Write a column map"),
+        ("name,a,b\nP1,1,2\nP2,1,2\n", "no columns x, y and z among name, a, b. Write a column map .*--draft"),
     ],
 )  # fmt: skip
 def test_bad_exports(tmp_path: Path, text: str, words: str) -> None:
@@ -95,3 +97,46 @@ def test_ipa_by_the_leica_preset_agrees_with_its_own_importer(shared_data: Path)
     got, wanted = read_tracker(path, "leica"), read_ipa_lasertracker(path)
     for name in ("x_mm", "z_mm", "qw", "qz", "sy_mm", "temperature_c"):
         np.testing.assert_allclose(got.columns[name], wanted.columns[name], atol=1e-12)
+
+
+@pytest.mark.parametrize("sign", ["'", ""])
+def test_time_stamps_with_and_without_a_spreadsheets_apostrophe(tmp_path: Path, sign: str) -> None:
+    rows = [f"P{k};{sign}12:59:{59 + k if k < 1 else k - 1:02d},5;{100 + k};200;{300 - k}" for k in range(4)]
+    rows = [row.replace("12:59", "13:00") if k else row for k, row in enumerate(rows)]
+    path = tmp_path / "points.csv"
+    path.write_text("\n".join(["Name;Time;X [mm];Y [mm];Z [mm]", *rows]) + "\n")
+    table = read_tracker(path)
+    assert table.columns["t_s"] == [0, 1, 2, 3]
+    assert table.columns["x_mm"] == [100, 101, 102, 103]
+    path.write_text("\n".join(["Name;Time;X [mm];Y [mm];Z [mm]", rows[0], "P9;soon;1;2;3"]) + "\n")
+    with pytest.raises(FileError, match=r"line 3, column 'Time': 'soon' is no time stamp. Write it as 12:00:01.5"):
+        read_tracker(path)
+
+
+def test_time_stamps_of_a_recording_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    head = ["Frame", "Time", *(f"M{k} {a} [mm]" for k in (1, 2, 3) for a in "XYZ")]
+    rows = [[str(k), f"'12:00:0{k // 10}.{k % 10}", *(f"{100.0 * m + k:.3f}" for m in range(9))] for k in range(40)]
+    path = tmp_path / "frames.csv"
+    path.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
+    with pytest.raises(FileError, match=r"is a time stamp. Recordings need seconds: .* take the column out .*--rate"):
+        inspect(path)
+    path.write_text("\n".join(",".join([row[0], *row[2:]]) for row in [head, *rows]) + "\n")
+    assert inspect(path, Hints(rate_hz=10.0))["frames"] == 40
+
+
+def test_tables_that_no_device_writes_are_shown_with_the_way_in(tmp_path: Path) -> None:
+    rows = [f'{k},"[0.{k},\n 0.2]","[1 2\n {k}]"' for k in range(5)]
+    path = tmp_path / "lists of a lab.csv"
+    path.write_text("\n".join(["id,joints,pos", *rows]) + "\n")
+    found = inspect(path)
+    assert (found["kind"], found["rows"]) == ("table", 5)
+    assert [c["name"] for c in found["columns"]] == ["id", "joints[0]", "joints[1]", "pos[0]", "pos[1]", "pos[2]"]
+    assert found["columns"][1]["high"] == 0.4
+    assert f"kilter inspect '{path}' --draft columns.toml" in found["notes"][-1]
+    book = Workbook()
+    assert book.active is not None
+    for row in (["Gelenk 1 [°]", "x"], [1.5, 2], [2.5, 3]):
+        book.active.append(row)
+    book.save(tmp_path / "Maße.xlsx")
+    found = inspect(tmp_path / "Maße.xlsx")
+    assert (found["kind"], found["rows"], found["columns"][0]["unit"]) == ("table", 2, "deg")

@@ -51,7 +51,7 @@ def test_a_world_of_many_rows_takes_little_besides_itself():
     wide = tool.on(type(tool.measurement)(tool.measurement.observations.select(many)))
     noise = type(setting.noise)(**{**vars(setting.noise), "visit": setting.noise.visit[many]})
     large = type(setting)(wide, noise, setting.used[many], np.arange(len(many)))
-    assert wide.batch.slopes.moments.size  # loads are made once, and are not counted
+    assert wide.batch.slopes.of("axial", 0).size  # loads are made once, and are not counted
     tracemalloc.start()
     try:
         made = world_at(large, world.values)

@@ -73,6 +73,18 @@ def test_wrong_readings_in_one_block_of_time_are_found_although_their_repeats_se
     assert {w["code"] for w in made.warnings} == {"outliers"}
 
 
+def test_as_many_held_out_rows_may_be_wrong_as_rows_of_the_search():
+    """A tenth of all readings is wrong: what is held out is judged by the others, and an error counts as before."""
+    rows, bad = spoilt(campaign(ROBOT, (("backlash", (2,), (8e-4,)),), seed=5, revisits=20, poses=150), 0.12, 1)
+    held = rows.pose_groups() >= 100
+    report = find_gap(
+        ROBOT, rows.select(~held), replace(QUICK, effects=("backlash",)), validation=rows.select(held)
+    ).to_document()
+    assert [(e["id"], e["joints"], e["gates"]["held_out"]) for e in report["effects"]] == [("backlash", [3], True)]
+    assert report["gap"]["held_out_set_aside"] == bad[held].sum() > 3
+    assert report["gap"]["validation_after_mm"] < 0.05 < 0.1 < report["gap"]["validation_before_mm"] < 0.2
+
+
 STRUCTURE = {
     "play beyond an elbow": lambda o: 2e-3 * (o.q[:, 1] > np.quantile(o.q[:, 1], 0.8)),
     "a bump": lambda o: 1e-3 * np.exp(-(((o.q[:, 2] - 0.3) / 0.15) ** 2)),

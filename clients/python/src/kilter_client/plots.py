@@ -1,19 +1,22 @@
 """Figures of a job as files: Plotly's JSON as it came, and PNG and SVG drawn by matplotlib where it is installed.
 
-Only what Kilter's figures hold is drawn: scatters, bars with error bars, heat maps, titles and axis names.
+Only what Kilter's figures hold is drawn: points, lines, bars with error bars, heat maps, side by side or in space.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from kilter_client.errors import FileError, MissingPackageError
+from kilter_client.plot_traces import fill, words
 
-INCH = (7.0, 4.2)
+INCH = (7.5, 4.6)
+PX = 100  # of a layout's width and height to the inch
+LETTERS_TO_THE_INCH, SAMPLE_LETTERS = 14, 8  # of a legend, and what the sample before a name takes
 DPI = 120
 # The same figure gives the same bytes: no date, no random ids.
 STEADY: Any = {
@@ -68,58 +71,92 @@ def draw(figure: Mapping[str, Any], stem: Path, formats: tuple[str, ...]) -> lis
             package="matplotlib",
         ) from error
     with rc_context(STEADY):
-        canvas = Figure(figsize=INCH, layout="constrained")
-        axes = canvas.add_subplot()
-        _fill(canvas, axes, figure)
+        canvas = Figure(figsize=_inches(figure["layout"]), layout="constrained")
+        _draw_all(canvas, figure)
         files = [stem.with_name(f"{stem.name}.{form}") for form in formats]
         for file in files:
             canvas.savefig(file, dpi=DPI, metadata={"Date": None} if file.suffix == ".svg" else None)
     return files
 
 
-def _fill(canvas: Any, axes: Any, figure: Mapping[str, Any]) -> None:
+def _inches(layout: Mapping[str, Any]) -> tuple[float, float]:
+    """Size of a picture: as the layout wants it, else the usual one."""
+    width, height = layout.get("width"), layout.get("height")
+    return width / PX if width else INCH[0], height / PX if height else INCH[1]
+
+
+def _draw_all(canvas: Any, figure: Mapping[str, Any]) -> None:
     layout, traces = figure["layout"], figure["data"]
-    axes.set_title(layout["title"]["text"])
-    axes.set_xlabel(layout["xaxis"]["title"]["text"])
-    axes.set_ylabel(layout["yaxis"]["title"]["text"])
-    bars = [trace for trace in traces if trace["type"] == "bar"]
-    for trace in traces:
-        if trace["type"] == "scatter":
-            _scatter(axes, trace)
-        elif trace["type"] == "heatmap":
-            _heatmap(canvas, axes, trace)
-    if bars:
-        _bars(axes, bars)
-    if len(traces) > 1:
-        axes.legend(fontsize=8)
+    title, *under = words(layout["title"]["text"]).split("\n")
+    canvas.suptitle("\n".join([title, *under]), fontsize=10)
+    pairs = list(dict.fromkeys((trace.get("xaxis", "x"), trace.get("yaxis", "y")) for trace in traces))
+    flat = [trace for trace in traces if trace["type"] != "scatter3d"]
+    if not flat:
+        _in_space(canvas, traces, layout)
+    grid = _grid(canvas, layout, pairs) if flat else {}
+    for pair, axes in grid.items():
+        own = [trace for trace in flat if (trace.get("xaxis", "x"), trace.get("yaxis", "y")) == pair]
+        _name_axes(axes, layout, pair)
+        fill(canvas, axes, own, layout)
+    _legend(canvas, traces)
 
 
-def _scatter(axes: Any, trace: Mapping[str, Any]) -> None:
-    marker = trace.get("marker", {})
-    axes.scatter(
-        trace["x"], trace["y"], s=marker.get("size", 4) ** 2 / 2, c=marker.get("color"), label=trace["name"],
-        linewidths=0, rasterized=True,
-    )  # fmt: skip
+def _in_space(canvas: Any, traces: Sequence[Mapping[str, Any]], layout: Mapping[str, Any]) -> None:
+    axes = canvas.add_subplot(projection="3d")
+    for letter in "xyz":
+        getattr(axes, f"set_{letter}label")(words(layout["scene"][f"{letter}axis"]["title"]["text"]))
+    fill(canvas, axes, traces, layout)
+    axes.set_aspect("equal")
 
 
-def _bars(axes: Any, traces: list[Mapping[str, Any]]) -> None:
-    names = [str(name) for name in traces[0]["x"]]
-    width = 0.8 / len(traces)
-    for k, trace in enumerate(traces):
-        places = [i + (k - (len(traces) - 1) / 2) * width for i in range(len(names))]
-        spread = trace.get("error_y", {}).get("array")
-        colour = trace.get("marker", {}).get("color")
-        axes.bar(places, trace["y"], width, yerr=spread, color=colour, label=trace.get("name"), capsize=2)
-    _names(axes, names)
+def _grid(canvas: Any, layout: Mapping[str, Any], pairs: Sequence[tuple[str, str]]) -> dict[tuple[str, str], Any]:
+    """Axes where the layout's domains put them: side by side, or one below the other."""
+    across = sorted({_domain(layout, x)[0] for x, _ in pairs})
+    down = sorted({_domain(layout, y)[0] for _, y in pairs}, reverse=True)
+    sizes = {_domain(layout, y)[0]: _domain(layout, y)[1] - _domain(layout, y)[0] for _, y in pairs}
+    cells = canvas.add_gridspec(len(down), len(across), height_ratios=[sizes[low] for low in down])
+    return {
+        (x, y): canvas.add_subplot(cells[down.index(_domain(layout, y)[0]), across.index(_domain(layout, x)[0])])
+        for x, y in pairs
+    }
 
 
-def _heatmap(canvas: Any, axes: Any, trace: Mapping[str, Any]) -> None:
-    image = axes.imshow(trace["z"], vmin=trace.get("zmin"), vmax=trace.get("zmax"), cmap=trace.get("colorscale"))
-    canvas.colorbar(image, ax=axes)
-    axes.grid(False)
-    _names(axes, [str(name) for name in trace["x"]])
-    axes.set_yticks(range(len(trace["y"])), [str(name) for name in trace["y"]], fontsize=6)
+def _axis(layout: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """Layout of an axis by the name traces give it: "x2" is "xaxis2"."""
+    found: Mapping[str, Any] = layout[f"{name[0]}axis{name[1:]}"]
+    return found
 
 
-def _names(axes: Any, names: list[str]) -> None:
-    axes.set_xticks(range(len(names)), names, rotation=40, ha="right", fontsize=7 if len(names) < 12 else 6)
+def _domain(layout: Mapping[str, Any], name: str) -> tuple[float, float]:
+    low, high = _axis(layout, name).get("domain", (0.0, 1.0))
+    return float(low), float(high)
+
+
+def _name_axes(axes: Any, layout: Mapping[str, Any], pair: tuple[str, str]) -> None:
+    x, y = (_axis(layout, name) for name in pair)
+    axes.set_xlabel(words(x["title"]["text"]))
+    axes.set_ylabel(words(y["title"]["text"]))
+    if x.get("type") == "log":
+        axes.set_xscale("log")
+    if x.get("zeroline"):
+        axes.axvline(0.0, color="#5f6368", linewidth=0.8)
+    for axis, limit in ((x, axes.set_xlim), (y, axes.set_ylim)):
+        if "range" in axis:
+            limit(*axis["range"])
+    if y.get("scaleanchor"):
+        axes.set_aspect("equal", adjustable="box" if "range" in y else "datalim")
+
+
+def _legend(canvas: Any, traces: Sequence[Mapping[str, Any]]) -> None:
+    """One legend below all axes, each name once."""
+    named = {str(trace["name"]) for trace in traces if trace.get("name") and trace.get("showlegend", True)}
+    found = {
+        label: handle for axes in canvas.axes for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    shown = {label: handle for label, handle in found.items() if label in named}
+    if not shown or (len(named) < 2 and not any(trace.get("showlegend") for trace in traces)):
+        return
+    fitting = int(canvas.get_figwidth() * LETTERS_TO_THE_INCH / (max(map(len, shown)) + SAMPLE_LETTERS))
+    canvas.legend(
+        shown.values(), map(words, shown), loc="outside lower center", ncols=min(max(1, fitting), 3), fontsize=8
+    )

@@ -36,14 +36,19 @@ class Robots:
         """Return the same arm as a document of convention ``to`` (chain, dh, mdh, s_model, poe, cpc, mcpc, urdf)."""
         return self._connection.post(f"/v1/robots/convert?to={to}", document)
 
-    def from_circles(self, rows: Prepared, name: str, convention: str = "chain", base: str = "axis") -> Document:
-        """Find a robot from rows in which one joint moved at a time: its document as ``robot``, and its ``axes``."""
+    def from_circles(
+        self, rows: Prepared, name: str, convention: str = "chain", base: str = "axis", follows: Sequence[str] = ()
+    ) -> Document:
+        """Find a robot from rows in which one joint moved at a time: its document as ``robot``, and its ``axes``.
+
+        ``follows`` are pairs "j3=j2" of joints that are read against the horizontal.
+        """
         response = self._connection.request(
             "POST",
             f"{address('robots', 'from-circles')}",
             content=rows.content,
             headers={"Content-Type": rows.content_type},
-            params={"name": name, "to": convention, "base": base},
+            params={"name": name, "to": convention, "base": base, "follows": [*follows]},
         )
         return self._connection.document(response)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,6 +21,7 @@ from kilter_client.cli.arguments import (
     Robot,
     ValidationText,
 )
+from kilter_client.cli.option_texts import EVALUATE, GAP, IDENTIFY, PLAN
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.references import resolved_all, resolved_options
@@ -29,11 +31,10 @@ from kilter_client.errors import UsageError
 from kilter_client.plots import can_draw, save_figures
 
 Frame = Literal["free", "fixed"]
-Loss = Annotated[
-    Literal["linear", "huber", "tukey"] | None, typer.Option(help="huber forgives outliers, tukey lets them go.")
-]
-Reference = Annotated[
-    Literal["auto", "robot", "registration"] | None, typer.Option(help="Frames that corrections work in.")
+Reference = Annotated[Literal["auto", "robot", "registration"] | None, typer.Option(help=IDENTIFY["reference"])]
+Loss = Annotated[Literal["linear", "huber", "tukey"] | None, typer.Option(help=IDENTIFY["loss"])]
+Figures = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Write the figures there: Plotly JSON, PNG and SVG.", file_okay=False)
 ]
 
 
@@ -53,40 +54,38 @@ def identify(
     robot: Robot,
     campaign: CampaignIds = None,
     validation: ValidationText = None,
-    level: Annotated[int | None, typer.Option(min=1, max=3, help="1 offsets, 2 geometry, 3 with effects.")] = None,
-    method: Annotated[str | None, typer.Option(help="Estimator; the server's default is least_squares.")] = None,
+    level: Annotated[int | None, typer.Option(min=1, max=3, help=IDENTIFY["level"])] = None,
+    method: Annotated[str | None, typer.Option(help=IDENTIFY["method"])] = None,
     effects: Annotated[
         list[str] | None,
-        typer.Option("--effects", "--effect", metavar="A,B", help="Effects to identify, by id (or one as JSON)."),
+        typer.Option("--effects", "--effect", metavar="A,B", help=IDENTIFY["effects"]),
     ] = None,
-    free: Annotated[
-        list[str] | None, typer.Option(metavar="A,B", help="Only these parameters (alpha_* works).")
-    ] = None,
-    fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Hold these parameters.")] = None,
+    free: Annotated[list[str] | None, typer.Option(metavar="A,B", help=IDENTIFY["free"])] = None,
+    fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help=IDENTIFY["fix"])] = None,
     base: Annotated[
         Literal["free", "fixed", "removed"] | None,
-        typer.Option(help="Frame of the measuring device; removed: only distances between poses count."),
+        typer.Option(help=IDENTIFY["base"]),
     ] = None,
-    tool: Annotated[Frame | None, typer.Option(help="Tool point.")] = None,
+    tool: Annotated[Frame | None, typer.Option(help=IDENTIFY["tool"])] = None,
     refit: Annotated[
         Literal["base", "none"] | None,
         typer.Option(help="A base to every campaign and session, or one to all; by default a sheet has its own."),
     ] = None,
     loss: Loss = None,
     reference: Reference = None,
-    intervals: Annotated[
-        Literal["bootstrap", "profile"] | None, typer.Option(help="95 % intervals that do not rest on the sigmas.")
-    ] = None,
-    tilt_first: Annotated[bool, typer.Option("--tilt-first", help="Hold the starting version's effects.")] = False,
-    noise_mm: Annotated[float | None, typer.Option(help="Noise of a coordinate, when it is known.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the split.")] = None,
-    start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to start from.")] = None,
+    intervals: Annotated[Literal["bootstrap", "profile"] | None, typer.Option(help=IDENTIFY["intervals"])] = None,
+    tilt_first: Annotated[bool, typer.Option("--tilt-first", help=IDENTIFY["tilt_first"])] = False,
+    noise_mm: Annotated[float | None, typer.Option(help=IDENTIFY["noise_mm"])] = None,
+    seed: Annotated[int | None, typer.Option(help=IDENTIFY["seed"])] = None,
+    start: Annotated[str | None, typer.Option(metavar="VERSION", help=IDENTIFY["start"])] = None,
+    figures: Figures = None,
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
     """Identify a robot's parameters from campaigns; the result is a new version."""
+    needs_result(no_wait, figures=figures)
     chosen = arguments.options(
         option,
         level=level,
@@ -106,7 +105,8 @@ def identify(
     )
     if refit is not None:
         chosen["refit"] = ["base"] if refit == "base" else []
-    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, name=name)
+    drawn = partial(write_figures, figures, as_json)
+    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, files=drawn, name=name)
 
 
 def gap(
@@ -114,24 +114,20 @@ def gap(
     campaign: CampaignIds = None,
     validation: ValidationText = None,
     confirmation: ConfirmationIds = None,
-    start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to start from.")] = None,
-    alpha: Annotated[float | None, typer.Option(help="Chance of any false name; the server's default is 0.01.")] = None,
+    start: Annotated[str | None, typer.Option(metavar="VERSION", help=GAP["start"])] = None,
+    alpha: Annotated[float | None, typer.Option(help=GAP["alpha"])] = None,
     effects: Annotated[
         list[str] | None,
-        typer.Option("--effects", "--effect", metavar="A,B", help="Only these effects; default is the whole library."),
+        typer.Option("--effects", "--effect", metavar="A,B", help=GAP["effects"]),
     ] = None,
-    noise_mm: Annotated[
-        float | None, typer.Option(help="Noise of a coordinate, where no pose was measured twice.")
-    ] = None,
-    free: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these geometric parameters.")] = None,
-    fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Hold these parameters.")] = None,
-    base: Annotated[Frame | None, typer.Option(help="Frame of the measuring device.")] = None,
-    tool: Annotated[Frame | None, typer.Option(help="Tool point.")] = None,
+    noise_mm: Annotated[float | None, typer.Option(help=GAP["noise_mm"])] = None,
+    free: Annotated[list[str] | None, typer.Option(metavar="A,B", help=GAP["free"])] = None,
+    fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help=GAP["fix"])] = None,
+    base: Annotated[Frame | None, typer.Option(help=GAP["base"])] = None,
+    tool: Annotated[Frame | None, typer.Option(help=GAP["tool"])] = None,
     reference: Reference = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the split and of every resample.")] = None,
-    figures: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write the figures there: Plotly JSON, PNG and SVG.")
-    ] = None,
+    seed: Annotated[int | None, typer.Option(help=GAP["seed"])] = None,
+    figures: Figures = None,
     poses: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the poses to measure next as CSV.", dir_okay=False)
     ] = None,
@@ -146,7 +142,7 @@ def gap(
         option,
         start=start,
         alpha=alpha,
-        effects=arguments.split_names(effects),
+        effects=arguments.effects(effects),
         noise_mm=noise_mm,
         free=arguments.split_names(free),
         fix=arguments.split_names(fix),
@@ -160,8 +156,7 @@ def gap(
         result = job.get("result") or {}
         if poses is not None:
             write_poses(poses, result.get("next_poses_csv"), as_json)
-        if figures is not None:
-            _write_figures(figures, result.get("figures") or {}, as_json)
+        write_figures(figures, as_json, job)
 
     again = arguments.split_names(confirmation)
     run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files, confirmation=again, name=name)
@@ -170,7 +165,7 @@ def gap(
 def evaluate(
     robot: Robot,
     campaign: CampaignIds = None,
-    version: Annotated[str | None, typer.Option(help="Version to evaluate; default is the active one.")] = None,
+    version: Annotated[str | None, typer.Option(help=EVALUATE["version"])] = None,
     refit: Annotated[str | None, typer.Option(metavar="base,tool", help="Frames that were set up anew.")] = None,
     option: MoreOptions = None,
     name: JobName = "",
@@ -187,27 +182,23 @@ def evaluate(
 def plan(
     robot: Robot,
     campaign: CampaignIds = None,
-    purpose: Annotated[str | None, typer.Option(help="iso9283, identify or separate.")] = None,
-    count: Annotated[int | None, typer.Option(min=1, help="Number of poses.")] = None,
+    purpose: Annotated[str | None, typer.Option(help=PLAN["purpose"])] = None,
+    count: Annotated[int | None, typer.Option(min=1, help=PLAN["count"])] = None,
     effects: Annotated[
-        list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help="Effects to see, or to separate.")
+        list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help=PLAN["effects"])
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the choice.")] = None,
-    start: Annotated[str | None, typer.Option(metavar="VERSION", help="Version to plan with.")] = None,
-    noise_mm: Annotated[float | None, typer.Option(help="Noise of a coordinate.")] = None,
-    floor_mm: Annotated[
-        float | None, typer.Option("--floor", metavar="MM", help="Height in the robot's base frame to stay above.")
-    ] = None,
+    seed: Annotated[int | None, typer.Option(help=PLAN["seed"])] = None,
+    start: Annotated[str | None, typer.Option(metavar="VERSION", help=PLAN["version"])] = None,
+    noise_mm: Annotated[float | None, typer.Option(help=PLAN["noise_mm"])] = None,
+    floor_mm: Annotated[float | None, typer.Option("--floor", metavar="MM", help=PLAN["floor_mm"])] = None,
     box: Annotated[
         str | None,
-        typer.Option(metavar="X,Y,Z,X,Y,Z", help="Lowest and highest corner (mm) of a box the tool stays in."),
+        typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["box_mm"]),
     ] = None,
     anywhere: Annotated[
         bool, typer.Option("--anywhere", help="Within the limits, also where the robot was never driven.")
     ] = False,
-    payload_kg: Annotated[
-        str | None, typer.Option(metavar="KG,KG", help="Loads at hand, where an effect feels them.")
-    ] = None,
+    payload_kg: Annotated[str | None, typer.Option(metavar="KG,KG", help=PLAN["payloads_kg"])] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the poses as CSV.", dir_okay=False)
     ] = None,
@@ -265,7 +256,11 @@ def write_poses(file: Path, text: str | None, as_json: bool) -> None:
     note(f"{file}: {text.count(chr(10)) - 1} poses", as_json)
 
 
-def _write_figures(folder: Path, drawn: dict[str, Any], as_json: bool) -> None:
+def write_figures(folder: Path | None, as_json: bool, job: dict[str, Any]) -> None:
+    """Write the figures of a job's result, if a folder was named, and say how many files."""
+    drawn = (job.get("result") or {}).get("figures") or {}
+    if folder is None:
+        return
     formats = ("png", "svg") if can_draw() else ()
     if not formats:
         note("Without matplotlib the figures are Plotly JSON only: pip install 'kilter-client[plots]'.", as_json)

@@ -12,6 +12,7 @@ from kilter_client import Kilter
 from kilter_client.cli import arguments, keeping
 from kilter_client.cli.arguments import File, Json, Retired, Robot
 from kilter_client.cli.checks import Unchecked
+from kilter_client.cli.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
 from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
@@ -23,6 +24,7 @@ from kilter_client.files import DEVICES, Prepared, prepare
 from kilter_client.files.naming import same
 from kilter_client.files.tracker_header import PRESETS
 
+SHOWN = 8  # lines of refused rows that are named in the sentence
 Role = Literal["train", "validation", "confirmation"]
 PresetName = Annotated[
     str | None,
@@ -33,7 +35,10 @@ Euler = Annotated[
 ]
 Joints = Annotated[
     Path | None,
-    typer.Option(help="Preset: joints of the points, in order: CSV, Parquet, a bag, a program.", exists=True),
+    typer.Option(
+        help="Preset: joints of the points, in order: CSV, a bag, a program. Map: its second file.",
+        exists=True,
+    ),
 ]
 
 
@@ -85,7 +90,8 @@ def upload(
     tool_moment_nm: ToolMoment = None,
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what is understood of the file, send nothing.")
+        bool,
+        typer.Option("--dry-run", help="Show ranges, poses, repeats, loads and what would be refused; send nothing."),
     ] = False,
     unchecked: Unchecked = False,
     as_json: Json = False,
@@ -94,24 +100,22 @@ def upload(
 
     Makes a campaign, or adds to --campaign. The same file again changes nothing.
     """
-    conditions = {
-        "payload_kg": payload_kg,
-        "temperature_c": temperature_c,
-        "tool_force_n": arguments.three("--tool-force-n", tool_force_n),
-        "tool_moment_nm": arguments.three("--tool-moment-nm", tool_moment_nm),
-    }
-    if campaign and (name or notes or any(value is not None for value in conditions.values())):
+    conditions = _conditions(payload_kg, temperature_c, tool_force_n, tool_moment_nm)
+    if campaign and (name or notes or conditions):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints, topic, joint_order))
     prepared = _understood(file, _looked_at(file, prepared, unchecked), as_json)
     if dry_run:
-        emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256}), as_json, lambda _: None)
+        found = what_it_holds(robot, prepared, conditions)
+        emit(_report(prepared, {"rows": prepared.rows, "sha256": prepared.sha256} | found), as_json, show_dry_run)
+        if found["refused"]:
+            raise typer.Exit(1)
         return
     wanted = {
         "name": name or file.name,
         "device": device or preset or "",
         "role": role,
-        "conditions": {key: value for key, value in conditions.items() if value is not None},
+        "conditions": conditions,
         "notes": notes,
         "numbered": name is None,
     }
@@ -122,6 +126,19 @@ def upload(
         else:
             done = _send_anew(kilter, robot, wanted, file, prepared, as_json)
     emit(_report(prepared, done), as_json, _show_upload)
+
+
+def _conditions(
+    payload_kg: float | None, temperature_c: float | None, force: str | None, moment: str | None
+) -> dict[str, Any]:
+    """Return what holds for the whole campaign."""
+    told = {
+        "payload_kg": payload_kg,
+        "temperature_c": temperature_c,
+        "tool_force_n": arguments.three("--tool-force-n", force),
+        "tool_moment_nm": arguments.three("--tool-moment-nm", moment),
+    }
+    return {key: value for key, value in told.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -141,11 +158,15 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
         device if device in PRESETS and file.suffix.lower() not in (".json", ".parquet") else None
     )
     if preset is None or column_map is not None:
-        if points != _Points(None, None, None):
+        if replace(points, joints=None) != _Points(None, None, None):
             raise UsageError(
-                "--preset, --euler, --joints, --topic and --joint-order belong to a text export of points, without --map."
+                "--preset, --euler, --topic and --joint-order belong to a text export of points, without --map."
             )
-        return prepare(file, device, column_map)
+        if points.joints is not None and column_map is None:
+            raise UsageError(
+                "--joints goes with --preset (a text export of points) or with --map (a column map with a table [join])."
+            )
+        return prepare(file, device, column_map, points.joints)
     if preset not in PRESETS:
         raise UsageError(f"--preset {preset}: is none of {', '.join(PRESETS)}.")
     check_numpy()
@@ -226,7 +247,11 @@ def _with_place(error: ObservationError, file: Path, prepared: Prepared) -> Obse
     row = error.context.get("row")
     if prepared.lines and isinstance(row, int) and 0 < row <= len(prepared.lines):
         error.context |= {"file": str(file), "line": prepared.lines[row - 1]}
-        error.detail += f" That is line {prepared.lines[row - 1]} of {file}."
+        rows = [k for k in error.context.get("rows") or () if isinstance(k, int) and 0 < k <= len(prepared.lines)]
+        lines = [prepared.lines[k - 1] for k in rows or [row]]
+        error.context["lines"] = lines
+        shown = ", ".join(map(str, lines[:SHOWN])) + (" ..." if len(lines) > SHOWN else "")
+        error.detail += f" That is line {shown} of {file}."
     elif not prepared.lines and row is None:
         error.detail += f" {REMEDY_FOR_COLUMNS}"
     return error

@@ -16,6 +16,7 @@ from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import FileError
 from kilter_client.files import prepare
+from kilter_client.robots.plain_name import checked_name, plain_name
 from kilter_client.robots.text import read_text
 
 FEATURES = ("plane", "line", "origin")
@@ -42,15 +43,20 @@ def from_circles(
     column_map: Annotated[
         Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
     ] = None,
+    follows: Annotated[
+        list[str] | None,
+        typer.Option(metavar="J3=J2", help="J3 is read against the horizontal: uncouple it from J2 (repeat)."),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write robot.json there.", dir_okay=False)
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Find a robot from points measured while one joint moved at a time; nothing is added."""
+    named = checked_name(name) if name else plain_name(file.stem)
     prepared = prepare(file, column_map=column_map)
     with Kilter() as kilter:
-        found = kilter.robots.from_circles(prepared, name or file.stem, convention, base)
+        found = kilter.robots.from_circles(prepared, named, convention, base, [pair.lower() for pair in follows or ()])
     if output is not None:
         write(output, (json.dumps(found["robot"], indent=1) + "\n").encode())
         note(f"{output}: add it with `kilter robot add {output}`", as_json)

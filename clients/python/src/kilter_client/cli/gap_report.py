@@ -109,7 +109,8 @@ def _gap(result: Mapping[str, Any], unit: str) -> None:
         say(f"noise of {'a joint' if unit == 'deg' else 'a coordinate'}: {number(gap[f'noise_{unit}'])} {unit}")
     bars = (result.get("figures") or {}).get("gap_bar", {}).get("data") or []
     if bars:
-        _bar(bars[0]["x"], bars[0]["y"])
+        across, along = ("x", "y") if bars[0].get("orientation") == "h" else ("y", "x")
+        _bar(bars[0][along], bars[0][across])
     closure = gap.get("closure")
     how = gap.get("held_out")
     if closure is None and how:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any
 
 import typer
@@ -53,9 +54,16 @@ def inspect(
     unit: Unit = None,
     topic: Topic = None,
     joint_order: JointOrder = None,
+    draft: Annotated[
+        Path | None,
+        typer.Option("--draft", metavar="MAP", help="Write a first column map for the file.", dir_okay=False),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Show what is understood of a file: columns, units, rows, frames, gaps, and what looks wrong. Sends nothing."""
+    if draft is not None:
+        emit(_drafted(file, draft), as_json, _show_draft)
+        return
     check_numpy()
     from kilter_client.files.inspection import Hints
     from kilter_client.files.inspection import inspect as look
@@ -71,6 +79,28 @@ def inspect(
     emit(document, as_json, _show)
     if document["problems"]:
         raise typer.Exit(1)
+
+
+def _drafted(file: Path, target: Path) -> dict[str, Any]:
+    """Write the draft, never over a file that is there."""
+    from kilter_client.files.draft import draft
+
+    if target.exists():
+        raise UsageError(f"--draft {target}: is there already. Name another file, or delete it.")
+    found = draft(file)
+    target.write_text(found.text, encoding="utf-8")
+    return {"file": str(file), "draft": str(target)} | found.to_document()
+
+
+def _show_draft(document: dict[str, Any]) -> None:
+    say(f"{document['draft']}: a column map for {document['file']}")
+    for text in document["guessed"]:
+        say(f"  check {text}")
+    for text in document["open"]:
+        say(f"  fill in {text}")
+    if document["unused"]:
+        say(f"  not used: {', '.join(document['unused'])}")
+    say(f"Then: kilter upload ROBOT {quote(document['file'])} --map {quote(document['draft'])} --dry-run")
 
 
 def check_numpy() -> None:

@@ -10,6 +10,7 @@ import typer
 from kilter_client.cli import arguments
 from kilter_client.cli.analyse import needs_result, run_job, write_poses
 from kilter_client.cli.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, Robot, ValidationText
+from kilter_client.cli.option_texts import JOINT_PARAMETERS
 from kilter_client.errors import UsageError
 
 
@@ -25,15 +26,11 @@ def joint_parameters(
     ] = None,
     campaign: CampaignIds = None,
     validation: ValidationText = None,
-    propose: Annotated[
-        str | None, typer.Option(metavar="JOINT", help="Propose where to read for this joint instead.")
-    ] = None,
-    count: Annotated[int | None, typer.Option(min=4, help="How many readings to propose.")] = None,
-    payload_kg: Annotated[
-        list[float] | None, typer.Option(help="A payload at hand; give it again for more.", min=0.0)
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the proposal.")] = None,
-    resolution_deg: Annotated[float | None, typer.Option(help="Of the inclinometer; 0.001.")] = None,
+    propose: Annotated[str | None, typer.Option(metavar="JOINT", help=JOINT_PARAMETERS["propose"])] = None,
+    count: Annotated[int | None, typer.Option(min=4, help=JOINT_PARAMETERS["count"])] = None,
+    payload_kg: Annotated[list[float] | None, typer.Option(help=JOINT_PARAMETERS["payloads_kg"], min=0.0)] = None,
+    seed: Annotated[int | None, typer.Option(help=JOINT_PARAMETERS["seed"])] = None,
+    resolution_deg: Annotated[float | None, typer.Option(help=JOINT_PARAMETERS["resolution_deg"])] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the proposal as CSV.", dir_okay=False)
     ] = None,

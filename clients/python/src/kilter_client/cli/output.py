@@ -13,7 +13,10 @@ from kilter_client.errors import KilterError, UsageError
 
 Document = dict[str, Any]
 
-REMEDY_FOR_COLUMNS = "A lab's own columns come in with --map columns.toml; see `kilter upload --help`."
+REMEDY_FOR_COLUMNS = (
+    "A lab's own columns come in with --map columns.toml; "
+    "`kilter inspect FILE --draft columns.toml` writes a first one."
+)
 
 
 def emit(document: Document, as_json: bool, show: Callable[[Document], None]) -> None:

@@ -12,6 +12,7 @@ import typer
 
 from kilter_client.errors import UsageError
 from kilter_client.robots import Described, read_robot
+from kilter_client.robots.plain_name import checked_name, plain_name
 
 ROBOT_FILE = "robot.json, .urdf, a DH table (.csv, .xlsx), a UR calibration (.yaml), or a KNI .cfg."
 
@@ -52,9 +53,13 @@ class RobotSource:
         """
         if (self.file is None) == (self.preset is None):
             raise UsageError("Give either a FILE or --preset.")
-        described = self.described if self.described.name else replace(self.described, name=unnamed)
+        name = checked_name(self.described.name) if self.described.name else unnamed and plain_name(unnamed)
+        described = replace(self.described, name=name)
         if self.file is not None:
-            return read_robot(self.file, described)
+            document = read_robot(self.file, described)
+            if isinstance(document.get("name"), str):
+                checked_name(document["name"])
+            return document
         if replace(described, name=None) != Described():
             raise UsageError(
                 "A preset is whole: --tip-link and --base-link belong to a .urdf file, the others to other files."

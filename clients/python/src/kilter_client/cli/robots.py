@@ -11,9 +11,9 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import circles, keeping
 from kilter_client.cli.arguments import Json, Retired, Robot
+from kilter_client.cli.arm_figure import save_arm
 from kilter_client.cli.drawing import show_check
 from kilter_client.cli.output import emit, note, say
-from kilter_client.cli.picture import picture
 from kilter_client.cli.robot_file import RobotSource, takes_a_robot
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
@@ -45,17 +45,17 @@ def add(
 @takes_a_robot
 def check(
     source: RobotSource,
-    plot: Annotated[Path | None, typer.Option(help="Draw the arm into this .png file too.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the arm into this .png or .svg file too.")] = None,
     as_json: Json = False,
 ) -> None:
     """Draw a robot at zero and list axes, limits, reach and what looks wrong; nothing is added."""
-    if plot is not None and plot.suffix.lower() != ".png":
-        raise UsageError(f"--plot {plot}: give a file that ends in .png.")
+    if plot is not None and plot.suffix.lower() not in (".png", ".svg"):
+        raise UsageError(f"--plot {plot}: give a file that ends in .png or .svg.")
     document = source.document(source.file.stem if source.file else None)
     with Kilter() as kilter:
         found = kilter.robots.check(document)
     if plot is not None:
-        write(plot, picture(found))
+        save_arm(plot, found, as_json)
     emit(found, as_json, show_check)
 
 

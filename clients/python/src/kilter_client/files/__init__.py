@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from shlex import quote
 
 from kilter_client.errors import FileError
+from kilter_client.files.source import endings
 from kilter_client.files.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
 
 __all__ = ["DEVICES", "Prepared", "prepare"]
@@ -41,8 +43,15 @@ DEVICES: Mapping[str, Callable[[Path], Table]] = {
 TYPES = {".csv": CSV_TYPE, ".parquet": PARQUET_TYPE, ".json": JSON_TYPE}
 
 
-def prepare(path: Path | str, device: str | None = None, column_map: Path | str | None = None) -> Prepared:
+def prepare(
+    path: Path | str,
+    device: str | None = None,
+    column_map: Path | str | None = None,
+    joined: Path | str | None = None,
+) -> Prepared:
     """Read a file for upload: through its map, else through the device's importer, else byte for byte as it is.
+
+    ``joined`` is the second file of a map with a table [join]. A workbook of contract columns needs no map.
 
     Raises:
         FileError: the file, or the map, is not what it should be; the message names place and remedy.
@@ -54,7 +63,15 @@ def prepare(path: Path | str, device: str | None = None, column_map: Path | str 
         from kilter_client.files.column_map import read_map
         from kilter_client.files.mapped import read_mapped
 
-        return Prepared.from_table(read_mapped(path, read_map(Path(column_map))))
+        return Prepared.from_table(
+            read_mapped(path, read_map(Path(column_map)), None if joined is None else Path(joined))
+        )
+    if joined is not None:
+        raise FileError(f"{joined}: a second file needs a column map with a table [join] (--map).", file=str(joined))
+    if endings().get(path.suffix.lower()) == "xlsx":
+        from kilter_client.files.mapped import read_contract
+
+        return Prepared.from_table(read_contract(path))
     if device is not None and device in DEVICES and not _is_joined(path):
         return Prepared.from_table(DEVICES[device](path))
     return as_it_is(path)
@@ -79,8 +96,9 @@ def as_it_is(path: Path) -> Prepared:
     kind = TYPES.get(path.suffix.lower())
     if kind is None:
         raise FileError(
-            f"{path}: the ending {path.suffix!r} is none of {', '.join(TYPES)}. Bring it in with a column map "
-            f"(--map columns.toml) or name its device ({', '.join(DEVICES)}).",
+            f"{path}: the ending {path.suffix!r} is none of {', '.join((*TYPES, '.xlsx'))}. Bring it in with a column map "
+            f"(--map columns.toml; a first one: `kilter inspect {quote(str(path))} --draft columns.toml`) or name its device "
+            f"({', '.join(DEVICES)}).",
             file=str(path),
         )
     try:

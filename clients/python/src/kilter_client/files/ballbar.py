@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_client.errors import FileError
+from kilter_client.files.cell_numbers import parse_number
 from kilter_client.files.faults import fault
 from kilter_client.files.inclinometer import TIME
 from kilter_client.files.recording import Floats
-from kilter_client.files.source_text import parse_number
 from kilter_client.files.table import Table
 from kilter_client.files.text_blocks import cut_remark, lines_of
 from kilter_client.files.text_layout import UNITS, TextLayout, sniff

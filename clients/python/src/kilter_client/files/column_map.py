@@ -5,34 +5,23 @@ Every key is checked when the map is read, so a misspelt one is refused before a
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 from kilter_client.errors import FileError
+from kilter_client.files.map_columns import UNKNOWN, Columns, read_columns
+from kilter_client.files.map_join import Join, read_join
 from kilter_client.files.orientation import is_sequence
 from kilter_client.files.section import Section
 from kilter_client.files.source import FORMATS
 from kilter_client.files.source_text import Layout
-from kilter_client.files.units import converter, unit_of, units_like
+from kilter_client.files.units import units_like
 
+# TOML wants quotes around a key with a *; people write q* = { ... } without them
+BARE_PATTERN = re.compile(r"^([ \t]*)([A-Za-z]\w*\*\w*)([ \t]*=)", re.MULTILINE)
 QUATERNIONS = ("wxyz", "xyzw")
-
-
-@dataclass(frozen=True)
-class Column:
-    """One contract column: ``scale * number + offset`` in the source's unit, then converted; or a constant.
-
-    ``still_below`` makes a speed a direction: its sign, and the one before where the speed is not above it.
-    """
-
-    target: str
-    source: str | int | None
-    unit: str
-    scale: float = 1.0
-    offset: float = 0.0
-    value: float | None = None
-    still_below: float | None = None
 
 
 @dataclass(frozen=True)
@@ -61,11 +50,12 @@ class ColumnMap:
     path: Path
     form: str | None
     layout: Layout
-    columns: tuple[Column, ...]
+    columns: Columns
     orientation: Orientation | None
     repeats_deg: float | None
     drop_missing: bool
     keep: tuple[Keep, ...]
+    join: Join | None = None
 
 
 def read_map(path: Path) -> ColumnMap:
@@ -76,28 +66,31 @@ def read_map(path: Path) -> ColumnMap:
 
     """
     try:
-        top = Section(path, "", tomllib.loads(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        text = path.read_text(encoding="utf-8-sig")
+        top = Section(path, "", tomllib.loads(BARE_PATTERN.sub(r'\1"\2"\3', text)))
+    except UnicodeDecodeError as error:
+        raise FileError(f"{path}: is not UTF-8 text, as TOML is. Save it as UTF-8.", file=str(path)) from error
+    except (OSError, tomllib.TOMLDecodeError) as error:
         raise FileError(f"{path}: is no readable column map: {error}.", file=str(path)) from error
-    form, layout = _file(top)
+    form, layout = _file(top.part("file"))
     rows = top.part("rows")
-    columns = _columns(top)
-    found = ColumnMap(
-        path, form, layout, columns, _orientation(top), _repeats(top, columns), *(_rows(rows) if rows else (False, ()))
-    )
+    columns = read_columns(top)
+    orientation, repeats = _orientation(top), _repeats(top, columns)
+    drop, keep = _rows(rows) if rows else (False, ())
+    joined = top.part("join")
+    join = None if joined is None else read_join(joined, *_file(joined.part("file")))
     top.finish()
-    return found
+    return ColumnMap(path, form, layout, columns, orientation, repeats, drop, keep, join)
 
 
-def _file(top: Section) -> tuple[str | None, Layout]:
-    section = top.part("file")
+def _file(section: Section | None) -> tuple[str | None, Layout]:
     if section is None:
         return None, Layout()
     form = section.text("format")
     if form is not None and form not in FORMATS:
         raise section.error(f"must be one of {', '.join(FORMATS)}, not {form!r}", "format")
-    decimal = section.text("decimal", ".") or ""
-    delimiter = section.text("delimiter", ",") or ""
+    decimal, delimiter = section.text("decimal", ".") or "", section.text("delimiter")
+    delimiter = (";" if decimal == "," else ",") if delimiter is None else delimiter
     if decimal not in (".", ",") or len(delimiter) != 1 or delimiter == decimal:
         raise section.error("'delimiter' is one character, 'decimal' is \".\" or \",\", and the two differ")
     layout = Layout(
@@ -108,57 +101,13 @@ def _file(top: Section) -> tuple[str | None, Layout]:
         section.flag("header", True),
         section.text("comment", "") or "",
         tuple(item if isinstance(item, str) else float(item) for item in section.items("missing")),
+        section.flag("units_row", False),
+        section.column("sheet"),
     )
     section.finish()
+    if layout.sheet is not None and form in ("csv", "mat", "parquet", "tdms", "program"):
+        raise section.error('a sheet belongs to a workbook (format = "xlsx")', "sheet")
     return form, layout
-
-
-def _columns(top: Section) -> tuple[Column, ...]:
-    section = top.part("columns")
-    if section is None or not section.names():
-        raise top.error('needs a table [columns] such as q1_deg = { from = "joint 1", unit = "rad" }')
-    return tuple(_column(section, target) for target in section.names())
-
-
-def _column(columns: Section, target: str) -> Column:
-    wanted = unit_of(target)
-    if wanted is None:
-        raise columns.error(
-            "is no contract column; those are q1_deg or _rad, x_mm y_mm z_mm, qw qx qy qz, m1x_mm, link1_deg, t_s, "
-            "tau1_nm, dir1, payload_kg, fx_n, mx_nm, temperature_c, session, pose_id, sx_mm, tipx_mm, socket_id, plane_id, "
-            "bar_id, bar_mm, each with its unit in the name",
-            target,
-        )
-    section = columns.part(target)
-    assert section is not None
-    source, value = section.column("from"), section.number("value")
-    unit, scale, offset = section.text("unit"), section.number("scale"), section.number("offset")
-    sign, still = section.number("sign"), section.number("still_below")
-    section.finish()
-    if (source is None) == (value is None):
-        raise section.error("needs either 'from' (a column of the file) or 'value' (a constant)")
-    if value is not None and (unit or scale or offset or sign):
-        raise section.error(f"a constant is already in the target's unit: give 'value' alone, in {wanted or '1'}")
-    if sign not in (None, 1.0, -1.0) or scale == 0:
-        raise section.error("'sign' is 1 or -1, 'scale' is not 0")
-    if still is not None and (not target.startswith("dir") or source is None or still < 0):
-        raise section.error(
-            "'still_below' makes a direction of a speed: for dir1 with 'from', 0 or more", "still_below"
-        )
-    _check_unit(section, target, wanted, unit, value)
-    return Column(target, source, unit or wanted, (scale or 1.0) * (sign or 1.0), offset or 0.0, value, still)
-
-
-def _check_unit(section: Section, target: str, wanted: str, unit: str | None, value: float | None) -> None:
-    if not wanted and unit:
-        raise section.error(f"{target} is a plain number and takes no unit", "unit")
-    if not wanted or value is not None:
-        return
-    choices = ", ".join(units_like(wanted))
-    if unit is None:
-        raise section.error(f"needs the unit the file has it in: unit = one of {choices}")
-    if converter(unit, wanted) is None:
-        raise section.error(f"{unit!r} cannot become {wanted!r}; use one of {choices}", "unit")
 
 
 def _orientation(top: Section) -> Orientation | None:
@@ -168,6 +117,8 @@ def _orientation(top: Section) -> Orientation | None:
     sources = tuple(section.items("from"))
     euler, quaternion, unit = section.text("euler"), section.text("quaternion"), section.text("unit")
     section.finish()
+    if UNKNOWN in (euler, quaternion, unit, *sources):
+        raise section.error('the draft could not tell: fill in what is "?", or delete the table')
     if quaternion is not None and (quaternion not in QUATERNIONS or euler or unit or len(sources) != 4):
         raise section.error('a quaternion is four columns and quaternion = "wxyz" or "xyzw", without unit')
     if quaternion is not None:
@@ -180,7 +131,7 @@ def _orientation(top: Section) -> Orientation | None:
     return Orientation(sources, euler, unit or "rad")
 
 
-def _repeats(top: Section, columns: tuple[Column, ...]) -> float | None:
+def _repeats(top: Section, columns: Columns) -> float | None:
     section = top.part("pose_id")
     if section is None:
         return None

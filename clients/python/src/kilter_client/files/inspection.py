@@ -11,6 +11,7 @@ import numpy as np
 from kilter_client.files.ballbar import analysed, is_ballbar, read_ballbar
 from kilter_client.files.inclinometer import read_inclinometer, tilts_of
 from kilter_client.files.inspection_joints import column, describe_bag, describe_log
+from kilter_client.files.inspection_table import describe_table, lines_in_cells
 from kilter_client.files.joint_bag import is_bag
 from kilter_client.files.joint_log import JOINT, LogHints, read_joint_log
 from kilter_client.files.marker_header import RATE, told, understand
@@ -49,7 +50,9 @@ def inspect(path: Path, hints: Hints = Hints()) -> Document:
     if kind in ("c3d", "n3d"):
         found = _recording(open_recording(path, hints.rate_hz, hints.allow_cut, hints.unit))
     else:
-        found = {"tdms": _tdms, "mat": _mat, "parquet": _parquet, "text": _text, "bag": _bag}[kind](path, hints)
+        found = {"tdms": _tdms, "mat": _mat, "parquet": _parquet, "text": _text, "bag": _bag, "xlsx": _table}[kind](
+            path, hints
+        )
     known = {"kind": kind, "problems": [], "warnings": [], "notes": []}
     size = path.stat().st_size if path.is_file() else sum(file.stat().st_size for file in path.iterdir())
     return {"file": str(path), "size_bytes": size} | known | found
@@ -62,6 +65,8 @@ def _bag(path: Path, hints: Hints) -> Document:
 def _text(path: Path, hints: Hints) -> Document:
     if dialect_of(path) is not None:
         return describe_log(read_joint_log(path))
+    if lines_in_cells(path):
+        return describe_table(path)
     layout = sniff(path)
     shape = {"layout": _layout(layout)}
     contract = [name for name in _full_names(layout) if unit_of(name) is not None]
@@ -82,6 +87,10 @@ def _text(path: Path, hints: Hints) -> Document:
         "notes": table.notes,
         "warnings": table.warnings + _alike(table.columns),
     }
+
+
+def _table(path: Path, hints: Hints) -> Document:
+    return describe_table(path)
 
 
 def is_contract(path: Path) -> bool:
@@ -208,7 +217,11 @@ def _mat(path: Path, hints: Hints) -> Document:
 
     variables = read_mat(path).variables
     shapes = [{"name": name, "shape": list(np.shape(value))} for name, value in sorted(variables.items())]
-    return {"kind": "mat", "variables": shapes, "notes": ["comes in with a column map (kilter upload --map)"]}
+    return {
+        "kind": "mat",
+        "variables": shapes,
+        "notes": ["comes in with a column map (kilter upload --map); --draft writes a first one"],
+    }
 
 
 def _parquet(path: Path, hints: Hints) -> Document:
@@ -217,7 +230,7 @@ def _parquet(path: Path, hints: Hints) -> Document:
     source = read_parquet(path)
     columns = [{"name": name, "unit": unit_of(name)} for name in source.names]
     odd = [name for name in source.names if unit_of(name) is None]
-    warnings = [f"no contract columns: {', '.join(odd[:SHOWN])}"] if odd else []
+    warnings = [f"no contract columns: {', '.join(odd[:SHOWN])} (--draft writes a column map)"] if odd else []
     return {"kind": "parquet", "rows": source.table.num_rows, "columns": columns, "warnings": warnings}
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from kilter_client.files.cell_numbers import parse_number
 from kilter_client.files.faults import fault
 from kilter_client.files.gaps import unit_quaternions, without_gaps
 from kilter_client.files.marker_header import unit_above
 from kilter_client.files.recording import Block, Floats, Recording
-from kilter_client.files.source_text import parse_number
 from kilter_client.files.text_blocks import MISSING, count_rows, lines_of
 from kilter_client.files.text_layout import TextLayout
 from kilter_client.files.tracker_header import plain

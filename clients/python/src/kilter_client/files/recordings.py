@@ -13,6 +13,7 @@ from kilter_client.files.ndi_n3d import is_n3d, read_n3d
 from kilter_client.files.recording import Recording, in_unit
 
 PICTURE = "Export the numbers; a scanned pencil sheet is read with kilter sheet-read."
+ZIP = b"PK\x03\x04"
 OTHERS = {
     b"TDSm": ("a TDMS file", "See what it holds with kilter inspect."),
     SQLITE: ("a ROS 2 bag (SQLite)", "It is the joint log: kilter match RECORDING BAG."),
@@ -20,7 +21,7 @@ OTHERS = {
     b"PAR1": ("a Parquet file", "Contract columns are sent with kilter upload, others come in with a column map."),
     b"MATLAB 5.0": ("a MATLAB file", "It comes in with a column map (kilter upload --map)."),
     b"\x89HDF": ("an HDF5 file (MATLAB 7.3)", "Save it in MATLAB with '-v7'."),
-    b"PK\x03\x04": ("a ZIP archive or a spreadsheet", "Unpack it, or save the sheet as CSV."),
+    ZIP: ("a ZIP archive or a spreadsheet", "Unpack it; a spreadsheet is read as .xlsx or CSV."),
     b"\x1f\x8b": ("compressed with gzip", "Unpack it first."),
     b"%PDF": ("a PDF", PICTURE),
     b"\x89PNG": ("a picture", PICTURE),
@@ -29,7 +30,7 @@ OTHERS = {
 
 
 def kind_of(path: Path) -> str:
-    """Return ``c3d``, ``n3d``, ``tdms``, ``mat``, ``parquet``, ``bag`` or ``text`` by a file's first bytes.
+    """Return ``c3d``, ``n3d``, ``tdms``, ``mat``, ``parquet``, ``bag``, ``xlsx`` or ``text`` by a file's first bytes.
 
     Raises:
         FileError: an empty file, or one of a kind that holds no measurements Kilter reads.
@@ -42,6 +43,8 @@ def kind_of(path: Path) -> str:
     for magic, (what, remedy) in OTHERS.items():
         if head.startswith(magic) and magic in known:
             return known[magic]
+        if head.startswith(magic) and magic == ZIP and path.suffix.lower() in (".xlsx", ".xlsm"):
+            return "xlsx"
         if head.startswith(magic):
             raise fault(path, f"is {what}", remedy)
     if is_c3d(head) or path.suffix.lower() == ".c3d":

@@ -45,6 +45,14 @@ class Section:
             raise self.error(f"must be a number, not {value!r}", key)
         return None if value is None else float(value)
 
+    def numbers(self, key: str) -> tuple[float, ...]:
+        """Return one number or a list of them, empty when absent."""
+        value = self.raw(key)
+        values = value if isinstance(value, list) else [] if value is None else [value]
+        if any(isinstance(item, bool) or not isinstance(item, int | float) for item in values):
+            raise self.error(f"must be a number or a list of numbers, not {value!r}", key)
+        return tuple(float(item) for item in values)
+
     def count(self, key: str, default: int) -> int:
         """Return a whole number, zero or more."""
         value = self.raw(key)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from kilter_client.files.mat_check import check_mat
 EXPRESSION = re.compile(
     r"(?P<name>[A-Za-z]\w*(?:\.\w+)*)\s*(?:(?P<kind>[\[(])\s*(?P<row>:|\d+)\s*,\s*(?P<col>:|\d+)\s*[\])])?"
 )
+MOST_COLUMNS = 200
 
 
 @dataclass
@@ -32,6 +33,21 @@ class MatSource:
     def lines(self) -> list[int]:
         """No numbering before a column is known: the mapping counts the rows of the first one."""
         return []
+
+    @property
+    def choices(self) -> list[str]:
+        """Every column of every variable, written both ways: ``q[:,0]`` and ``q(:,1)``."""
+        import numpy
+
+        out: list[str] = []
+        for name, value in _named(self.variables):
+            array = numpy.asarray(value)
+            if array.dtype.kind in "iufb" and array.ndim == 2 and array.shape[1] <= MOST_COLUMNS:
+                out += [f"{name}[:,{k}]" for k in range(array.shape[1])]
+                out += [f"{name}(:,{k + 1})" for k in range(array.shape[1])]
+            elif array.dtype.kind in "iufb" and array.ndim == 1:
+                out.append(name)
+        return out
 
     def has(self, name: str | int) -> bool:
         """Tell whether the expression picks a column."""
@@ -89,6 +105,14 @@ class MatSource:
 
     def _error(self, expression: str | int, why: str) -> FileError:
         return FileError(f"{self.path}: {expression!r} {why}.", file=str(self.path), column=expression)
+
+
+def _named(variables: Mapping[str, Any], stem: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in variables.items():
+        if isinstance(value, Mapping):
+            yield from _named(value, f"{stem}{name}.")
+        else:
+            yield f"{stem}{name}", value
 
 
 def read_mat(path: Path, missing: tuple[float, ...] = ()) -> MatSource:

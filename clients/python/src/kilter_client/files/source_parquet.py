@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from kilter_client.errors import FileError, MissingPackageError
+from kilter_client.files.cell_lists import element_of
+from kilter_client.files.faults import fault
 from kilter_client.files.names import did_you_mean
 
 MOST_CELLS = 30_000_000
@@ -29,6 +31,15 @@ class ParquetSource:
     def lines(self) -> list[int]:
         """The row numbers, from 1."""
         return list(range(1, self.table.num_rows + 1))
+
+    @property
+    def choices(self) -> list[str]:
+        """What ``from`` may name: the columns, and the elements of those that hold lists."""
+        out: list[str] = []
+        for name in self.names:
+            first = next((value for value in self.table.column(name).slice(0, 1).to_pylist()), None)
+            out += [name, *(f"{name}[{k}]" for k in range(len(first)))] if isinstance(first, list) else [name]
+        return out
 
     def has(self, name: str | int) -> bool:
         """Tell whether there is such a column."""
@@ -57,6 +68,9 @@ class ParquetSource:
         return [math.nan if value in missing else value for value in values]
 
     def _column(self, name: str | int) -> list[Any]:
+        found = element_of(name) if isinstance(name, str) and not self.has(name) else None
+        if found is not None and self.has(found[0]):
+            return self._element(*found)
         if not self.has(name):
             raise FileError(
                 f"{self.path}: there is no column {name!r}{did_you_mean(str(name), self.names)}; "
@@ -65,6 +79,15 @@ class ParquetSource:
                 column=name,
             )
         return list(self.table.column(name).to_pylist())
+
+    def _element(self, name: str, index: int) -> list[Any]:
+        """One element of a column of lists; empty where there is no list."""
+        lists = list(self.table.column(name).to_pylist())
+        for row, value in enumerate(lists, 1):
+            if value is not None and (not isinstance(value, list) or not index < len(value)):
+                what = f"has no element {index} (from 0): it is {str(value)[:40]}"
+                raise fault(self.path, what, "Correct it, or map another element.", row=row, column=name)
+        return [None if value is None else value[index] for value in lists]
 
 
 def _refuse_large(path: Path, stated: Any) -> None:

@@ -27,6 +27,11 @@ class TdmsSource:
         """Samples have no lines; the rows are numbered by whoever asks."""
         return []
 
+    @property
+    def choices(self) -> list[str]:
+        """What ``from`` may name."""
+        return self.names
+
     def texts(self, name: str | int) -> list[str]:
         """Return a channel as text, for row filters."""
         return [repr(value) for value in self.numbers(name)]

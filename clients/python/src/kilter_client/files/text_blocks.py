@@ -9,14 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from kilter_client.errors import FileError
+from kilter_client.files.cell_numbers import parse_number
 from kilter_client.files.faults import fault, missing_package
 from kilter_client.files.recording import Floats
-from kilter_client.files.source_text import parse_number
 from kilter_client.files.text_layout import TextLayout
+from kilter_client.files.time_stamps import stamp_of
 
 MISSING = ("", "nan", "NaN", "NAN", "NA", "n/a", "N/A", "null", "NULL", "-", "--", "MISSING", "Missing", "missing")
 BLANKS = tuple(" " * i for i in range(1, 17))
 BLOCK_BYTES = 4 << 20
+STAMPED = "Recordings need seconds: export them so, or take the column out and give the rate (--rate)."
 SLOW_ROWS = 20_000
 
 
@@ -139,6 +141,8 @@ def _number(path: Path, layout: TextLayout, line: int, cells: list[str], i: int)
     if value is None:
         name = layout.names[i]
         what = f"{text[:40]!r} is no number with decimal {layout.decimal!r}"
+        if stamp_of(text) is not None:
+            raise fault(path, f"{text[:40]!r} is a time stamp", STAMPED, line=line, column=name)
         raise fault(path, what, "Correct the cell; if all columns moved here, export again.", line=line, column=name)
     return value
 

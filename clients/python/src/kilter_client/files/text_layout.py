@@ -9,8 +9,8 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from kilter_client.files.cell_numbers import parse_number
 from kilter_client.files.faults import fault, head_of
-from kilter_client.files.source_text import parse_number
 from kilter_client.files.units import SIZES
 
 SAMPLE_BYTES = 1 << 18

@@ -11,15 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
+from kilter_client.files.cell_numbers import parse_number
 from kilter_client.files.faults import fault
 from kilter_client.files.marker_header import unit_above
 from kilter_client.files.orientation import from_euler, is_sequence
 from kilter_client.files.recording import Floats
-from kilter_client.files.source_text import parse_number
 from kilter_client.files.table import Table
 from kilter_client.files.text_blocks import blocks, count_rows, line_of, lines_of
 from kilter_client.files.text_layout import TextLayout, sniff
 from kilter_client.files.tracker_header import PRESETS, Preset, meaning
+from kilter_client.files.tracker_time import stamped_times
 from kilter_client.files.units import SIZES, converter
 
 K95 = 2.0  # trackers state U95 with the coverage factor 2
@@ -58,13 +59,18 @@ def read_tracker(
     means = meaning(layout.names, chosen) if layout.header else _without_header(path, layout)
     if not set(AXES) <= set(means):
         said = ", ".join(layout.names[:12])
-        raise fault(path, f"no columns x, y and z among {said}", "Write a column map (--map).", line=layout.first_line)
+        remedy = "Write a column map (kilter inspect FILE --draft columns.toml)."
+        raise fault(path, f"no columns x, y and z among {said}", remedy, line=layout.first_line)
     rows, cut = count_rows(path, layout)
     export = _Export(path, layout, chosen, means, rows, euler or chosen.euler)
     export.warnings += [] if cut is None else [cut]
-    raw = np.concatenate(list(blocks(path, layout, sorted(set(means.values())), export.rows)))
-    place = {column: i for i, column in enumerate(sorted(set(means.values())))}
-    values = {key: raw[:, place[column]] for key, column in means.items()}
+    stamped = stamped_times(path, layout, means, rows)
+    numeric = {key: column for key, column in means.items() if key != "t" or stamped is None}
+    raw = np.concatenate(list(blocks(path, layout, sorted(set(numeric.values())), export.rows)))
+    place = {column: i for i, column in enumerate(sorted(set(numeric.values())))}
+    values = {key: raw[:, place[column]] for key, column in numeric.items()}
+    if stamped is not None:
+        values["t"] = stamped
     _position(export, values)
     _orientation(export, values)
     _spread(export, values)

@@ -1,0 +1,94 @@
+"""``kilter upload --dry-run``: what a file holds and what would be refused, before anything is sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from kilter_client import Kilter
+from kilter_client.cli.output import say
+from kilter_client.cli.tables import number, show_rows
+from kilter_client.errors import KilterError
+from kilter_client.files import Prepared
+
+Document = dict[str, Any]
+
+LOAD_UNITS = {"kg": "kg", "n": "N", "nm": "N m"}
+
+
+def what_it_holds(robot: str, prepared: Prepared, conditions: Mapping[str, Any]) -> Document:
+    """Return ranges, poses, repeats, loads, directions, and what rules left out or would refuse."""
+    from kilter_client.files.refusals import refusals
+    from kilter_client.files.summary import columns_of, summary
+
+    joints, unchecked = _joints(robot)
+    found = summary(prepared, conditions)
+    left_out = [text for text in prepared.warnings if "left out" in text]
+    refused = refusals(columns_of(prepared), joints, prepared.lines)
+    return found | {"left_out": left_out, "refused": refused, "not_checked": unchecked}
+
+
+def show_dry_run(document: Document) -> None:
+    """Print it for people."""
+    rows = [
+        (c["name"], c["unit"], *("" if c[k] is None else f"{c[k]:.6g}" for k in ("low", "high")), str(c["empty"] or ""))
+        for c in document.get("ranges", ())
+    ]
+    if rows:
+        show_rows(("column", "unit", "lowest", "highest", "empty"), rows)
+        say(f"rows: {document['rows']}")
+        say(f"poses: {_poses(document['poses'])}")
+        say(f"loads: {_loads(document['loads'])}")
+        say(f"directions: {_directions(document['directions'])}")
+    for text in document["left_out"]:
+        say(f"left out: {text}")
+    for text in document["refused"]:
+        say(f"would be refused: {text}")
+    if not document["refused"]:
+        say("would be refused: nothing found")
+    if document["not_checked"]:
+        say(f"not checked: {document['not_checked']}")
+    say("Nothing was sent.")
+
+
+def _joints(robot: str) -> tuple[list[Document] | None, str]:
+    """The robot's joints, or why they are not known: a dry run needs no server."""
+    try:
+        with Kilter() as kilter:
+            return list(kilter.robots.get(robot)["joints"]), ""
+    except KilterError as error:
+        return None, f"joints and their limits ({error.detail.rstrip('.')})"
+
+
+def _poses(poses: Document | None) -> str:
+    if poses is None:
+        return "not known"
+    visits, rows = (_span(poses[key]) for key in ("visits_per_pose", "rows_per_pose"))
+    repeats = "none is repeated" if not poses["repeated"] else f"{poses['repeated']} of them repeated"
+    counted = f"{visits} visit{'' if visits == '1' else 's'} per pose ({rows} row{'' if rows == '1' else 's'})"
+    return f"{poses['count']} by {poses['by']}, {counted}, {repeats}"
+
+
+def _span(pair: list[int]) -> str:
+    return str(pair[0]) if pair[0] == pair[1] else f"{pair[0]} to {pair[1]}"
+
+
+def _loads(loads: Document) -> str:
+    said = []
+    for name, values in loads.items():
+        unit = LOAD_UNITS.get(name.rpartition("_")[2], "")
+        if name.endswith("_distinct"):
+            continue
+        listed = values if isinstance(values, list) else [values]
+        many = loads.get(f"{name}_distinct")
+        text = (
+            f"{number(listed[0])} to {number(listed[-1])}, {many} different" if many else ", ".join(map(number, listed))
+        )
+        of_all = name.removeprefix("campaign_")
+        said.append(f"{of_all.rpartition('_')[0]} {text} {unit}" + (" (whole campaign)" if of_all != name else ""))
+    return "; ".join(said) or "not given (payload_kg, or --payload-kg)"
+
+
+def _directions(directions: Document) -> str:
+    parts = [f"{name} {count['-1']} down, {count['0']} unknown, {count['1']} up" for name, count in directions.items()]
+    return "; ".join(parts) or "not given (dir1 ...)"

@@ -1,0 +1,60 @@
+"""Jobs as they are stored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+
+@dataclass(frozen=True)
+class JobRequest:
+    """What was asked, as it was sent: ``validation`` is campaign ids, a fraction, {"folds": n}, or None."""
+
+    robot: str
+    campaigns: list[str]
+    validation: list[str] | float | dict[str, int] | None
+    confirmation: list[str]
+    options: dict[str, Any]
+
+    @staticmethod
+    def of(document: dict[str, Any]) -> JobRequest:
+        """Read a stored request; jobs of earlier releases have no confirmation."""
+        return JobRequest(
+            document["robot"],
+            document.get("campaigns") or [],
+            document.get("validation"),
+            document.get("confirmation") or [],
+            document.get("options") or {},
+        )
+
+    @property
+    def held(self) -> list[str]:
+        """Campaigns that are held out."""
+        return self.validation if isinstance(self.validation, list) else []
+
+    @property
+    def folds(self) -> int | None:
+        """Folds of a cross-validation."""
+        return int(self.validation["folds"]) if isinstance(self.validation, dict) else None
+
+
+@dataclass(frozen=True)
+class JobRecord:
+    """A stored job."""
+
+    id: str
+    kind: str
+    robot_id: int
+    robot: str
+    name: str
+    state: str
+    fraction: float
+    stage: str
+    error: dict[str, str] | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    request: JobRequest
+    attempts: int
+    result: dict[str, Any] | None

@@ -1,0 +1,333 @@
+"""What CONTRIBUTING.md says of adding an effect, a method, a reader, a kind of job and an export: done in a copy.
+
+Each addition may touch so many files and no more; then the copy is used as it is, in a process of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+COPIED = ("core", "service", "clients/python/src", "clients/matlab", "docs", "tests/contract", "migrations", "tools")
+SECONDS = 500
+
+EFFECT = '''"""Wobble of a joint: an error with the third multiple of its angle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.effects.base import Batch, Effect, Floats, Local
+from core.parameters import Parameter
+from core.robot import Robot
+
+
+@dataclass(frozen=True)
+class ToyWobble(Effect):
+    """dq = w sin 3q."""
+
+    id = "toy_wobble"
+    summary = "wobble with three periods a turn"
+    source = "a test"
+    remedy = "move the joint over its whole range"
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Amplitude w per joint, rad."""
+        return self.per_joint(robot, "toy_wobble", "rad", 1e-3, -0.02, 0.02, "amplitude of the wobble")
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivative by w."""
+        return self.joint_angle(batch, values, np.sin(3.0 * batch.q))
+'''
+USE_EFFECT = """
+import numpy as np
+from core.effects import make_effect
+from core.gap.candidates import library_of
+from core.identify import IdentifyOptions, identify
+from core.model import Calibration
+from core.observations import Observations
+from core.robots import preset_document, robot_from_document
+from tests.contract.test_docs import test_every_effect_is_documented
+from service.jobs.registry import kind_of
+from service.jobs.refusals import read_options
+
+test_every_effect_is_documented()
+kind_of("identify").check(read_options("identify", {"effects": [{"id": "toy_wobble", "joints": [2]}]}))
+robot = robot_from_document(preset_document("panda"))
+q = np.random.default_rng(0).uniform(*robot.limits.T, (80, 7))
+bent = q.copy()
+bent[:, 3] += 2e-3 * np.sin(3 * q[:, 3])
+seen = Calibration.nominal(robot).predict(Observations(bent))
+rows = Observations(q, position=seen.position, rotation=seen.rotation)
+found = identify(robot, rows, None, IdentifyOptions.from_document({"effects": [{"id": "toy_wobble", "joints": [4]}]}))
+row = next(p for p in found.to_document()["parameters"] if p["name"] == "toy_wobble_4")
+assert abs(row["value"] - np.degrees(2e-3)) < 1e-3, row
+again = Calibration.from_document(robot, found.calibration.to_document())
+assert np.allclose(again.predict(rows).position, found.calibration.predict(rows).position)
+assert "toy_wobble" in {c.id for c in library_of(robot, rows).candidates}
+"""
+
+METHOD = '''"""Least squares that looks twice: the fit, and again from where it ended."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from core.identify.estimate import Progress, estimate
+from core.identify.least_squares import Fit
+from core.identify.options import IdentifyOptions
+from core.measurement import Measurement
+from core.model import Calibration
+
+
+def toy_twice(
+    start: Calibration, measurement: Measurement, options: IdentifyOptions, progress: Progress | None = None
+) -> Fit:
+    """Fit, and fit again."""
+    first = estimate(start, measurement, options, progress)
+    again = estimate(Calibration(*first.problem.model.folded(first.values), start.marker_points), measurement, options)
+    return replace(again, report={"looks": 2})
+'''
+USE_METHOD = """
+import numpy as np
+from core.identify import IdentifyOptions, identify
+from core.model import Calibration
+from core.observations import Observations
+from core.robots import preset_document, robot_from_document
+from service.jobs.registry import kind_of
+from service.jobs.refusals import read_options
+
+kind_of("identify").check(read_options("identify", {"method": "toy_twice", "loss": "tukey", "intervals": "profile"}))
+robot = robot_from_document(preset_document("panda"))
+q = np.random.default_rng(0).uniform(*robot.limits.T, (60, 7))
+rows = Observations(q, position=Calibration.nominal(robot).predict(Observations(q + 1e-3)).position)
+found = identify(robot, rows, 0.25, IdentifyOptions.from_document({"method": "toy_twice", "level": 1})).to_document()
+assert found["method"] == {"name": "toy_twice", "looks": 2}, found["method"]
+assert found["metrics"]["validation"]["identified"]["rms_mm"] < 1e-3
+"""
+
+READER = '''"""A toy device: joints in degrees and a point in metres, with blanks between."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kilter_client.files.table import Table
+
+
+def read_toy(path: Path) -> Table:
+    """Read one file."""
+    rows = [[float(cell) for cell in line.split()] for line in path.read_text(encoding="utf-8").splitlines()]
+    q1, x = zip(*rows, strict=True)
+    return Table({"q1_deg": list(q1), "x_mm": [1e3 * v for v in x]}, list(range(1, len(rows) + 1)))
+'''
+USE_READER = """
+import pathlib, tempfile
+from kilter_client.files import prepare
+from kilter_client.cli import run
+
+file = pathlib.Path(tempfile.mkdtemp()) / "rows.toy"
+file.write_text("10 0.5\\n20 0.25\\n")
+made = prepare(file, "toy")
+assert made.content.decode().splitlines() == ["q1_deg,x_mm", "10.0,500.0", "20.0,250.0"], made.content
+assert run(["upload", "arm", str(file), "--device", "toy", "--dry-run"]) == 0
+"""
+
+KIND = '''"""Job kind ``count``: how many rows there are."""
+
+from __future__ import annotations
+
+from service.contract.jobs.count import CountOptions
+from service.jobs.kind import JobInput, JobKind, JobOutput, Progress
+
+
+def check(options: CountOptions) -> None:
+    """All that can be asked goes together."""
+
+
+def run(job: JobInput, progress: Progress) -> JobOutput:
+    """Count."""
+    progress(0.5, "counting")
+    return JobOutput({"rows": {name: -(-len(rows) // job.options.every) for name, rows in job.campaigns.items()}})
+
+
+COUNT = JobKind("count", CountOptions, check, run, takes_folds=False)
+'''
+KIND_OPTIONS = '''"""Jobs of kind ``count``: how many rows there are."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from service.contract.units import Asked, Stored
+
+
+class CountOptions(Asked):
+    """What can be asked of a count."""
+
+    every: Annotated[int, Field(ge=1, le=1000)] = Field(1, description="Count one row of so many.")
+
+
+class CountResult(Stored):
+    """How many rows there are."""
+
+    rows: dict[str, int] | None = Field(None, description="Rows, by campaign.")
+'''
+IMPORT = "from service.contract.jobs.count import CountOptions, CountResult\n"
+NEW_JOB = '''class NewCountJob(_NewJob):
+    """Count the rows of campaigns."""
+
+    kind: Literal["count"] = Field(description=KIND)
+    options: CountOptions = Field(CountOptions(), description=OPTIONS)
+
+
+'''
+COUNT_JOB = '''class CountJob(_Job):
+    """A count with what was asked and what came out."""
+
+    kind: Literal["count"] = Field(description=KIND)
+    options: CountOptions = Field(description="Options, as asked.")
+    result: CountResult | None = Field(description=RESULT)
+
+
+'''
+USE_KIND = """
+import numpy as np
+from core.observations import Observations
+from core.robots import preset_document, robot_from_document
+from pydantic import TypeAdapter
+from service.contract.jobs.job import NewJob
+from service.jobs.kind import JobInput
+from service.jobs.registry import kind_of
+
+kind = kind_of("count")
+asked = TypeAdapter(NewJob).validate_python({"kind": "count", "robot": "arm", "options": {"every": 2}})
+kind.check(asked.options)
+robot = robot_from_document(preset_document("panda"))
+job = JobInput(robot, {"cmp_1": Observations(np.zeros((3, 7)))}, None, asked.options)
+assert kind.run(job, lambda fraction, stage: None).result == {"rows": {"cmp_1": 2}}
+"""
+
+EXPORT = '''"""Export as a list of names, one a line."""
+
+from __future__ import annotations
+
+from service.exporters.exportable import Exportable, Written
+
+
+def names_txt(version: Exportable) -> Written:
+    """Write the names of the parameters."""
+    return Written("".join(f"{name}\\n" for name in version.calibration.names))
+'''
+USE_EXPORT = """
+from types import SimpleNamespace
+from core.model import Calibration
+from core.robots import preset_document, robot_from_document
+from service.exporters.registry import FORMATS, export
+
+about = SimpleNamespace(robot="arm", id="ver_1")
+nominal = Calibration.nominal(robot_from_document(preset_document("panda")))
+made = export("names", SimpleNamespace(version=about, calibration=nominal))
+assert (made.name, made.media_type, made.text.split()[0]) == ("arm-ver_1.txt", "text/plain", "base_x"), made
+"""
+
+
+def lined(path: str, *lines: tuple[str, str]) -> str:
+    """The text of a file with lines put before others."""
+    text = (REPOSITORY / path).read_text(encoding="utf-8")
+    for before, line in lines:
+        assert text.count(before) == 1, (path, before)
+        text = text.replace(before, line + before)
+    return text
+
+
+METHODS, EFFECTS = "core/identify/methods.py", "core/effects/registry.py"
+FILES = "clients/python/src/kilter_client/files/__init__.py"
+KINDS, FORMATS = "service/jobs/registry.py", "service/exporters/registry.py"
+JOBS = "service/contract/jobs/job.py"
+PAGE, ROW = "docs/reference/effects.md", "| `toy_wobble` | a test | dq = w sin 3q | `toy_wobble`, deg | |\n"
+LOADER = """def _toy(path: Path) -> Table:
+    from kilter_client.files.toy import read_toy
+
+    return read_toy(path)
+
+
+"""
+ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
+    "effect": (3, {
+        "core/effects/toy_wobble.py": EFFECT,
+        EFFECTS: lined(EFFECTS, ("from core.effects.tracking_lag", "from core.effects.toy_wobble import ToyWobble\n"),
+                       ("    UnknownSmoothCurve,\n", "    ToyWobble,\n")),
+        PAGE: lined(PAGE, ("| `encoder_scale` |", ROW)),
+    }, USE_EFFECT),
+    "method": (2, {
+        "core/identify/toy_twice.py": METHOD,
+        METHODS: lined(METHODS, ("from core.measurement import", "from core.identify.toy_twice import toy_twice\n"),
+                       ('    "kalman": Method', '    "toy_twice": Method(toy_twice, minimum=True, lets_rows_go=True),\n')),
+    }, USE_METHOD),
+    "reader": (2, {
+        "clients/python/src/kilter_client/files/toy.py": READER,
+        FILES: lined(FILES, ("# device name -> reader", LOADER),
+                     ('    "inclinometer": _incl', '    "toy": _toy,\n')),
+    }, USE_READER),
+    "kind of job": (4, {
+        "service/contract/jobs/count.py": KIND_OPTIONS,
+        JOBS: lined(JOBS, ("from service.contract.jobs.evaluate", IMPORT),
+                    ("class NewPlanJob", NEW_JOB), ("class PlanJob", COUNT_JOB))
+        .replace("NewIdentifyJob |", "NewIdentifyJob | NewCountJob |")
+        .replace("[IdentifyJob |", "[IdentifyJob | CountJob |"),
+        "service/jobs/kinds/count.py": KIND,
+        KINDS: lined(KINDS, ("from service.jobs.kinds.evaluate", "from service.jobs.kinds.count import COUNT\n"))
+        .replace("(IDENTIFY, GAP,", "(IDENTIFY, COUNT, GAP,"),
+    }, USE_KIND),
+    "export": (2, {
+        "service/exporters/names_txt.py": EXPORT,
+        FORMATS: lined(FORMATS, ('    "matlab": Format', '    "names": Format("names_txt.names_txt", "text/plain", "txt"),\n')),
+    }, USE_EXPORT),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sources, copied; the compiled kernels are used where they are, for compiling them again takes minutes."""
+    root = tmp_path_factory.mktemp("copy")
+    for folder in COPIED:
+        shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__", "kernels"))
+    (root / "core" / "kernels").symlink_to(REPOSITORY / "core" / "kernels", target_is_directory=True)
+    for file in ("pyproject.toml", "clients/python/pyproject.toml"):
+        shutil.copy(REPOSITORY / file, root / file)
+    return root
+
+
+@pytest.mark.parametrize("what", ADDITIONS)
+def test_an_addition_touches_no_more_files_than_the_guide_says(what: str, copy: Path) -> None:
+    most, changes, use = ADDITIONS[what]
+    assert len(changes) <= most
+    for path, text in changes.items():
+        (copy / path).write_text(text, encoding="utf-8")
+    paths = os.pathsep.join([str(copy), str(copy / "clients/python/src")])
+    environment = {**os.environ, "PYTHONPATH": paths, "PYTHONSAFEPATH": "1", "OPENBLAS_NUM_THREADS": "1"}
+    # What `make contract` writes is no file that anybody edits.
+    for arguments in (
+        ["-m", "tools.contract"], ["-c", f"import core; assert core.__file__.startswith({str(copy)!r})\n{use}"],
+    ):  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, *arguments], cwd=copy, env=environment, capture_output=True, text=True, timeout=SECONDS,
+            check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    guide = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8").lower()
+    section = guide.split(f"## add {'an' if what[0] in 'e' else 'a'} {what}\n")[1].split("\n## ")[0]
+    named = [path for path in changes if (REPOSITORY / path).exists()]
+    assert all(f"`{path.lower()}`" in section for path in named), named

@@ -1,0 +1,123 @@
+"""Presets against outside descriptions of the same arms: joints of public URDF files, put together by Pinocchio."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from core.model import Calibration
+from core.observations import Observations
+from core.robots import preset_document, preset_names, robot_from_document
+
+Floats = NDArray[np.float64]
+Origin = tuple[float, float, float, float, float, float]  # x, y, z m and roll, pitch, yaw rad: Rz Ry Rx
+HALF = np.pi / 2
+
+# Origin of each joint, its axis, and the flange behind the last, as the arms' URDF files have them: ur_description of
+# Universal Robots (default kinematics), franka_description, iiwa_stack, kuka_experimental and abb of ROS-Industrial.
+Z = (0.0, 0.0, 1.0)
+Joints = list[tuple[Origin, tuple[float, float, float]]]
+
+
+def ur(d1: float, a2: float, a3: float, d4: float, d5: float, d6: float) -> tuple[Joints, Origin]:
+    origins: list[Origin] = [
+        (0, 0, d1, 0, 0, 0), (0, 0, 0, HALF, 0, 0), (a2, 0, 0, 0, 0, 0), (a3, 0, d4, 0, 0, 0), (0, -d5, 0, HALF, 0, 0),
+        (0, d6, 0, HALF, np.pi, np.pi),
+    ]  # fmt: skip
+    return [(origin, Z) for origin in origins], (0, 0, 0, 0, 0, 0)
+
+
+ARMS: dict[str, tuple[Joints, Origin]] = {
+    "ur3e": ur(0.15185, -0.24355, -0.2132, 0.13105, 0.08535, 0.0921),
+    "ur5e": ur(0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996),
+    "ur10e": ur(0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655),
+    "panda": (
+        [
+            ((0, 0, 0.333, 0, 0, 0), Z), ((0, 0, 0, -HALF, 0, 0), Z), ((0, -0.316, 0, HALF, 0, 0), Z),
+            ((0.0825, 0, 0, HALF, 0, 0), Z), ((-0.0825, 0.384, 0, -HALF, 0, 0), Z), ((0, 0, 0, HALF, 0, 0), Z),
+            ((0.088, 0, 0, HALF, 0, 0), Z),
+        ],
+        (0, 0, 0.107, 0, 0, 0),
+    ),
+    "iiwa14": (
+        [
+            ((0, 0, 0.1575, 0, 0, 0), Z), ((0, 0, 0.2025, HALF, 0, np.pi), Z), ((0, 0.2045, 0, HALF, 0, np.pi), Z),
+            ((0, 0, 0.2155, HALF, 0, 0), Z), ((0, 0.1845, 0, -HALF, np.pi, 0), Z), ((0, 0, 0.2155, HALF, 0, 0), Z),
+            ((0, 0.081, 0, -HALF, np.pi, 0), Z),
+        ],
+        (0, 0, 0.045, np.pi, np.pi, np.pi),
+    ),
+    "kr6-r900": (
+        [
+            ((0, 0, 0.4, 0, 0, 0), (0, 0, -1)), ((0.025, 0, 0, 0, 0, 0), (0, 1, 0)), ((0.455, 0, 0, 0, 0, 0), (0, 1, 0)),
+            ((0, 0, 0.035, 0, 0, 0), (-1, 0, 0)), ((0.42, 0, 0, 0, 0, 0), (0, 1, 0)), ((0.08, 0, 0, 0, 0, 0), (-1, 0, 0)),
+        ],
+        (0, 0, 0, 0, HALF, 0),
+    ),
+    "irb120": (
+        [
+            ((0, 0, 0, 0, 0, 0), Z), ((0, 0, 0.29, 0, 0, 0), (0, 1, 0)), ((0, 0, 0.27, 0, 0, 0), (0, 1, 0)),
+            ((0, 0, 0.07, 0, 0, 0), (1, 0, 0)), ((0.302, 0, 0, 0, 0, 0), (0, 1, 0)), ((0.072, 0, 0, 0, 0, 0), (1, 0, 0)),
+        ],
+        (0, 0, 0, 0, HALF, 0),
+    ),
+}  # fmt: skip
+
+# Limits (deg) of the data sheets, and the mass (kg) of the moving links where there is a public one.
+LIMITS = {
+    "ur3e": [(-360, 360)] * 6, "ur5e": [(-360, 360)] * 6, "ur10e": [(-360, 360)] * 6,
+    "panda": [(-166, 166), (-101, 101), (-166, 166), (-176, -4), (-166, 166), (-1, 215), (-166, 166)],
+    "iiwa14": [(-170, 170), (-120, 120)] * 3 + [(-175, 175)],
+    "kr6-r900": [(-170, 170), (-190, 45), (-120, 156), (-185, 185), (-120, 120), (-350, 350)],
+    "irb120": [(-165, 165), (-110, 110), (-110, 70), (-160, 160), (-120, 120), (-400, 400)],
+}  # fmt: skip
+MASSES = {"ur3e": 8.7985, "ur5e": 17.7, "ur10e": 29.104, "panda": 16.062, "iiwa14": 0.0, "kr6-r900": 0.0, "irb120": 0.0}
+
+
+def placed(origin: Origin) -> pin.SE3:
+    return pin.SE3(pin.rpy.rpyToMatrix(*origin[3:]), np.array(origin[:3], dtype=float))
+
+
+def outside(name: str, q: Floats) -> tuple[Floats, Floats]:
+    """Flange positions and turns of the URDF's arm."""
+    joints, flange = ARMS[name]
+    model, parent = pin.Model(), 0
+    for k, (origin, axis) in enumerate(joints):
+        parent = model.addJoint(
+            parent, pin.JointModelRevoluteUnaligned(np.array(axis, dtype=float)), placed(origin), f"j{k}"
+        )
+    data, poses = model.createData(), []
+    for row in q:
+        pin.forwardKinematics(model, data, row)
+        poses.append((data.oMi[parent] * placed(flange)).homogeneous)
+    out = np.array(poses)
+    return out[:, :3, 3], out[:, :3, :3]
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_the_flange_is_where_the_public_urdf_has_it(name: str) -> None:
+    robot = robot_from_document(preset_document(name))
+    q = np.random.default_rng(5).uniform(*robot.limits.T, (50, robot.n_joints))
+    found = Calibration.nominal(robot).predict(Observations(q))
+    position, rotation = outside(name, q)
+    assert np.abs(found.position - position).max() < 1e-9
+    assert np.abs(found.rotation - rotation).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_limits_masses_and_source_are_stated(name: str) -> None:
+    document = preset_document(name)
+    robot = robot_from_document(document)
+    np.testing.assert_allclose(np.degrees(robot.limits), LIMITS[name], atol=1e-9)
+    assert sum(link.mass for link in robot.links) == pytest.approx(MASSES[name], abs=1e-3)
+    assert len(document["source"]) > 40
+    assert document["name"] == name
+
+
+def test_every_preset_has_a_source_and_says_its_own_name() -> None:
+    assert set(ARMS) < set(preset_names())
+    for name in preset_names():
+        document = preset_document(name)
+        assert (document["name"], bool(document["source"])) == (name, True)

@@ -1,0 +1,110 @@
+"""Tables and help of the options of jobs and effects, from the contract."""
+
+from __future__ import annotations
+
+import json
+import re
+import textwrap
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Any
+
+from core.effects import EFFECTS
+from service.contract.words import allowed
+from service.jobs.registry import KINDS
+
+MARK = re.compile(r"(<!-- make contract: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def with_tables(page: str) -> str:
+    """Return a page with what stands between its marks made anew."""
+    return MARK.sub(lambda found: f"{found[1]}{_table(found['name'])}{found[3]}", page)
+
+
+def _table(name: str) -> str:
+    if name == "effects":
+        return "\n".join(_effect_rows()) + "\n"
+    if name == "kinds":
+        return "\n".join(_kind_rows()) + "\n"
+    return "\n".join(_option_rows(name.removeprefix("options of "))) + "\n"
+
+
+def properties(kind: str) -> dict[str, Any]:
+    """Return the schema of each option of a kind of job."""
+    found: dict[str, Any] = KINDS[kind].options.model_json_schema()["properties"]
+    return found
+
+
+def _option_rows(kind: str) -> Iterator[str]:
+    yield "| option | may be | left out | meaning |"
+    yield "|---|---|---|---|"
+    for name, schema in properties(kind).items():
+        yield f"| `{name}` | {_may_be(schema)} | {_default(schema)} | {_cell(schema['description'])} |"
+
+
+def _may_be(schema: dict[str, Any]) -> str:
+    text = str(schema)
+    if "AskedEffect" in text or "EffectDocument" in text or "clearance_tilt" in text:
+        return "a list of [effects](effects.md)"
+    named = re.search(r"#/\$defs/(\w+)", text)
+    return _cell(allowed(schema) or (f"`{named[1]}`" if named else ""))
+
+
+def _default(schema: dict[str, Any]) -> str:
+    return "must be given" if "default" not in schema else f"`{json.dumps(schema['default'])}`"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def _kind_rows() -> Iterator[str]:
+    yield "| kind | options |"
+    yield "|---|---|"
+    for kind in KINDS:
+        names = ", ".join(f"`{name}`" for name in properties(kind))
+        yield f"| [`{kind}`](job-options.md#{kind}) | {names} |"
+
+
+def _effect_rows() -> Iterator[str]:
+    rows: dict[tuple[str, str], list[str]] = {}
+    for kind in EFFECTS.values():
+        for one in fields(kind):
+            if one.name != "joints" or kind.at_joints:
+                rows.setdefault((one.name, one.metadata["text"]), []).append(kind.id)
+    yield "| effect | option | meaning |"
+    yield "|---|---|---|"
+    for (name, text), ids in rows.items():
+        yield f"| {'all at joints' if name == 'joints' else ', '.join(ids)} | `{name}` | {_cell(text)} |"
+
+
+def command_texts() -> str:
+    """Return the module with the help of the command's options."""
+    lines = ['"""Help of the options of jobs, made from the contract by `make contract`: change it there."""\n']
+    lines.append("from __future__ import annotations\n")
+    for kind in KINDS:
+        lines.append(f"{kind.upper()} = {{")
+        lines += [f"    {name!r}: {plain(schema)!r}," for name, schema in properties(kind).items()]
+        lines.append("}")
+    return "\n".join(lines) + "\n"
+
+
+def plain(schema: dict[str, Any]) -> str:
+    """Return a description without the marks of a page, for where an option is not given instead of null."""
+    return re.sub(r"\b(null|empty):", "left out:", str(schema["description"]).replace("`", ""))
+
+
+def with_help(kind: str, text: str) -> str:
+    """Return a MATLAB function with the options of its job in its help."""
+    head, rest = text.split("%   Further pairs are the job's options.", 1)
+    after = "\n".join(line for line in rest.split("\n") if not line.startswith("%     "))
+    lines = list(_help_lines(kind))
+    first, body = after.split("\n", 1)
+    return f"{head}%   Further pairs are the job's options.{first}\n" + "\n".join(lines) + f"\n{body}"
+
+
+def _help_lines(kind: str) -> Iterator[str]:
+    for name, schema in properties(kind).items():
+        wrapped = textwrap.wrap(plain(schema), 90)
+        yield f"%     {name:<20} {wrapped[0]}"
+        yield from (f"%     {'':<20} {line}" for line in wrapped[1:])
