@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.effects import Batch
+from core.gap.bases import lengths, orthonormal, seen
 from core.gap.gram import VISIBLE, Gram
 from core.gap.noise import Noise
 from core.gap.projection import Projection, Stacked
@@ -27,7 +28,6 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Tick = Callable[[], None]
 
-SEEN = 0.5  # data sigmas that one prior sigma of a geometric direction moves; below, the prior knows it better than the data
 PASSES = 3  # re-fits with the scatter of doubtful signs, which follows the size of the effects
 CHANGED = 0.05  # of the noise variance: less scatter more or less changes no weight that matters
 PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as many looks at thousands of poses
@@ -146,7 +146,7 @@ class World:
     @cached_property
     def _firm(self) -> Gram:
         source = self.setting.source
-        U = _seen((self.G * source.prior_sigma)[:, self.setting.hard])
+        U = seen((self.G * source.prior_sigma)[:, self.setting.hard])
         y = self.raw + self.W_raw @ (source.library(self.values) * self.size)
         y -= U @ (U.T @ y)
         products = Projection.of(Soft.of(U[:, :0]), U, self.W_raw).products(y)
@@ -167,7 +167,7 @@ class World:
         """Orthonormal basis (R, p + d) of geometry and the library ``columns``."""
         if not len(columns):
             return self.U
-        return np.hstack([self.U, _orthonormal(self.projected(list(columns)))])
+        return np.hstack([self.U, orthonormal(self.projected(list(columns)))])
 
 
 def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None) -> World:
@@ -180,13 +180,13 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     G = _white(setting, linear.G)
     W = _white(setting, linear.W)
     del linear
-    norm = _lengths(W)
+    norm = lengths(W)
     unit = np.where(norm > 0.0, norm, 1.0)
     W /= unit
     source, hard = setting.source, setting.hard
     B = G[:, ~hard] * source.prior_sigma[~hard]
     soft = Soft.of(B)
-    U = _seen(soft((G * source.prior_sigma)[:, hard]))
+    U = seen(soft((G * source.prior_sigma)[:, hard]))
     library = source.library(values)
     y = r + W @ ((library if only is None else library[list(only)]) * unit)
     # The load errors, too, are taken back into the data: their prior is about what was stated, not about the last fit.
@@ -198,17 +198,12 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     return World(setting, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, G, W, soft)
 
 
-def _lengths(W: Floats) -> Floats:
-    """Norms (Q,) of columns, without a copy of them squared."""
-    return np.asarray(np.sqrt(np.einsum("rq,rq->q", W, W)))
-
-
 def columns_at(setting: Setting, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:
     """Whitened unit columns (R, K) of the library, as :func:`world_at` has them, without the geometry."""
     source = setting.source
     bare = replace(source, free=np.zeros(0, dtype=np.int64)) if isinstance(source, ToolSource) else source
     W = _white(setting, bare.linear(values, batch, only).W)
-    norm = _lengths(W)
+    norm = lengths(W)
     W /= np.where(norm > 0.0, norm, 1.0)
     return W
 
@@ -384,20 +379,6 @@ def _white(setting: Setting, columns: Floats) -> Floats:
         part = slice(k, k + size)
         columns[part] = np.matmul(setting.whitener[part] * setting.used[part, None, None], columns[part])
     return columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
-
-
-def _seen(scaled: Floats) -> Floats:
-    """Orthonormal basis of the directions of geometry that the data see at all."""
-    if scaled.shape[1] == 0 or len(scaled) == 0:
-        return np.zeros((len(scaled), 0))
-    Q, R = np.linalg.qr(scaled)
-    u, s, _ = np.linalg.svd(R)
-    return np.asarray(Q @ u[:, : len(s)][:, s > max(SEEN, 1e-10 * float(s[0]))])
-
-
-def _orthonormal(W: Floats) -> Floats:
-    u, s, _ = np.linalg.svd(W, full_matrices=False)
-    return np.asarray(u[:, s > np.sqrt(VISIBLE)])
 
 
 def _pinv(A: Floats) -> Floats:

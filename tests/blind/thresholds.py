@@ -66,7 +66,7 @@ GATES = (
 SEARCH = (
     "select.MARGIN", "select.FAMILY_MARGIN", "select.MOST_JOINTS", "select.SMALLEST_GAIN", "select.CLEARLY_WRONG",
     "select.HIDING", "scan.CAUTION", "scan.STRICTER", "outliers.CHANCE", "outliers.MOST", "outliers.SUPPLE",
-    "noise.SPIKE", "noise.SPHERICAL", "world.SEEN", "shadow.FAIR", "testability.BARELY", "holding.SHARE",
+    "noise.SPIKE", "noise.SPHERICAL", "bases.SEEN", "shadow.FAIR", "testability.BARELY", "holding.SHARE",
 )  # fmt: skip
 
 

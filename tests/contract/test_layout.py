@@ -21,7 +21,6 @@ KERNELS = REPOSITORY / "core" / "kernels"
 CORE_MAY_IMPORT = {"core", "numpy", "scipy", "numba"}
 FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "misc", "common"}
 MODULE_CAP, FUNCTION_CAP = 400, 60
-KERNEL_MODULE_CAP = 1000  # a kernel file calls only its own functions, so it cannot be split
 # A kernel file calls only its own functions, and a compiled loop over poses keeps its scratch arrays in one of them.
 KERNEL_MODULE_CAP, KERNEL_FUNCTION_CAP = 1200, 140
 
