@@ -29,6 +29,7 @@ from service.corrector.session import config
 from service.db import Database, revision
 from service.db.tables import JobRow
 from service.robots import service as robots
+from service.robots.wire import DOCUMENT
 from service.settings import DATABASE_FILE, Settings
 from service.versions import activation, store
 from service.versions.store import NewVersion
@@ -312,7 +313,7 @@ def store_active(settings: Settings, calibration: Calibration) -> None:
     database = Database(settings.database)
     try:
         revision.migrate(database)
-        robots.add(database, robots.DOCUMENT.validate_python(document))
+        robots.add(database, DOCUMENT.validate_python(document))
         with database.transaction() as session:
             session.add(JobRow(id="job_1", kind="identify", robot_id=1, request={}, state="succeeded"))
             session.flush()

@@ -14,6 +14,7 @@ import pytest
 from core.identify.row_errors import RowErrors
 from core.observations import Observations
 from core.robots import robot_from_document
+from service.contract.jobs.identify import IdentifyOptions
 from service.jobs.arrow_pictures import LONGEST, MOST_ARROWS, arrows, magnification
 from service.jobs.drawing import LONGEST as LONGEST_LABEL
 from service.jobs.drawing import apart, lying, short, signed
@@ -42,7 +43,9 @@ def drawn(arm: Arm, campaigns: dict[str, Observations], validation: Any = None, 
     every = [*campaigns, *(validation if isinstance(validation, dict) else ())]
     names = {campaign: f"name of {campaign}" for campaign in every}
     robot = robot_from_document(arm.document())
-    result = run(JobInput(robot, campaigns, validation, options, names=names), lambda fraction, stage: None).result
+    result = run(
+        JobInput(robot, campaigns, validation, IdentifyOptions(**options), names=names), lambda fraction, stage: None
+    ).result
     figures: Figures = json.loads(json.dumps(result["figures"], allow_nan=False))
     assert all(set(figure) == {"data", "layout"} for figure in figures.values())
     return figures

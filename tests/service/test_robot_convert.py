@@ -16,7 +16,7 @@ from core.moments import axial_loads, joint_loads
 from core.robots import preset_document, robot_from_document
 from service.robots.convert import convert as converted
 from service.robots.documents import core_document
-from service.robots.service import DOCUMENT
+from service.robots.wire import DOCUMENT
 from tests.core.conversions.test_documents import poses
 from tests.core.truth import some_arm, ur10, with_bodies
 

@@ -47,7 +47,7 @@ class Verdict:
 def model(arm: str) -> Arm:
     """The nominal arm as the service resolves it."""
     from service.robots.check import check
-    from service.robots.service import DOCUMENT
+    from service.robots.wire import DOCUMENT
 
     return arm_of(check(DOCUMENT.validate_python(document(arm, arm))).model_dump(mode="json"))
 

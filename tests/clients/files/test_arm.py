@@ -12,7 +12,7 @@ from core.model import Calibration
 from core.robots import preset_document, preset_names, robot_from_document
 from service.robots.check import check
 from service.robots.convert import convert
-from service.robots.service import DOCUMENT
+from service.robots.wire import DOCUMENT
 
 SLIDING = {
     "name": "gantry", "convention": "chain",
