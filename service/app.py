@@ -17,6 +17,7 @@ from service.frames.routes import router as frames
 from service.health.routes import router as health
 from service.jobs.queue import JobQueue
 from service.jobs.routes import router as jobs
+from service.references.routes import router as references
 from service.robots.routes import router as robots
 from service.settings import Settings
 from service.slots import Slots
@@ -25,7 +26,7 @@ from service.versions.routes import router as versions
 
 SUMMARY = "Keeps a serial robot arm true: identifies its errors from measured poses and corrects its setpoints."
 
-ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction, frames)
+ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction, frames, references)
 
 # How long the API waits at its start for `kilterd serve` to migrate the database beside it.
 MIGRATION_WAIT_S = 30.0

@@ -93,7 +93,7 @@ def measure(kilter: Kilter, twin: Twin, folder: Path) -> tuple[str, str]:
         seen = twin.observe(iso_poses(twin.robot, count, seed), noise_m=NOISE_MM / 1000.0, seed=seed)
         file = folder / f"{role}.csv"
         write_campaign(file, seen)
-        campaign = kilter.campaigns.add(ROBOT, role, device="simulated", role=role)
+        campaign = kilter.campaigns.add(ROBOT, role, device="simulated", role=role, numbered=True)
         kilter.campaigns.upload(campaign["id"], file)
         ids.append(str(campaign["id"]))
     return ids[0], ids[1]

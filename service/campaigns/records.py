@@ -31,3 +31,4 @@ class CampaignRecord:
     notes: str
     staged: bool
     created_at: datetime
+    retired_at: datetime | None

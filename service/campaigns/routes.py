@@ -10,8 +10,9 @@ from fastapi.concurrency import run_in_threadpool
 
 from service.auth.access import Admin
 from service.bodies import receive
-from service.campaigns import reading, service
+from service.campaigns import keeping, reading, service
 from service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
+from service.contract.references import Change, Tombstone
 from service.page_query import PageOfList
 from service.routing import GuardedRoute
 from service.slots import compute
@@ -38,9 +39,11 @@ def add(robot: str, campaign: NewCampaign, response: Response, database: Databas
 
 
 @router.get("/robots/{robot}/campaigns")
-def listed(robot: str, database: DatabaseOfApp, page: PageOfList, staged: bool = False) -> CampaignList:
-    """List the campaigns of a robot; with `staged` those whose parts are not all there yet."""
-    return service.listed(database, robot, page, staged)
+def listed(
+    robot: str, database: DatabaseOfApp, page: PageOfList, staged: bool = False, retired: bool = False
+) -> CampaignList:
+    """List the campaigns of a robot; with `staged` those whose parts are not all there yet, with `retired` all others too."""
+    return service.listed(database, robot, page, staged, retired)
 
 
 @router.get("/campaigns/{campaign}")
@@ -53,6 +56,30 @@ def get(campaign: str, database: DatabaseOfApp) -> Campaign:
 def commit(campaign: str, parts: Parts, database: DatabaseOfApp, _: Admin) -> Campaign:
     """Make a staged campaign visible, if it holds exactly the parts that are named; again changes nothing."""
     return service.commit(database, campaign, parts)
+
+
+@router.patch("/campaigns/{campaign}")
+def change(campaign: str, wanted: Change, database: DatabaseOfApp, _: Admin) -> Campaign:
+    """Name a campaign, or note something on it."""
+    return keeping.change(database, campaign, wanted)
+
+
+@router.post("/campaigns/{campaign}/retire")
+def retire(campaign: str, database: DatabaseOfApp, actor: Admin) -> Campaign:
+    """Take a campaign out of use; what was made from it stays as it is."""
+    return keeping.retire(database, campaign, actor)
+
+
+@router.post("/campaigns/{campaign}/restore")
+def restore(campaign: str, database: DatabaseOfApp, _: Admin) -> Campaign:
+    """Bring a retired campaign back into use."""
+    return keeping.restore(database, campaign)
+
+
+@router.post("/campaigns/{campaign}/purge")
+def purge(campaign: str, database: DatabaseOfApp, actor: Admin) -> Tombstone:
+    """Delete a campaign that nothing cites, for good; its hash is kept."""
+    return keeping.purge(database, campaign, actor)
 
 
 @router.delete("/campaigns/{campaign}", status_code=204)

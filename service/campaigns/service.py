@@ -17,6 +17,7 @@ from service.contract.columns import CONTACTS
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.paging import Page, in_time
+from service.references import retired
 from service.robots import store as robots
 
 if TYPE_CHECKING:
@@ -29,18 +30,18 @@ MEASURED = ("x", "marker_x", "link", *CONTACTS)
 def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
     """Store a new campaign of a robot; one begun long ago whose parts never came is dropped on the way."""
     with database.transaction() as session:
-        robot_id = robots.get(session, robot).id
+        robot_id = robots.usable(session, robot).id
         for forgotten in store.staged_before(session, robot_id, datetime.now(UTC) - STAGED_FOR):
             store.discard(session, forgotten)
         campaign_id = store.add(session, robot_id, campaign)
         session.flush()
-        return _shown(session, campaign_id)
+        return shown(session, campaign_id)
 
 
 def get(database: Database, campaign_id: str) -> Campaign:
     """Return a campaign."""
     with database.reading() as session:
-        return _shown(session, campaign_id)
+        return shown(session, campaign_id)
 
 
 def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
@@ -63,7 +64,7 @@ def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
             )
         store.commit(session, campaign_id)
         session.flush()
-        return _shown(session, campaign_id)
+        return shown(session, campaign_id)
 
 
 def discard(database: Database, campaign_id: str) -> None:
@@ -81,12 +82,14 @@ def discard(database: Database, campaign_id: str) -> None:
         store.discard(session, campaign_id)
 
 
-def listed(database: Database, robot: str, page: Page, staged: bool = False) -> CampaignList:
-    """List the campaigns of a robot, or those whose parts are not all there yet."""
+def listed(
+    database: Database, robot: str, page: Page, staged: bool = False, with_retired: bool = False
+) -> CampaignList:
+    """List the campaigns of a robot, or those whose parts are not all there yet; ``with_retired`` those out of use too."""
     with database.reading() as session:
-        found = store.listed(session, robots.get(session, robot).id, staged, page)
-        shown, cursor = page.cut(found, lambda campaign: in_time(campaign.created_at, campaign.id))
-        return CampaignList(campaigns=[_shown(session, campaign.id) for campaign in shown], next=cursor)
+        read = store.listed(session, robots.get(session, robot).id, staged, page, with_retired)
+        found, cursor = page.cut(read, lambda campaign: in_time(campaign.created_at, campaign.id))
+        return CampaignList(campaigns=[shown(session, campaign.id) for campaign in found], next=cursor)
 
 
 def upload(database: Database, campaign_id: str, path: Path, media: str, sha256: str) -> Uploaded:
@@ -134,13 +137,14 @@ def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -
     return chunks
 
 
-def _shown(session: Session, campaign_id: str) -> Campaign:
+def shown(session: Session, campaign_id: str) -> Campaign:
+    """Return a campaign as it is shown."""
     record = store.get(session, campaign_id)
     return wire.campaign(record, robots.by_id(session, record.robot_id).name, store.uploads_of(session, campaign_id))
 
 
 def _uploaded(session: Session, campaign_id: str, sha256: str, *, new: bool) -> Uploaded | None:
-    store.get(session, campaign_id)
+    retired.refuse("campaign", campaign_id, store.get(session, campaign_id).retired_at)
     uploads = store.uploads_of(session, campaign_id)
     total = sum(upload.rows for upload in uploads)
     for upload in uploads:

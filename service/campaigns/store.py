@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import uuid
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
@@ -17,10 +18,13 @@ from service.campaigns.chunks import Chunk, read_chunk
 from service.campaigns.columns import read_columns
 from service.campaigns.records import CampaignRecord, UploadRecord
 from service.contract.campaigns import NewCampaign
+from service.contract.jobs.job import FINAL
 from service.db import Session
-from service.db.tables import CampaignRow, ChunkRow, UploadRow
+from service.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow
 from service.errors import ServiceError
 from service.paging import Page
+from service.references import retired
+from service.references import store as references
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -31,11 +35,22 @@ if TYPE_CHECKING:
 
 
 def add(session: Session, robot_id: int, campaign: NewCampaign) -> str:
-    """Store a new campaign and return its id."""
+    """Store a new campaign and return its id.
+
+    Raises:
+        ServiceError: another campaign of the robot has the name, or it looks like an id.
+
+    """
+    name = campaign.name
+    if campaign.numbered:
+        references.check_form("campaign", name)
+        name = references.free_name(session, "campaign", robot_id, name)
+    else:
+        references.check_name(session, "campaign", robot_id, name)
     row = CampaignRow(
         id=f"cmp_{uuid.uuid4().hex[:16]}",
         robot_id=robot_id,
-        name=campaign.name,
+        name=name,
         device=campaign.device,
         role=campaign.role,
         conditions=campaign.conditions.model_dump(mode="json", exclude_none=True),
@@ -58,15 +73,17 @@ def get(session: Session, campaign_id: str) -> CampaignRecord:
 
 def _record(row: CampaignRow) -> CampaignRecord:
     return CampaignRecord(
-        row.id, row.robot_id, row.name, row.device, row.role, row.conditions, row.notes, row.staged, row.created_at
-    )
+        row.id, row.robot_id, row.name, row.device, row.role, row.conditions, row.notes, row.staged, row.created_at,
+        row.retired_at,
+    )  # fmt: skip
 
 
 def _row(session: Session, campaign_id: str) -> CampaignRow:
     row = session.get(CampaignRow, campaign_id)
     if row is None:
         raise ServiceError(
-            f"There is no campaign {campaign_id!r}: list them with GET /v1/robots/{{robot}}/campaigns.",
+            f"There is no campaign {campaign_id!r}: list them with GET /v1/robots/{{robot}}/campaigns."
+            + references.gone(session, "campaign", campaign_id),
             code="campaign_not_found",
             campaign=campaign_id,
         )
@@ -90,9 +107,56 @@ def whole(session: Session, campaign_id: str) -> CampaignRecord:
     return found
 
 
+def usable(session: Session, campaign_id: str) -> CampaignRecord:
+    """Return a campaign that is whole and in use.
+
+    Raises:
+        ServiceError: there is none, parts of it are missing, or it is retired.
+
+    """
+    found = whole(session, campaign_id)
+    retired.refuse("campaign", found.id, found.retired_at)
+    return found
+
+
+def change(session: Session, campaign_id: str, name: str | None, notes: str | None) -> None:
+    """Write what people call a campaign and note on it; None stays as it is."""
+    row = _row(session, campaign_id)
+    row.name, row.notes = row.name if name is None else name, row.notes if notes is None else notes
+    session.flush()
+
+
+def retire(session: Session, campaign_id: str, actor: str) -> None:
+    """Take a campaign out of use; again changes nothing."""
+    retired.retire(_row(session, campaign_id), actor)
+    session.flush()
+
+
+def restore(session: Session, campaign_id: str) -> None:
+    """Bring a campaign back into use."""
+    retired.restore(_row(session, campaign_id))
+    session.flush()
+
+
 def commit(session: Session, campaign_id: str) -> None:
-    """Make a staged campaign one that is listed and used."""
-    _row(session, campaign_id).staged = False
+    """Make a staged campaign one that is listed and used; a name that was taken meanwhile gets a number."""
+    row = _row(session, campaign_id)
+    if row.staged:
+        row.name = references.free_name(session, "campaign", row.robot_id, row.name)
+        row.staged = False
+
+
+def delete_whole(session: Session, campaign_id: str) -> None:
+    """Delete a campaign with all that was uploaded to it."""
+    session.execute(delete(UploadRow).where(UploadRow.campaign_id == campaign_id))
+    session.execute(delete(CampaignRow).where(CampaignRow.id == campaign_id))
+
+
+def unfinished_jobs(session: Session, campaign_id: str) -> list[str]:
+    """Return the ids of jobs that are not over and use a campaign."""
+    robot_id = _row(session, campaign_id).robot_id
+    rows = session.execute(select(JobRow).where(JobRow.robot_id == robot_id, JobRow.state.not_in(FINAL))).scalars()
+    return [row.id for row in rows if campaign_id in json.dumps(row.request)]
 
 
 def discard(session: Session, campaign_id: str) -> None:
@@ -107,20 +171,25 @@ def staged_before(session: Session, robot_id: int, moment: datetime) -> list[str
     return list(session.execute(query.where(CampaignRow.created_at < moment)).scalars())
 
 
-def listed(session: Session, robot_id: int, staged: bool, page: Page) -> list[CampaignRecord]:
-    """Return campaigns of a robot, oldest first, one more than the page shows."""
+def listed(
+    session: Session, robot_id: int, staged: bool, page: Page, with_retired: bool = False
+) -> list[CampaignRecord]:
+    """Return campaigns of a robot, oldest first, one more than the page shows; those out of use only when asked for."""
     row = CampaignRow
     query = select(row).where(row.robot_id == robot_id, row.staged == staged).order_by(row.created_at, row.id)
+    if not with_retired:
+        query = query.where(row.retired_at.is_(None))
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.created_at > moment, and_(row.created_at == moment, row.id > key)))
     return [_record(found) for found in session.execute(query.limit(page.fetched)).scalars()]
 
 
-def ids_of_robot(session: Session, robot_id: int, staged: bool = False) -> list[str]:
-    """Return the ids of a robot's campaigns, oldest first; ``staged`` are those whose parts are not all there."""
-    query = select(CampaignRow.id).where(CampaignRow.robot_id == robot_id, CampaignRow.staged == staged)
-    return list(session.execute(query.order_by(CampaignRow.created_at, CampaignRow.id)).scalars())
+def ids_of_robot(session: Session, robot_id: int) -> list[str]:
+    """Return the ids of a robot's campaigns that are whole and in use, oldest first."""
+    row = CampaignRow
+    query = select(row.id).where(row.robot_id == robot_id, row.staged.is_(False), row.retired_at.is_(None))
+    return list(session.execute(query.order_by(row.created_at, row.id)).scalars())
 
 
 def uploads_of(session: Session, campaign_id: str) -> list[UploadRecord]:

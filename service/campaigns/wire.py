@@ -21,6 +21,7 @@ def campaign(record: CampaignRecord, robot: str, uploads: Sequence[UploadRecord]
         notes=record.notes,
         staged=record.staged,
         created_at=record.created_at,
+        retired_at=record.retired_at,
         rows=sum(one.rows for one in uploads),
         uploads=[_upload(one) for one in uploads],
     )

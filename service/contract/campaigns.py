@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from service.contract.references import RETIRED_AT
 from service.contract.units import Celsius, Listed, Load, Newton, NewtonMetre, PointMm, Strict
 
 Role = Literal["train", "validation", "confirmation"]
@@ -30,9 +31,7 @@ class Conditions(Strict):
     )
 
 
-class NewCampaign(Strict):
-    """A campaign to measure."""
-
+class _Campaign(Strict):
     name: Annotated[Text, Field(min_length=1)] = Field(description="Name for people, at most 200 characters.")
     device: Text = Field(
         "",
@@ -46,6 +45,14 @@ class NewCampaign(Strict):
     )
 
 
+class NewCampaign(_Campaign):
+    """A campaign to measure."""
+
+    numbered: bool = Field(
+        False, description="Whether a number is put behind the name when another campaign in use has it."
+    )
+
+
 class Upload(Strict):
     """A stored file of observations."""
 
@@ -56,12 +63,13 @@ class Upload(Strict):
     created_at: datetime = Field(description="When it was stored.")
 
 
-class Campaign(NewCampaign):
+class Campaign(_Campaign):
     """A campaign and what was uploaded to it."""
 
     id: str = Field(description="Id of the campaign, `cmp_` and 16 hexadecimal digits.")
     robot: str = Field(description="Name of its robot.")
     created_at: datetime = Field(description="When it was added.")
+    retired_at: datetime | None = Field(None, description=RETIRED_AT)
     rows: int = Field(description="Rows of all its uploads.")
     uploads: list[Upload] = Field(description="Files stored, oldest first.")
 

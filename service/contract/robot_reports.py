@@ -6,6 +6,7 @@ from datetime import datetime
 
 from pydantic import Field, model_validator
 
+from service.contract.references import RETIRED_AT
 from service.contract.robots import RobotDocument
 from service.contract.units import Deg, Direction, JointType, Listed, Mm, PointMm, Pose, Strict
 
@@ -40,6 +41,8 @@ class RobotSummary(Strict):
     campaigns: int = Field(description="How many campaigns it has.")
     versions: int = Field(description="How many versions it has.")
     active_version: str | None = Field(description="The version it is corrected with; null: none.")
+    remarks: str = Field("", description="What people noted on the robot.")
+    retired_at: datetime | None = Field(None, description=RETIRED_AT)
 
 
 class RobotReport(RobotSummary):
@@ -48,6 +51,12 @@ class RobotReport(RobotSummary):
     joints: list[JointSummary] = Field(description="Joints from base to tool.")
     parameters: list[str] = Field(description="Names of the geometric parameters, without base and tool.")
     notes: list[str] = Field(description="What of the document was left out, in words.")
+    sha256: str = Field(
+        description="SHA-256 of the chain that the document was resolved to when it was posted, 64 hexadecimal digits."
+    )
+    source_sha256: str = Field(
+        description="SHA-256 of the posted document, of a URDF that of its text, 64 hexadecimal digits."
+    )
     document: RobotDocument = Field(description="The document as it was posted.")
 
 

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter, Remark
 from service.contract.joints import JointMotions
+from service.contract.references import RETIRED_AT, TITLE
 from service.contract.units import Deg, Listed, Mm, Stored, Strict
 
 
@@ -46,6 +47,9 @@ class VersionSummary(Strict):
     code_version: str = Field(description="Release of Kilter that made it.")
     effects: list[str] = Field(description="Ids of its effects.")
     metrics: Metrics = Field(description="Errors on the rows fitted and on those held out.")
+    name: str = Field("", description=TITLE)
+    notes: str = Field("", description="What people noted on it.")
+    retired_at: datetime | None = Field(None, description=RETIRED_AT)
 
 
 class ActivationWish(Strict):
@@ -118,6 +122,12 @@ class Version(VersionSummary):
     """
 
     sha256: str = Field(description="SHA-256 of what the version holds, 64 hexadecimal digits.")
+    hash_scheme: Annotated[int, Field(ge=1, le=2)] = Field(
+        description="What `sha256` covers: 1 calibration and limits, 2 the robot's chain too."
+    )
+    robot_sha256: str = Field(
+        description="SHA-256 of the chain of the robot it was made on, 64 hexadecimal digits; empty: it could not be resolved."
+    )
     campaigns: list[UsedCampaign] = Field(description="Campaigns it was made from.")
     limits: CorrectionLimits = Field(description="The largest correction it may make.")
     parameters: list[Parameter] = Field(description="Parameters that were identified.")

@@ -16,6 +16,7 @@ from sqlalchemy import (
     UniqueConstraint,
     event,
     false,
+    inspect,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, Mapper, mapped_column
 
@@ -47,13 +48,24 @@ class Row(DeclarativeBase):
 
 
 class RobotRow(Row):
-    """A robot as it was posted."""
+    """A robot: the document it was posted as, and the chain (SI) that this was resolved to, which is what counts.
+
+    ``left_out`` is what of the document the chain does not have. A robot of before the chains that no longer resolves
+    has none.
+    """
 
     __tablename__ = "robots"
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(String(64), unique=True)
     document: Mapped[dict[str, Any]]
     created_at: Mapped[datetime] = mapped_column(default=now)
+    chain: Mapped[dict[str, Any] | None]
+    sha256: Mapped[str] = mapped_column(String(64), default="", server_default="")
+    source_sha256: Mapped[str] = mapped_column(String(64), default="", server_default="")
+    left_out: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
+    remarks: Mapped[str] = mapped_column(default="", server_default="")
+    retired_at: Mapped[datetime | None]
+    retired_by: Mapped[str] = mapped_column(String(64), default="", server_default="")
 
 
 class CampaignRow(Row):
@@ -69,6 +81,8 @@ class CampaignRow(Row):
     notes: Mapped[str]
     created_at: Mapped[datetime] = mapped_column(default=now)
     staged: Mapped[bool] = mapped_column(default=False, server_default=false())
+    retired_at: Mapped[datetime | None]
+    retired_by: Mapped[str] = mapped_column(String(64), default="", server_default="")
 
 
 class UploadRow(Row):
@@ -114,10 +128,14 @@ class JobRow(Row):
     created_at: Mapped[datetime] = mapped_column(default=now)
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]
+    name: Mapped[str] = mapped_column(String(200), default="", server_default="")
 
 
 class VersionRow(Row):
-    """A set of identified parameters; never changed after it is stored."""
+    """A set of identified parameters; what it says is never changed after it is stored, what people call it may be.
+
+    ``sha256`` covers calibration and limits (``hash_scheme`` 1), and the robot's chain too (2).
+    """
 
     __tablename__ = "versions"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -132,6 +150,12 @@ class VersionRow(Row):
     limits: Mapped[dict[str, Any]]
     code_version: Mapped[str] = mapped_column(String(64))
     created_at: Mapped[datetime] = mapped_column(default=now)
+    hash_scheme: Mapped[int] = mapped_column(default=1, server_default="1")
+    robot_sha256: Mapped[str] = mapped_column(String(64), default="", server_default="")
+    name: Mapped[str] = mapped_column(String(200), default="", server_default="")
+    notes: Mapped[str] = mapped_column(default="", server_default="")
+    retired_at: Mapped[datetime | None]
+    retired_by: Mapped[str] = mapped_column(String(64), default="", server_default="")
 
 
 class ActivationRow(Row):
@@ -162,7 +186,26 @@ class HeartbeatRow(Row):
     at: Mapped[datetime]
 
 
+class TombstoneRow(Row):
+    """What is left of something that was purged. A name may be purged, used anew and purged again."""
+
+    __tablename__ = "tombstones"
+    kind: Mapped[str] = mapped_column(String(16), primary_key=True)
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    at: Mapped[datetime] = mapped_column(primary_key=True)
+    robot: Mapped[str] = mapped_column(String(64))
+    name: Mapped[str] = mapped_column(String(200))
+    sha256: Mapped[str] = mapped_column(String(64))
+    by: Mapped[str] = mapped_column(String(64))
+
+
+OF_PEOPLE = frozenset({"name", "notes", "retired_at", "retired_by"})  # what may change of a version
+
+
 def _refuse_change(_mapper: Mapper[Any], _connection: Any, row: Row) -> None:
+    changed = {attribute.key for attribute in inspect(row).attrs if attribute.history.has_changes()}
+    if isinstance(row, VersionRow) and changed <= OF_PEOPLE:
+        return
     raise RuntimeError(f"{type(row).__name__} is immutable: store a new one instead of changing it.")
 
 

@@ -7,27 +7,31 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from service.contract.versions import Version
-from service.robots.documents import core_document
 
 if TYPE_CHECKING:
     from core.model import Calibration
+    from service.robots.store import StoredRobot
 
 
 @dataclass(frozen=True)
 class Exportable:
-    """A version: the robot as posted, the version as the API shows it, and core's calibration document (SI)."""
+    """A version: its robot as stored, the version as the API shows it, and core's calibration document (SI)."""
 
-    robot: dict[str, Any]
+    arm: StoredRobot
     version: Version
     document: dict[str, Any]
+
+    @property
+    def robot(self) -> dict[str, Any]:
+        """The robot as posted."""
+        return self.arm.document
 
     @cached_property
     def calibration(self) -> Calibration:
         """Core's calibration."""
         from core.model import Calibration  # loads compiled kernels: not at the start of the API process
-        from core.robots import robot_from_document
 
-        return Calibration.from_document(robot_from_document(core_document(self.robot).document), self.document)
+        return Calibration.from_document(self.arm.robot(), self.document)
 
 
 class Written(NamedTuple):

@@ -1,4 +1,4 @@
-"""A version as one JSON document: the robot as posted, the report in mm and degrees, and core's calibration in SI."""
+"""A version as one JSON document: the robot as posted, the report in mm and degrees; chain and calibration in SI."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ def json_file(version: Exportable) -> Written:
     document = {
         "format": "kilter-version/1",
         "robot": version.robot,
+        "robot_chain_si": version.arm.chain,
         "version": version.version.model_dump(mode="json"),
         "calibration_si": version.document,
     }

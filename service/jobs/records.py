@@ -47,6 +47,7 @@ class JobRecord:
     kind: str
     robot_id: int
     robot: str
+    name: str
     state: str
     fraction: float
     stage: str

@@ -13,6 +13,7 @@ from service.jobs.kind import JobKind
 from service.jobs.queue import JobQueue
 from service.jobs.registry import kind_of
 from service.paging import Page, in_time
+from service.references import store as references
 from service.robots import store as robots
 from service.versions import store as versions
 
@@ -42,7 +43,10 @@ def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
 
 def _checked(session: Session, job: NewJob, kind: JobKind) -> int:
     """The key of a job's robot, whose campaigns and version exist and fit."""
-    robot_id = robots.get(session, job.robot).id
+    robot_id = robots.usable(session, job.robot).id
+    if job.name:
+        references.check_name(session, "job", robot_id, job.name)
+        references.check_name(session, "version", robot_id, job.name)
     _check_campaigns(session, robot_id, job, kind)
     version = getattr(job.options, kind.version_option) if kind.version_option else None
     if version is not None:
@@ -53,7 +57,7 @@ def _checked(session: Session, job: NewJob, kind: JobKind) -> int:
 def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind) -> None:
     held = job.validation if isinstance(job.validation, list) else []
     for campaign in [*job.campaigns, *held, *job.confirmation]:
-        if campaigns.whole(session, campaign).robot_id != robot_id:
+        if campaigns.usable(session, campaign).robot_id != robot_id:
             raise ServiceError(
                 f"Campaign {campaign} is not of robot {job.robot!r}: name campaigns of that robot.",
                 code="campaigns_invalid",
@@ -112,7 +116,7 @@ def _hashes(session: Session, ids: list[str]) -> dict[str, str]:
 
 
 def _check_version(session: Session, robot_id: int, version: str) -> None:
-    if versions.get(session, version).robot_id != robot_id:
+    if versions.usable(session, version).robot_id != robot_id:
         raise ServiceError(f"Version {version} is of another robot.", code="option_invalid", version=version)
 
 

@@ -33,6 +33,7 @@ def add(session: Session, robot_id: int, job: NewJob) -> str:
         id=f"job_{uuid.uuid4().hex[:16]}",
         kind=job.kind,
         robot_id=robot_id,
+        name=job.name,
         request=job.model_dump(mode="json"),
         state="queued",
     )
@@ -78,6 +79,7 @@ def _record(session: Session, row: JobRow) -> JobRecord:
         kind=row.kind,
         robot_id=row.robot_id,
         robot=session.get_one(RobotRow, row.robot_id).name,
+        name=row.name,
         state=row.state,
         fraction=row.fraction,
         stage=row.stage,
@@ -223,6 +225,7 @@ def _version(row: JobRow, content: VersionContent, used: list[dict[str, Any]]) -
         campaigns=used,
         parent_id=request.options.get(kind.version_option) if kind.version_option else None,
         code_version=code_version(),
+        name=row.name,
     )
 
 

@@ -61,6 +61,7 @@ def _told(record: JobRecord) -> dict[str, Any]:
         "id": record.id,
         "kind": record.kind,
         "robot": record.robot,
+        "name": record.name,
         "state": record.state,
         "progress": Progress(fraction=record.fraction, stage=record.stage),
         "error": None if record.error is None else JobError(**record.error),

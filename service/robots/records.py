@@ -9,7 +9,10 @@ from typing import Any
 
 @dataclass(frozen=True)
 class RobotRecord:
-    """A stored robot, and how much belongs to it."""
+    """A stored robot, and how much belongs to it. ``sha256`` is that of its chain, ``source_sha256`` that of the document.
+
+    ``notes`` say what of the document the chain leaves out, ``remarks`` what people noted.
+    """
 
     id: int
     name: str
@@ -18,3 +21,8 @@ class RobotRecord:
     campaigns: int
     versions: int
     active_version: str | None
+    remarks: str
+    retired_at: datetime | None
+    notes: list[str]
+    sha256: str
+    source_sha256: str

@@ -11,6 +11,7 @@ from fastapi import APIRouter, Query, Request, Response
 from service.auth.access import Admin
 from service.bodies import receive
 from service.campaigns import reading
+from service.contract.references import RobotChange, Tombstone
 from service.contract.robot_reports import FoundRobot, RobotCheck, RobotList, RobotReport
 from service.contract.robots import RobotDocument, Target
 from service.contract.units import MAX_JOINTS, Name
@@ -86,9 +87,9 @@ def _found(path: Path, media: str, name: str, to: Target, base: str, follows: li
 
 
 @router.get("")
-def listed(database: DatabaseOfApp, page: PageOfList) -> RobotList:
-    """List the robots."""
-    return service.listed(database, page)
+def listed(database: DatabaseOfApp, page: PageOfList, retired: bool = False) -> RobotList:
+    """List the robots; with `retired` also those that are out of use."""
+    return service.listed(database, page, retired)
 
 
 @router.get("/{robot}")
@@ -97,7 +98,31 @@ def get(robot: str, database: DatabaseOfApp) -> RobotReport:
     return service.get(database, robot)
 
 
+@router.patch("/{robot}")
+def remark(robot: str, wanted: RobotChange, database: DatabaseOfApp, _: Admin) -> RobotReport:
+    """Note something on a robot."""
+    return service.remark(database, robot, wanted.remarks)
+
+
+@router.post("/{robot}/retire")
+def retire(robot: str, database: DatabaseOfApp, actor: Admin) -> RobotReport:
+    """Take a robot out of use; the version that is active goes on correcting."""
+    return service.retire(database, robot, actor)
+
+
+@router.post("/{robot}/restore")
+def restore(robot: str, database: DatabaseOfApp, _: Admin) -> RobotReport:
+    """Bring a retired robot back into use."""
+    return service.restore(database, robot)
+
+
+@router.post("/{robot}/purge")
+def purge(robot: str, database: DatabaseOfApp, actor: Admin) -> Tombstone:
+    """Delete a robot nothing was measured on, for good; its hash is kept."""
+    return service.purge(database, robot, actor)
+
+
 @router.delete("/{robot}", status_code=204)
-def remove(robot: str, database: DatabaseOfApp, _: Admin) -> None:
-    """Delete a robot nothing was measured on."""
-    service.remove(database, robot)
+def remove(robot: str, database: DatabaseOfApp, actor: Admin) -> None:
+    """Delete a robot nothing was measured on, as purge does."""
+    service.purge(database, robot, actor)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from service.contract.references import Tombstone
 from service.contract.robot_reports import RobotList, RobotReport
 from service.contract.robots import RobotDocument
 from service.db import Database
+from service.db.tables import now
 from service.paging import Page
+from service.references import store as references
+from service.references.records import TombstoneRecord
+from service.references.wire import tombstone
 from service.robots import store, wire
-from service.robots.documents import core_document
+from service.robots.resolved import resolve
 
 
 def add(database: Database, document: RobotDocument) -> tuple[RobotReport, bool]:
@@ -18,16 +23,20 @@ def add(database: Database, document: RobotDocument) -> tuple[RobotReport, bool]
         ServiceError: the name is taken by another document.
 
     """
-    from core.robots import robot_from_document  # imports scipy: not at the start of the API process
-
     posted = document.model_dump(mode="json", exclude_none=True)
-    robot_from_document(core_document(posted).document)
+    resolved = resolve(posted)
     with database.transaction() as session:
         found = store.find(session, document.name)
         new = found is None or found.document != posted
         if new:
-            store.add(session, document.name, posted)
-    return get(database, document.name), new
+            store.add(session, document.name, posted, resolved)
+    report = get(database, document.name)
+    if report.sha256 != resolved.sha256:
+        report.notes.append(
+            "this document gives another arm today: the robot stays what it was when it was added. Add it under another "
+            "name to have the new one"
+        )
+    return report, new
 
 
 def get(database: Database, name: str) -> RobotReport:
@@ -35,18 +44,42 @@ def get(database: Database, name: str) -> RobotReport:
     with database.reading() as session:
         stored = store.get(session, name)
         record = store.record(session, stored.id)
-        robot = store.core_robot(session, stored.id)
-    return wire.report(record, robot, core_document(stored.document).notes)
+    return wire.report(record, stored.robot())
 
 
-def listed(database: Database, page: Page) -> RobotList:
-    """List the robots."""
+def listed(database: Database, page: Page, retired: bool = False) -> RobotList:
+    """List the robots; with ``retired`` also those that are out of use."""
     with database.reading() as session:
-        shown, cursor = page.cut(store.listed(session, page), lambda robot: (robot.name,))
+        shown, cursor = page.cut(store.listed(session, page, retired), lambda robot: (robot.name,))
     return RobotList(robots=[wire.summary(record) for record in shown], next=cursor)
 
 
-def remove(database: Database, name: str) -> None:
-    """Delete a robot without campaigns."""
+def remark(database: Database, name: str, remarks: str) -> RobotReport:
+    """Note something on a robot."""
     with database.transaction() as session:
+        store.remark(session, name, remarks)
+    return get(database, name)
+
+
+def retire(database: Database, name: str, actor: str) -> RobotReport:
+    """Take a robot out of use: no list shows it, nothing new is made of it. What is active goes on correcting."""
+    with database.transaction() as session:
+        store.retire(session, name, actor)
+    return get(database, name)
+
+
+def restore(database: Database, name: str) -> RobotReport:
+    """Bring a robot back into use."""
+    with database.transaction() as session:
+        store.restore(session, name)
+    return get(database, name)
+
+
+def purge(database: Database, name: str, actor: str) -> Tombstone:
+    """Delete a robot without campaigns and versions; its hash is kept."""
+    with database.transaction() as session:
+        stored = store.get(session, name)
         store.remove(session, name)
+        left = TombstoneRecord(name, "robot", name, name, stored.sha256, actor, now())
+        references.bury(session, left)
+    return tombstone(left)

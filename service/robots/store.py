@@ -10,23 +10,49 @@ from service.db import Session
 from service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
 from service.errors import ServiceError
 from service.paging import Page
-from service.robots.documents import core_document
+from service.references import retired
 from service.robots.records import RobotRecord
+from service.robots.resolved import Resolved
 
 if TYPE_CHECKING:
     from core.robot import Robot
 
 
 class StoredRobot(NamedTuple):
-    """A robot's key in the database, its name, and the document it was posted as."""
+    """A robot's key in the database, its name, the document it was posted as, and the chain that stands for it.
+
+    ``chain`` is None for a robot of before the chains that no longer resolves.
+    """
 
     id: int
     name: str
     document: dict[str, Any]
+    chain: dict[str, Any] | None
+    sha256: str
+    source_sha256: str
+    notes: list[str]
+
+    def robot(self) -> Robot:
+        """Build core's robot from the chain, whatever the document would be resolved to today.
+
+        Raises:
+            ServiceError: there is no chain.
+
+        """
+        from core.robots.resolved import robot_from_resolved  # imports numpy: not at the start of the API process
+
+        if self.chain is None:
+            raise ServiceError(
+                f"Robot {self.name!r} was stored by an earlier Kilter, and its document could not be resolved when the "
+                "database was migrated (the log of that start says why): add the robot anew under another name.",
+                code="robot_invalid",
+                robot=self.name,
+            )
+        return robot_from_resolved(self.name, self.chain)
 
 
-def add(session: Session, name: str, document: dict[str, Any]) -> None:
-    """Store a robot.
+def add(session: Session, name: str, document: dict[str, Any], resolved: Resolved) -> None:
+    """Store a robot with what it was resolved to.
 
     Raises:
         ServiceError: the name is taken.
@@ -38,14 +64,29 @@ def add(session: Session, name: str, document: dict[str, Any]) -> None:
             code="robot_exists",
             robot=name,
         )
-    session.add(RobotRow(name=name, document=document))
+    session.add(
+        RobotRow(
+            name=name,
+            document=document,
+            chain=resolved.chain,
+            sha256=resolved.sha256,
+            source_sha256=resolved.source_sha256,
+            left_out=resolved.notes,
+        )
+    )
     session.flush()
 
 
 def find(session: Session, name: str) -> StoredRobot | None:
     """Return the robot of a name, if there is one."""
     row = session.execute(select(RobotRow).where(RobotRow.name == name)).scalar_one_or_none()
-    return None if row is None else StoredRobot(row.id, row.name, row.document)
+    return None if row is None else _stored(row)
+
+
+def _stored(row: RobotRow) -> StoredRobot:
+    return StoredRobot(
+        row.id, row.name, row.document, row.chain, row.sha256, row.source_sha256, [str(note) for note in row.left_out]
+    )
 
 
 def get(session: Session, name: str) -> StoredRobot:
@@ -57,23 +98,63 @@ def get(session: Session, name: str) -> StoredRobot:
     """
     found = find(session, name)
     if found is None:
-        names = session.execute(select(RobotRow.name).order_by(RobotRow.name)).scalars().all()
+        in_use = select(RobotRow.name).where(RobotRow.retired_at.is_(None)).order_by(RobotRow.name)
+        names = session.execute(in_use).scalars().all()
         known = f"There are: {', '.join(names)}." if names else "There is none yet: add one with `kilter robot add`."
         raise ServiceError(f"There is no robot {name!r}. {known}", code="robot_not_found", robot=name)
     return found
 
 
+def usable(session: Session, name: str) -> StoredRobot:
+    """Return the robot of a name, if it is in use.
+
+    Raises:
+        ServiceError: there is none, or it is retired.
+
+    """
+    found = get(session, name)
+    refuse_retired_robot(session, found.id)
+    return found
+
+
+def refuse_retired_robot(session: Session, robot_id: int) -> None:
+    """Refuse to work with a robot that is retired.
+
+    Raises:
+        ServiceError: it is.
+
+    """
+    row = session.get_one(RobotRow, robot_id)
+    retired.refuse("robot", row.name, row.retired_at)
+
+
+def remark(session: Session, name: str, remarks: str) -> None:
+    """Note something on a robot, in the place of what was noted before."""
+    _row(session, name).remarks = remarks
+
+
+def retire(session: Session, name: str, actor: str) -> None:
+    """Take a robot out of use; again changes nothing."""
+    retired.retire(_row(session, name), actor)
+
+
+def restore(session: Session, name: str) -> None:
+    """Bring a robot back into use."""
+    retired.restore(_row(session, name))
+
+
+def _row(session: Session, name: str) -> RobotRow:
+    return session.get_one(RobotRow, get(session, name).id)
+
+
 def by_id(session: Session, robot_id: int) -> StoredRobot:
     """Return the robot of a key that another row refers to."""
-    row = session.get_one(RobotRow, robot_id)
-    return StoredRobot(row.id, row.name, row.document)
+    return _stored(session.get_one(RobotRow, robot_id))
 
 
 def core_robot(session: Session, robot_id: int) -> Robot:
-    """Build core's robot from the stored document."""
-    from core.robots import robot_from_document  # imports scipy: not at the start of the API process
-
-    return robot_from_document(core_document(by_id(session, robot_id).document).document)
+    """Build core's robot from the stored chain."""
+    return by_id(session, robot_id).robot()
 
 
 def remove(session: Session, name: str) -> None:
@@ -88,7 +169,7 @@ def remove(session: Session, name: str) -> None:
     if campaigns or _count(session, VersionRow, stored.id):
         raise ServiceError(
             f"Robot {name!r} has {campaigns} campaigns and cannot be deleted: measurements are kept. "
-            "Add a robot of another name instead.",
+            f"Retire it instead (kilter robot retire {name}), or purge its versions and campaigns first.",
             code="robot_in_use",
             robot=name,
             campaigns=campaigns,
@@ -99,9 +180,11 @@ def remove(session: Session, name: str) -> None:
     session.delete(session.get_one(RobotRow, stored.id))
 
 
-def listed(session: Session, page: Page) -> list[RobotRecord]:
-    """Return robots by name, one more than the page shows."""
+def listed(session: Session, page: Page, with_retired: bool = False) -> list[RobotRecord]:
+    """Return robots by name, one more than the page shows; those out of use only when they are asked for."""
     query = select(RobotRow).order_by(RobotRow.name).limit(page.fetched)
+    if not with_retired:
+        query = query.where(RobotRow.retired_at.is_(None))
     if page.name is not None:
         query = query.where(RobotRow.name > page.name)
     return [_record(session, row) for row in session.execute(query).scalars()]
@@ -122,6 +205,11 @@ def _record(session: Session, row: RobotRow) -> RobotRecord:
         campaigns=_count(session, CampaignRow, row.id),
         versions=_count(session, VersionRow, row.id),
         active_version=session.execute(last.limit(1)).scalar_one_or_none(),
+        remarks=row.remarks,
+        retired_at=row.retired_at,
+        notes=[str(note) for note in row.left_out],
+        sha256=row.sha256,
+        source_sha256=row.source_sha256,
     )
 
 

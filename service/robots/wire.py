@@ -22,13 +22,15 @@ def summary(record: RobotRecord) -> RobotSummary:
     return RobotSummary(**_told(record))
 
 
-def report(record: RobotRecord, robot: Robot, notes: list[str]) -> RobotReport:
+def report(record: RobotRecord, robot: Robot) -> RobotReport:
     """Say all of a robot, as it was posted and as core has it."""
     return RobotReport(
         **_told(record),
         joints=[joint_summary(joint) for joint in robot.joints],
         parameters=[str(robot.chain.elements[k].name) for k in robot.chain.named],
-        notes=notes,
+        notes=record.notes,
+        sha256=record.sha256,
+        source_sha256=record.source_sha256,
         document=DOCUMENT.validate_python(record.document),
     )
 
@@ -41,6 +43,8 @@ def _told(record: RobotRecord) -> dict[str, Any]:
         "campaigns": record.campaigns,
         "versions": record.versions,
         "active_version": record.active_version,
+        "remarks": record.remarks,
+        "retired_at": record.retired_at,
     }
 
 

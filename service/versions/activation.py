@@ -24,6 +24,8 @@ def activate(
         ServiceError: something speaks against it and it is not forced; or others activate all the time.
 
     """
+    with database.reading() as session:
+        _refuse_retired(session, version_id)
     left_out = _left_out(database, version_id, temperature_c)  # first: what cannot be corrected is not activated
     for _ in range(ATTEMPTS):
         verdict = judge(database, version_id)
@@ -56,6 +58,13 @@ def _left_out(database: Database, version_id: str, temperature_c: float | None) 
     return list(compile_program(calibration, CorrectionOptions(temperature_c=temperature_c)).unsupported)
 
 
+def _refuse_retired(session: Session, version_id: str) -> int:
+    """Refuse a version that is out of use, or of a robot that is; returns the robot's key."""
+    robot_id = store.usable(session, version_id).robot_id
+    robots.refuse_retired_robot(session, robot_id)
+    return robot_id
+
+
 def _refusal(version_id: str, verdict: Verdict) -> ServiceError:
     return ServiceError(
         f"Version {version_id} was not activated. {' '.join(o.message for o in verdict.objections)} Identify anew, or give "
@@ -74,7 +83,7 @@ def _activated(
 ) -> VersionSummary | None:
     """Write the activation; None when another version became active since the verdict."""
     with database.transaction() as session:
-        robot_id = store.get(session, version_id).robot_id
+        robot_id = _refuse_retired(session, version_id)
         last = store.active_entry(session, robot_id)
         active = None if last is None else last.version_id
         if active != version_id:
@@ -89,6 +98,8 @@ def _activated(
 
 def rollback(database: Database, robot: str, actor: str, temperature_c: float | None = None) -> ActivatedVersion:
     """Return to the version that was active before the present one; again, to the one before that. Never refused.
+
+    What was retired since is passed over.
 
     Raises:
         ServiceError: there is no earlier one.
@@ -116,4 +127,5 @@ def _before(session: Session, robot_id: int) -> str | None:
                 stack.pop()
         elif stack[-1:] != [entry.version_id]:
             stack.append(entry.version_id)
-    return stack[-2] if len(stack) > 1 else None
+    earlier = (version for version in reversed(stack[:-1]) if store.get(session, version).retired_at is None)
+    return next(earlier, None)

@@ -9,7 +9,10 @@ from typing import Any
 
 @dataclass(frozen=True)
 class VersionRecord:
-    """A stored version: core's calibration document and covariance in SI, the report of its job as it was written."""
+    """A stored version: core's calibration document and covariance in SI, the report of its job as it was written.
+
+    ``sha256`` covers calibration and limits (``hash_scheme`` 1), and the robot's chain too (2).
+    """
 
     id: str
     robot_id: int
@@ -25,6 +28,11 @@ class VersionRecord:
     covariance: dict[str, Any]
     campaigns: list[dict[str, Any]]
     limits: dict[str, Any]
+    hash_scheme: int
+    robot_sha256: str
+    name: str
+    notes: str
+    retired_at: datetime | None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Depends, Query, Response
 from service.auth.access import Admin
 from service.campaigns.reading import CSV, PARQUET
 from service.contract.previews import VersionPreview
+from service.contract.references import Change, Tombstone
 from service.contract.units import MAX_NAMED
 from service.contract.versions import (
     ActivatedVersion,
@@ -22,7 +23,7 @@ from service.page_query import PageOfList
 from service.routing import GuardedRoute
 from service.slots import reading_turn
 from service.state import DatabaseOfApp, SettingsOfApp
-from service.versions import activation, service
+from service.versions import activation, keeping, service
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 
@@ -30,9 +31,9 @@ router = APIRouter(prefix="/v1", tags=["versions"], route_class=GuardedRoute)
 
 
 @router.get("/robots/{robot}/versions")
-def listed(robot: str, database: DatabaseOfApp, page: PageOfList) -> VersionList:
-    """List the versions of a robot, newest first."""
-    return service.listed(database, robot, page)
+def listed(robot: str, database: DatabaseOfApp, page: PageOfList, retired: bool = False) -> VersionList:
+    """List the versions of a robot, newest first; with `retired` also those that are out of use."""
+    return service.listed(database, robot, page, retired)
 
 
 @router.get("/robots/{robot}/activations")
@@ -51,6 +52,30 @@ def rollback(robot: str, database: DatabaseOfApp, settings: SettingsOfApp, actor
 def get(version: str, database: DatabaseOfApp) -> Version:
     """Show a version with all it holds."""
     return service.get(database, version)
+
+
+@router.patch("/versions/{version}")
+def change(version: str, wanted: Change, database: DatabaseOfApp, _: Admin) -> Version:
+    """Name a version, or note something on it; what it holds stays as it is."""
+    return keeping.change(database, version, wanted)
+
+
+@router.post("/versions/{version}/retire")
+def retire(version: str, database: DatabaseOfApp, actor: Admin) -> Version:
+    """Take a version out of use; the active one cannot be."""
+    return keeping.retire(database, version, actor)
+
+
+@router.post("/versions/{version}/restore")
+def restore(version: str, database: DatabaseOfApp, _: Admin) -> Version:
+    """Bring a retired version back into use."""
+    return keeping.restore(database, version)
+
+
+@router.post("/versions/{version}/purge")
+def purge(version: str, database: DatabaseOfApp, actor: Admin) -> Tombstone:
+    """Delete a version that nothing cites, for good; its hash is kept."""
+    return keeping.purge(database, version, actor)
 
 
 @router.post("/versions/{version}/activate")

@@ -23,10 +23,10 @@ def active_calibrations(session: Session) -> dict[str, ActiveVersion]:
     return {name: version for name, version in found.items() if version is not None}
 
 
-def listed(database: Database, robot: str, page: Page) -> VersionList:
-    """List the versions of a robot."""
+def listed(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
+    """List the versions of a robot; ``with_retired`` those that are out of use too."""
     with database.reading() as session:
-        found = store.of_robot(session, robots.get(session, robot).id, page)
+        found = store.of_robot(session, robots.get(session, robot).id, page, with_retired)
     shown, cursor = page.cut(found, lambda version: in_time(version.created_at, version.id))
     return VersionList(versions=[wire.summary(version) for version in shown], next=cursor)
 
@@ -87,7 +87,7 @@ def exported(database: Database, version_id: str, format_name: str) -> Exported:
     with database.reading() as session:
         record = store.get(session, version_id)
         robot = robots.get(session, record.robot)
-    return export(format_name, Exportable(robot.document, wire.version(record), record.calibration))
+    return export(format_name, Exportable(robot, wire.version(record), record.calibration))
 
 
 def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:

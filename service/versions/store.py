@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -11,12 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import and_, func, or_, select
 
+from service.contract.jobs.job import FINAL
 from service.contract.versions import CorrectionLimits
 from service.db import Session
 from service.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
 from service.errors import ServiceError
 from service.paging import ALL, Page
+from service.references import retired
+from service.references import store as references
 from service.robots import store as robots
+from service.robots.resolved import sha256_of
 from service.versions.records import ActivationRecord, VersionRecord
 
 if TYPE_CHECKING:
@@ -35,13 +38,14 @@ class NewVersion:
     limits: dict[str, Any]
     parent_id: str | None
     code_version: str
+    name: str = ""
 
 
 @dataclass(frozen=True)
 class ActiveVersion:
     """The version a robot is corrected with, ready for core.
 
-    ``epoch`` grows with every activation on this server; ``sha256`` is that of calibration and limits.
+    ``epoch`` grows with every activation on this server; ``sha256`` is the version's, its number in the stream.
     ``max_joint`` (rad) and ``max_position`` (m) are the largest correction the version may make.
     """
 
@@ -73,6 +77,7 @@ class Training:
     rounded: bool = False
 
 
+ROBOT_HASHED = 2  # the hash scheme of new versions: calibration, limits and the robot's chain
 POSES, BY_DISTANCE = "poses", "by distance"  # versions without it were split by rounded readings
 
 
@@ -81,13 +86,17 @@ def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
     version_id = f"ver_{job_id.removeprefix('job_')}"
     if session.get(VersionRow, version_id) is not None:
         return version_id
+    chain = robots.by_id(session, robot_id).sha256
     session.add(
         VersionRow(
             id=version_id,
             robot_id=robot_id,
             parent_id=new.parent_id,
             job_id=job_id,
-            sha256=_digest({"calibration": new.calibration, "limits": new.limits}),
+            sha256=sha256_of({"calibration": new.calibration, "limits": new.limits, "robot": chain}),
+            hash_scheme=ROBOT_HASHED,
+            name=references.free_name(session, "version", robot_id, new.name) if new.name else "",
+            robot_sha256=chain,
             calibration=new.calibration,
             report={**new.report, POSES: BY_DISTANCE},
             covariance=new.covariance,
@@ -115,7 +124,8 @@ def _row(session: Session, version_id: str) -> VersionRow:
     row = session.get(VersionRow, version_id)
     if row is None:
         raise ServiceError(
-            f"There is no version {version_id!r}: list them with GET /v1/robots/{{robot}}/versions.",
+            f"There is no version {version_id!r}: list them with GET /v1/robots/{{robot}}/versions."
+            + references.gone(session, "version", version_id),
             code="version_not_found",
             version=version_id,
         )
@@ -139,13 +149,72 @@ def _record(session: Session, row: VersionRow) -> VersionRecord:
         covariance=row.covariance,
         campaigns=row.campaigns,
         limits=row.limits,
+        hash_scheme=row.hash_scheme,
+        robot_sha256=row.robot_sha256,
+        name=row.name,
+        notes=row.notes,
+        retired_at=row.retired_at,
     )
 
 
-def of_robot(session: Session, robot_id: int, page: Page = ALL) -> list[VersionRecord]:
-    """Return the versions of a robot, newest first, one more than the page shows."""
+def usable(session: Session, version_id: str) -> VersionRecord:
+    """Return a version that is in use.
+
+    Raises:
+        ServiceError: there is none, or it is retired.
+
+    """
+    found = get(session, version_id)
+    retired.refuse("version", found.id, found.retired_at)
+    return found
+
+
+def change(session: Session, version_id: str, name: str | None, notes: str | None) -> None:
+    """Write what people call a version and note on it; None stays as it is."""
+    row = _row(session, version_id)
+    row.name, row.notes = row.name if name is None else name, row.notes if notes is None else notes
+    session.flush()
+
+
+def retire(session: Session, version_id: str, actor: str) -> None:
+    """Take a version out of use; again changes nothing."""
+    retired.retire(_row(session, version_id), actor)
+    session.flush()
+
+
+def restore(session: Session, version_id: str) -> None:
+    """Bring a version back into use."""
+    retired.restore(_row(session, version_id))
+    session.flush()
+
+
+def remove(session: Session, version_id: str) -> None:
+    """Delete a version."""
+    session.delete(_row(session, version_id))
+    session.flush()
+
+
+def citing_campaign(session: Session, robot_id: int, campaign_id: str) -> list[str]:
+    """Return the versions that were made from a campaign."""
+    rows = session.execute(select(VersionRow.id, VersionRow.campaigns).where(VersionRow.robot_id == robot_id))
+    return [version for version, campaigns in rows if any(used["id"] == campaign_id for used in campaigns)]
+
+
+def citing_version(session: Session, robot_id: int, version_id: str) -> list[str]:
+    """Return the versions that continue a version, whether it was ever active, and the jobs not over that use it."""
+    children = session.execute(select(VersionRow.id).where(VersionRow.parent_id == version_id)).scalars().all()
+    once = select(func.count()).where(ActivationRow.version_id == version_id)
+    logged = ["the log of activations"] if session.execute(once).scalar_one() else []
+    jobs = session.execute(select(JobRow).where(JobRow.robot_id == robot_id, JobRow.state.not_in(FINAL))).scalars()
+    return [*children, *logged, *(job.id for job in jobs if version_id in json.dumps(job.request))]
+
+
+def of_robot(session: Session, robot_id: int, page: Page = ALL, with_retired: bool = False) -> list[VersionRecord]:
+    """Return the versions of a robot, newest first, one more than the page shows; those out of use only when asked for."""
     row = VersionRow
     query = select(row).where(row.robot_id == robot_id).order_by(row.created_at.desc(), row.id)
+    if not with_retired:
+        query = query.where(row.retired_at.is_(None))
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
@@ -267,7 +336,3 @@ def robots_with_active(session: Session) -> list[str]:
     """Return the names of the robots that have an active version."""
     query = select(RobotRow.name).where(RobotRow.id.in_(select(ActivationRow.robot_id))).order_by(RobotRow.name)
     return list(session.execute(query).scalars())
-
-
-def _digest(document: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(document, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

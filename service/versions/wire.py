@@ -27,6 +27,8 @@ def version(record: VersionRecord) -> Version:
     return Version(
         **_told(record),
         sha256=record.sha256,
+        hash_scheme=record.hash_scheme,
+        robot_sha256=record.robot_sha256,
         campaigns=as_written(list[UsedCampaign], record.campaigns),
         limits=limits,
         parameters=as_written(list[Parameter], report.get("parameters") or []),
@@ -55,6 +57,9 @@ def _told(record: VersionRecord) -> dict[str, Any]:
         "code_version": record.code_version,
         "effects": [effect["id"] for effect in record.calibration["effects"]],
         "metrics": as_written(Metrics, record.report.get("metrics") or {}),
+        "name": record.name,
+        "notes": record.notes,
+        "retired_at": record.retired_at,
     }
 
 

@@ -67,10 +67,13 @@ COMMANDS = dict(leaves(typer.main.get_command(app)))
 def test_every_command_of_the_contract_is_there() -> None:
     assert {f"kilter {name}" for name in (
         "robot add", "robot check", "robot convert", "robot from-circles", "robot frame", "robot list", "robot show",
-        "upload", "inspect", "match", "campaigns",
+        "robot note", "robot retire", "robot restore", "robot purge",
+        *(f"{kind} {verb}" for kind in ("campaigns", "versions")
+          for verb in ("list", "name", "note", "retire", "restore", "purge")),
+        "upload", "inspect", "match",
         "sheet", "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
         "identify", "gap", "evaluate", "plan", "joint-parameters",
-        "jobs list", "jobs show", "jobs watch", "jobs cancel", "versions", "version", "activate", "rollback", "diff",
+        "jobs list", "jobs show", "jobs watch", "jobs cancel", "version", "activate", "rollback", "diff",
         "residuals", "activations", "export", "correct", "status",
     )} == set(COMMANDS)  # fmt: skip
 

@@ -215,7 +215,9 @@ class Katana:
     def campaign(self, client: httpx.Client, rows: int, seed: int = 0) -> str:
         """Upload random poses as a new campaign; returns its id."""
         client.post("/v1/robots", json=self.document).raise_for_status()
-        answer = client.post(f"/v1/robots/{self.name}/campaigns", json={"name": f"seed {seed}"}).raise_for_status()
+        answer = client.post(
+            f"/v1/robots/{self.name}/campaigns", json={"name": f"seed {seed}", "numbered": True}
+        ).raise_for_status()
         campaign = str(answer.json()["id"])
         client.post(f"/v1/campaigns/{campaign}/observations", json=self.columns(rows, seed)).raise_for_status()
         return campaign

@@ -58,7 +58,11 @@ class Lab:
         return self.upload(rows | {f"{axis}_mm": points[:, k].tolist() for k, axis in enumerate("xyz")})
 
     def upload(self, rows: dict[str, Any]) -> str:
-        made = self.client.post("/v1/robots/arm/campaigns", json={"name": "c"}).raise_for_status().json()["id"]
+        made = (
+            self.client.post("/v1/robots/arm/campaigns", json={"name": "c", "numbered": True})
+            .raise_for_status()
+            .json()["id"]
+        )
         self.client.post(f"/v1/campaigns/{made}/observations", json=rows).raise_for_status()
         return str(made)
 

@@ -62,7 +62,7 @@ def campaign(client: httpx.Client) -> str:
 def shared_campaign(shared_client: httpx.Client) -> str:
     """A new campaign on the module's server."""
     shared_client.post("/v1/robots", json=ROBOT).raise_for_status()
-    return str(shared_client.post("/v1/robots/arm/campaigns", json={"name": "shared"}).json()["id"])
+    return str(shared_client.post("/v1/robots/arm/campaigns", json={"name": "shared", "numbered": True}).json()["id"])
 
 
 def send(client: httpx.Client, campaign: str, body: str | bytes, media: str = "text/csv") -> httpx.Response:
@@ -267,12 +267,12 @@ def test_orientations_and_markers_become_core_arrays(client: httpx.Client, datab
     xyzw = rotations.as_quat()
     quaternion = {name: xyzw[:, k].tolist() for name, k in (("qw", 3), ("qx", 0), ("qy", 1), ("qz", 2))}
     for extra in (euler, quaternion):
-        campaign = client.post("/v1/robots/arm/campaigns", json={"name": "a"}).json()["id"]
+        campaign = client.post("/v1/robots/arm/campaigns", json={"name": "a", "numbered": True}).json()["id"]
         send(client, campaign, csv_of(columns() | extra)).raise_for_status()
         found = stored(database, campaign)
         assert found.rotation is not None
         assert np.allclose(found.rotation, rotations.as_matrix(), atol=1e-12)
-    campaign = client.post("/v1/robots/arm/campaigns", json={"name": "b"}).json()["id"]
+    campaign = client.post("/v1/robots/arm/campaigns", json={"name": "b", "numbered": True}).json()["id"]
     send(client, campaign, markers(m2x_mm=None, m2y_mm=None, m2z_mm=None)).raise_for_status()
     found = stored(database, campaign)
     assert found.markers is not None

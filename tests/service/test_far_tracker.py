@@ -111,7 +111,11 @@ def corrector(settings: Settings, database: Database) -> Iterator[Corrector]:
 def fitted(client: httpx.Client, worker: Any, until: Until, far: Scene, kind: str) -> dict[str, Any]:
     """Upload the rows and run the job; returns the version."""
     client.post("/v1/robots", json={**far.drawn.document(), "name": ROBOT}).raise_for_status()
-    campaign = client.post(f"/v1/robots/{ROBOT}/campaigns", json={"name": "rows"}).raise_for_status().json()["id"]
+    campaign = (
+        client.post(f"/v1/robots/{ROBOT}/campaigns", json={"name": "rows", "numbered": True})
+        .raise_for_status()
+        .json()["id"]
+    )
     client.post(f"/v1/campaigns/{campaign}/observations", json=far.columns()).raise_for_status()
     worker.start()
     # Fitted to all rows: the frames are those in which the nominal robot fits the rows best, and the goal is in them.

@@ -37,7 +37,9 @@ class Arm:
 
     def upload(self, columns: Columns | None = None) -> str:
         """Store observations as a campaign of their own."""
-        campaign = self.client.post(f"/v1/robots/{self.name}/campaigns", json={"name": "rows"}).raise_for_status()
+        campaign = self.client.post(
+            f"/v1/robots/{self.name}/campaigns", json={"name": "rows", "numbered": True}
+        ).raise_for_status()
         address = f"/v1/campaigns/{campaign.json()['id']}/observations"
         self.client.post(address, json=columns or self.columns).raise_for_status()
         return str(campaign.json()["id"])

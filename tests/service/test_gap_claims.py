@@ -99,10 +99,10 @@ def test_what_cannot_confirm_is_refused_at_once(
     shared_client: httpx.Client, katana: Any, change: dict[str, Any], status: int, code: str, said: str
 ) -> None:
     campaign, same = (katana.campaign(shared_client, 30, seed=8) for _ in range(2))
-    other = shared_client.post("/v1/robots/other/campaigns", json={"name": "rows"})
+    other = shared_client.post("/v1/robots/other/campaigns", json={"name": "rows", "numbered": True})
     if other.status_code == 404:
         shared_client.post("/v1/robots", json={**katana.document, "name": "other"}).raise_for_status()
-        other = shared_client.post("/v1/robots/other/campaigns", json={"name": "rows"})
+        other = shared_client.post("/v1/robots/other/campaigns", json={"name": "rows", "numbered": True})
     ids = {"self": campaign, "same file": same, "foreign": other.raise_for_status().json()["id"]}
     asked = dict(change)
     if "confirmation" in asked:

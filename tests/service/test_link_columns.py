@@ -41,7 +41,7 @@ def test_joint_data_need_no_position_and_are_hunted_through(
     client: httpx.Client, worker: Any, until: Callable[..., None]
 ) -> None:
     client.post("/v1/robots", json=ARM).raise_for_status()
-    campaign = client.post("/v1/robots/encoders/campaigns", json={"name": "motion"}).json()["id"]
+    campaign = client.post("/v1/robots/encoders/campaigns", json={"name": "motion", "numbered": True}).json()["id"]
     answer = client.post(f"/v1/campaigns/{campaign}/observations", json=columns())
     assert answer.status_code in (200, 201), answer.text
     worker.start()
@@ -62,7 +62,7 @@ def test_joint_data_need_no_position_and_are_hunted_through(
 
 def test_a_link_encoder_is_given_for_every_joint(client: httpx.Client) -> None:
     client.post("/v1/robots", json=ARM).raise_for_status()
-    campaign = client.post("/v1/robots/encoders/campaigns", json={"name": "motion"}).json()["id"]
+    campaign = client.post("/v1/robots/encoders/campaigns", json={"name": "motion", "numbered": True}).json()["id"]
     rows = columns(10)
     del rows["link2_deg"]
     answer = client.post(f"/v1/campaigns/{campaign}/observations", json=rows)

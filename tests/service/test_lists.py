@@ -11,11 +11,13 @@ import pytest
 PRESET = {"convention": "preset", "preset": "katana450-chapter4"}
 
 
-def pages(client: httpx.Client, address: str, field: str, limit: int, between: Callable[[], Any] = lambda: None) -> Any:
+def pages(
+    client: httpx.Client, address: str, field: str, limit: int, between: Callable[[], Any] = lambda: None, **more: Any
+) -> Any:
     """All entries of a list, read ``limit`` at a time."""
     found, after = [], None
     while True:
-        query = {"limit": limit} | ({"after": after} if after else {})
+        query = more | {"limit": limit} | ({"after": after} if after else {})
         answer = client.get(address, params=query).raise_for_status().json()
         assert len(answer[field]) <= limit
         found += answer[field]
@@ -46,9 +48,35 @@ def test_campaigns_are_listed_oldest_first_with_those_added_meanwhile(client: ht
     add = lambda k: client.post(address, json={"name": str(k)}).raise_for_status()  # noqa: E731
     for k in range(3):
         add(k)
-    found = pages(client, address, "campaigns", 1, lambda: next(numbers) < 5 and add(3))
-    assert [one["name"] for one in found] == ["0", "1", "2", "3", "3"]
-    assert len({one["id"] for one in found}) == 5
+    found = pages(client, address, "campaigns", 1, lambda: (k := next(numbers)) < 5 and add(k))
+    assert [one["name"] for one in found] == ["0", "1", "2", "3", "4"]
+
+
+def test_what_is_retired_is_on_no_page_unless_it_is_asked_for(client: httpx.Client, robot: str) -> None:
+    address = f"/v1/robots/{robot}/campaigns"
+    ids = [client.post(address, json={"name": str(k)}).raise_for_status().json()["id"] for k in range(5)]
+    for retired in (ids[1], ids[2]):
+        client.post(f"/v1/campaigns/{retired}/retire").raise_for_status()
+    assert [one["id"] for one in pages(client, address, "campaigns", 2)] == [ids[0], ids[3], ids[4]]
+    found = pages(client, address, "campaigns", 2, retired=True)
+    assert [(one["id"], one["retired_at"] is not None) for one in found] == list(
+        zip(ids, (False, True, True, False, False), strict=True)
+    )
+    client.post("/v1/robots", json={"name": "n", **PRESET}).raise_for_status()
+    client.post(f"/v1/robots/{robot}/retire").raise_for_status()
+    assert [one["name"] for one in pages(client, "/v1/robots", "robots", 1)] == ["n"]
+    assert [one["name"] for one in pages(client, "/v1/robots", "robots", 1, retired=True)] == ["m", "n"]
+
+
+def test_tombstones_are_listed_newest_first_without_those_added_meanwhile(client: httpx.Client, robot: str) -> None:
+    def purged(name: str) -> str:
+        campaign = client.post(f"/v1/robots/{robot}/campaigns", json={"name": name}).raise_for_status().json()["id"]
+        client.post(f"/v1/campaigns/{campaign}/purge").raise_for_status()
+        return str(campaign)
+
+    ids = [purged(str(k)) for k in range(3)]
+    found = pages(client, "/v1/tombstones", "tombstones", 1, lambda: purged("x"), robot=robot)
+    assert [one["id"] for one in found] == ids[::-1]
 
 
 def test_jobs_are_listed_newest_first_without_those_added_meanwhile(client: httpx.Client, robot: str) -> None:
@@ -58,7 +86,9 @@ def test_jobs_are_listed_newest_first_without_those_added_meanwhile(client: http
     assert [one["id"] for one in found] == ids[::-1]
 
 
-@pytest.mark.parametrize("address", ["/v1/robots", "/v1/jobs", "/v1/robots/m/versions", "/v1/robots/m/activations"])
+@pytest.mark.parametrize(
+    "address", ["/v1/robots", "/v1/jobs", "/v1/robots/m/versions", "/v1/robots/m/activations", "/v1/tombstones"]
+)
 @pytest.mark.parametrize("after", ["nonsense", "WyJhIiwgImIiXQ", "WzFd", "e30", "WyJ4IiwgInkiLCAieiJd"])
 def test_what_is_no_cursor_is_refused(client: httpx.Client, robot: str, address: str, after: str) -> None:
     answer = client.get(address, params={"after": after})

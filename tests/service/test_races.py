@@ -21,6 +21,7 @@ from service.db import Database
 from service.db.tables import JobRow
 from service.robots import store as robots
 from service.robots.documents import core_document
+from service.robots.resolved import resolve
 from service.settings import Settings
 from service.versions import store
 from service.versions.store import NewVersion
@@ -170,7 +171,9 @@ def test_different_robots_of_one_name_at_once_leave_one(client: httpx.Client, ka
 
 def campaign(client: httpx.Client, katana: Any) -> str:
     client.post("/v1/robots", json=katana.document).raise_for_status()
-    return str(client.post("/v1/robots/katana/campaigns", json={"name": "c"}).raise_for_status().json()["id"])
+    return str(
+        client.post("/v1/robots/katana/campaigns", json={"name": "c", "numbered": True}).raise_for_status().json()["id"]
+    )
 
 
 def test_equal_uploads_at_once_are_one(client: httpx.Client, katana: Any) -> None:
@@ -211,9 +214,9 @@ def test_uploads_with_different_columns_at_once_leave_a_campaign_of_one_kind(
 
 def test_who_only_reads_can_change_nothing(database: Database, katana: Any) -> None:
     with pytest.raises(DBAPIError, match="read"), database.reading() as session:
-        robots.add(session, "other", katana.document)
+        robots.add(session, "other", katana.document, resolve(katana.document))
     with database.transaction() as session:  # the pool gives the same connection again
-        robots.add(session, "other", katana.document)
+        robots.add(session, "other", katana.document, resolve(katana.document))
     with database.reading() as session:
         assert robots.find(session, "other") is not None
 
@@ -222,7 +225,7 @@ def test_who_reads_sees_one_moment_and_who_changes_sees_the_last(database: Datab
     with database.reading() as session:
         assert robots.find(session, "other") is None
         with database.transaction() as writer:
-            robots.add(writer, "other", katana.document)
+            robots.add(writer, "other", katana.document, resolve(katana.document))
         assert robots.find(session, "other") is None
     with database.transaction() as session:
         assert robots.find(session, "other") is not None
@@ -243,6 +246,6 @@ def test_who_changes_waits_for_its_turn_before_it_reads(database: Database, kata
         assert inside.wait(30)
         thread.join(0.3)
         assert thread.is_alive()
-        robots.add(session, "other", katana.document)
+        robots.add(session, "other", katana.document, resolve(katana.document))
     thread.join(30)
     assert seen[0] is not None

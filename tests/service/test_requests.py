@@ -33,8 +33,8 @@ OPEN = {
     "GET /v1/jobs", "GET /v1/jobs/{job}", "GET /v1/jobs/{job}/events",
     "GET /v1/robots/{robot}/versions", "GET /v1/robots/{robot}/activations", "GET /v1/versions/{version}",
     "GET /v1/versions/{a}/diff/{b}", "GET /v1/versions/{version}/export",
+    "GET /v1/versions/{version}/residuals", "GET /v1/resolve", "GET /v1/tombstones",
     "GET /v1/versions/{version}/preview",
-    "GET /v1/versions/{version}/residuals",
 }  # fmt: skip
 POINTS = [{"known_mm": [k, k * k, 0], "measured_mm": [k, k * k, 5]} for k in range(4)]
 
@@ -104,7 +104,9 @@ def test_without_a_token_no_body_is_waited_for(limited: httpx.Client, path: str)
 
 def campaign(client: httpx.Client) -> str:
     client.post("/v1/robots", json={"name": "arm", "convention": "preset", "preset": "ur10"}).raise_for_status()
-    return str(client.post("/v1/robots/arm/campaigns", json={"name": "c"}).raise_for_status().json()["id"])
+    return str(
+        client.post("/v1/robots/arm/campaigns", json={"name": "c", "numbered": True}).raise_for_status().json()["id"]
+    )
 
 
 def uploads(client: httpx.Client) -> list[tuple[str, str, int]]:

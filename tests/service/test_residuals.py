@@ -34,7 +34,9 @@ def spoilt(client: httpx.Client, katana: Any, rows: int, seed: int, wrong: list[
     columns = katana.columns(rows, seed)
     for k in wrong:
         columns["z_mm"][k - 1] += OFF_MM
-    campaign = client.post("/v1/robots/katana/campaigns", json={"name": f"spoilt {seed}"}).json()["id"]
+    campaign = client.post("/v1/robots/katana/campaigns", json={"name": f"spoilt {seed}", "numbered": True}).json()[
+        "id"
+    ]
     client.post(f"/v1/campaigns/{campaign}/observations", json=columns).raise_for_status()
     return str(campaign)
 

@@ -19,7 +19,7 @@ MARKERS = {f"m{k}{axis}_mm": [100.0 * k, 90.0 * k] for k in (1, 2, 3) for axis i
 
 def upload(client: httpx.Client, columns: dict[str, Any]) -> httpx.Response:
     client.post("/v1/robots", json=ROBOT).raise_for_status()
-    campaign = client.post("/v1/robots/arm/campaigns", json={"name": "c"}).json()["id"]
+    campaign = client.post("/v1/robots/arm/campaigns", json={"name": "c", "numbered": True}).json()["id"]
     return client.post(f"/v1/campaigns/{campaign}/observations", json={**Q, **columns})
 
 

@@ -17,7 +17,7 @@ end
 if isfield(given, 'campaign')
     id = given.campaign;
 else
-    body = struct('name', name, 'role', 'train', 'device', '');
+    body = struct('name', name, 'role', 'train', 'device', '', 'numbered', ~isfield(given, 'name'));
     names = fieldnames(given);
     for k = 1:numel(names)
         body.(names{k}) = given.(names{k});

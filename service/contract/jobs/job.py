@@ -12,6 +12,7 @@ from service.contract.jobs.gap import GapOptions, GapResult
 from service.contract.jobs.identify import IdentifyOptions, IdentifyResult
 from service.contract.jobs.joint_parameters import JointParametersOptions, JointParametersResult
 from service.contract.jobs.plan import PlanOptions, PlanResult
+from service.contract.references import Title
 from service.contract.units import Fraction, Id, Ids, Listed, Strict
 
 State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
@@ -19,6 +20,7 @@ FINAL: frozenset[str] = frozenset({"succeeded", "failed", "cancelled"})
 OPTIONS = "Options of the kind; left out: their defaults."
 KIND = "Kind of the job."
 RESULT = "What came out; null: it has not succeeded."
+NAME = "What people call the job and the version it makes, at most 200 characters; empty: it has no name."
 
 
 class Folds(Strict):
@@ -31,6 +33,7 @@ class Folds(Strict):
 
 class _NewJob(Strict):
     robot: Id = Field(description="Name of the robot.")
+    name: Title = Field("", description=NAME)
     campaigns: Ids = Field([], description="Ids of the campaigns to use, all of that robot; at most 1000.")
     validation: Ids | Fraction | Folds | None = Field(
         None, description="What is held out: campaigns, a fraction of the poses (0 to 1), or folds."
@@ -113,6 +116,7 @@ class JobSummary(Strict):
     id: str = Field(description="Id of the job, `job_` and 16 hexadecimal digits.")
     kind: str = Field(description=KIND)
     robot: str = Field(description="Name of the robot.")
+    name: str = Field("", description=NAME)
     state: State = Field(description="`queued` and `running` become one of the other three.")
     progress: Progress = Field(description="How far it is.")
     error: JobError | None = Field(description="Why it failed; null: it did not.")

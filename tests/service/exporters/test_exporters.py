@@ -30,6 +30,8 @@ from service.errors import ServiceError
 from service.exporters.exportable import Exportable
 from service.exporters.registry import Exported, export
 from service.importers.urdf import chain_document
+from service.robots.resolved import resolve
+from service.robots.store import StoredRobot
 
 Floats = NDArray[np.float64]
 
@@ -44,10 +46,13 @@ TILTS = {"beta_2": 8e-4, "beta_3": -6e-4}
 def exportable(document: dict[str, Any], calibration: Calibration) -> Exportable:
     version = Version(
         id="ver_1a", robot=document["name"], active=False, parent_id=None, job_id="job_1a", effects=[], metrics={},
-        created_at=datetime(2026, 1, 1, tzinfo=UTC), code_version="test", sha256="0", campaigns=[],
-        limits=CorrectionLimits(), parameters=[], null_directions=[], noise_mm=None, warnings=[], covariance={}, details={},
+        created_at=datetime(2026, 1, 1, tzinfo=UTC), code_version="test", sha256="0", hash_scheme=2, robot_sha256="0",
+        campaigns=[], limits=CorrectionLimits(),
+        parameters=[], null_directions=[], noise_mm=None, warnings=[], covariance={}, details={},
     )  # fmt: skip
-    return Exportable(document, version, calibration.to_document())
+    resolved = resolve(document)
+    arm = StoredRobot(1, document["name"], document, resolved.chain, resolved.sha256, resolved.source_sha256, [])
+    return Exportable(arm, version, calibration.to_document())
 
 
 def calibrated(errors: dict[str, float], preset: str = "ur10", **changes: Any) -> tuple[Exportable, Calibration]:

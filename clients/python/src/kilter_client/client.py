@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from kilter_client.connection import Connection, Document, address
 from kilter_client.jobs import Jobs
 from kilter_client.locate import locate
+from kilter_client.references import Found, Kind, resolve
 from kilter_client.resources import Campaigns, Robots, Versions
 
 if TYPE_CHECKING:
@@ -58,14 +59,28 @@ class Kilter:
         """Return whether the server is ready, and what it looked at."""
         return self._connection.get("/v1/health")
 
+    def resolve(self, kind: Kind, reference: str, robot: str | None = None) -> Found:
+        """Return what stands behind the beginning of an id, a name or ``latest`` of a campaign, version or job.
+
+        Raises:
+            NotFoundError: nothing. ConflictError: more than one thing. The sentences list what there is.
+
+        """
+        return resolve(self._connection, kind, reference, robot)
+
+    def tombstones(self, robot: str | None = None) -> list[Document]:
+        """Return what was purged, newest first: its hash, who purged it, and when."""
+        return list(self._connection.get("/v1/tombstones", **({"robot": robot} if robot else {}))["tombstones"])
+
     def correct(
         self, robot: str, trajectory: Prepared, *, version: str | None = None, form: str | None = None
     ) -> Corrected:
-        """Correct a trajectory with the active version (or ``version``).
+        """Correct a trajectory with the active version (or ``version``: an id or its beginning, a name, ``latest``).
 
         The answer has the format that was sent; ``form`` "ros2-yaml" asks for a ROS 2 JointTrajectory instead. Its
         ``left_out`` names effects of the version that a correction does not cover.
         """
+        version = version and self.versions.id_of(version, robot)
         response = self._connection.request(
             "POST",
             address("robots", robot, "correct"),

@@ -71,6 +71,10 @@ class Connection:
         """Send a JSON document and return the answer's."""
         return self.document(self.request("POST", path, json=body))
 
+    def patch(self, path: str, body: Mapping[str, Any]) -> Document:
+        """Send what shall change as a JSON document and return the answer's."""
+        return self.document(self.request("PATCH", path, json=body))
+
     def document(self, response: httpx.Response) -> Document:
         """Return the JSON object an answer holds.
 

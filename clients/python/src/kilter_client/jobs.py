@@ -17,6 +17,7 @@ from kilter_client.errors import (
     NotFoundError,
     ServerUnreachableError,
 )
+from kilter_client.references import id_of, resolved_request
 
 Progress = Callable[[float, str], None]
 Validation = Sequence[str] | float | Mapping[str, int] | None
@@ -41,32 +42,43 @@ class Jobs:
         validation: Validation = None,
         options: Mapping[str, Any] | None = None,
         confirmation: Sequence[str] = (),
+        name: str = "",
     ) -> Document:
         """Ask for a job (identify, gap, evaluate, plan, joint_parameters) and return its document, still queued.
 
         ``confirmation`` are campaigns of another day or set-up in which a gap hunt must see again what it found.
+        Campaigns and versions may be named by the beginning of an id, a name, or ``latest``. ``name`` is that of the job
+        and of the version it makes.
         """
         body: Document = {"kind": kind, "robot": robot, "campaigns": list(campaigns), "options": dict(options or {})}
         if validation is not None:
             body["validation"] = validation
         if confirmation:
             body["confirmation"] = list(confirmation)
-        return self._connection.post("/v1/jobs", body)
+        if name:
+            body["name"] = name
+        return self._connection.post("/v1/jobs", resolved_request(self._connection, robot, body))
 
     def list(self, robot: str | None = None, limit: int = 100) -> list[Document]:
         """Return the newest jobs, of one robot or of all."""
         wanted: Document = {"limit": limit} | ({"robot": robot} if robot else {})
         return list(self._connection.get("/v1/jobs", **wanted)["jobs"])
 
-    def get(self, job_id: str) -> Document:
-        """Return a job's document."""
-        return self._connection.get(address("jobs", job_id))
+    def get(self, job: str, robot: str | None = None) -> Document:
+        """Return a job's document; the id may be its beginning, a name, or ``latest`` with its robot."""
+        return self._connection.get(address("jobs", id_of(self._connection, "job", job, robot)))
 
-    def cancel(self, job_id: str) -> Document:
+    def cancel(self, job: str, robot: str | None = None) -> Document:
         """Ask a job to stop."""
-        return self._connection.post(address("jobs", job_id, "cancel"))
+        return self._connection.post(address("jobs", id_of(self._connection, "job", job, robot), "cancel"))
 
-    def wait(self, job_id: str, progress: Progress | None = None, timeout_s: float | None = None) -> Document:
+    def wait(
+        self,
+        job: str,
+        progress: Progress | None = None,
+        timeout_s: float | None = None,
+        robot: str | None = None,
+    ) -> Document:
         """Follow a job to its end and return its document with the result.
 
         Raises:
@@ -76,13 +88,16 @@ class Jobs:
 
         """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        for job in self._follow(job_id):
+        job_id = id_of(self._connection, "job", job, robot)
+        for told in self._follow(job_id):
             if progress is not None:
-                progress(*_progress_of(job))
-            if job.get("state") in FINISHED:
-                return succeeded(job if "result" in job else self.get(job_id))
+                progress(*_progress_of(told))
+            if told.get("state") in FINISHED:
+                return succeeded(told if "result" in told else self.get(job_id))
             if deadline is not None and time.monotonic() > deadline:
-                raise JobTimeoutError(f"Job {job_id} is still {job.get('state')} after {timeout_s:g} s.", job_id=job_id)
+                raise JobTimeoutError(
+                    f"Job {job_id} is still {told.get('state')} after {timeout_s:g} s.", job_id=job_id
+                )
         return succeeded(self.get(job_id))
 
     def run(
@@ -95,9 +110,10 @@ class Jobs:
         progress: Progress | None = None,
         timeout_s: float | None = None,
         confirmation: Sequence[str] = (),
+        name: str = "",
     ) -> Document:
         """Submit a job and wait for it."""
-        job = self.submit(kind, robot, campaigns, validation, options, confirmation)
+        job = self.submit(kind, robot, campaigns, validation, options, confirmation, name)
         return self.wait(job["id"], progress, timeout_s)
 
     def _follow(self, job_id: str) -> Iterator[Document]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.connection import Connection, Document, address
+from kilter_client.references import Kept, id_of
 
 if TYPE_CHECKING:
     from kilter_client.files import Prepared
@@ -55,9 +56,9 @@ class Robots:
         """Find a frame from digitised ``points`` or ``features``: its ``pose``, and how far each point is off."""
         return self._connection.post("/v1/frames", points)
 
-    def list(self) -> list[Document]:
-        """Return the robots, by name."""
-        return list(self._connection.get("/v1/robots")["robots"])
+    def list(self, retired: bool = False) -> list[Document]:
+        """Return the robots, by name; with ``retired`` also those that are out of use."""
+        return list(self._connection.get("/v1/robots", **_also(retired))["robots"])
 
     def get(self, name: str) -> Document:
         """Return a robot with its joints, parameters and document."""
@@ -67,12 +68,27 @@ class Robots:
         """Delete a robot nothing was measured on."""
         self._connection.request("DELETE", address("robots", name))
 
+    def note(self, name: str, remarks: str) -> Document:
+        """Keep a note with a robot, in the place of the one before."""
+        return self._connection.patch(address("robots", name), {"remarks": remarks})
 
-class Campaigns:
-    """The measurement campaigns."""
+    def retire(self, name: str) -> Document:
+        """Take a robot out of use; the version that is active goes on correcting."""
+        return self._connection.post(address("robots", name, "retire"))
 
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
+    def restore(self, name: str) -> Document:
+        """Bring a robot back into use."""
+        return self._connection.post(address("robots", name, "restore"))
+
+    def purge(self, name: str) -> Document:
+        """Delete a robot without campaigns and versions; returns what is left: its hash, who and when."""
+        return self._connection.post(address("robots", name, "purge"))
+
+
+class Campaigns(Kept):
+    """The measurement campaigns. An id may be its beginning, a name, or ``latest`` with its robot."""
+
+    kind = "campaign"
 
     def add(
         self,
@@ -84,8 +100,12 @@ class Campaigns:
         conditions: Mapping[str, Any] | None = None,
         notes: str = "",
         staged: bool = False,
+        numbered: bool = False,
     ) -> Document:
-        """Add a campaign to a robot; a ``staged`` one is seen and used by nobody before ``commit``."""
+        """Add a campaign to a robot; a ``staged`` one is seen and used by nobody before ``commit``.
+
+        A name that another campaign of the robot has is refused; ``numbered`` puts a number behind it instead.
+        """
         body: Document = {
             "name": name,
             "device": device,
@@ -93,13 +113,15 @@ class Campaigns:
             "conditions": dict(conditions or {}),
             "notes": notes,
         }
-        if staged:
-            body["staged"] = True
+        body |= {key: True for key, wanted in (("staged", staged), ("numbered", numbered)) if wanted}
         return self._connection.post(address("robots", robot, "campaigns"), body)
 
-    def list(self, robot: str, staged: bool = False) -> list[Document]:
-        """Return the campaigns of a robot, oldest first; ``staged`` are those whose parts are not all there."""
-        asked = {"staged": "true"} if staged else {}
+    def list(self, robot: str, staged: bool = False, retired: bool = False) -> list[Document]:
+        """Return the campaigns of a robot, oldest first; ``staged`` are those whose parts are not all there.
+
+        With ``retired`` also those that are out of use.
+        """
+        asked = ({"staged": "true"} if staged else {}) | _also(retired)
         return list(self._connection.get(address("robots", robot, "campaigns"), **asked)["campaigns"])
 
     def commit(self, campaign_id: str, sha256: Sequence[str]) -> Document:
@@ -110,11 +132,13 @@ class Campaigns:
         """Delete a staged campaign with all that was sent to it."""
         self._connection.request("DELETE", address("campaigns", campaign_id))
 
-    def get(self, campaign_id: str) -> Document:
+    def get(self, campaign: str, robot: str | None = None) -> Document:
         """Return a campaign and its uploads."""
-        return self._connection.get(address("campaigns", campaign_id))
+        return self._connection.get(self._address(campaign, robot))
 
-    def upload(self, campaign_id: str, data: Prepared | Path | str, sent: Sent | None = None) -> Document:
+    def upload(
+        self, campaign: str, data: Prepared | Path | str, sent: Sent | None = None, robot: str | None = None
+    ) -> Document:
         """Send observations: a prepared file, or the path of one with contract columns. The same bytes change nothing.
 
         ``sent`` is told the bytes sent and their total.
@@ -125,7 +149,7 @@ class Campaigns:
         headers = {"Content-Type": file.content_type, "Content-Length": str(len(file.content))}
         response = self._connection.request(
             "POST",
-            address("campaigns", campaign_id, "observations"),
+            self._address(campaign, robot, "observations"),
             content=lambda: _pieces(file.content, sent),
             headers=headers,
             timeout=UPLOAD_TIMEOUT_S,
@@ -133,27 +157,26 @@ class Campaigns:
         return self._connection.document(response)
 
 
-class Versions:
-    """The parameter versions."""
+class Versions(Kept):
+    """The parameter versions. An id may be its beginning, a name, or ``latest`` with its robot."""
 
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
+    kind = "version"
 
-    def list(self, robot: str) -> list[Document]:
-        """Return the versions of a robot."""
-        return list(self._connection.get(address("robots", robot, "versions"))["versions"])
+    def list(self, robot: str, retired: bool = False) -> list[Document]:
+        """Return the versions of a robot, newest first; with ``retired`` also those that are out of use."""
+        return list(self._connection.get(address("robots", robot, "versions"), **_also(retired))["versions"])
 
-    def get(self, version_id: str) -> Document:
+    def get(self, version: str, robot: str | None = None) -> Document:
         """Return a version: parent, job, campaigns, effects, parameters, covariance."""
-        return self._connection.get(address("versions", version_id))
+        return self._connection.get(self._address(version, robot))
 
-    def activate(self, version_id: str, *, force: bool = False, reason: str = "") -> Document:
+    def activate(self, version: str, *, force: bool = False, reason: str = "", robot: str | None = None) -> Document:
         """Make a version the one that corrects, unless it predicts worse than the active one.
 
         ``force`` activates it all the same; the log keeps that and the ``reason``.
         """
         wish = {"force": force, "reason": reason}
-        return self._connection.post(address("versions", version_id, "activate"), wish)
+        return self._connection.post(self._address(version, robot, "activate"), wish)
 
     def activations(self, robot: str) -> Sequence[Document]:
         """Return who activated which version of a robot, when and why, newest first."""
@@ -163,21 +186,27 @@ class Versions:
         """Return to the version that was active before."""
         return self._connection.post(address("robots", robot, "rollback"))
 
-    def diff(self, first: str, second: str) -> Document:
+    def diff(self, first: str, second: str, robot: str | None = None) -> Document:
         """Compare two versions."""
-        return self._connection.get(address("versions", first, "diff", second))
+        return self._connection.get(self._address(first, robot, "diff", self.id_of(second, robot)))
 
-    def residuals(self, version_id: str, campaigns: Sequence[str] = (), form: str = "csv") -> bytes:
+    def residuals(
+        self, version: str, campaigns: Sequence[str] = (), form: str = "csv", robot: str | None = None
+    ) -> bytes:
         """Return what a version leaves of every row as a file, csv or parquet: of these campaigns, or of all its own."""
-        path = address("versions", version_id, "residuals")
-        asked = {"format": form, "campaign": [*campaigns]}
+        path = self._address(version, robot, "residuals")
+        used = [id_of(self._connection, "campaign", campaign, robot) for campaign in campaigns]
+        asked = {"format": form, "campaign": used}
         return self._connection.request("GET", path, params=asked, timeout=UPLOAD_TIMEOUT_S).content
 
-    def export(self, version_id: str, form: str = "json") -> bytes:
+    def export(self, version: str, form: str = "json", robot: str | None = None) -> bytes:
         """Return a version as a file: json, urdf, dh-csv, ..."""
-        return self._connection.request(
-            "GET", address("versions", version_id, "export"), params={"format": form}
-        ).content
+        path = self._address(version, robot, "export")
+        return self._connection.request("GET", path, params={"format": form}).content
+
+
+def _also(retired: bool) -> dict[str, str]:
+    return {"retired": "true"} if retired else {}
 
 
 def _pieces(content: bytes, sent: Sent | None) -> Iterator[bytes]:

@@ -11,10 +11,20 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import arguments
-from kilter_client.cli.arguments import CampaignIds, ConfirmationIds, Json, MoreOptions, NoWait, Robot, ValidationText
+from kilter_client.cli.arguments import (
+    CampaignIds,
+    ConfirmationIds,
+    JobName,
+    Json,
+    MoreOptions,
+    NoWait,
+    Robot,
+    ValidationText,
+)
 from kilter_client.cli.option_texts import EVALUATE, GAP, IDENTIFY, PLAN
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
+from kilter_client.cli.references import resolved_all, resolved_options
 from kilter_client.cli.results import show_job
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
@@ -70,6 +80,7 @@ def identify(
     start: Annotated[str | None, typer.Option(metavar="VERSION", help=IDENTIFY["start"])] = None,
     figures: Figures = None,
     option: MoreOptions = None,
+    name: JobName = "",
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
@@ -95,7 +106,7 @@ def identify(
     if refit is not None:
         chosen["refit"] = ["base"] if refit == "base" else []
     drawn = partial(write_figures, figures, as_json)
-    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, files=drawn)
+    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, files=drawn, name=name)
 
 
 def gap(
@@ -121,6 +132,7 @@ def gap(
         Path | None, typer.Option(metavar="FILE", help="Write the poses to measure next as CSV.", dir_okay=False)
     ] = None,
     option: MoreOptions = None,
+    name: JobName = "",
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
@@ -147,7 +159,7 @@ def gap(
         write_figures(figures, as_json, job)
 
     again = arguments.split_names(confirmation)
-    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files, confirmation=again)
+    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files, confirmation=again, name=name)
 
 
 def evaluate(
@@ -156,6 +168,7 @@ def evaluate(
     version: Annotated[str | None, typer.Option(help=EVALUATE["version"])] = None,
     refit: Annotated[str | None, typer.Option(metavar="base,tool", help="Frames that were set up anew.")] = None,
     option: MoreOptions = None,
+    name: JobName = "",
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
@@ -163,7 +176,7 @@ def evaluate(
     chosen = arguments.options(option, version=version)
     if refit is not None:
         chosen["refit"] = arguments.split_names([refit])
-    run_job("evaluate", robot, campaign, None, chosen, no_wait, as_json)
+    run_job("evaluate", robot, campaign, None, chosen, no_wait, as_json, name=name)
 
 
 def plan(
@@ -190,6 +203,7 @@ def plan(
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the poses as CSV.", dir_okay=False)
     ] = None,
     option: MoreOptions = None,
+    name: JobName = "",
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
@@ -213,7 +227,7 @@ def plan(
         if output is not None:
             write_poses(output, (job.get("result") or {}).get("csv"), as_json)
 
-    run_job("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files)
+    run_job("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
 
 
 def _corners(text: str | None) -> list[list[float]] | None:
@@ -265,6 +279,7 @@ def run_job(
     needs_campaign: bool = True,
     files: Callable[[dict[str, Any]], None] | None = None,
     confirmation: Sequence[str] = (),
+    name: str = "",
 ) -> None:
     """Submit a job, follow it, and print it."""
     ids = arguments.split_names(campaign)
@@ -272,7 +287,12 @@ def run_job(
         raise UsageError(f"Name at least one --campaign ID: `kilter campaigns {robot}` lists them.")
     held_out = arguments.validation(validation)
     with Kilter() as kilter:
-        job = kilter.jobs.submit(kind, robot, ids, held_out, options, confirmation)
+        ids = resolved_all(kilter, "campaign", ids, robot, as_json)
+        again = resolved_all(kilter, "campaign", confirmation, robot, as_json)
+        if isinstance(held_out, list):
+            held_out = resolved_all(kilter, "campaign", held_out, robot, as_json)
+        options = resolved_options(kilter, options, robot, as_json)
+        job = kilter.jobs.submit(kind, robot, ids, held_out, options, again, name)
         if not no_wait:
             note(f"job {job['id']}", as_json)
             with job_bar(kind, as_json) as progress:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,7 +19,13 @@ File = Annotated[
 ]
 CampaignIds = Annotated[
     list[str] | None,
-    typer.Option("--campaign", "-c", metavar="ID", help="Campaign to use; give it again for more.", show_default=False),
+    typer.Option(
+        "--campaign",
+        "-c",
+        metavar="ID",
+        help="Campaign to use: id or its beginning, name, or `latest`; repeat for more.",
+        show_default=False,
+    ),
 ]
 ValidationText = Annotated[
     list[str] | None,
@@ -44,7 +51,12 @@ MoreOptions = Annotated[
     list[str] | None,
     typer.Option("--option", metavar="NAME=VALUE", help="Any other option of the job; the value is JSON or text."),
 ]
-VersionId = Annotated[str, typer.Argument(help="Id of the version.", show_default=False, metavar="VERSION")]
+VersionId = Annotated[
+    str,
+    typer.Argument(help="Its id or the beginning of it, its name, or `latest`.", show_default=False, metavar="VERSION"),
+]
+Retired = Annotated[bool, typer.Option("--retired", help="Also those that are out of use.")]
+JobName = Annotated[str, typer.Option("--name", help="Name of the job and of the version that it makes.")]
 
 
 def validation(texts: Iterable[str] | None) -> list[str] | float | dict[str, int] | None:
@@ -62,16 +74,22 @@ def validation(texts: Iterable[str] | None) -> list[str] | float | dict[str, int
         if not count.isdecimal() or int(count) < 2:
             raise UsageError(f"--validation {given[0]}: give folds:K with K from 2, for example folds:5.")
         return {"folds": int(count)}
-    if len(given) == 1 and _number(given[0]) is not None:
+    if len(given) == 1 and _is_fraction(given[0]):
         fraction = float(given[0])
         if not 0 <= fraction < 1:
             raise UsageError(
                 f"--validation {given[0]}: a fraction lies between 0 and 1, for example 0.3; 0 is nothing."
             )
         return fraction
-    if any(text.startswith("folds:") or _number(text) is not None for text in given):
+    if any(text.startswith("folds:") or _is_fraction(text) for text in given):
         raise UsageError("--validation takes campaign ids, or one fraction, or one folds:K, not a mixture.")
     return given
+
+
+def _is_fraction(text: str) -> bool:
+    """Whether a text is a number; one that may be the beginning of an id (64, 1e5) is none."""
+    number = _number(text)
+    return number is not None and not (number >= 1 and re.fullmatch("[0-9a-f]+", text))
 
 
 def split_names(texts: Iterable[str] | None) -> list[str]:

@@ -9,17 +9,19 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli import arguments
-from kilter_client.cli.arguments import File, Json, Robot
+from kilter_client.cli import arguments, keeping
+from kilter_client.cli.arguments import File, Json, Retired, Robot
 from kilter_client.cli.checks import Unchecked
 from kilter_client.cli.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
 from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
 from kilter_client.cli.progress import upload_bar
+from kilter_client.cli.references import resolved
 from kilter_client.cli.tables import show_rows
 from kilter_client.errors import ApiError, ObservationError, UsageError
 from kilter_client.files import DEVICES, Prepared, prepare
+from kilter_client.files.naming import same
 from kilter_client.files.tracker_header import PRESETS
 
 SHOWN = 8  # lines of refused rows that are named in the sentence
@@ -40,22 +42,36 @@ Joints = Annotated[
 ]
 
 
+Device = Annotated[
+    str | None, typer.Option(help=f"Measuring device; files of these are converted: {', '.join(DEVICES)}.")
+]
+IntoCampaign = Annotated[
+    str | None,
+    typer.Option("--campaign", metavar="ID", help="Add to this campaign (id, name or `latest`), make none."),
+]
 ToolForce = Annotated[str | None, typer.Option(metavar="FX,FY,FZ", help="Force on the tool point, in its frame, N.")]
 ToolMoment = Annotated[str | None, typer.Option(metavar="MX,MY,MZ", help="Moment on the tool, in its frame, N m.")]
+
+
+group = typer.Typer(
+    help="List, name, retire and purge campaigns; without a command, list those of a robot.",
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    cls=keeping.ListsByDefault,
+)
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.command(epilog="Example: kilter upload ur10 measurements_grid.csv --device ipa-lasertracker")(upload)
-    app.command(epilog="Example: kilter campaigns ur10")(campaigns)
+    keeping.register(group, "campaign")
+    app.add_typer(group, name="campaigns")
 
 
 def upload(
     robot: Robot,
     file: File,
-    device: Annotated[
-        str | None, typer.Option(help=f"Measuring device; files of these are converted: {', '.join(DEVICES)}.")
-    ] = None,
+    device: Device = None,
     preset: PresetName = None,
     euler: Euler = None,
     joints: Joints = None,
@@ -66,7 +82,7 @@ def upload(
         Path | None,
         typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False),
     ] = None,
-    campaign: Annotated[str | None, typer.Option(metavar="ID", help="Add to this campaign, make none.")] = None,
+    campaign: IntoCampaign = None,
     name: Annotated[str | None, typer.Option(help="Name of the campaign; default is the file's name.")] = None,
     payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point during the campaign.")] = None,
     temperature_c: Annotated[float | None, typer.Option(help="Temperature during the campaign.")] = None,
@@ -101,9 +117,10 @@ def upload(
         "role": role,
         "conditions": conditions,
         "notes": notes,
+        "numbered": name is None,
     }
     with Kilter() as kilter:
-        target = campaign or _known(kilter, robot, wanted, prepared.sha256)
+        target = _target(kilter, robot, campaign, wanted, prepared.sha256, as_json)
         if target is not None:
             done = _send(kilter, target, file, prepared, as_json)
         else:
@@ -178,18 +195,27 @@ def _looked_at(file: Path, prepared: Prepared, unchecked: bool) -> Prepared:
     return replace(prepared, warnings=(*prepared.warnings, *found)) if found else prepared
 
 
-def campaigns(robot: Robot, as_json: Json = False) -> None:
+@group.command("list", epilog="Example: kilter campaigns list ur10")
+def list_(robot: Robot, retired: Retired = False, as_json: Json = False) -> None:
     """List the campaigns of a robot."""
     with Kilter() as kilter:
-        document = {"campaigns": kilter.campaigns.list(robot)}
+        document = {"campaigns": kilter.campaigns.list(robot, retired=retired)}
     emit(document, as_json, _show_campaigns)
+
+
+def _target(
+    kilter: Kilter, robot: str, campaign: str | None, wanted: dict[str, Any], sha256: str, as_json: bool
+) -> str | None:
+    """Return the campaign to add to: the one that is named, or the one that has these bytes already."""
+    if campaign:
+        return resolved(kilter, "campaign", campaign, robot, as_json)
+    return _known(kilter, robot, wanted, sha256)
 
 
 def _known(kilter: Kilter, robot: str, wanted: dict[str, Any], sha256: str) -> str | None:
     """Return the campaign that has these bytes already."""
     for known in kilter.campaigns.list(robot):
-        same = all(known[key] == wanted[key] for key in ("name", "device", "role"))
-        if same and any(done["sha256"] == sha256 for done in known["uploads"]):
+        if same(known, wanted) and any(done["sha256"] == sha256 for done in known["uploads"]):
             return str(known["id"])
     return None
 
@@ -253,7 +279,14 @@ def _show_upload(done: dict[str, Any]) -> None:
 
 def _show_campaigns(document: dict[str, Any]) -> None:
     rows = [
-        (c["id"], c["name"], c["device"], c["role"], str(c["rows"]), str(c["created_at"])[:16].replace("T", " "))
+        (
+            c["id"],
+            c["name"] + (" (retired)" if c.get("retired_at") else ""),
+            c["device"],
+            c["role"],
+            str(c["rows"]),
+            str(c["created_at"])[:16].replace("T", " "),
+        )
         for c in document["campaigns"]
     ]
     show_rows(("campaign", "name", "device", "role", "rows", "made"), rows)

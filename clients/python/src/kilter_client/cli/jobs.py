@@ -10,12 +10,15 @@ from kilter_client import Kilter
 from kilter_client.cli.arguments import Json
 from kilter_client.cli.output import emit
 from kilter_client.cli.progress import job_bar
+from kilter_client.cli.references import OfRobot, resolved
 from kilter_client.cli.results import show_job
 from kilter_client.cli.tables import show_rows
 
 jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None)
 
-JobId = Annotated[str, typer.Argument(help="Id of the job.", show_default=False, metavar="JOB")]
+JobId = Annotated[
+    str, typer.Argument(help="Its id or the beginning of it, its name, or `latest`.", show_default=False, metavar="JOB")
+]
 State = Annotated[
     Literal["queued", "running", "succeeded", "failed", "cancelled"] | None,
     typer.Option(help="Only jobs in this state."),
@@ -48,16 +51,18 @@ def list_(
 
 
 @jobs.command(epilog="Example: kilter jobs show job_1f")
-def show(job: JobId, as_json: Json = False) -> None:
+def show(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Show a job and its result."""
     with Kilter() as kilter:
+        job = resolved(kilter, "job", job, robot, as_json)
         emit(kilter.jobs.get(job), as_json, show_job)
 
 
 @jobs.command(epilog="Example: kilter jobs watch job_1f")
-def watch(job: JobId, as_json: Json = False) -> None:
+def watch(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Follow a job to its end and show its result."""
     with Kilter() as kilter:
+        job = resolved(kilter, "job", job, robot, as_json)
         known = kilter.jobs.get(job)
         with job_bar(str(known["kind"]), as_json) as progress:
             document = kilter.jobs.wait(job, progress)
@@ -65,9 +70,10 @@ def watch(job: JobId, as_json: Json = False) -> None:
 
 
 @jobs.command(epilog="Example: kilter jobs cancel job_1f")
-def cancel(job: JobId, as_json: Json = False) -> None:
+def cancel(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Ask a job to stop."""
     with Kilter() as kilter:
+        job = resolved(kilter, "job", job, robot, as_json)
         emit(kilter.jobs.cancel(job), as_json, show_job)
 
 
@@ -77,10 +83,11 @@ def _show_list(document: dict[str, Any]) -> None:
             job["id"],
             job["kind"],
             job["robot"],
+            job.get("name", ""),
             job["state"],
             f"{100 * float((job.get('progress') or {}).get('fraction') or 0):.0f} %",
             str(job.get("created_at", ""))[:16].replace("T", " "),
         )
         for job in document["jobs"]
     ]
-    show_rows(("job", "kind", "robot", "state", "done", "made"), rows)
+    show_rows(("job", "kind", "robot", "name", "state", "done", "made"), rows)

@@ -9,7 +9,7 @@ import typer
 
 from kilter_client.cli import arguments
 from kilter_client.cli.analyse import needs_result, run_job, write_poses
-from kilter_client.cli.arguments import CampaignIds, Json, MoreOptions, NoWait, Robot, ValidationText
+from kilter_client.cli.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, Robot, ValidationText
 from kilter_client.cli.option_texts import JOINT_PARAMETERS
 from kilter_client.errors import UsageError
 
@@ -35,6 +35,7 @@ def joint_parameters(
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the proposal as CSV.", dir_okay=False)
     ] = None,
     option: MoreOptions = None,
+    name: JobName = "",
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
@@ -63,5 +64,14 @@ def joint_parameters(
             write_poses(output, (job.get("result") or {}).get("csv"), as_json)
 
     run_job(
-        "joint_parameters", robot, campaign, validation, chosen, no_wait, as_json, needs_campaign=False, files=files
+        "joint_parameters",
+        robot,
+        campaign,
+        validation,
+        chosen,
+        no_wait,
+        as_json,
+        needs_campaign=False,
+        files=files,
+        name=name,
     )

@@ -104,7 +104,7 @@ def match(
     body = None if tcp is None else find_body(in_time(found, checks), tcp)
     if body is not None:
         note(f"  poses of a rigid body: {body.source}, tool point {body.tcp.round(3).tolist()} mm", as_json)
-    wanted = {"name": name or recording.name, "device": device, "role": role}
+    wanted = {"name": name or recording.name, "device": device, "role": role, "numbered": name is None}
     if by == "frames":
         document = _frames(found, log, body, checks, robot, wanted, as_json)
     else:
@@ -124,7 +124,7 @@ def joints_of(robot: str | None) -> list[str]:
 
 def _dwells(
     found: Recording, log: JointLog, body: Body | None, by: str, options: Any, out: Path | None, robot: str | None,
-    wanted: dict[str, str], as_json: bool,
+    wanted: dict[str, Any], as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
     from kilter_client.files.matching import match_dwells
     from kilter_client.files.table import Prepared, Table
@@ -142,7 +142,7 @@ def _dwells(
 
 
 def _frames(
-    found: Recording, log: JointLog, body: Body | None, checks: Checks, robot: str | None, wanted: dict[str, str],
+    found: Recording, log: JointLog, body: Body | None, checks: Checks, robot: str | None, wanted: dict[str, Any],
     as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
     from kilter_client.files.frames_by_time import match_frames
@@ -157,7 +157,7 @@ def _frames(
     return report | _send(lambda: parts(frame_rows(found, log, pieces, body)), found.frames, robot, wanted, as_json)
 
 
-def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, str], as_json: bool) -> dict[str, Any]:
+def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, Any], as_json: bool) -> dict[str, Any]:
     from kilter_client.files.parts import send_whole
 
     done = {"rows": 0}

@@ -10,6 +10,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.arguments import CampaignIds, Json, VersionId, split_names
 from kilter_client.cli.output import emit, say
+from kilter_client.cli.references import OfRobot, resolved, resolved_all
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 
@@ -28,6 +29,7 @@ def residuals(
     form: Annotated[
         Literal["csv", "parquet"] | None, typer.Option("--format", help="By default what the name of the file says.")
     ] = None,
+    robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:
     """Write what a version leaves of every row: errors in mm and in sigma, set aside or not, held out or not."""
@@ -35,7 +37,9 @@ def residuals(
         raise UsageError("--json reports what was written: name the file with -o.")
     suffix = "parquet" if output is not None and output.suffix == ".parquet" else "csv"
     with Kilter() as kilter:
-        content = kilter.versions.residuals(version, split_names(campaign), form or suffix)
+        version = resolved(kilter, "version", version, robot, as_json)
+        used = resolved_all(kilter, "campaign", split_names(campaign), robot, as_json)
+        content = kilter.versions.residuals(version, used, form or suffix)
     if output is None:
         typer.get_binary_stream("stdout").write(content)
         return

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli import circles
-from kilter_client.cli.arguments import Json, Robot
+from kilter_client.cli import circles, keeping
+from kilter_client.cli.arguments import Json, Retired, Robot
 from kilter_client.cli.arm_figure import save_arm
 from kilter_client.cli.drawing import show_check
 from kilter_client.cli.output import emit, note, say
@@ -25,6 +25,7 @@ robot = typer.Typer(help="Describe robots.", no_args_is_help=True, rich_markup_m
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     circles.register(robot)
+    keeping.register_robot(robot)
     app.add_typer(robot, name="robot")
 
 
@@ -79,10 +80,10 @@ def convert(
 
 
 @robot.command("list", epilog="Example: kilter robot list")
-def list_(as_json: Json = False) -> None:
+def list_(retired: Retired = False, as_json: Json = False) -> None:
     """List the robots."""
     with Kilter() as kilter:
-        document = {"robots": kilter.robots.list()}
+        document = {"robots": kilter.robots.list(retired)}
     emit(document, as_json, _show_list)
 
 
@@ -112,6 +113,8 @@ def _show(document: dict[str, Any]) -> None:
     ]
     show_rows(("", "joint", "kind", "limits", "gear ratio"), rows)
     say(f"parameters: {', '.join(document.get('parameters', ())) or 'none'}")
+    if document.get("remarks"):
+        say(f"remarks: {document['remarks']}")
     for remark in document.get("notes", ()):
         say(f"note: {remark}")
 
@@ -126,7 +129,13 @@ def _limits(joint: dict[str, Any]) -> str:
 
 def _show_list(document: dict[str, Any]) -> None:
     rows = [
-        (r["name"], r["convention"], str(r["campaigns"]), str(r["versions"]), r.get("active_version") or "none")
+        (
+            r["name"] + (" (retired)" if r.get("retired_at") else ""),
+            r["convention"],
+            str(r["campaigns"]),
+            str(r["versions"]),
+            r.get("active_version") or "none",
+        )
         for r in document["robots"]
     ]
     show_rows(("robot", "convention", "campaigns", "versions", "active"), rows)

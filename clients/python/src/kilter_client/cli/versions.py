@@ -8,17 +8,27 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
+from kilter_client.cli import keeping
 from kilter_client.cli.activation_report import show_activations, show_active
-from kilter_client.cli.arguments import Json, Robot, VersionId
+from kilter_client.cli.arguments import Json, Retired, Robot, VersionId
 from kilter_client.cli.output import emit, say
+from kilter_client.cli.references import OfRobot, resolved, resolved_all
 from kilter_client.cli.results import show_version
 from kilter_client.cli.tables import number, show_rows
 from kilter_client.errors import FileError, UsageError
 
+group = typer.Typer(
+    help="List, name, retire and purge versions; without a command, list those of a robot.",
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    cls=keeping.ListsByDefault,
+)
+
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
-    app.command(epilog="Example: kilter versions ur10")(versions)
+    keeping.register(group, "version")
+    app.add_typer(group, name="versions")
     app.command(epilog="Example: kilter version ver_7c")(version)
     app.command(epilog="Example: kilter activate ver_7c")(activate)
     app.command(epilog="Example: kilter rollback ur10")(rollback)
@@ -27,16 +37,18 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: kilter export ver_7c --format json -o ur10.json")(export)
 
 
-def versions(robot: Robot, as_json: Json = False) -> None:
+@group.command("list", epilog="Example: kilter versions list ur10")
+def list_(robot: Robot, retired: Retired = False, as_json: Json = False) -> None:
     """List the versions of a robot."""
     with Kilter() as kilter:
-        document = {"versions": kilter.versions.list(robot)}
+        document = {"versions": kilter.versions.list(robot, retired)}
     emit(document, as_json, _show_list)
 
 
-def version(version: VersionId, as_json: Json = False) -> None:
+def version(version: VersionId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Show a version: where it comes from, and its parameters."""
     with Kilter() as kilter:
+        version = resolved(kilter, "version", version, robot, as_json)
         emit(kilter.versions.get(version), as_json, show_version)
 
 
@@ -44,10 +56,12 @@ def activate(
     version: VersionId,
     force: Annotated[bool, typer.Option("--force", help="Even if it predicts worse; the log keeps that.")] = False,
     reason: Annotated[str, typer.Option("--reason", help="Why, for the log.")] = "",
+    robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:
     """Make a version the one that corrects, unless it predicts worse than the active one."""
     with Kilter() as kilter:
+        version = resolved(kilter, "version", version, robot, as_json)
         document = kilter.versions.activate(version, force=force, reason=reason)
     emit(document, as_json, lambda _: show_active(document, "active"))
 
@@ -67,13 +81,15 @@ def activations(robot: Robot, as_json: Json = False) -> None:
 
 
 def diff(
-    first: Annotated[str, typer.Argument(help="Id of a version.", show_default=False)],
-    second: Annotated[str, typer.Argument(help="Id of another.", show_default=False)],
+    first: Annotated[str, typer.Argument(help="A version: id, name or `latest`.", show_default=False)],
+    second: Annotated[str, typer.Argument(help="Another.", show_default=False)],
+    robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:
     """Compare the parameters of two versions."""
     with Kilter() as kilter:
-        document = kilter.versions.diff(first, second)
+        both = resolved_all(kilter, "version", (first, second), robot, as_json)
+        document = kilter.versions.diff(*both)
     emit(document, as_json, _show_diff)
 
 
@@ -81,12 +97,14 @@ def export(
     version: VersionId,
     form: Annotated[str, typer.Option("--format", help="json, urdf, dh-csv, ...")] = "json",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default is stdout.")] = None,
+    robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:
     """Write a version as a file for other programs."""
     if as_json and output is None:
         raise UsageError("--json reports what was written: name the file with -o.")
     with Kilter() as kilter:
+        version = resolved(kilter, "version", version, robot, as_json)
         content = kilter.versions.export(version, form)
     if output is None:
         typer.get_binary_stream("stdout").write(content)
@@ -114,6 +132,7 @@ def _show_list(document: dict[str, Any]) -> None:
         (
             "*" if v["active"] else "",
             v["id"],
+            v["name"] + (" (retired)" if v["retired_at"] else ""),
             ", ".join(v["effects"]) or "geometry",
             _held_out(v["metrics"]),
             v["parent_id"] or "",
@@ -121,7 +140,7 @@ def _show_list(document: dict[str, Any]) -> None:
         )
         for v in document["versions"]
     ]
-    show_rows(("", "version", "effects", "mean mm", "parent", "made"), rows)
+    show_rows(("", "version", "name", "effects", "mean mm", "parent", "made"), rows)
 
 
 def _held_out(metrics: dict[str, Any]) -> str:

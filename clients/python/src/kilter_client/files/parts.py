@@ -14,6 +14,7 @@ import numpy as np
 
 from kilter_client.errors import ApiError, KilterError, ObservationError, ServerUnreachableError
 from kilter_client.files.matching import Columns
+from kilter_client.files.naming import same
 from kilter_client.files.table import PARQUET_TYPE, Prepared
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def _begun(kilter: Kilter, robot: str, wanted: dict[str, Any], first: Prepared) 
 
 
 def _alike(campaigns: Iterable[dict[str, Any]], wanted: dict[str, Any]) -> list[dict[str, Any]]:
-    return [known for known in campaigns if all(known[key] == wanted[key] for key in ("name", "device", "role"))]
+    return [known for known in campaigns if same(known, wanted)]
 
 
 def _joined(blocks: list[Columns]) -> Columns:

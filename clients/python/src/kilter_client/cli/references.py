@@ -1,0 +1,39 @@
+"""References of the command line: what they stand for is said before it is used."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, Any
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli.output import note
+from kilter_client.references import Kind, is_full
+
+OfRobot = Annotated[
+    str | None,
+    typer.Option("--robot", metavar="ROBOT", help="The robot it is of, where `latest` or a name leaves that open."),
+]
+
+
+def resolved(kilter: Kilter, kind: Kind, reference: str, robot: str | None, as_json: bool) -> str:
+    """Return the id that a reference stands for, and say it; a full id is taken as it is."""
+    if is_full(kind, reference):
+        return reference
+    found = kilter.resolve(kind, reference, robot)
+    told = f" ({found.name!r})" if found.name and found.by != "name" else ""
+    whose = "" if robot else f" of robot {found.robot!r}"
+    note(f"{kind} {reference!r} is {found.id}{told}{whose}", as_json)
+    return found.id
+
+
+def resolved_all(kilter: Kilter, kind: Kind, references: Iterable[str], robot: str | None, as_json: bool) -> list[str]:
+    """Return the ids that references stand for, and say them."""
+    return [resolved(kilter, kind, reference, robot, as_json) for reference in references]
+
+
+def resolved_options(kilter: Kilter, options: dict[str, Any], robot: str, as_json: bool) -> dict[str, Any]:
+    """Return the options of a job with ids in the place of references to versions."""
+    named = {key: value for key, value in options.items() if key in ("start", "version") and isinstance(value, str)}
+    return options | {key: resolved(kilter, "version", value, robot, as_json) for key, value in named.items()}

@@ -1,0 +1,22 @@
+"""What is left of what was purged, as it is stored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal
+
+Whose = Literal["campaign", "version", "robot"]
+
+
+@dataclass(frozen=True)
+class TombstoneRecord:
+    """What is left of a campaign, a version or a robot."""
+
+    id: str
+    kind: Whose
+    robot: str
+    name: str
+    sha256: str
+    by: str
+    at: datetime
