@@ -30,6 +30,7 @@ class ToolSag(Effect):
     aliases = ("link_bending", "radial_compliance", "axial_compliance")
     remedy = "measure two loads with the tool pointing sideways and down, or a reflector on the flange besides"
     at_joints = False
+    reads = (("end_wrench", (0, 1, 2)),)
 
     axis: tuple[float, ...] | None = option(
         None, "The tool's z in the frame of the last joint, along which nothing sags; null: from the robot."

@@ -20,7 +20,7 @@ from core.robots import preset_document, robot_from_document
 from tests.core.truth import Arm, some_arm, with_bodies
 
 KATANA = robot_from_document(preset_document("katana450-chapter5"))
-EFFECTS = ("axial_compliance", "radial_compliance", "link_bending", "base_compliance")
+EFFECTS = ("axial_compliance", "radial_compliance", "link_bending", "base_compliance", "tool_sag")
 
 
 def other_masses(n: int, dynamic: bool) -> tuple[Arm, Robot, Observations, np.ndarray]:
