@@ -37,7 +37,7 @@ def keep_time() -> None:
         return create(self, url, {**options, "connect_args": arguments})
 
     with_clock.__wrapped__ = create  # type: ignore[attr-defined]
-    SQLiteSystemDatabase._create_engine = with_clock  # type: ignore[method-assign]
+    SQLiteSystemDatabase._create_engine = with_clock  # type: ignore[assignment, method-assign]
 
 
 def _seconds(asked: Any) -> float:
