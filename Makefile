@@ -10,7 +10,7 @@ TESTERS ?= 2
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check contract coverage bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds thesis silent-rows image fmt clean
+.PHONY: help setup demo serve test test-pythons wheels check contract coverage bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds thesis silent-rows image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -33,6 +33,12 @@ serve: $(KERNELS) ## run the server on this machine until Ctrl-C
 
 test: $(KERNELS) ## run the tests
 	$(BIN)/python -m pytest -n $(TESTERS) --dist loadscope
+
+test-pythons: $(READY) ## run the quick part of the tests on every supported Python that is here (VERSIONS="3.12 3.13")
+	sh tools/test_pythons.sh $(VERSIONS)
+
+wheels: $(READY) ## build all wheels into dist/, install them in a fresh environment and try them there
+	sh tools/make_wheels.sh "$(PYTHON)"
 
 # The kernels run compiled, where no line is counted: their tests run once more without the compiler. Then numpy warns of
 # overflows that the compiled code passes over, as it should: a rotation by an infinite cotangent is by nothing.

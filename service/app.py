@@ -13,6 +13,7 @@ from service.auth.token import admin_token
 from service.campaigns.routes import router as campaigns
 from service.correction.routes import router as correction
 from service.db import Database, revision
+from service.docs_page import router as docs_page
 from service.frames.routes import router as frames
 from service.health.routes import router as health
 from service.jobs.queue import JobQueue
@@ -40,11 +41,13 @@ def create_app(settings: Settings, *, migration_wait_s: float = 0.0) -> FastAPI:
         summary=SUMMARY,
         lifespan=lambda app: _life(app, settings, migration_wait_s),
         responses=problems.RESPONSES,
+        docs_url=None,
         redoc_url=None,
     )
     app.state.slots = Slots(settings)
     problems.install(app)
     app.include_router(health)
+    app.include_router(docs_page)
     for router in ROUTERS:
         app.include_router(router, dependencies=[Depends(reader)])
     return app

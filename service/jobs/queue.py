@@ -6,6 +6,7 @@ import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from service.jobs.engine_clock import keep_time
 from service.jobs.engine_rows import json_only
 from service.settings import Settings
 
@@ -89,6 +90,7 @@ class JobQueue:
             if self._client is None:
                 from dbos import DBOSClient  # a second of import: not at the start of the API process
 
+                keep_time()
                 self._client = DBOSClient(
                     system_database_url=self._url,
                     application_name=APPLICATION,

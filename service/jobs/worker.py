@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from service.db import Database, revision
 from service.health import store as health
 from service.jobs import store
+from service.jobs.engine_clock import keep_time
 from service.jobs.engine_rows import json_only
 from service.jobs.queue import APPLICATION, APPLICATION_VERSION, LONG_QUEUE, QUEUE, WORKFLOW, EngineRow, JobQueue
 from service.jobs.registry import kind_of
@@ -65,6 +66,7 @@ def _launch(settings: Settings, runner: Runner, name: str) -> None:
         "notification_listener_polling_interval_sec": 0.5,
         "serializer": json_only(),
     }
+    keep_time()
     DBOS(config=config)
 
     @DBOS.step(name="compute")
