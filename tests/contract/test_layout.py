@@ -17,8 +17,10 @@ import pytest
 from packaging.requirements import Requirement
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-KERNELS = REPOSITORY / "core" / "kernels"
-CORE_MAY_IMPORT = {"core", "numpy", "scipy", "numba"}
+KERNELS = REPOSITORY / "core/kilter_core/kernels"
+SOURCES = ("core", "service", "clients/files", "clients/python/src", "tools")
+PYPROJECTS = ("pyproject.toml", "core/pyproject.toml", "clients/files/pyproject.toml", "clients/python/pyproject.toml")
+CORE_MAY_IMPORT = {"kilter_core", "numpy", "scipy", "numba"}
 FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "misc", "common"}
 MODULE_CAP, FUNCTION_CAP = 400, 60
 # A kernel file calls only its own functions, and a compiled loop over poses keeps its scratch arrays in one of them.
@@ -31,7 +33,7 @@ def modules(*folders: str) -> Iterator[Path]:
 
 
 def application_modules() -> Iterator[Path]:
-    return modules("core", "service", "clients/python/src", "migrations", "tools")
+    return modules(*SOURCES, "migrations")
 
 
 def imported_packages(path: Path) -> set[str]:
@@ -57,14 +59,14 @@ def test_core_imports_only_numpy_scipy_and_numba() -> None:
 def test_the_contract_knows_pydantic_and_itself_only() -> None:
     allowed = {"pydantic", "pydantic_core", *sys.stdlib_module_names}
     strange = []
-    for path in modules("service/contract"):
+    for path in modules("service/kilter_service/contract"):
         for node in ast.walk(ast.parse(path.read_text())):
             named = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             named += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
             strange += [
                 f"{path.relative_to(REPOSITORY)}: {name}"
                 for name in named
-                if name.partition(".")[0] not in allowed and not name.startswith("service.contract")
+                if name.partition(".")[0] not in allowed and not name.startswith("kilter_service.contract")
             ]
     assert not strange
 
@@ -75,7 +77,7 @@ def test_only_kernels_and_the_short_way_are_compiled() -> None:
         for path in modules("core", "service")
         if "numba" in imported_packages(path) and path.parent != KERNELS
     ]
-    assert outside == ["service/corrector/short_way.py"]  # docs/decisions/0010
+    assert outside == ["service/kilter_service/corrector/short_way.py"]  # docs/decisions/0010
 
 
 def test_modules_are_short_and_say_what_they_are_for() -> None:
@@ -98,7 +100,7 @@ def test_modules_are_short_and_say_what_they_are_for() -> None:
 
 def test_functions_are_short() -> None:
     wrong = []
-    for path in modules("core", "service", "clients/python/src", "tools"):
+    for path in modules(*SOURCES):
         cap = KERNEL_FUNCTION_CAP if path.parent == KERNELS else FUNCTION_CAP
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.end_lineno is not None:
@@ -121,7 +123,7 @@ def test_nothing_is_left_for_later() -> None:
 def needed_distributions() -> set[str]:
     """Every distribution the two packages and their extras pull in on this machine."""
     declared: list[str] = []
-    for pyproject in ("pyproject.toml", "clients/python/pyproject.toml"):
+    for pyproject in PYPROJECTS:
         document = tomllib.loads((REPOSITORY / pyproject).read_text())
         project = document["project"]
         declared += project.get("dependencies", []) + document["build-system"]["requires"]

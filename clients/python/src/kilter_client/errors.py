@@ -3,35 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
+from kilter_files.errors import FileError, KilterError, MissingPackageError, UsageError
 
-class KilterError(Exception):
-    """Something that went wrong, with a stable ``code``, a sentence (``detail``) and a ``context``."""
-
-    default_code: ClassVar[str] = "kilter_error"
-    default_title: ClassVar[str] = "Kilter error"
-
-    def __init__(self, detail: str, *, code: str | None = None, status: int | None = None, **context: Any) -> None:
-        super().__init__(detail)
-        self.detail = detail
-        self.code = code or self.default_code
-        self.title = self.default_title
-        self.status = status
-        self.context: dict[str, Any] = context
-        self.request_id: str | None = None
-
-    def to_document(self) -> dict[str, Any]:
-        """Return the error as a problem document (RFC 9457), as the server writes them."""
-        return {
-            "type": f"urn:kilter:problem:{self.code}",
-            "title": self.title,
-            "status": self.status,
-            "detail": self.detail,
-            "code": self.code,
-            "context": self.context,
-            "request_id": self.request_id,
-        }
+__all__ = [
+    "ApiError",
+    "CalibrationError",
+    "ConflictError",
+    "FileError",
+    "JobCancelledError",
+    "JobFailedError",
+    "JobTimeoutError",
+    "KilterError",
+    "MissingPackageError",
+    "NotAuthorisedError",
+    "NotFoundError",
+    "ObservationError",
+    "OptionError",
+    "PayloadError",
+    "RobotError",
+    "ServerUnreachableError",
+    "TooFewPosesError",
+    "UsageError",
+    "from_problem",
+]
 
 
 class ServerUnreachableError(KilterError):
@@ -39,27 +35,6 @@ class ServerUnreachableError(KilterError):
 
     default_code = "server_unreachable"
     default_title = "Server unreachable"
-
-
-class FileError(KilterError):
-    """A file that cannot be read as measurements; names file, line, column and remedy."""
-
-    default_code = "file_invalid"
-    default_title = "File not understood"
-
-
-class MissingPackageError(KilterError):
-    """A file format that needs a package which is not installed."""
-
-    default_code = "package_missing"
-    default_title = "Package missing"
-
-
-class UsageError(KilterError):
-    """Options of the command line that do not go together."""
-
-    default_code = "usage"
-    default_title = "Wrong usage"
 
 
 class ApiError(KilterError):

@@ -1,0 +1,54 @@
+"""What a file that cannot be read raises, and what every exception of Kilter's client has in common."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+
+class KilterError(Exception):
+    """Something that went wrong, with a stable ``code``, a sentence (``detail``) and a ``context``."""
+
+    default_code: ClassVar[str] = "kilter_error"
+    default_title: ClassVar[str] = "Kilter error"
+
+    def __init__(self, detail: str, *, code: str | None = None, status: int | None = None, **context: Any) -> None:
+        super().__init__(detail)
+        self.detail = detail
+        self.code = code or self.default_code
+        self.title = self.default_title
+        self.status = status
+        self.context: dict[str, Any] = context
+        self.request_id: str | None = None
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the error as a problem document (RFC 9457), as the server writes them."""
+        return {
+            "type": f"urn:kilter:problem:{self.code}",
+            "title": self.title,
+            "status": self.status,
+            "detail": self.detail,
+            "code": self.code,
+            "context": self.context,
+            "request_id": self.request_id,
+        }
+
+
+class FileError(KilterError):
+    """A file that cannot be read as measurements; names file, line, column and remedy."""
+
+    default_code = "file_invalid"
+    default_title = "File not understood"
+
+
+class MissingPackageError(KilterError):
+    """A file format that needs a package which is not installed."""
+
+    default_code = "package_missing"
+    default_title = "Package missing"
+
+
+class UsageError(KilterError):
+    """Options of the command line that do not go together."""
+
+    default_code = "usage"
+    default_title = "Wrong usage"
