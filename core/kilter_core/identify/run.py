@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.errors import ObservationError
+from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identifiability import NullDirection, null_directions
 from kilter_core.identify.clustered import clustered
 from kilter_core.identify.holdout import Folds, fold_splits, split
@@ -187,6 +187,11 @@ def _parted(
     train: Observations, validation: Validation, seed: int
 ) -> tuple[Observations, Validation, Ints | None, Ints | None]:
     """Rows to fit and to hold out, and which of those given they are where a fraction was to be held out."""
+    if not isinstance(validation, Observations | float | Folds | None):
+        raise OptionError(
+            f"validation is {type(validation).__name__}: give observations, a fraction of the poses, Folds, or None.",
+            option="validation",
+        )
     if not isinstance(validation, float):
         return train, validation, None, None
     inside, outside = split(train, validation, seed)

@@ -8,8 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kilter_core.errors import OptionError, TooFewPosesError
+from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.holdout import fold_splits, split
 from kilter_core.observations import Observations
+from kilter_core.robots import robot_from_document
+from tests.core.campaigns import joints, measured
+from tests.core.truth import ur10
 
 POSE_IDS = st.lists(st.integers(0, 40), min_size=2, max_size=80).filter(lambda ids: len(set(ids)) >= 2)
 SEEDS = st.integers(0, 2**32 - 1)
@@ -65,3 +69,10 @@ def test_impossible_splits_are_refused() -> None:
             split(o, fraction, 0)
     with pytest.raises(OptionError, match="two or more"):
         list(fold_splits(o, 1, 0))
+
+
+def test_options_in_the_place_of_the_validation_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    seen = measured(ur10(), joints(ur10(), 30, rng), rng, 1e-5)
+    with pytest.raises(OptionError, match=r"validation is IdentifyOptions: give observations, a fraction"):
+        identify(robot_from_document(ur10().document()), seen, IdentifyOptions())  # type: ignore[arg-type]
