@@ -6,9 +6,14 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 # Set before numpy is imported: its threads make small fits ten times slower on two busy cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# A first call loads compiled code, and the machine may be busy: no test fails by the clock.
+settings.register_profile("kilter", deadline=None)
+settings.load_profile("kilter")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
