@@ -5,7 +5,7 @@
 set -eu
 python=$1
 rm -rf dist build/wheels
-.venv/bin/python -m pip wheel --disable-pip-version-check --quiet --no-deps --no-build-isolation --wheel-dir dist core clients/files . clients/python
+.venv/bin/python -m pip wheel --disable-pip-version-check --quiet --no-deps --no-build-isolation --wheel-dir dist ./core ./clients/files . ./clients/python
 "$python" -m venv build/wheels
 build/wheels/bin/python -m pip install --disable-pip-version-check --quiet --constraint constraints.txt dist/*.whl
 # The examples are the tutorial's; -I keeps this folder's own sources away, which are called as what is installed.

@@ -45,7 +45,7 @@ def test_sqlite_runs_in_wal_with_foreign_keys(database: Database) -> None:
 
 
 def test_file_names_of_migrations_carry_their_date() -> None:
-    names = [path.name for path in (revision.MIGRATIONS / "versions").glob("*.py")]
+    names = [path.name for path in (revision.migrations() / "versions").glob("*.py")]
     assert names
     assert all(Path(name).stem[:15].replace("-", "").isdigit() for name in names)
 

@@ -34,8 +34,8 @@ def children(pid: int) -> dict[str, int]:
     found = {}
     for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split():
         command = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
-        if b"service" in command[:-1]:
-            found[command[command.index(b"service") + 1].decode()] = int(child)
+        if b"kilter_service" in command[:-1]:
+            found[command[command.index(b"kilter_service") + 1].decode()] = int(child)
     return found
 
 
