@@ -34,7 +34,7 @@ serve: $(KERNELS) ## run the server on this machine until Ctrl-C
 test: $(KERNELS) ## run the tests
 	$(BIN)/python -m pytest -n $(TESTERS) --dist loadscope
 
-test-pythons: $(READY) ## run the quick part of the tests on every supported Python that is here (VERSIONS="3.12 3.13")
+test-pythons: $(READY) ## run the quick part of the tests on every supported Python that is here (VERSIONS="3.12 oldest")
 	sh tools/test_pythons.sh $(VERSIONS)
 
 wheels: $(READY) ## build all wheels into dist/, install them in a fresh environment and try them there
