@@ -10,7 +10,7 @@ TESTERS ?= 2
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test test-pythons wheels check contract coverage bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds thesis silent-rows image fmt clean
+.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract coverage bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds thesis silent-rows image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -39,6 +39,9 @@ test-pythons: $(READY) ## run the quick part of the tests on every supported Pyt
 
 wheels: $(READY) ## build all wheels into dist/, install them in a fresh environment and try them there
 	sh tools/make_wheels.sh "$(PYTHON)"
+
+test-wheels: ## run the suite from the installed wheels (TESTS="tests/core ..."), after make wheels
+	sh tools/test_wheels.sh $(TESTS)
 
 # The kernels run compiled, where no line is counted: their tests run once more without the compiler. Then numpy warns of
 # overflows that the compiled code passes over, as it should: a rotation by an infinite cotangent is by nothing.
