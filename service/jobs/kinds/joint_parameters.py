@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from core.errors import OptionError
 from service.contract.jobs.joint_parameters import JointParametersOptions as Options
+from service.jobs.foresight import Foresight, Lack
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 
 if TYPE_CHECKING:
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from core.robot import Robot
 
 AXES = "xyz"
+REMEDY = (
+    "Read the joint in the configurations that `propose` names, or move it while its link-side encoder is recorded."
+)
 
 
 def check(options: Options) -> None:
@@ -37,6 +41,24 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
         return JobOutput({"joint": options.propose, **_proposed(job.robot, options)})
     progress(0.1, "fitting joints")
     return _by_encoders(job) if job.campaigns else _by_inclinometers(job.robot, options)
+
+
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Measure the joints, which takes no time, and say what could not be told."""
+    options: Options = job.options
+    found.learn_from(*job.campaigns.values())
+    if isinstance(job.validation, dict):
+        found.hold("campaigns", *job.validation.values())
+    with found.foreseen():
+        if options.propose is not None:
+            _joint(job.robot, options.propose)
+            return
+        if not job.campaigns:
+            found.rows = len(options.readings)
+        measured = _by_encoders(job) if job.campaigns else _by_inclinometers(job.robot, options)
+        told = measured.result["parameters"]
+        found.missing += [Lack(p["name"], p["reason"], REMEDY) for p in told if "reason" in p]
+        found.missing += [Lack(w.get("joint", w["code"]), w["message"], REMEDY) for w in measured.result["warnings"]]
 
 
 def _by_inclinometers(robot: Robot, options: Options) -> JobOutput:
@@ -170,5 +192,11 @@ def _row(p: JointParameter) -> dict[str, Any]:
 
 
 JOINT_PARAMETERS = JobKind(
-    "joint_parameters", Options, check, run, takes_folds=False, instead_of_campaigns=("readings", "propose")
+    "joint_parameters",
+    Options,
+    check,
+    run,
+    takes_folds=False,
+    instead_of_campaigns=("readings", "propose"),
+    foresee=foresee,
 )

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from core.errors import OptionError
 from service.contract.jobs.plan import PlanOptions
+from service.jobs.foresight import Foresight, Lack
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from service.jobs.plain import plain
 from service.jobs.poses import Pose, document_of, poses_of
@@ -29,6 +31,15 @@ UNCHECKED = {
 CYCLES = {"five_poses": (5, 4, 3, 2, 1), "two_poses": (2, 4)}  # P5 to P1 for AP, RP and vAP; P2 and P4 for AD and RD
 CYCLES_DEMANDED = 30
 COUNTS = {"iso9283": 118, "identify": 60, "separate": 12}
+IMAGINED = Lack(
+    "measurements",
+    "No campaign is named: a first one of random poses is imagined, and what it would see may not be what you measured.",
+    "Name the campaigns that were measured so far.",
+)
+NO_PAYLOADS = (
+    "They follow the load, and no payloads are named: all poses are planned without a load to change.",
+    "Name the loads at hand in `payloads_kg`, 0 among them.",
+)
 NOISE_MM = 0.05  # of a coordinate, where neither repeats nor the request say it
 
 
@@ -61,6 +72,20 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     purpose = job.options.purpose
     made = {"purpose": purpose, "start": job.version_id, **plans[purpose](job, progress)}
     return JobOutput(plain({**made, "within": _within(job), "warnings": [UNCHECKED]}))
+
+
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Plan a single pose, which is refused as the whole plan would be, and say what the plan has to do without."""
+    options: PlanOptions = job.options
+    found.learn_from(*job.campaigns.values())
+    with found.foreseen():
+        run(replace(job, options=options.model_copy(update={"count": 1})), lambda fraction, stage: None)
+        found.limited.append("A single pose was planned, to see whether there is room for poses.")
+        if options.purpose == "separate" and not job.campaigns:
+            found.missing.append(IMAGINED)
+        loaded = [effect.id for effect in _made(job) if "moments" in effect.needs] if options.effects else []
+        if loaded and not options.payloads_kg:
+            found.missing.append(Lack(f"second payload for {', '.join(loaded)}", *NO_PAYLOADS))
 
 
 def named_effects(options: PlanOptions) -> list[tuple[str, tuple[int, ...] | None]]:
@@ -222,4 +247,6 @@ def _count(job: JobInput) -> int:
     return int(job.options.count or COUNTS[job.options.purpose])
 
 
-PLAN = JobKind("plan", PlanOptions, check, run, version_option="version", needs_campaigns=False, history=True)
+PLAN = JobKind(
+    "plan", PlanOptions, check, run, version_option="version", needs_campaigns=False, history=True, foresee=foresee
+)
