@@ -45,6 +45,7 @@ from service.contract.written import as_written
 from service.jobs.foresight import Foresight
 from service.jobs.records import JobRecord
 from service.jobs.registry import kind_of
+from service.wire import to_mm
 
 if TYPE_CHECKING:
     from core.gap.check import GapCheck as Hunt
@@ -143,7 +144,7 @@ def _identifiability(found: IdentificationCheck) -> Identifiability:
             )
             for d in found.directions
         ],
-        noise_mm=found.noise * 1e3,
+        noise_mm=to_mm(found.noise),
         noise_from=found.noise_source,
     )
 

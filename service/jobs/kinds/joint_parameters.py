@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 from core.errors import OptionError
 from service.contract.jobs.joint_parameters import JointParametersOptions as Options
 from service.jobs.foresight import Foresight, Lack
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from service.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_rad
 
 if TYPE_CHECKING:
     from core.inclinometers import JointParameter, Log
@@ -104,7 +104,7 @@ def _spreads(robot: Robot, joint: LinkJoint, fitted: list[str], predicted: list[
         "joint": robot.joints[joint.joint].name,
         "dead": joint.dead,
         "motions": [
-            {"campaign": campaign, "use": use, "raw_deg": math.degrees(s.raw), "left_deg": math.degrees(s.left)}
+            {"campaign": campaign, "use": use, "raw_deg": to_deg(s.raw), "left_deg": to_deg(s.left)}
             for use, campaign, s in motions
             if s is not None
         ],
@@ -147,15 +147,14 @@ def _log(robot: Robot, options: Options) -> Log:
                 f"Reading {number + 1} has {len(reading.q_deg)} joint values, the robot {robot.n_joints}.",
                 option="q_deg",
             )
-    scale = np.array([math.pi / 180.0 if joint.kind == "revolute" else 1e-3 for joint in robot.joints])
     return Log(
-        q=np.array([r.q_deg for r in options.readings]) * scale,
+        q=np.array([r.q_deg for r in options.readings]) * joint_scale_back(robot),
         joint=np.array([_joint(robot, r.joint) for r in options.readings], dtype=np.int64),
         axis=np.array([AXES.index(r.axis) for r in options.readings], dtype=np.int64),
-        reading=np.radians([r.reading_deg for r in options.readings]),
+        reading=to_rad(np.array([r.reading_deg for r in options.readings])),
         payload_kg=np.array([r.payload_kg for r in options.readings]),
         series=np.array([r.series for r in options.readings], dtype=np.int64),
-        resolution=math.radians(options.resolution_deg),
+        resolution=to_rad(options.resolution_deg),
     )
 
 
@@ -164,10 +163,9 @@ def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
     from core.design.inclinometer_poses import inclinometer_poses
 
     joint = _joint(robot, str(options.propose))
-    turns = [j.kind == "revolute" for j in robot.joints]
-    scale = [180.0 / math.pi if t else 1e3 for t in turns]
+    scale = joint_scale(robot)
     configurations: list[dict[str, Any]] = []
-    head = ["joint", "axis", *(f"q{i + 1}_{'deg' if t else 'mm'}" for i, t in enumerate(turns)), "payload_kg", "series"]
+    head = ["joint", "axis", *(f"q{i}_{unit}" for i, unit in enumerate(joint_units(robot), 1)), "payload_kg", "series"]
     lines = [",".join([*head, "reading_deg"])]
     for c in inclinometer_poses(robot, joint, options.count, options.payloads_kg, options.seed):
         q = [float(v) * k for v, k in zip(c.q, scale, strict=True)]
@@ -179,7 +177,7 @@ def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
 
 def _row(p: JointParameter) -> dict[str, Any]:
     """A parameter in degrees; the stiffness of a joint stands beside its compliance."""
-    scale = 1.0 if p.unit == "s" else 180.0 / math.pi
+    scale = 1.0 if p.unit == "s" else to_deg(1.0)
     row: dict[str, Any] = {
         "name": p.name, "unit": p.unit.replace("rad", "deg"), "readings": p.readings, "identifiable": p.value is not None,
         "value": None if p.value is None else p.value * scale, "sigma": None if p.sigma is None else p.sigma * scale,

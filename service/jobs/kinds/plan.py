@@ -12,6 +12,7 @@ from service.jobs.foresight import Foresight, Lack
 from service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from service.jobs.plain import plain
 from service.jobs.poses import Pose, document_of, poses_of
+from service.wire import to_metres
 
 if TYPE_CHECKING:
     import numpy as np
@@ -138,7 +139,7 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
         _begin(job),
         _count(job),
         _made(job),
-        (job.options.noise_mm or NOISE_MM) * 1e-3,
+        to_metres(job.options.noise_mm or NOISE_MM),
         job.options.seed,
         lambda fraction: progress(fraction, "choosing poses"),
         _region(job),
@@ -166,7 +167,7 @@ def _region(job: JobInput) -> Region:
 
     region = Region.of(_begin(job), job.driven if _within(job) == "campaigns" else None)
     floor = job.options.floor_mm
-    return region.above(None if floor is None else floor * 1e-3).within(_box(job.options))
+    return region.above(None if floor is None else to_metres(floor)).within(_box(job.options))
 
 
 def _room(job: JobInput) -> Region | None:
@@ -180,7 +181,7 @@ def _box(options: PlanOptions) -> Floats | None:
 
     if options.box_mm is None:
         return None
-    box = np.array(options.box_mm, dtype=np.float64) * 1e-3
+    box = to_metres(np.array(options.box_mm, dtype=np.float64))
     if not (box[0] < box[1]).all():
         raise OptionError(
             "options.box_mm holds the lowest and the highest corner, as [[-200, 100, 0], [200, 400, 300]].",
