@@ -14,7 +14,7 @@ UNITS = {
     "_mm": "mm", "_deg": "degrees", "_kg": "kg", "_s": " s", "_c": "Celsius", "_m": " m", "_nm": "N m", "_um": "um",
     "_nm_deg": "N m/deg", "_m_s2": "m/s2", "_kg_m2": "kg m2", "_n": " N", "_rad": "rad", "_hz": "Hz",
 }  # fmt: skip
-MOST_FREE = 3  # the context of a problem; data and layout of a figure, which are Plotly's
+MOST_FREE = 1  # the context of a problem
 
 
 def fields() -> Iterator[tuple[str, str, dict[str, Any]]]:

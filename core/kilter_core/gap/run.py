@@ -88,20 +88,20 @@ def find_gap(
     """
     options = options or GapOptions()
     tell = progress or (lambda fraction, stage: None)
-    begin = _beginning(robot, start)
+    begin = beginning(robot, start)
     if confirmation is not None:
         for rows in (observations, validation):
             if isinstance(rows, Observations):
                 refuse_unfit(robot, rows, confirmation)
-        _of_this_robot(begin, confirmation)
-    remarks = (*_of_this_robot(begin, observations), *clock_warnings(observations))
+        of_this_robot(begin, confirmation)
+    remarks = (*of_this_robot(begin, observations), *clock_warnings(observations))
     observations, validation = parted(observations, validation, options.seed)
     prepared = Workshop(begin, observations, options, _part(tell, 0.0, 0.15)).run()
     report = _Run(robot, begin, prepared, options, validation, confirmation, tell).report()
     return replace(report, warnings=(*report.warnings, *remarks))
 
 
-def _beginning(robot: Robot, start: Calibration | None) -> Calibration:
+def beginning(robot: Robot, start: Calibration | None) -> Calibration:
     """Refuse a start of another robot: its chain would be searched, and what differs named as physics."""
     if start is None:
         return Calibration.nominal(robot)
@@ -114,7 +114,7 @@ def _beginning(robot: Robot, start: Calibration | None) -> Calibration:
     return start
 
 
-def _of_this_robot(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
+def of_this_robot(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
     """Refuse rows that a mix-up explains far better than physics; return warnings about what only looks odd."""
     if rows.position is None and rows.markers is None:
         refuse_foreign_links(begin.robot, rows)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,20 +82,37 @@ def untestable(library: Library, judged: Testability, world: World, rows: Observ
     return (*library.refused, *made, *(Untestable(i, None, r, m) for i, r, m in whole))
 
 
-def smallest_rows(library: Library, judged: Testability) -> list[dict[str, Any]]:
-    """Smallest detectable amplitude of every testable parameter, in wire units."""
-    out = []
+@dataclass(frozen=True)
+class Visible:
+    """A parameter that can be tested: its ``smallest`` amplitude that would be seen, in the SI ``unit``."""
+
+    id: str
+    parameter: str
+    unit: str
+    smallest: float
+    visibility: float
+
+
+def visible(library: Library, judged: Testability) -> Iterator[Visible]:
+    """Every testable parameter."""
     for c in library.candidates:
         if c.level == FAMILY or c.empirical:
             continue
         for k in c.columns:
             if judged.able[k]:
                 p = library.parameters[k]
-                unit, scale = WIRE.get(p.unit, (p.unit, 1.0))
-                out.append({
-                    "id": c.id, "parameter": p.name, "unit": unit,
-                    "smallest_detectable": float(judged.smallest[k]) * scale, "visibility": float(judged.visible[k]),
-                })  # fmt: skip
+                yield Visible(c.id, p.name, p.unit, float(judged.smallest[k]), float(judged.visible[k]))
+
+
+def smallest_rows(library: Library, judged: Testability) -> list[dict[str, Any]]:
+    """Smallest detectable amplitude of every testable parameter, in wire units."""
+    out = []
+    for seen in visible(library, judged):
+        unit, scale = WIRE.get(seen.unit, (seen.unit, 1.0))
+        out.append({
+            "id": seen.id, "parameter": seen.parameter, "unit": unit, "smallest_detectable": seen.smallest * scale,
+            "visibility": seen.visibility,
+        })  # fmt: skip
     return out
 
 

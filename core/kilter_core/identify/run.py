@@ -143,9 +143,9 @@ def identify(
     """
     options = options or IdentifyOptions()
     tell = progress or (lambda fraction, stage: None)
-    begin = _begin(robot, train, options, start)
+    begin = begin_with(robot, train, options, start)
     nominal = Calibration.nominal(robot)
-    _refuse_missing_columns(begin, train)
+    refuse_missing_columns(begin, train)
     frames = Frames.of(begin, train, options)
     if frames is not None:
         begin, train = frames.in_model(begin), frames.laid(train)
@@ -257,7 +257,7 @@ def _together(fit: Fit) -> dict[str, Any]:
     }
 
 
-def _begin(robot: Robot, train: Observations, options: IdentifyOptions, start: Calibration | None) -> Calibration:
+def begin_with(robot: Robot, train: Observations, options: IdentifyOptions, start: Calibration | None) -> Calibration:
     """The model to fit at its starting values: the effects asked for, or with none asked those of the start."""
     effects = tuple(effect.on(robot, train) for effect in options.make_effects())
     if start is None:
@@ -274,7 +274,8 @@ def _continues(options: IdentifyOptions, prior: Prior | None) -> bool:
     return options.method == "kalman" and prior is not None
 
 
-def _refuse_missing_columns(begin: Calibration, train: Observations) -> None:
+def refuse_missing_columns(begin: Calibration, train: Observations) -> None:
+    """Raise :class:`ObservationError` where an effect of the model needs a column that the rows do not have."""
     available = frozenset({"moments"} | set(train._present()))
     for effect in begin.model.effects:
         missing = effect.missing(available)

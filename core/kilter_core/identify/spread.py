@@ -42,7 +42,7 @@ def spread_of(fit: Fit) -> Spread | None:
     if not problem.measurement.sees_base or not np.any((problem.free >= 6) & (problem.free < n - 6)):
         return None
     q = problem.measurement.observations.q
-    lower, upper = _range(model.robot, q)
+    lower, upper = within_a_turn(model.robot, q)
     bare = replace(model, effects=())
     covariance = fit.covariance[np.ix_(geometric, geometric)]
 
@@ -57,7 +57,7 @@ def spread_of(fit: Fit) -> Spread | None:
     return Spread(sigma(some), sigma(elsewhere), model.robot.joints[k].name, float(used[k]))
 
 
-def _range(robot: Robot, q: Floats) -> tuple[Floats, Floats]:
+def within_a_turn(robot: Robot, q: Floats) -> tuple[Floats, Floats]:
     """Limits within one turn; a slide without limits keeps the range it was measured over."""
     turns = np.array([joint.kind == "revolute" for joint in robot.joints])
     lower, upper = robot.limits.T

@@ -217,8 +217,12 @@ def device(session: Session, campaign_id: str) -> str:
     return whole(session, campaign_id).device
 
 
-def observations(session: Session, campaign_id: str, robot: Robot, only: Collection[str] | None = None) -> Observations:
+def observations(
+    session: Session, campaign_id: str, robot: Robot, only: Collection[str] | None = None, every: int = 1
+) -> Observations:
     """Return all rows of a campaign, SI, in the order of its uploads; or those of the uploads with these hashes.
+
+    Of the rows of each stored part one in ``every`` is taken.
 
     Raises:
         ObservationError: nothing was uploaded yet.
@@ -232,8 +236,14 @@ def observations(session: Session, campaign_id: str, robot: Robot, only: Collect
     if not uploads:
         raise ObservationError(f"Campaign {campaign_id} has no observations: upload some.", campaign=campaign_id)
     columns = read_columns(uploads[0].columns, [joint.kind for joint in robot.joints])
-    tables = [table.select(uploads[0].columns) for upload in uploads for table in _tables(session, upload.id)]
+    tables = [
+        _thinned(table.select(uploads[0].columns), every) for upload in uploads for table in _tables(session, upload.id)
+    ]
     return assemble(concat_tables(tables), columns, row.conditions)
+
+
+def _thinned(table: pa.Table, every: int) -> pa.Table:
+    return table if every == 1 else table.take(np.arange(0, len(table), every))
 
 
 def driven(session: Session, robot_id: int, robot: Robot, most: int = 20_000) -> NDArray[np.float64] | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from pydantic import ConfigDict, Field
 
 from kilter_service.contract.fits import UNIT
@@ -285,10 +283,3 @@ class AliasMatrix(Stored):
     labels: list[str] | None = Field(None, description="Effects of the matrix: those named and their nearest.")
     values: list[list[float]] | None = Field(None, description="How alike each two look, 0 to 1.")
     pairs: list[AliasPair] | None = Field(None, description="Every close pair of the library.")
-
-
-class Figure(Stored):
-    """A figure as a Plotly document."""
-
-    data: list[dict[str, Any]] | None = Field(None, description="Traces, as Plotly has them.")
-    layout: dict[str, Any] | None = Field(None, description="Layout, as Plotly has it.")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Hashable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 from kilter_core.errors import CoreError
 from kilter_service.corrector.active import Active, version_number
+from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_service.db import Database
@@ -86,8 +86,8 @@ def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Acti
         number=version_number(version.sha256),
         epoch=version.epoch,
         program=compile_program(version.calibration, options),
-        largest_deg=math.degrees(version.max_joint),
-        largest_mm=version.max_position * 1e3,
+        largest_deg=to_deg(version.max_joint),
+        largest_mm=to_mm(version.max_position),
         ramp_s=options.ramp_s,
         joint_names=tuple(joint.name for joint in version.calibration.robot.joints),
         joint_kinds=tuple(joint.kind for joint in version.calibration.robot.joints),

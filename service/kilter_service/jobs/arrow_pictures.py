@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_service.jobs.drawing import BLUE, GREY, LEGEND, RED, Document, Floats, evenly
+from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     from kilter_core.identify.row_errors import RowErrors
@@ -35,7 +36,7 @@ def arrows(errors: RowErrors, kind: str) -> dict[str, Document]:
     span = float(np.ptp(at, axis=0).max()) or 1.0
     times = magnification(size, span)
     cut = np.minimum(1.0, LONGEST * span / np.maximum(times * size, 1e-12))
-    tails, heads = at[some] * 1e3, (at + (times * cut)[:, None] * left)[some] * 1e3
+    tails, heads = to_mm(at[some]), to_mm((at + (times * cut)[:, None] * left)[some])
     number = f"{len(some)} of {len(left)}" if len(some) < len(left) else str(len(left))
     title = f"Residuals of {number} {kind} rows, {times:g} times as long as they are"
     if np.any(cut < 1.0):

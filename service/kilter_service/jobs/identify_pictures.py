@@ -11,6 +11,7 @@ from kilter_service.jobs.arrow_pictures import arrows
 from kilter_service.jobs.drawing import BLUE, GREY, LEGEND, ORANGE, RED, Document, evenly, layout, rounded, told
 from kilter_service.jobs.parameter_pictures import changes
 from kilter_service.jobs.worst_rows import worst_rows
+from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     from kilter_core.identify import Identification
@@ -44,20 +45,20 @@ def workspace_picture(found: Identification, rows: Observations, seed: int) -> d
 
     space = Workspace.of(found.calibration, found.predictive, rows, seed).worst_last()
     some = evenly(len(space.measured), MOST_MEASURED)
-    low, high = float(space.u95.min() * 1e3), float(space.u95.max() * 1e3)
+    low, high = to_mm(float(space.u95.min())), to_mm(float(space.u95.max()))
     data: list[Document] = []
     for n, (i, j) in enumerate(((0, 2), (0, 1))):
         axes = {} if n == 0 else {"xaxis": "x2", "yaxis": "y2"}
-        colour: Document = {"color": rounded(space.u95 * 1e3, 6), "colorscale": "Viridis", "cmin": low, "cmax": high}
+        colour: Document = {"color": rounded(to_mm(space.u95), 6), "colorscale": "Viridis", "cmin": low, "cmax": high}
         bar = {"colorbar": {"title": {"text": "± mm"}}} if n == 0 else {}
         data.append({
             "type": "scatter", "mode": "markers", "name": "within the limits", "showlegend": False, **axes,
-            "x": rounded(space.points[:, i] * 1e3, 1), "y": rounded(space.points[:, j] * 1e3, 1),
+            "x": rounded(to_mm(space.points[:, i]), 1), "y": rounded(to_mm(space.points[:, j]), 1),
             "marker": {"size": 6, **colour, **bar},
         })  # fmt: skip
         data.append({
             "type": "scatter", "mode": "markers", "name": "rows that were fitted", "showlegend": n == 0, **axes,
-            "x": rounded(space.measured[some, i] * 1e3, 1), "y": rounded(space.measured[some, j] * 1e3, 1),
+            "x": rounded(to_mm(space.measured[some, i]), 1), "y": rounded(to_mm(space.measured[some, j]), 1),
             "marker": {"size": 4 if len(some) > FEW_MEASURED else 9, "color": RED, "symbol": "x"},
         })  # fmt: skip
     title = f"Where the tool is known to, 95 %: ±{told(low)} to ±{told(high)} mm per coordinate"
@@ -80,7 +81,7 @@ def _two_views(title: str) -> Document:
 
 def _histogram(errors: RowErrors, kind: str) -> Document:
     """Counts in bins of equal ratio: before and after may be a thousandfold apart."""
-    sizes = {name: np.maximum(size * 1e3, SMALLEST_MM) for name, size in errors.sizes.items()}
+    sizes = {name: np.maximum(to_mm(size), SMALLEST_MM) for name, size in errors.sizes.items()}
     every = np.concatenate(list(sizes.values()))
     low, high = np.log10(every.min()) - 0.05, np.log10(every.max()) + 0.05
     edges = np.logspace(low, high, int(np.clip((high - low) * PER_DECADE, 5, MOST_BINS)) + 1)

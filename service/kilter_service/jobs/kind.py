@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.robot import Robot
+    from kilter_service.jobs.foresight import Foresight
 
 Progress = Callable[[float, str], None]
 
@@ -46,6 +47,12 @@ class JobInput:
     driven: NDArray[np.float64] | None = None
     origin: dict[str, Any] | None = None
     confirmation: dict[str, Observations] = field(default_factory=dict)
+
+    @property
+    def rows_by_campaign(self) -> dict[str, Observations]:
+        """Rows of all campaigns the job names, whatever it takes them for."""
+        held = self.validation if isinstance(self.validation, dict) else {}
+        return {**self.campaigns, **held, **self.confirmation}
 
 
 @dataclass(frozen=True)
@@ -78,6 +85,7 @@ class JobKind:
     request must and may have,
     ``instead_of_campaigns`` which options stand in for campaigns. ``long`` kinds have a queue of their own: whoever
     identifies does not wait for somebody's hunt. ``history`` kinds want to know where the arm was driven before.
+    ``foresee`` fills in what such a job would do, at once, from the same input; without it only its rows are counted.
     """
 
     name: str
@@ -91,3 +99,4 @@ class JobKind:
     instead_of_campaigns: tuple[str, ...] = ()
     long: bool = False
     history: bool = False
+    foresee: Callable[[JobInput, Foresight], None] | None = None

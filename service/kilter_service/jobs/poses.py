@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_service.wire import joint_scale, joint_units
+
 if TYPE_CHECKING:
     from kilter_core.observations import Observations
     from kilter_core.robot import Robot
@@ -57,7 +59,7 @@ def _row(robot: Robot, pose: Pose) -> dict[str, Any]:
     low, high = robot.limits.T
     q = np.clip(pose.q, low, high)
     row: dict[str, Any] = {
-        name: _wire(joint.kind, v) for name, joint, v in zip(_names(robot), robot.joints, q, strict=True)
+        name: round(float(v * k), DIGITS) for name, k, v in zip(_names(robot), joint_scale(robot), q, strict=True)
     }
     row |= {
         "kind": pose.kind, "change": pose.change, "payload_kg": pose.payload_kg,
@@ -69,11 +71,7 @@ def _row(robot: Robot, pose: Pose) -> dict[str, Any]:
 
 
 def _names(robot: Robot) -> list[str]:
-    return [f"q{j}_{'mm' if joint.kind == 'prismatic' else 'deg'}" for j, joint in enumerate(robot.joints, 1)]
-
-
-def _wire(kind: str, value: float) -> float:
-    return round(float(value * 1e3 if kind == "prismatic" else np.degrees(value)), DIGITS)
+    return [f"q{j}_{unit}" for j, unit in enumerate(joint_units(robot), 1)]
 
 
 def _csv(robot: Robot, rows: Sequence[dict[str, Any]]) -> str:

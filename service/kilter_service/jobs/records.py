@@ -34,6 +34,11 @@ class JobRequest:
         return self.validation if isinstance(self.validation, list) else []
 
     @property
+    def learned_from(self) -> list[str]:
+        """Campaigns that are fitted or searched, and held out of."""
+        return [*self.campaigns, *self.held]
+
+    @property
     def folds(self) -> int | None:
         """Folds of a cross-validation."""
         return int(self.validation["folds"]) if isinstance(self.validation, dict) else None

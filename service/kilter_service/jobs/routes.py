@@ -9,8 +9,9 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
 from kilter_service.auth.access import Admin
+from kilter_service.contract.jobs.check import JobCheck
 from kilter_service.contract.jobs.job import Job, JobList, NewJob
-from kilter_service.jobs import service
+from kilter_service.jobs import checking, service
 from kilter_service.jobs.events import events
 from kilter_service.jobs.queue import JobQueue
 from kilter_service.jobs.request import JobRoute
@@ -35,6 +36,12 @@ def submit(job: NewJob, response: Response, database: DatabaseOfApp, queue: Queu
     queued = service.submit(database, queue, job)
     response.headers["Location"] = f"/v1/jobs/{queued.id}"
     return queued
+
+
+@router.post("/check")
+def check(job: NewJob, database: DatabaseOfApp) -> JobCheck:
+    """Say what a job would do, at once: what it uses, what its data can tell, what is missing, how long it takes."""
+    return checking.check(database, job)
 
 
 @router.get("")

@@ -30,10 +30,10 @@ def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
     """
     kind = kind_of(job.kind)
     with database.reading() as session:
-        _checked(session, job, kind)
+        checked(session, job, kind)
     kind.check(job.options)  # may import the core and take its time: outside
     with database.transaction() as session:
-        job_id = store.add(session, _checked(session, job, kind), job)  # robot and campaigns are still there
+        job_id = store.add(session, checked(session, job, kind), job)  # robot and campaigns are still there
     try:
         queue.enqueue(job_id, long=kind.long)
     except Exception:  # whatever the job engine lacks (it has not started yet), the worker's sweep finds the row
@@ -41,8 +41,13 @@ def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
     return get(database, job_id)
 
 
-def _checked(session: Session, job: NewJob, kind: JobKind) -> int:
-    """The key of a job's robot, whose campaigns and version exist and fit."""
+def checked(session: Session, job: NewJob, kind: JobKind) -> int:
+    """Return the key of a job's robot, whose campaigns and version exist and fit.
+
+    Raises:
+        ServiceError: they do not.
+
+    """
     robot_id = robots.usable(session, job.robot).id
     if job.name:
         references.check_name(session, "job", robot_id, job.name)

@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_service.jobs.setups import LAID_ANEW
+from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     from kilter_core.identify.sheet_order import SheetOrder
@@ -43,7 +44,7 @@ def bar_lengths(robot: Robot, campaigns: Iterable[tuple[str, Observations]]) -> 
     return [
         {
             "code": "bar_length_doubtful",
-            "message": f"{campaign}: bar {bar} reads {read * 1e3:.3f} mm, but the joints put the tool {found * 1e3:.3f} mm "
+            "message": f"{campaign}: bar {bar} reads {to_mm(read):.3f} mm, but the joints put the tool {to_mm(found):.3f} mm "
             f"from its foot ({found / read:.4g} times). Is the nominal length another than stated? Give it as it is "
             f"(kilter ballbar-join --radius-mm, or the line above the log) and upload again.",
         }
@@ -82,7 +83,7 @@ def _doubt(name: str, found: SheetOrder) -> str:
         order = ", ".join(map(str, found.order))
         return (
             f"{name}: its line fits this robot better with the quarter points in the order {order} "
-            f"({found.left * 1e3:.3f} mm are left, {found.as_given * 1e3:.3f} mm as given). Check which point was the first."
+            f"({to_mm(found.left):.3f} mm are left, {to_mm(found.as_given):.3f} mm as given). Check which point was the first."
         )
     return (
         f"{name}: its line fits this robot in several orders of the quarter points alike, so the order was not checked. "

@@ -6,9 +6,9 @@ import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import timedelta
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import and_, or_, select, update
+from sqlalchemy import ColumnElement, and_, or_, select, update
 
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL, NewJob
@@ -16,7 +16,8 @@ from kilter_service.db import Session
 from kilter_service.db.tables import JobRow, RobotRow, VersionRow, now
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.drawing import signed
-from kilter_service.jobs.kind import JobInput, VersionContent
+from kilter_service.jobs.durations import PastRun
+from kilter_service.jobs.kind import JobInput, JobKind, VersionContent
 from kilter_service.jobs.records import JobRecord, JobRequest
 from kilter_service.jobs.refusals import read_options
 from kilter_service.jobs.registry import kind_of
@@ -25,6 +26,11 @@ from kilter_service.robots import store as robots
 from kilter_service.version import code_version
 from kilter_service.versions import store as versions
 from kilter_service.versions.store import NewVersion
+
+if TYPE_CHECKING:
+    from kilter_core.observations import Observations
+
+MOST_PAST = 20  # earlier jobs that tell how long one takes
 
 
 def add(session: Session, robot_id: int, job: NewJob) -> str:
@@ -127,32 +133,61 @@ def unfinished(session: Session, older_than_s: float) -> list[tuple[str, str]]:
 def load(session: Session, job_id: str) -> JobInput:
     """Load all a job needs."""
     row = _row(session, job_id)
-    request, kind = JobRequest.of(row.request), kind_of(row.kind)
-    robot = robots.core_robot(session, row.robot_id)
-    named = request.options.get(kind.version_option) if kind.version_option else None
-    if named is None and kind.version_option == "version":
-        active = versions.active_entry(session, row.robot_id)
-        named = None if active is None else active.version_id
+    return input_of(session, row.robot_id, row.kind, JobRequest.of(row.request))
+
+
+def input_of(session: Session, robot_id: int, kind_name: str, request: JobRequest, every: int = 1) -> JobInput:
+    """Load all that a request needs; of the rows of each campaign one in ``every``."""
+    kind, robot = kind_of(kind_name), robots.core_robot(session, robot_id)
+    named = start_of(session, robot_id, kind, request)
+
+    def rows_of(ids: Sequence[str]) -> dict[str, Observations]:
+        return {c: campaigns.observations(session, c, robot, every=every) for c in ids}
+
     held = request.validation
     return JobInput(
         robot=robot,
-        campaigns={c: campaigns.observations(session, c, robot) for c in request.campaigns},
-        validation=request.folds
-        if isinstance(held, dict)
-        else {c: campaigns.observations(session, c, robot) for c in held}
-        if isinstance(held, list)
-        else held,
-        options=read_options(row.kind, request.options),
+        campaigns=rows_of(request.campaigns),
+        validation=request.folds if isinstance(held, dict) else rows_of(held) if isinstance(held, list) else held,
+        options=read_options(kind_name, request.options),
         version_id=named,
         calibration=None if named is None else versions.calibration(session, named),
         covariance=None if named is None else versions.covariance(session, named),
         report=None if named is None else dict(versions.get(session, named).report),
         names={c: campaigns.get(session, c).name for c in (*request.campaigns, *request.held)},
         devices={c: campaigns.device(session, c) for c in (*request.campaigns, *request.held)},
-        driven=campaigns.driven(session, row.robot_id, robot) if kind.history else None,
+        driven=campaigns.driven(session, robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
-        confirmation={c: campaigns.observations(session, c, robot) for c in request.confirmation},
+        confirmation=rows_of(request.confirmation),
     )
+
+
+def start_of(session: Session, robot_id: int, kind: JobKind, request: JobRequest) -> str | None:
+    """Return the version a job starts from: the one its options name, and for some kinds else the active one."""
+    named = request.options.get(kind.version_option) if kind.version_option else None
+    if named is None and kind.version_option == "version":
+        active = versions.active_entry(session, robot_id)
+        named = None if active is None else active.version_id
+    return named
+
+
+def past_runs(session: Session, robot_id: int, kind: str) -> list[PastRun]:
+    """Return the newest jobs of a kind that succeeded, of a robot; of all robots where it has none."""
+    found = _past(session, kind, JobRow.robot_id == robot_id)
+    return found or _past(session, kind, JobRow.robot_id != robot_id)
+
+
+def _past(session: Session, kind: str, where: ColumnElement[bool]) -> list[PastRun]:
+    row = JobRow
+    query = select(row.started_at, row.finished_at, row.request).where(
+        row.kind == kind, row.state == "succeeded", row.started_at.is_not(None), row.finished_at.is_not(None), where
+    )
+    out = []
+    for started, finished, document in session.execute(query.order_by(row.created_at.desc()).limit(MOST_PAST)):
+        request = JobRequest.of(document)
+        rows = sum(upload.rows for c in request.learned_from for upload in campaigns.uploads_of(session, c))
+        out.append(PastRun((finished - started).total_seconds(), rows, request))
+    return out
 
 
 def _origin(session: Session, version_id: str) -> dict[str, Any] | None:
@@ -209,7 +244,11 @@ def _finish(row: JobRow, state: str, stage: str, fraction: float) -> None:
 
 def used_by(session: Session, job_id: str) -> list[dict[str, Any]]:
     """Return the campaigns a job uses, with the hashes of what was uploaded so far."""
-    request = JobRequest.of(_row(session, job_id).request)
+    return used_in(session, JobRequest.of(_row(session, job_id).request))
+
+
+def used_in(session: Session, request: JobRequest) -> list[dict[str, Any]]:
+    """Return the campaigns a request names, with the hashes of what was uploaded so far."""
     named = {
         "train": request.campaigns, "validation": request.held, "confirmation": request.confirmation,
     }  # fmt: skip

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_service.jobs.drawing import BLUE, ORANGE, RED, Document, lying, plain_text, short
+from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
     from kilter_core.identify import Identification
@@ -66,7 +67,7 @@ def _worst_of(
 ) -> Iterator[Row]:
     if errors is None or errors.rows is None:
         return
-    left = errors.left["identified"] * 1e3
+    left = to_mm(errors.left["identified"])
     size = np.linalg.norm(left, axis=1)
     for k in np.argsort(-size, kind="stable")[:WORST]:
         if np.isfinite(size[k]):

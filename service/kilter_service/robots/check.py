@@ -18,6 +18,7 @@ from kilter_service.contract.units import Pose
 from kilter_service.robots.documents import core_document
 from kilter_service.robots.suspicion import suspicions
 from kilter_service.robots.wire import joint_summary
+from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.robot import Robot
@@ -47,7 +48,7 @@ def check(document: RobotDocument) -> RobotCheck:
         joints=[joint_summary(joint) for joint in robot.joints],
         axes=_axes(robot, placed),
         zero=_zero(robot, placed),
-        reach_mm=reach * 1e3,
+        reach_mm=to_mm(reach),
         suspicious=suspicions(robot, placed, reach, posted),
         notes=understood.notes,
     )
@@ -78,7 +79,7 @@ def _between(screws: Screws, k: int) -> tuple[float, float]:
     gap, normal = screws.point[k] - screws.point[k - 1], np.cross(a, b)
     sine = float(np.linalg.norm(normal))
     away = abs(gap @ normal) / sine if sine > 1e-9 else float(np.linalg.norm(np.cross(gap, a)))
-    return round(math.degrees(math.atan2(sine, float(a @ b))), 9), round(float(away) * 1e3, 9)
+    return round(to_deg(math.atan2(sine, float(a @ b))), 9), round(to_mm(float(away)), 9)
 
 
 def _zero(robot: Robot, screws: Screws) -> Zero:
@@ -86,7 +87,7 @@ def _zero(robot: Robot, screws: Screws) -> Zero:
     flange = robot.T_base @ screws_of_chain(robot.chain).home
     points = [robot.T_base[:3, 3], *screws.point, flange[:3, 3], screws.home[:3, 3]]
     xyz, rpy = xyz_rpy_from_pose(screws.home)
-    millimetres, degrees = _mm(xyz), _plain(np.degrees(rpy))
+    millimetres, degrees = _mm(xyz), _plain(to_deg(rpy))
     tool = Pose(
         x_mm=millimetres[0], y_mm=millimetres[1], z_mm=millimetres[2],
         rx_deg=degrees[0], ry_deg=degrees[1], rz_deg=degrees[2],
@@ -109,7 +110,7 @@ def _reach(robot: Robot, screws: Screws) -> float:
 
 
 def _mm(values: Floats) -> tuple[float, float, float]:
-    return _plain(values * 1e3)
+    return _plain(to_mm(values))
 
 
 def _plain(values: Floats) -> tuple[float, float, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from kilter_service.contract.robot_reports import CircleAxis, FoundRobot
 from kilter_service.contract.robots import Target
 from kilter_service.contract.units import MAX_JOINTS
 from kilter_service.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_ROWS
+from kilter_service.wire import to_deg, to_mm
 
 JOINT = re.compile(r"q([1-9][0-9]?)_(deg|rad|mm|m)")
 
@@ -57,7 +57,7 @@ def found_robot(
         follows=_follows(follows),
     )
     axes = [_axis(k, fit) for k, fit in enumerate(found.axes)]
-    return FoundRobot(robot=_document(found.document), axes=axes, rms_mm=found.rms * 1e3)
+    return FoundRobot(robot=_document(found.document), axes=axes, rms_mm=to_mm(found.rms))
 
 
 def _follows(pairs: Sequence[str]) -> dict[int, int]:
@@ -97,17 +97,16 @@ def _kinds(names: list[str]) -> list[str]:
 
 
 def _axis(k: int, fit: AxisFit) -> CircleAxis:
-    scale = 1e3 if fit.prismatic else 180.0 / math.pi
     return CircleAxis(
         joint=f"j{k + 1}",
         kind="prismatic" if fit.prismatic else "revolute",
         rows=fit.rows,
-        arc_deg=None if fit.prismatic else fit.arc * scale,
-        stroke_mm=fit.arc * scale if fit.prismatic else None,
-        radius_mm=None if fit.prismatic else fit.radius * 1e3,
-        rms_mm=fit.rms * 1e3,
-        sigma_deg=math.degrees(fit.sigma_rad),
-        sigma_mm=fit.sigma_m * 1e3,
+        arc_deg=None if fit.prismatic else to_deg(fit.arc),
+        stroke_mm=to_mm(fit.arc) if fit.prismatic else None,
+        radius_mm=None if fit.prismatic else to_mm(fit.radius),
+        rms_mm=to_mm(fit.rms),
+        sigma_deg=to_deg(fit.sigma_rad),
+        sigma_mm=to_mm(fit.sigma_m),
     )
 
 

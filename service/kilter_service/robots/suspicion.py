@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.conventions import PARALLEL_RAD
+from kilter_service.wire import to_deg, to_mm, to_rad
 
 if TYPE_CHECKING:
     from kilter_core.conversions import Screws
@@ -16,9 +17,9 @@ if TYPE_CHECKING:
 
 SMALL_M, LARGE_M = 0.02, 20.0
 RADIANS = (math.pi / 2, math.pi)  # numbers that are seldom degrees
-NEAR = 1e-3
+NEAR = 0.001
 LOW_G, HIGH_G = 9.7, 9.9
-ONE_TURN, TWO_TURNS = math.radians(7.0), math.radians(800.0)
+ONE_TURN, TWO_TURNS = to_rad(7.0), to_rad(800.0)
 
 
 def suspicions(robot: Robot, screws: Screws, reach_m: float, posted: dict[str, Any]) -> list[str]:
@@ -36,7 +37,7 @@ def _sizes(reach_m: float, convention: str | None) -> Iterator[str]:
     urdf = convention == "urdf"
     if reach_m < SMALL_M:
         said = "kilometres? A URDF counts in metres" if urdf else "metres? Fields ending in _mm are millimetres"
-        yield f"The arm reaches {reach_m * 1e3:.3g} mm: are its lengths in {said}."
+        yield f"The arm reaches {to_mm(reach_m):.3g} mm: are its lengths in {said}."
     if reach_m > LARGE_M:
         said = (
             "millimetres? A URDF counts in metres." if urdf else "micrometres, or is a DH row of parallel axes meant?"
@@ -64,7 +65,7 @@ def _limits(robot: Robot) -> Iterator[str]:
         yield "All limits are within 7 degrees: they look like radians."
     for j in turning:
         if max(abs(j.lower), abs(j.upper)) > TWO_TURNS:
-            yield f"Joint {j.name} turns to {math.degrees(max(abs(j.lower), abs(j.upper))):.0f} deg: is that meant?"
+            yield f"Joint {j.name} turns to {to_deg(max(abs(j.lower), abs(j.upper))):.0f} deg: is that meant?"
     for j in robot.joints:
         if not j.lower <= 0.0 <= j.upper:
             yield f"Zero lies outside the limits of {j.name}: the drawing at zero is a pose the arm cannot take."
@@ -82,7 +83,7 @@ def _axes(robot: Robot, screws: Screws) -> Iterator[str]:
         if sine < 1e-9 and aside < 1e-9 and not coupled:
             yield f"{names} turn about the same axis: their offsets cannot be told apart, and one of them looks missing."
         elif 1e-6 < sine < math.sin(PARALLEL_RAD):
-            yield f"The axes of {names} are {math.degrees(math.asin(sine)):.4f} deg from parallel: nominal axes are exact."
+            yield f"The axes of {names} are {to_deg(math.asin(sine)):.4f} deg from parallel: nominal axes are exact."
 
 
 def _loads(robot: Robot, reach_m: float) -> Iterator[str]:
@@ -94,7 +95,7 @@ def _loads(robot: Robot, reach_m: float) -> Iterator[str]:
     for k, link in enumerate(robot.links):
         away = float(np.linalg.norm(link.com))
         if link.mass > 0 and away > max(reach_m, SMALL_M):
-            yield f"links[{k}]: the centre of mass lies {away * 1e3:.0f} mm away, farther than the arm reaches."
+            yield f"links[{k}]: the centre of mass lies {to_mm(away):.0f} mm away, farther than the arm reaches."
         moments = np.linalg.eigvalsh(link.inertia)
         if moments[0] < -1e-12 or moments[2] > moments[0] + moments[1] + 1e-9:
             yield f"links[{k}]: no body has this inertia (its principal moments break the triangle inequality)."

@@ -10,6 +10,7 @@ from pydantic import TypeAdapter
 from kilter_service.contract.robot_reports import JointSummary, RobotReport, RobotSummary
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.robots.records import RobotRecord
+from kilter_service.wire import DEG, MM
 
 if TYPE_CHECKING:
     from kilter_core.robot import Joint, Robot
@@ -51,7 +52,7 @@ def _told(record: RobotRecord) -> dict[str, Any]:
 def joint_summary(joint: Joint) -> JointSummary:
     """Say what a joint is, in mm and degrees."""
     bounds = tuple(bound if math.isfinite(bound) else None for bound in (joint.lower, joint.upper))
-    scale = 1e3 if joint.kind == "prismatic" else 180.0 / math.pi
+    scale = MM if joint.kind == "prismatic" else DEG
     limits = tuple(None if bound is None else round(bound * scale, 9) for bound in bounds)
     if joint.kind == "prismatic":
         return JointSummary(name=joint.name, kind="prismatic", limits_mm=limits, gear_ratio=joint.gear_ratio)

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from kilter_core.errors import CoreError
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
 from kilter_service.db import Database, Session
-from kilter_service.versions import store
+from kilter_service.versions import store, wire
 from kilter_service.versions.objections import objections_of
 from kilter_service.versions.unseen import Archive, Unseen
+from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.compare import Difference
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
 
@@ -116,10 +116,10 @@ class Case:
             rows=sum(part.rows for part in found),
             poses=len(new),
             campaigns=sorted({part.campaign for part in found}),
-            mean_mm=float(new.mean()) * 1e3,
-            registration_only=_rival(against_plain, plain),
+            mean_mm=to_mm(float(new.mean())),
+            registration_only=wire.rival(against_plain, plain),
             active_version=self.active,
-            active=None if against_rival is None else _rival(against_rival, rival),
+            active=None if against_rival is None else wire.rival(against_rival, rival),
         )
         worse = [] if not against_plain.worse else [_objection("registration", compared, compared.registration_only)]
         if against_rival is not None and compared.active is not None and against_rival.worse:
@@ -206,15 +206,6 @@ class Case:
     def warn(self, code: str, message: str) -> None:
         """Say what the comparison leaves out."""
         self.warnings.append({"code": code, "message": message})
-
-
-def _rival(difference: Difference, errors: Floats) -> Rival:
-    return Rival(
-        poses=len(errors),
-        mean_mm=float(errors.mean()) * 1e3,
-        larger_by_mm=difference.mean * 1e3,
-        margin_mm=difference.margin * 1e3,
-    )
 
 
 def _objection(which: str, compared: Comparison, rival: Rival) -> Objection:

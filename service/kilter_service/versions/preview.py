@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,13 +12,13 @@ from numpy.typing import NDArray
 
 from kilter_core.observations import Observations
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.previews import JointPreview, VersionPreview
+from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.correction.follow import Corrected, corrected
 from kilter_service.correction.wire import options_of
 from kilter_service.corrector.frames import Status
 from kilter_service.db import Database
-from kilter_service.versions import store
+from kilter_service.versions import store, wire
 from kilter_service.versions.records import VersionRecord
 
 if TYPE_CHECKING:
@@ -29,6 +30,24 @@ MOST_POSES = 2000
 DRAWN_POSES = 500
 FREE_TURN_RAD, FREE_SHIFT_M = math.pi, 0.5  # of a joint without limits
 WIDEST = CorrectionLimits(max_joint_deg=30.0, max_position_mm=200.0)
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """What a version would do, m and rad: movement of the tool, ``mean`` and ``largest``, with the joints (n,) there;
+    ``joints (n,)`` the largest correction of each.
+    """
+
+    version_id: str
+    robot: Robot
+    poses: int
+    corrected: int
+    refused: dict[str, int]
+    mean: float | None
+    largest: float | None
+    largest_at: Floats | None
+    joints: Floats | None
+    unsupported: list[str]
 
 
 def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:
@@ -46,7 +65,8 @@ def preview(database: Database, version_id: str, temperature_c: float | None) ->
     rows = Observations(q=q)
     wide = corrected(calibration, rows, options_of(WIDEST, temperature_c))
     narrow = corrected(calibration, rows, options_of(CorrectionLimits(**record.limits), temperature_c))
-    return _said(record, calibration.robot, rows.q, wide, narrow, temperature_c, driven is not None)
+    found = _found(record, calibration.robot, rows.q, wide, narrow)
+    return wire.preview(found, within="limits" if driven is None else "campaigns", temperature_c=temperature_c)
 
 
 def drawn(robot: Robot) -> Floats:
@@ -58,42 +78,19 @@ def drawn(robot: Robot) -> Floats:
     return np.random.default_rng(0).uniform(low, high, (DRAWN_POSES, len(free)))
 
 
-def _said(
-    record: VersionRecord,
-    robot: Robot,
-    q: Floats,
-    wide: Corrected,
-    narrow: Corrected,
-    temperature_c: float | None,
-    driven: bool,
-) -> VersionPreview:
-    good = wide.status == Status.OK
-    taken = narrow.status == Status.OK
-    moved = np.linalg.norm(wide.error_removed, axis=1) * 1e3
-    scale = np.array([1e3 if joint.kind == "prismatic" else 180.0 / math.pi for joint in robot.joints])
-    change = np.abs(wide.q - q)[good] * scale
+def _found(record: VersionRecord, robot: Robot, q: Floats, wide: Corrected, narrow: Corrected) -> Foreseen:
+    good, taken = wide.status == Status.OK, narrow.status == Status.OK
+    moved = np.linalg.norm(wide.error_removed, axis=1)
     worst = int(np.nanargmax(moved)) if good.any() else None
-    return VersionPreview(
+    return Foreseen(
         version_id=record.id,
-        within="campaigns" if driven else "limits",
+        robot=robot,
         poses=len(q),
         corrected=int(taken.sum()),
         refused=dict(Counter(Status(int(code)).name for code in narrow.status[~taken].tolist())),
-        mean_mm=float(moved[taken].mean()) if taken.any() else None,
-        largest_mm=None if worst is None else float(moved[worst]),
-        largest_at=None if worst is None else [round(float(v), 4) for v in q[worst] * scale],
-        joints=_joints(robot, change.max(axis=0).tolist() if good.any() else None),
-        unsupported_effects=list(narrow.not_corrected),
-        temperature_c=temperature_c,
+        mean=float(moved[taken].mean()) if taken.any() else None,
+        largest=None if worst is None else float(moved[worst]),
+        largest_at=None if worst is None else q[worst],
+        joints=np.abs(wide.q - q)[good].max(axis=0) if good.any() else None,
+        unsupported=list(narrow.not_corrected),
     )
-
-
-def _joints(robot: Robot, largest: list[float] | None) -> list[JointPreview]:
-    out = []
-    for k, joint in enumerate(robot.joints):
-        size = None if largest is None else largest[k]
-        slides = joint.kind == "prismatic"
-        out.append(
-            JointPreview(joint=joint.name, largest_deg=None if slides else size, largest_mm=size if slides else None)
-        )
-    return out

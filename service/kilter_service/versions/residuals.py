@@ -13,7 +13,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.correction.formats import write_trajectory
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
-from kilter_service.versions import store
+from kilter_service.versions import store, wire
 from kilter_service.versions.records import VersionRecord
 from kilter_service.versions.unseen import Archive
 
@@ -80,32 +80,28 @@ def _columns(part: Part, calibration: Calibration, known: Predictive | None, rep
 
 
 def _left(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
-    """Errors of the rows, in mm, degrees and standard deviations, with half the interval that expects them."""
-    import pyarrow as pa
-
+    """Errors of the rows, and half the interval that expects them."""
     from kilter_core.evaluate import rows_of
     from kilter_core.identify.redescending import sizes_of
     from kilter_core.measurement import Measurement
 
     count, shape = len(part.rows), calibration.marker_points
-    error, u95, turn, size = (np.full((count, n), np.nan) for n in (3, 3, 1, 1))
-    scale = report.get("scale") or {"point_mm": report.get("noise_mm") or np.nan, "turn_deg": np.nan}
+    error, u95 = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
+    turn, size = np.full(count, np.nan), np.full(count, np.nan)
+    point_noise, turn_noise = wire.noise_of(report)
     for where, refit in _frames(part, report):
         measurement = Measurement.of(part.rows.select(where), shape)
         here = _refitted(calibration, measurement) if refit else calibration
         found = rows_of(here, measurement, refit, known)
         left = measurement.residual(here.predict(measurement.observations))
-        if np.isnan(scale["turn_deg"]):
+        if np.isnan(turn_noise):
             left = replace(left, turns=None)
         error[where] = found.error
         u95[where] = np.nan if found.u95 is None else found.u95
-        size[where, 0] = sizes_of(left, scale["point_mm"] * 1e-3 or np.nan, np.radians(scale["turn_deg"]) or np.nan)
+        size[where] = sizes_of(left, point_noise or np.nan, turn_noise or np.nan)
         if left.turns is not None:
-            turn[where, 0] = np.degrees(np.linalg.norm(left.turns, axis=1))
-    out: Columns = {f"d{axis}_mm": error[:, k] * 1e3 for k, axis in enumerate("xyz")}
-    out |= {"turn_deg": turn[:, 0], "residual_sigma": size[:, 0]}
-    out |= {f"u95_{axis}_mm": u95[:, k] * 1e3 for k, axis in enumerate("xyz")}
-    return {name: pa.array(values, pa.float64(), mask=np.isnan(values)) for name, values in out.items()}
+            turn[where] = np.linalg.norm(left.turns, axis=1)
+    return wire.residual_columns(error, u95, turn, size)
 
 
 def _frames(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple[str, ...]]]:

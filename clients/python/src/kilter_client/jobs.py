@@ -50,14 +50,26 @@ class Jobs:
         Campaigns and versions may be named by the beginning of an id, a name, or ``latest``. ``name`` is that of the job
         and of the version it makes.
         """
-        body: Document = {"kind": kind, "robot": robot, "campaigns": list(campaigns), "options": dict(options or {})}
-        if validation is not None:
-            body["validation"] = validation
-        if confirmation:
-            body["confirmation"] = list(confirmation)
-        if name:
-            body["name"] = name
+        body = _request(kind, robot, campaigns, validation, options, confirmation, name)
         return self._connection.post("/v1/jobs", resolved_request(self._connection, robot, body))
+
+    def check(
+        self,
+        kind: str,
+        robot: str,
+        campaigns: Sequence[str] = (),
+        validation: Validation = None,
+        options: Mapping[str, Any] | None = None,
+        confirmation: Sequence[str] = (),
+        name: str = "",
+    ) -> Document:
+        """Say what such a job would do, at once: nothing is stored, nothing queued.
+
+        The document has ``would_run`` and ``problems``, what is used and held out, ``missing``, ``duration_s``; of
+        ``identify`` also ``identifiability``, of ``gap`` ``testability``.
+        """
+        body = _request(kind, robot, campaigns, validation, options, confirmation, name)
+        return self._connection.post("/v1/jobs/check", resolved_request(self._connection, robot, body))
 
     def list(self, robot: str | None = None, limit: int = 100) -> list[Document]:
         """Return the newest jobs, of one robot or of all."""
@@ -147,6 +159,20 @@ class Jobs:
                     return
             time.sleep(POLL_S[min(looks, len(POLL_S) - 1)])
             looks += 1
+
+
+def _request(
+    kind: str,
+    robot: str,
+    campaigns: Sequence[str],
+    validation: Validation,
+    options: Mapping[str, Any] | None,
+    confirmation: Sequence[str],
+    name: str,
+) -> Document:
+    body: Document = {"kind": kind, "robot": robot, "campaigns": list(campaigns), "options": dict(options or {})}
+    more = {"validation": validation, "confirmation": list(confirmation) or None, "name": name or None}
+    return body | {key: value for key, value in more.items() if value is not None}
 
 
 def event_data(lines: Iterator[str]) -> Iterator[Any]:

@@ -6,12 +6,12 @@ from typing import Annotated
 
 from pydantic import Field
 
+from kilter_service.contract.figures import GapFigures
 from kilter_service.contract.fits import LoadNumber, Reference
 from kilter_service.contract.gap_details import (
     Adequacy,
     AliasMatrix,
     Detectable,
-    Figure,
     GapNoise,
     GapSize,
     NamedEffect,
@@ -91,7 +91,7 @@ class GapResult(MadeVersion):
     next_poses_csv: str | None = Field(None, description="The same as a CSV file of columns of a measurement.")
     negative_control: NegativeControl | None = Field(None, description="What shuffled rows would name.")
     alias_matrix: AliasMatrix | None = Field(None, description="How alike effects look in these rows.")
-    figures: dict[str, Figure] | None = Field(None, description="Figures by name.")
+    figures: GapFigures | None = Field(None, description="Figures by name.")
     load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
     start: str | None = Field(None, description="The version it continued from; null: the robot as drawn.")

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import FitDetails, Metrics, NullDirection, Parameter
-from kilter_service.contract.gap_details import Figure
 from kilter_service.contract.jobs.shared import (
     FIX,
     FREE,
@@ -89,4 +89,4 @@ class IdentifyResult(FitDetails, MadeVersion):
     null_directions: list[NullDirection] | None = Field(None, description="What the data could not tell.")
     metrics: Metrics | None = Field(None, description="Errors on the rows fitted and on those held out.")
     noise_mm: Mm | None = Field(None, description="Standard deviation of a coordinate of the noise, mm.")
-    figures: dict[str, Figure] | None = Field(None, description="Figures by name.")
+    figures: IdentifyFigures | None = Field(None, description="Figures by name.")

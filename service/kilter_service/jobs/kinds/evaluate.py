@@ -6,11 +6,14 @@ from typing import TYPE_CHECKING
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.evaluate import EvaluateOptions
+from kilter_service.jobs.foresight import Foresight, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
 
+MOST_CHECKED = 500  # poses of a campaign that a check looks at
+REMEDY = "Plan its poses with `kilter plan --purpose iso9283`, and drive them as often as the standard demands."
 REFITS: tuple[list[str], ...] = ([], ["base"], ["base", "tool"])
 
 
@@ -49,6 +52,25 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput({"version_id": job.version_id, "refit": options.refit, "metrics": metrics, "rows": rows})
 
 
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Evaluate some of the rows, or see which criteria all of them support."""
+    from kilter_core.compare import thinned
+    from kilter_core.evaluate import evaluate
+    from kilter_core.iso9283 import Trial, criteria
+    from kilter_core.model import Calibration
+
+    options: EvaluateOptions = job.options
+    calibration = job.calibration or Calibration.nominal(job.robot)
+    found.learn_from(*job.campaigns.values())
+    for campaign, rows in job.campaigns.items():
+        with found.foreseen():
+            if options.metrics == "errors":
+                evaluate(calibration, thinned(rows, MOST_CHECKED), options.refit, None)
+                continue
+            refused = criteria(Trial.of(calibration.wanted().predict(rows), rows), options.criteria)["refused"]
+            found.missing += [Lack(f"{one['symbol']} of {campaign}", one["message"], REMEDY) for one in refused]
+
+
 def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> JobOutput:
     """Criteria of every campaign; commanded is where the nominal chain in the version's wanted frames says."""
     from kilter_core.iso9283 import Trial, criteria
@@ -60,4 +82,4 @@ def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> Job
     return JobOutput({"version_id": job.version_id, "standard": "ISO 9283:1998", "iso9283": reports})
 
 
-EVALUATE = JobKind("evaluate", EvaluateOptions, check, run, version_option="version")
+EVALUATE = JobKind("evaluate", EvaluateOptions, check, run, version_option="version", foresee=foresee)

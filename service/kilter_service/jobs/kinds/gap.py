@@ -9,6 +9,7 @@ import numpy as np
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.jobs.attended import attended
+from kilter_service.jobs.foresight import Foresight, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.pictures import pictures
 from kilter_service.jobs.plain import plain
@@ -63,6 +64,34 @@ def _hunt(job: JobInput, progress: Progress) -> JobOutput:
     )
     progress(0.98, "errors of the new version")
     return JobOutput(result, _version(job, report, train, held, share))
+
+
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Say what would be searched and held out, and which effects these rows can test."""
+    from kilter_core.gap.check import check_gap
+    from kilter_core.gap.holding import parted
+    from kilter_core.observations import Observations
+
+    options = _core(job.options)
+    with found.foreseen():
+        rows, validation, confirmation = _rows(job)
+        found.learn_from(rows)
+        _, held = parted(rows, validation, options.seed)
+        if isinstance(validation, Observations):
+            found.hold("campaigns", validation)
+        elif held is not None:
+            found.hold("unasked" if validation is None else "fraction", held)
+        found.hunt = check_gap(job.robot, rows, options, job.calibration, validation, confirmation)
+        if found.hunt.poses < found.hunt.of:
+            found.limited.append(
+                f"What can be tested was judged on {found.hunt.poses} of {found.hunt.of} poses, evenly chosen; amplitudes "
+                "are those that all of them would show."
+            )
+        found.missing += [Lack(_label(u.id, u.joints), u.reason, u.remedy) for u in found.hunt.not_testable]
+
+
+def _label(effect: str, joints: tuple[int, ...] | None) -> str:
+    return effect if joints is None else f"{effect} j{','.join(str(j + 1) for j in joints)}"
 
 
 def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
@@ -124,5 +153,13 @@ def _core(options: GapOptions) -> Asked:
 
 
 GAP = JobKind(
-    "gap", GapOptions, check, run, version_option="start", takes_folds=False, takes_confirmation=True, long=True
+    "gap",
+    GapOptions,
+    check,
+    run,
+    version_option="start",
+    takes_folds=False,
+    takes_confirmation=True,
+    long=True,
+    foresee=foresee,
 )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions as Options
+from kilter_service.jobs.foresight import Foresight, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from kilter_service.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_rad
 
 if TYPE_CHECKING:
     from kilter_core.inclinometers import JointParameter, Log
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from kilter_core.robot import Robot
 
 AXES = "xyz"
+REMEDY = (
+    "Read the joint in the configurations that `propose` names, or move it while its link-side encoder is recorded."
+)
 
 
 def check(options: Options) -> None:
@@ -37,6 +41,24 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
         return JobOutput({"joint": options.propose, **_proposed(job.robot, options)})
     progress(0.1, "fitting joints")
     return _by_encoders(job) if job.campaigns else _by_inclinometers(job.robot, options)
+
+
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Measure the joints, which takes no time, and say what could not be told."""
+    options: Options = job.options
+    found.learn_from(*job.campaigns.values())
+    if isinstance(job.validation, dict):
+        found.hold("campaigns", *job.validation.values())
+    with found.foreseen():
+        if options.propose is not None:
+            _joint(job.robot, options.propose)
+            return
+        if not job.campaigns:
+            found.rows = len(options.readings)
+        measured = _by_encoders(job) if job.campaigns else _by_inclinometers(job.robot, options)
+        told = measured.result["parameters"]
+        found.missing += [Lack(p["name"], p["reason"], REMEDY) for p in told if "reason" in p]
+        found.missing += [Lack(w.get("joint", w["code"]), w["message"], REMEDY) for w in measured.result["warnings"]]
 
 
 def _by_inclinometers(robot: Robot, options: Options) -> JobOutput:
@@ -82,7 +104,7 @@ def _spreads(robot: Robot, joint: LinkJoint, fitted: list[str], predicted: list[
         "joint": robot.joints[joint.joint].name,
         "dead": joint.dead,
         "motions": [
-            {"campaign": campaign, "use": use, "raw_deg": math.degrees(s.raw), "left_deg": math.degrees(s.left)}
+            {"campaign": campaign, "use": use, "raw_deg": to_deg(s.raw), "left_deg": to_deg(s.left)}
             for use, campaign, s in motions
             if s is not None
         ],
@@ -125,15 +147,14 @@ def _log(robot: Robot, options: Options) -> Log:
                 f"Reading {number + 1} has {len(reading.q_deg)} joint values, the robot {robot.n_joints}.",
                 option="q_deg",
             )
-    scale = np.array([math.pi / 180.0 if joint.kind == "revolute" else 1e-3 for joint in robot.joints])
     return Log(
-        q=np.array([r.q_deg for r in options.readings]) * scale,
+        q=np.array([r.q_deg for r in options.readings]) * joint_scale_back(robot),
         joint=np.array([_joint(robot, r.joint) for r in options.readings], dtype=np.int64),
         axis=np.array([AXES.index(r.axis) for r in options.readings], dtype=np.int64),
-        reading=np.radians([r.reading_deg for r in options.readings]),
+        reading=to_rad(np.array([r.reading_deg for r in options.readings])),
         payload_kg=np.array([r.payload_kg for r in options.readings]),
         series=np.array([r.series for r in options.readings], dtype=np.int64),
-        resolution=math.radians(options.resolution_deg),
+        resolution=to_rad(options.resolution_deg),
     )
 
 
@@ -142,10 +163,9 @@ def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
     from kilter_core.design.inclinometer_poses import inclinometer_poses
 
     joint = _joint(robot, str(options.propose))
-    turns = [j.kind == "revolute" for j in robot.joints]
-    scale = [180.0 / math.pi if t else 1e3 for t in turns]
+    scale = joint_scale(robot)
     configurations: list[dict[str, Any]] = []
-    head = ["joint", "axis", *(f"q{i + 1}_{'deg' if t else 'mm'}" for i, t in enumerate(turns)), "payload_kg", "series"]
+    head = ["joint", "axis", *(f"q{i}_{unit}" for i, unit in enumerate(joint_units(robot), 1)), "payload_kg", "series"]
     lines = [",".join([*head, "reading_deg"])]
     for c in inclinometer_poses(robot, joint, options.count, options.payloads_kg, options.seed):
         q = [float(v) * k for v, k in zip(c.q, scale, strict=True)]
@@ -157,7 +177,7 @@ def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
 
 def _row(p: JointParameter) -> dict[str, Any]:
     """A parameter in degrees; the stiffness of a joint stands beside its compliance."""
-    scale = 1.0 if p.unit == "s" else 180.0 / math.pi
+    scale = 1.0 if p.unit == "s" else to_deg(1.0)
     row: dict[str, Any] = {
         "name": p.name, "unit": p.unit.replace("rad", "deg"), "readings": p.readings, "identifiable": p.value is not None,
         "value": None if p.value is None else p.value * scale, "sigma": None if p.sigma is None else p.sigma * scale,
@@ -170,5 +190,11 @@ def _row(p: JointParameter) -> dict[str, Any]:
 
 
 JOINT_PARAMETERS = JobKind(
-    "joint_parameters", Options, check, run, takes_folds=False, instead_of_campaigns=("readings", "propose")
+    "joint_parameters",
+    Options,
+    check,
+    run,
+    takes_folds=False,
+    instead_of_campaigns=("readings", "propose"),
+    foresee=foresee,
 )

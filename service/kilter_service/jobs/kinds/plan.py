@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.plan import PlanOptions
+from kilter_service.jobs.foresight import Foresight, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.poses import Pose, document_of, poses_of
+from kilter_service.wire import to_metres
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,6 +32,15 @@ UNCHECKED = {
 CYCLES = {"five_poses": (5, 4, 3, 2, 1), "two_poses": (2, 4)}  # P5 to P1 for AP, RP and vAP; P2 and P4 for AD and RD
 CYCLES_DEMANDED = 30
 COUNTS = {"iso9283": 118, "identify": 60, "separate": 12}
+IMAGINED = Lack(
+    "measurements",
+    "No campaign is named: a first one of random poses is imagined, and what it would see may not be what you measured.",
+    "Name the campaigns that were measured so far.",
+)
+NO_PAYLOADS = (
+    "They follow the load, and no payloads are named: all poses are planned without a load to change.",
+    "Name the loads at hand in `payloads_kg`, 0 among them.",
+)
 NOISE_MM = 0.05  # of a coordinate, where neither repeats nor the request say it
 
 
@@ -61,6 +73,20 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     purpose = job.options.purpose
     made = {"purpose": purpose, "start": job.version_id, **plans[purpose](job, progress)}
     return JobOutput(plain({**made, "within": _within(job), "warnings": [UNCHECKED]}))
+
+
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Plan a single pose, which is refused as the whole plan would be, and say what the plan has to do without."""
+    options: PlanOptions = job.options
+    found.learn_from(*job.campaigns.values())
+    with found.foreseen():
+        run(replace(job, options=options.model_copy(update={"count": 1})), lambda fraction, stage: None)
+        found.limited.append("A single pose was planned, to see whether there is room for poses.")
+        if options.purpose == "separate" and not job.campaigns:
+            found.missing.append(IMAGINED)
+        loaded = [effect.id for effect in _made(job) if "moments" in effect.needs] if options.effects else []
+        if loaded and not options.payloads_kg:
+            found.missing.append(Lack(f"second payload for {', '.join(loaded)}", *NO_PAYLOADS))
 
 
 def named_effects(options: PlanOptions) -> list[tuple[str, tuple[int, ...] | None]]:
@@ -113,7 +139,7 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
         _begin(job),
         _count(job),
         _made(job),
-        (job.options.noise_mm or NOISE_MM) * 1e-3,
+        to_metres(job.options.noise_mm or NOISE_MM),
         job.options.seed,
         lambda fraction: progress(fraction, "choosing poses"),
         _region(job),
@@ -141,7 +167,7 @@ def _region(job: JobInput) -> Region:
 
     region = Region.of(_begin(job), job.driven if _within(job) == "campaigns" else None)
     floor = job.options.floor_mm
-    return region.above(None if floor is None else floor * 1e-3).within(_box(job.options))
+    return region.above(None if floor is None else to_metres(floor)).within(_box(job.options))
 
 
 def _room(job: JobInput) -> Region | None:
@@ -155,7 +181,7 @@ def _box(options: PlanOptions) -> Floats | None:
 
     if options.box_mm is None:
         return None
-    box = np.array(options.box_mm, dtype=np.float64) * 1e-3
+    box = to_metres(np.array(options.box_mm, dtype=np.float64))
     if not (box[0] < box[1]).all():
         raise OptionError(
             "options.box_mm holds the lowest and the highest corner, as [[-200, 100, 0], [200, 400, 300]].",
@@ -222,4 +248,6 @@ def _count(job: JobInput) -> int:
     return int(job.options.count or COUNTS[job.options.purpose])
 
 
-PLAN = JobKind("plan", PlanOptions, check, run, version_option="version", needs_campaigns=False, history=True)
+PLAN = JobKind(
+    "plan", PlanOptions, check, run, version_option="version", needs_campaigns=False, history=True, foresee=foresee
+)

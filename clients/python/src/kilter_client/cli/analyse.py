@@ -13,6 +13,7 @@ from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import (
     CampaignIds,
+    Check,
     ConfirmationIds,
     JobName,
     Json,
@@ -21,6 +22,7 @@ from kilter_client.cli.arguments import (
     Robot,
     ValidationText,
 )
+from kilter_client.cli.job_check import finish_check
 from kilter_client.cli.option_texts import EVALUATE, GAP, IDENTIFY, PLAN
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
@@ -82,6 +84,7 @@ def identify(
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
+    check: Check = False,
     as_json: Json = False,
 ) -> None:
     """Identify a robot's parameters from campaigns; the result is a new version."""
@@ -106,7 +109,7 @@ def identify(
     if refit is not None:
         chosen["refit"] = ["base"] if refit == "base" else []
     drawn = partial(write_figures, figures, as_json)
-    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, files=drawn, name=name)
+    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, files=drawn, name=name, check=check)
 
 
 def gap(
@@ -134,6 +137,7 @@ def gap(
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
+    check: Check = False,
     as_json: Json = False,
 ) -> None:
     """Find where the model is wrong, name what is missing, and show how the gap shrinks on rows never used."""
@@ -151,15 +155,15 @@ def gap(
         reference=reference,
         seed=seed,
     )
-
-    def files(job: dict[str, Any]) -> None:
-        result = job.get("result") or {}
-        if poses is not None:
-            write_poses(poses, result.get("next_poses_csv"), as_json)
-        write_figures(figures, as_json, job)
-
+    files = partial(_write_hunt, poses, figures, as_json)
     again = arguments.split_names(confirmation)
-    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, files=files, confirmation=again, name=name)
+    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, True, files, again, name, check)
+
+
+def _write_hunt(poses: Path | None, figures: Path | None, as_json: bool, job: dict[str, Any]) -> None:
+    if poses is not None:
+        write_poses(poses, (job.get("result") or {}).get("next_poses_csv"), as_json)
+    write_figures(figures, as_json, job)
 
 
 def evaluate(
@@ -280,8 +284,9 @@ def run_job(
     files: Callable[[dict[str, Any]], None] | None = None,
     confirmation: Sequence[str] = (),
     name: str = "",
+    check: bool = False,
 ) -> None:
-    """Submit a job, follow it, and print it."""
+    """Submit a job, follow it, and print it; or only say what it would do."""
     ids = arguments.split_names(campaign)
     if needs_campaign and not ids:
         raise UsageError(f"Name at least one --campaign ID: `kilter campaigns {robot}` lists them.")
@@ -292,6 +297,9 @@ def run_job(
         if isinstance(held_out, list):
             held_out = resolved_all(kilter, "campaign", held_out, robot, as_json)
         options = resolved_options(kilter, options, robot, as_json)
+        if check:
+            told = kilter.jobs.check(kind, robot, ids, held_out, options, again, name)
+            return finish_check(told, as_json)
         job = kilter.jobs.submit(kind, robot, ids, held_out, options, again, name)
         if not no_wait:
             note(f"job {job['id']}", as_json)

@@ -47,6 +47,12 @@ ConfirmationIds = Annotated[
     ),
 ]
 NoWait = Annotated[bool, typer.Option("--no-wait", help="Return as soon as the job is queued.")]
+Check = Annotated[
+    bool,
+    typer.Option(
+        "--check", help="Only say what it would do: what it uses, what its data tell, what is missing, how long."
+    ),
+]
 MoreOptions = Annotated[
     list[str] | None,
     typer.Option("--option", metavar="NAME=VALUE", help="Any other option of the job; the value is JSON or text."),

@@ -1,0 +1,74 @@
+"""What a job would do, for people: what is used, what the data can tell, what is missing, how long it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import typer
+
+from kilter_client.cli.output import emit, say
+from kilter_client.cli.tables import number, show_rows
+
+HOW = {
+    "campaigns": "the campaigns named",
+    "fraction": "as asked",
+    "folds": "every pose once, in folds",
+    "unasked": "a quarter, unasked",
+}
+
+
+def finish_check(told: dict[str, Any], as_json: bool) -> None:
+    """Print a check.
+
+    Raises:
+        typer.Exit: the job would fail.
+
+    """
+    emit(told, as_json, show_check)
+    if not told["would_run"]:
+        raise typer.Exit(1)
+
+
+def show_check(told: Mapping[str, Any]) -> None:
+    """Print a check: what a job would use and find out, and what it would fail of."""
+    say(f"{told['kind']} of {told['robot']}: {'would run' if told['would_run'] else 'would fail'}; nothing was queued")
+    for problem in told["problems"]:
+        say(f"  {problem['code']}: {problem['message']}")
+    rows = [(c["id"], c["name"], c["use"], str(c["rows"]), number(c["poses"])) for c in told["campaigns"]]
+    if rows:
+        show_rows(("campaign", "name", "use", "rows", "poses"), rows)
+    held = told["held_out"]
+    if held["how"] != "none":
+        say(f"held out: {held['poses']} poses, {held['rows']} rows ({HOW[held['how']]})")
+    _show_identifiability(told.get("identifiability"))
+    testability = told.get("testability")
+    if testability:
+        say(f"{len(testability['testable'])} parameters of effects can be tested")
+    _show_missing(told["missing"])
+    for limit in told["limited"]:
+        say(f"note: {limit}")
+    last = told["duration_s"]
+    say(
+        f"it would take some {number(last['expected'])} s ({number(last['low'])} to {number(last['high'])} s): {last['basis']}"
+    )
+
+
+def _show_identifiability(told: Mapping[str, Any] | None) -> None:
+    if told:
+        say(
+            f"{told['parameters']} parameters, {len(told['identifiable'])} identifiable, rank {told['rank']}; judged with "
+            f"{number(told['noise_mm'])} mm of noise ({told['noise_from']})"
+        )
+
+
+def _show_missing(missing: Sequence[Mapping[str, Any]]) -> None:
+    """What the data do not tell, under the remedy that would."""
+    by_remedy: dict[tuple[str, str], list[str]] = {}
+    for one in missing:
+        by_remedy.setdefault((one["reason"], one["remedy"]), []).append(one["what"])
+    if by_remedy:
+        say("not told by these data:")
+    for (reason, remedy), names in by_remedy.items():
+        say(f"  {', '.join(names)}: {reason}")
+        say(f"    {remedy}")

@@ -1,0 +1,93 @@
+"""What Kilter draws is typed whole: nothing of a figure is left out of an answer, and each has the kind it is said to have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+from kilter_service.contract.figures import Figure, GapFigures, IdentifyFigures
+from kilter_service.jobs import pictures
+from kilter_service.jobs.arrow_pictures import _from_three_sides, _in_space, _sides, _space
+from kilter_service.jobs.drawing import signed
+from kilter_service.jobs.parameter_pictures import changes
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def gap_report() -> dict[str, Any]:
+    labelled = [
+        {"joint": 1, "value": 1.0, "n": 3, "before_mean": 0.1, "before_sd": 0.2, "after_mean": 0.0, "after_sd": 0.1}
+    ]
+    return {
+        "gap": {"before_mm": 1.0},
+        "alias_matrix": {"labels": ["backlash j1", "eccentricity j1"], "values": [[1.0, 0.2], [0.2, 1.0]]},
+        "figures": {
+            "gap_bar": [
+                {"label": name, "value": size, "held_out": size}
+                for name, size in (("before", 1.0), ("+ backlash j1", 0.2), ("noise", 0.1))
+            ],
+            "residual_by_angle": [
+                {"joint": 1, "q_deg": [1.0, 2.0], "before": [0.1, 0.2], "after": [0.0, 0.1], "curve": [0.1, 0.1]}
+            ],
+            "residual_by_direction": labelled,
+            "residual_by_load": [{**labelled[0], "joint": None}],
+            "contribution": [{"label": "backlash j1", "rms": 0.1, "largest": 0.2}],
+        },
+    }
+
+
+def identify_figures() -> dict[str, Any]:
+    tails, heads = np.zeros((30, 3)), np.random.default_rng(1).normal(size=(30, 3))
+    red = np.arange(30) < 10
+    parameters = [
+        {
+            "name": f"p{k}",
+            "unit": unit,
+            "value": 1.0,
+            "nominal": 0.0,
+            "sigma": 0.1,
+            "identifiable": k != 1,
+            "plausible": True,
+        }
+        for k, unit in enumerate(("mm", "deg", "deg/(N m)"))
+    ]
+    drawn = {
+        "residual_arrows_3d": {"data": _in_space(tails, heads, red), "layout": _space("space")},
+        "residual_arrows": {"data": _from_three_sides(tails, heads, red), "layout": _sides("sides")},
+        "parameter_changes": changes(parameters),
+    }
+    return dict(signed(drawn, "arm", [{"id": "cmp_1", "name": "rows"}], "ver_1"))
+
+
+@pytest.mark.parametrize(
+    ("model", "drawn"), [(GapFigures, pictures.pictures(gap_report())), (IdentifyFigures, identify_figures())]
+)
+def test_an_answer_holds_all_that_was_drawn(model: type[BaseModel], drawn: dict[str, Any]) -> None:
+    assert model.model_validate(drawn).model_dump(mode="json") == drawn
+
+
+def test_a_figure_of_another_kind_is_refused() -> None:
+    arrows = identify_figures()["residual_arrows_3d"]
+    with pytest.raises(ValueError, match="bar"):
+        IdentifyFigures.model_validate({"worst_rows": arrows})
+
+
+def test_every_figure_that_an_identification_draws_has_its_field() -> None:
+    text = "".join(
+        (REPOSITORY / f"service/kilter_service/jobs/{name}.py").read_text(encoding="utf-8")
+        for name in ("identify_pictures", "arrow_pictures", "worst_rows")
+    )
+    for name in IdentifyFigures.model_fields:
+        assert f'"{name}"' in text, name
+
+
+def test_traces_are_told_apart_by_their_type() -> None:
+    kinds = get_args(get_args(Figure.model_fields["data"].annotation)[0])[0]
+    union = get_args(get_args(kinds)[0])
+    assert {get_args(kind.model_fields["type"].annotation)[0] for kind in union} == {
+        "bar", "scatter", "scatter3d", "heatmap",
+    }  # fmt: skip

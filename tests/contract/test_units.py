@@ -1,0 +1,108 @@
+"""Units are converted once, at the edge: in `wire.py`, where files are read and written, and in the robot document."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+CALLS = {"degrees", "radians", "rad2deg", "deg2rad"}
+FACTORS = {1e3, 1e-3, 180.0}
+TABLES = {"MM", "DEG", "WIRE"}  # factors and tables of factors by name
+# What reads and writes files of mm and degrees, and the robot document, which people write in them.
+AT_THE_EDGE = (
+    "service/kilter_service/**/wire.py", "service/kilter_service/wire.py", "service/kilter_service/importers/*.py", "service/kilter_service/exporters/*.py", "service/kilter_service/contract/columns.py",
+    "service/kilter_service/campaigns/assemble.py", "service/kilter_service/campaigns/joint_limits.py", "service/kilter_service/campaigns/rules.py",
+    "service/kilter_service/versions/values.py", "core/kilter_core/robots/*.py", "core/kilter_core/conversions/*.py",
+)  # fmt: skip
+# Times of the stream, in nanoseconds and microseconds.
+NO_LENGTHS = ("service/kilter_service/corrector/short_way.py",)
+# Where the core still speaks mm and degrees: options and reports whose names are promised, sentences' numbers, and the
+# simulated arm's data. Number of lines; only ever fewer.
+STILL = {
+    "core/kilter_core/circle_points.py": 1, "core/kilter_core/evaluate.py": 1, "core/kilter_core/gap/figures.py": 1, "core/kilter_core/gap/foreign_links.py": 1,
+    "core/kilter_core/gap/matters.py": 4, "core/kilter_core/gap/plan.py": 1, "core/kilter_core/gap/prepare.py": 1, "core/kilter_core/gap/replication.py": 1,
+    "core/kilter_core/gap/report.py": 1, "core/kilter_core/gap/run.py": 1, "core/kilter_core/gap/testability.py": 2, "core/kilter_core/gap/where.py": 1,
+    "core/kilter_core/identify/check.py": 2, "core/kilter_core/identify/estimate.py": 3, "core/kilter_core/identify/global_search.py": 3,
+    "core/kilter_core/identify/influence.py": 2, "core/kilter_core/identify/learned.py": 1, "core/kilter_core/identify/mix_ups.py": 1,
+    "core/kilter_core/identify/noise.py": 2, "core/kilter_core/identify/plausibility.py": 1, "core/kilter_core/identify/predictive.py": 2,
+    "core/kilter_core/identify/report.py": 5, "core/kilter_core/identify/run.py": 6, "core/kilter_core/identify/seeing.py": 1, "core/kilter_core/identify/setups.py": 1,
+    "core/kilter_core/identify/turn_mix_ups.py": 1, "core/kilter_core/identify/worse.py": 1, "core/kilter_core/iso9283.py": 2, "core/kilter_core/load_model.py": 3,
+    "core/kilter_core/metrics.py": 3, "core/kilter_core/twin.py": 4, "service/kilter_service/versions/store.py": 2,
+}  # fmt: skip
+SHARES = (
+    "core/kilter_core/design/iso9283.py",
+    "core/kilter_core/gap/variogram.py",
+)  # a thousandth of something, no millimetre
+
+
+def constant(node: ast.AST) -> bool:
+    """Whether an expression is made of numbers alone, as a constant in rad that is written in degrees."""
+    parts = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.operator, ast.unaryop, ast.expr_context)
+    return all(
+        isinstance(part, parts)
+        or (isinstance(part, ast.Attribute | ast.Name) and ast.unparse(part) in ("math", "np", "math.pi", "np.pi"))
+        for part in ast.walk(node)
+    )
+
+
+def conversions(node: ast.AST) -> Iterator[int]:
+    """Lines that convert a length or an angle; numbers in sentences for people are none."""
+    if isinstance(node, ast.JoinedStr):
+        return
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in CALLS:
+        if not all(constant(argument) for argument in node.args):
+            yield node.lineno
+    elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div):
+        sides = [side.value for side in (node.left, node.right) if isinstance(side, ast.Constant)]
+        if FACTORS & set(sides) and not constant(node):
+            yield node.lineno
+    elif isinstance(node, ast.Name) and node.id in TABLES:
+        yield node.lineno
+    for child in ast.iter_child_nodes(node):
+        yield from conversions(child)
+
+
+@cache
+def found() -> dict[str, int]:
+    edge = {path for pattern in AT_THE_EDGE for path in REPOSITORY.glob(pattern)}
+    out = {}
+    for folder in ("core", "service"):
+        for path in sorted((REPOSITORY / folder).rglob("*.py")):
+            name = path.relative_to(REPOSITORY).as_posix()
+            lines = set(conversions(ast.parse(path.read_text(encoding="utf-8"))))
+            if lines and path not in edge and name not in (*NO_LENGTHS, *SHARES):
+                out[name] = len(lines)
+    return out
+
+
+def test_units_are_converted_at_the_edge_only() -> None:
+    more = {name: count for name, count in found().items() if count > STILL.get(name, 0)}
+    assert not more, "convert in wire.py"
+
+
+def test_what_no_longer_converts_is_taken_off_the_list() -> None:
+    now = found()
+    assert {name: count for name, count in STILL.items() if now.get(name, 0) < count} == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "converts"),
+    [
+        ("x = np.degrees(q)", True),
+        ("x = length * 1e3", True),
+        ("x = 1e-3 * noise_mm", True),
+        ("x = angle * 180.0 / math.pi", True),
+        ("x = length * MM", True),
+        ("LIMIT = math.radians(170.0)", False),
+        ("NEAR = 180.0 / math.pi", False),
+        ("said = f'{length * 1e3:.3g} mm'", False),
+        ("x = length * 2.0", False),
+    ],
+)
+def test_a_conversion_is_found(text: str, converts: bool) -> None:
+    assert bool(list(conversions(ast.parse(text)))) is converts
