@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,12 @@ class Link:
     inertia: Floats = field(default_factory=lambda: np.zeros((3, 3)))
     mass_sigma: float | None = None
     com_sigma: float | None = None
+
+
+def moved_link(link: Link, T: Floats) -> Link:
+    """Return the same body in another frame: ``T (4, 4)`` is the frame it is in now, seen from the other."""
+    R = T[:3, :3]
+    return replace(link, com=R @ link.com + T[:3, 3], inertia=R @ link.inertia @ R.T)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from core.conventions import PARALLEL_RAD, Row
 from core.conversions.screws import Screws, chain_frames, screws_of_chain
 from core.conversions.tables import link_table
 from core.errors import OptionError, RobotError
-from core.robot import CENTRE_M, MASS_SHARE, Joint, Link, Robot
+from core.robot import CENTRE_M, MASS_SHARE, Joint, Link, Robot, moved_link
 from core.robots import robot_from_document
 from core.transforms import inverse, xyz_rpy_from_pose
 
@@ -211,18 +211,17 @@ def _links(robot: Robot, document: Document) -> list[Document]:
     base = inverse(other.T_base) @ robot.T_base
     before, after = chain_frames(robot.chain), chain_frames(other.chain)
     return [
-        _link(link, inverse(after[twin.element + 1]) @ base @ before[link.element + 1])
+        _link(moved_link(link, inverse(after[twin.element + 1]) @ base @ before[link.element + 1]))
         for link, twin in zip(robot.links, other.links, strict=True)
     ]
 
 
-def _link(link: Link, T: Floats) -> Document:
-    R = T[:3, :3]
-    inertia = R @ link.inertia @ R.T
+def _link(link: Link) -> Document:
+    inertia = link.inertia
     six = [inertia[i, k] for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     return {
         "mass_kg": link.mass,
-        "com_mm": _plain(1e3 * (R @ link.com + T[:3, 3])),
+        "com_mm": _plain(1e3 * link.com),
         "inertia_kg_m2": [float(value) for value in six],
         **({} if link.mass_sigma is None else {"mass_sigma_kg": link.mass_sigma}),
         **({} if link.com_sigma is None else {"com_sigma_mm": 1e3 * link.com_sigma}),
