@@ -52,6 +52,7 @@ def robot_document(robot: Robot, convention: str) -> Document:
     share, centre = robot.payload_sigma
     stated = {"payload_sigma": {"mass_percent": 100.0 * share, "com_mm": 1e3 * centre}}
     document |= stated if robot.payload_sigma != (MASS_SHARE, CENTRE_M) else {}
+    document |= load_document(robot)
     return document | ({"links": _links(robot, document)} if robot.links else {})
 
 
@@ -60,6 +61,13 @@ def pose_document(T: Floats) -> dict[str, float]:
     xyz, rpy = xyz_rpy_from_pose(T)
     lengths = dict(zip(("x_mm", "y_mm", "z_mm"), _plain(xyz * 1e3), strict=True))
     return lengths | dict(zip(("rx_deg", "ry_deg", "rz_deg"), _plain(np.degrees(rpy)), strict=True))
+
+
+def load_document(robot: Robot) -> Document:
+    """The default load as ``load`` of a robot document; nothing where there is none."""
+    if robot.load is None:
+        return {}
+    return {"load": {"payload_kg": robot.load.mass, "payload_com_mm": [1e3 * value for value in robot.load.com]}}
 
 
 def _chain(robot: Robot) -> Document:

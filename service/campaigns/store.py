@@ -14,6 +14,7 @@ from sqlalchemy import and_, delete, or_, select
 
 from core.errors import ObservationError
 from service.campaigns.assemble import observations as assemble
+from service.campaigns.assemble import with_default_load
 from service.campaigns.chunks import Chunk, read_chunk
 from service.campaigns.columns import read_columns
 from service.campaigns.records import CampaignRecord, UploadRecord
@@ -233,7 +234,14 @@ def observations(session: Session, campaign_id: str, robot: Robot, only: Collect
         raise ObservationError(f"Campaign {campaign_id} has no observations: upload some.", campaign=campaign_id)
     columns = read_columns(uploads[0].columns, [joint.kind for joint in robot.joints])
     tables = [table.select(uploads[0].columns) for upload in uploads for table in _tables(session, upload.id)]
-    return assemble(concat_tables(tables), columns, row.conditions)
+    return with_default_load(assemble(concat_tables(tables), columns, row.conditions), robot)
+
+
+def states_a_load(session: Session, campaign_id: str) -> bool:
+    """Whether a campaign says what hung on the tool, in its conditions or in its columns."""
+    if whole(session, campaign_id).conditions.get("payload_kg") is not None:
+        return True
+    return any("payload_kg" in upload.columns for upload in uploads_of(session, campaign_id))
 
 
 def driven(session: Session, robot_id: int, robot: Robot, most: int = 20_000) -> NDArray[np.float64] | None:

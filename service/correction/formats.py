@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 from core.errors import ObservationError
 from service.campaigns import reading
 from service.campaigns.columns import Column, read_columns
+from service.contract.columns import PAYLOAD_CENTRE
 from service.limits import MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 # What a trajectory may say; whatever else a file of observations has is a measurement.
-QUANTITIES = frozenset({"q", "qd", "qdd", "dir", "t", "payload", "temperature", "session", "pose_id"})
+QUANTITIES = frozenset({"q", "qd", "qdd", "dir", "t", "payload", *PAYLOAD_CENTRE, "temperature", "session", "pose_id"})
 
 
 def read_trajectory(

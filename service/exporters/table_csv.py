@@ -50,6 +50,9 @@ def _table(version: Exportable, convention: str) -> Written:
     if not np.allclose(table.gravity, (0.0, 0.0, -STANDARD_GRAVITY), rtol=0.0, atol=LEVEL):
         pairs = zip("xyz", table.gravity.tolist(), strict=True)
         out.write(f"# gravity {' '.join(f'{axis}_m_s2={value!r}' for axis, value in pairs)}\n")
+    if (load := calibration.robot.load) is not None:
+        place = " ".join(f"{axis}_mm={1e3 * value!r}" for axis, value in zip("xyz", load.com, strict=True))
+        out.write(f"# load payload_kg={load.mass!r} {place}\n")
     out.writelines(f"# {note}\n" for note in notes)
     writer = csv.writer(out, lineterminator="\n")
     limits = _limit_columns(calibration.robot.joints)

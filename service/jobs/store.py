@@ -6,7 +6,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import timedelta
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import and_, or_, select, update
 
@@ -25,6 +25,9 @@ from service.robots import store as robots
 from service.version import code_version
 from service.versions import store as versions
 from service.versions.store import NewVersion
+
+if TYPE_CHECKING:
+    from core.robot import Robot
 
 
 def add(session: Session, robot_id: int, job: NewJob) -> str:
@@ -152,7 +155,14 @@ def load(session: Session, job_id: str) -> JobInput:
         driven=campaigns.driven(session, row.robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
         confirmation={c: campaigns.observations(session, c, robot) for c in request.confirmation},
+        default_load=_default_load(session, request, robot),
     )
+
+
+def _default_load(session: Session, request: JobRequest, robot: Robot) -> tuple[str, ...]:
+    """Campaigns of a job that state no payload, so that the robot's default load counts."""
+    named = dict.fromkeys((*request.campaigns, *request.held, *request.confirmation))
+    return () if robot.load is None else tuple(c for c in named if not campaigns.states_a_load(session, c))
 
 
 def _origin(session: Session, version_id: str) -> dict[str, Any] | None:

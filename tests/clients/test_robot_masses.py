@@ -124,10 +124,12 @@ def test_empty_columns_are_no_masses_and_nothing_needs_no_centre(tmp_path: Path)
 def test_exported_masses_load_the_joints_as_the_identified_arm(
     tmp_path: Path, form: str, errors: dict[str, float]
 ) -> None:
-    tilted = preset_document("ur10") | {"gravity_m_s2": [3.0, -2.0, -9.0]}
+    carried = {"payload_kg": 2.5, "payload_com_mm": [1.0, 0.0, 60.0]}
+    tilted = preset_document("ur10") | {"gravity_m_s2": [3.0, -2.0, -9.0], "load": carried}
     file, calibration = calibrated(errors, **tilted)
     document = read(tmp_path / "table.csv", export(form, file).text, convention=None)
     again = robot_from_document(document)
+    assert document["load"] == carried
     identified = calibration.model.loads_at(calibration.values).load_robot
     q = np.random.default_rng(2).uniform(-2, 2, (10, 6))
     motion = {"qd": np.cos(q), "qdd": np.sin(q)}

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from core.robot import Robot
 
 AXES = "xyz"
+AT_THE_TOOL = (0.0, 0.0, 0.0)
 
 
 def check(options: Options) -> None:
@@ -132,6 +133,7 @@ def _log(robot: Robot, options: Options) -> Log:
         axis=np.array([AXES.index(r.axis) for r in options.readings], dtype=np.int64),
         reading=np.radians([r.reading_deg for r in options.readings]),
         payload_kg=np.array([r.payload_kg for r in options.readings]),
+        payload_com=1e-3 * np.array([r.payload_com_mm or AT_THE_TOOL for r in options.readings]),
         series=np.array([r.series for r in options.readings], dtype=np.int64),
         resolution=math.radians(options.resolution_deg),
     )
@@ -145,13 +147,18 @@ def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
     turns = [j.kind == "revolute" for j in robot.joints]
     scale = [180.0 / math.pi if t else 1e3 for t in turns]
     configurations: list[dict[str, Any]] = []
-    head = ["joint", "axis", *(f"q{i + 1}_{'deg' if t else 'mm'}" for i, t in enumerate(turns)), "payload_kg", "series"]
-    lines = [",".join([*head, "reading_deg"])]
-    for c in inclinometer_poses(robot, joint, options.count, options.payloads_kg, options.seed):
+    centre = [f"payload_com_{axis}_mm" for axis in AXES] if options.payload_com_mm is not None else []
+    readings = [f"q{i + 1}_{'deg' if t else 'mm'}" for i, t in enumerate(turns)]
+    lines = [",".join(["joint", "axis", *readings, "payload_kg", *centre, "series", "reading_deg"])]
+    com = options.payload_com_mm or AT_THE_TOOL
+    at = [1e-3 * value for value in com]
+    for c in inclinometer_poses(robot, joint, options.count, options.payloads_kg, options.seed, at):
         q = [float(v) * k for v, k in zip(c.q, scale, strict=True)]
         axis = AXES[c.axis]
         configurations.append({"joint": options.propose, "axis": axis, "payload_kg": c.payload_kg, "q_deg": q})
-        lines.append(",".join([str(options.propose), axis, *(f"{v:.4f}" for v in q), f"{c.payload_kg:g}", "0", ""]))
+        configurations[-1] |= {} if options.payload_com_mm is None else {"payload_com_mm": list(com)}
+        load = [f"{v:g}" for v in (c.payload_kg, *(com if options.payload_com_mm is not None else ()))]
+        lines.append(",".join([str(options.propose), axis, *(f"{v:.4f}" for v in q), *load, "0", ""]))
     return {"configurations": configurations, "csv": "\n".join(lines) + "\n"}
 
 

@@ -18,6 +18,7 @@ from kilter_client.cli.arguments import (
     Json,
     MoreOptions,
     NoWait,
+    PayloadCentre,
     Robot,
     ValidationText,
 )
@@ -199,6 +200,7 @@ def plan(
         bool, typer.Option("--anywhere", help="Within the limits, also where the robot was never driven.")
     ] = False,
     payload_kg: Annotated[str | None, typer.Option(metavar="KG,KG", help=PLAN["payloads_kg"])] = None,
+    payload_com_mm: PayloadCentre = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the poses as CSV.", dir_okay=False)
     ] = None,
@@ -221,6 +223,7 @@ def plan(
         box_mm=_corners(box),
         within="limits" if anywhere else None,
         payloads_kg=None if payload_kg is None else arguments.numbers("--payload-kg", payload_kg),
+        payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
     )
 
     def files(job: dict[str, Any]) -> None:

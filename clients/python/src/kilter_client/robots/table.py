@@ -92,8 +92,8 @@ def _document(sheet: Sheet, convention: str, name: str) -> dict[str, Any]:
         joints.append({"name": joint.pop("name", None) or f"j{number}", **joint})
     document: dict[str, Any] = {"name": name, "convention": convention, "joints": joints, "rows": rows}
     document |= {key: frame for key in ("base", "tool") if (frame := _frame(sheet, key))}
-    links, gravity = masses.links(sheet, weights), _gravity(sheet)
-    return document | ({"links": links} if links else {}) | ({"gravity_m_s2": gravity} if gravity else {})
+    more = {"links": masses.links(sheet, weights), "gravity_m_s2": _gravity(sheet), "load": _load(sheet)}
+    return document | {key: value for key, value in more.items() if value}
 
 
 def _columns(sheet: Sheet, convention: str) -> list[tuple[str, str]]:
@@ -200,6 +200,14 @@ def _gravity(sheet: Sheet) -> list[float]:
     """Return gravity in the base frame from ``# gravity x_m_s2=0 y_m_s2=0 z_m_s2=-9.80665``; empty where nothing is said."""
     said = _said(sheet, "gravity", "[xyz]_m_s2")
     return [said.get(f"{axis}_m_s2", 0.0) for axis in "xyz"] if said else []
+
+
+def _load(sheet: Sheet) -> dict[str, Any]:
+    """Return the default load from ``# load payload_kg=2.5 x_mm=0 y_mm=0 z_mm=60``; empty where nothing is said."""
+    said = _said(sheet, "load", "payload_kg|[xyz]_mm")
+    if "payload_kg" not in said:
+        return {}
+    return {"payload_kg": said["payload_kg"], "payload_com_mm": [said.get(f"{axis}_mm", 0.0) for axis in "xyz"]}
 
 
 def _said(sheet: Sheet, key: str, names: str) -> dict[str, float]:
