@@ -72,9 +72,10 @@ def correct(
 ) -> Correction:
     """Joints (N, n) that put the real arm where the nominal arm should be at ``q (N, n)``.
 
-    Wanted is the nominal chain at q in the wanted frames of the calibration, actual the identified chain at the corrected
-    joints in the identified frames, with all effects that act on the arm; both seen from the wanted base. The step is the
-    damped pseudo-inverse of the joint Jacobian: one step is first order only, so it is repeated until the tool is there.
+    Rows without a payload carry the robot's default load. Wanted is the nominal chain at q in the wanted frames of the
+    calibration, actual the identified chain at the corrected joints in the identified frames, with all effects that act
+    on the arm; both seen from the wanted base. The step is the damped pseudo-inverse of the joint Jacobian: one step is
+    first order only, so it is repeated until the tool is there.
 
     Raises:
         OptionError: an unknown task.
@@ -86,11 +87,13 @@ def correct(
     if task not in ("position", "pose"):
         raise OptionError(f"task is {task!r}: give position or pose.", option="task")
     model, values = _on_the_arm(calibration)
+    load = calibration.robot.load
     ideal = calibration.wanted()
     ideal = replace(ideal, model=replace(ideal.model, T_base=np.eye(4)))
     finite = np.asarray(np.isfinite(q).all(axis=1))
     safe = np.where(finite[:, None], q, 0.0)
     conditions = Observations(safe, qd=qd, qdd=qdd, direction=direction, payload_kg=payload_kg, payload_com=payload_com)
+    conditions = conditions if load is None else conditions.carrying(load.mass, load.com)
     wanted = ideal.predict(Observations(safe))
     before = model.predict(conditions, values)
     weight = np.array([1.0] * 3 + [options.orientation_weight_m] * 3) if task == "pose" else np.ones(3)

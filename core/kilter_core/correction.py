@@ -21,7 +21,7 @@ from kilter_core.errors import OptionError
 from kilter_core.folding import Folded, fold, load_rows, standing_moment, write_bodies, write_moves
 from kilter_core.kernels import correction as kernel
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.robot import Joint, Robot
+from kilter_core.robot import Joint, Payload, Robot
 from kilter_core.runtime_effects import Conditions, Written, weighed_anew, write_effect
 from kilter_core.transforms import rotation_exp
 
@@ -42,15 +42,16 @@ class CorrectionOptions:
     Limits: ``largest_rad`` and ``largest_m`` per joint, ``farthest_m`` at the tool point. ``rate_rad_s`` and
     ``rate_m_s`` bound how fast the effects with a sign (clearance, backlash) may change the correction;
     ``least_softening_nm`` softens their sign where the effect itself does not. ``ramp_s`` is the time of a change of
-    version. ``temperature_c`` is that of the arm, for thermal growth; without it that effect stays uncorrected.
-    ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
+    version. ``payload_kg`` hangs at ``payload_com`` m in the tool frame, the tool point when None; without a mass the
+    robot's default load does. ``temperature_c`` is that of the arm, for thermal growth; without it that effect stays
+    uncorrected. ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
     1 / (pi filter_hz) seconds.
     """
 
     task: Task = "auto"
     orientation_weight_m: float = 0.2
-    payload_kg: float = 0.0
-    payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    payload_kg: float | None = None
+    payload_com: tuple[float, float, float] | None = None
     temperature_c: float | None = None
     largest_rad: float = math.radians(1.0)
     largest_m: float = 0.005
@@ -68,6 +69,13 @@ class CorrectionOptions:
     reached_m: float = 1e-6
     step: float = 1e-8
     iterations: int = 12
+
+    def load(self, robot: Robot) -> Payload:
+        """What hangs on the tool: as stated, else the robot's default load, else nothing."""
+        default = robot.load or Payload(0.0)
+        if self.payload_kg is None:
+            return Payload(default.mass, self.payload_com or default.com)
+        return Payload(self.payload_kg, self.payload_com or (0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
         if self.task != "auto" and self.task not in _ROWS:
@@ -252,7 +260,8 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     actual = fold(
         robot, [moved[e.name] if e.name else e.value for e in robot.chain.elements], seen, np.asarray(folded.T_tool)
     )
-    robot, carried = weighed_anew(folded, values, options.payload_kg, options.payload_com)
+    load = options.load(robot)
+    robot, carried = weighed_anew(folded, values, load.mass, load.com)
     loads = nominal if folded.load_chain is None else fold(robot, _drawn(robot), np.eye(4), robot.T_tool)
     m = len(nominal.constants) - 1
     head = np.zeros((m + 1, kernel.COLUMNS))
@@ -260,7 +269,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     write_bodies(head, robot, loads, *carried)
     written = Written(
         robot,
-        Conditions(options.least_softening_nm, options.payload_kg, options.temperature_c),
+        Conditions(options.least_softening_nm, load.mass, options.temperature_c),
         np.zeros((n, kernel.COLUMNS)),
     )
     _write_joints(written.joints, robot, options)

@@ -38,6 +38,7 @@ class Log:
     """Readings (N,) rad of joints (N,) about axes (N,) (0 x, 1 y, 2 z of the joint frame) at ``q (N, n)``.
 
     A reading is what the joint turned beyond its command, up to a constant for each joint, axis and ``series (N,)``.
+    ``payload_com (N, 3)`` m is where the payload has its centre in the tool frame, the tool point when None.
     """
 
     q: Floats
@@ -47,10 +48,11 @@ class Log:
     payload_kg: Floats
     series: Ints
     resolution: float = math.radians(0.001)
+    payload_com: Floats | None = None
 
     def observations(self) -> Observations:
         """The configurations as rows."""
-        return Observations(self.q, payload_kg=self.payload_kg)
+        return Observations(self.q, payload_kg=self.payload_kg, payload_com=self.payload_com)
 
 
 @dataclass(frozen=True)

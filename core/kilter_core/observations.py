@@ -25,7 +25,8 @@ class Observations:
     was not seen; ``tip (N, 3)`` m a point of the tool digitised while the markers were seen, NaN elsewhere; ``link_q
     (N, n)`` the joint angle behind gear and play; ``direction (N, n)`` in {-1, 0, +1}, the last
     motion of each joint; ``sigma (N, 3)`` m, the standard deviation of each position coordinate; ``wrench (N, 6)`` force N
-    and moment N·m on the tool point in the tool frame. Without an instrument: ``socket``, ``plane`` and ``bar (N,)`` the
+    and moment N·m on the tool point in the tool frame; ``payload_com (N, 3)`` m, where the payload has its centre in the
+    tool frame, the tool point when None. Without an instrument: ``socket``, ``plane`` and ``bar (N,)`` the
     number of the ball socket, plane or ball bar that the tool's ball is held by in a row, 0 for none; ``bar_length (N,)``
     m that the bar reads. ``setup (N,)`` numbers the set-ups of the instrument where each has a frame of its own.
     """
@@ -85,6 +86,12 @@ class Observations:
             parts = [
                 part if part.tip is not None else replace(part, tip=np.full((len(part), 3), np.nan)) for part in parts
             ]
+        if any(part.payload_com is not None for part in parts):
+            # A payload whose place is not stated hangs at the tool point.
+            parts = [
+                part if part.payload_com is not None else replace(part, payload_com=np.zeros((len(part), 3)))
+                for part in parts
+            ]
         names = set(parts[0]._present())
         for part in parts[1:]:
             if set(part._present()) != names:
@@ -95,6 +102,17 @@ class Observations:
                     columns=odd,
                 )
         return Observations(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+    def carrying(self, payload_kg: float, payload_com: Sequence[float]) -> Observations:
+        """Return the rows with this payload (kg, and m in the tool frame) where they state none."""
+        if self.payload_kg is not None:
+            return self
+        com = np.tile(np.asarray(payload_com, dtype=np.float64), (len(self), 1))
+        return replace(
+            self,
+            payload_kg=np.full(len(self), payload_kg),
+            payload_com=com if self.payload_com is None else self.payload_com,
+        )
 
     def pose_groups(self) -> Ints:
         """Number the poses, shape (N,): rows of one ``pose_id``, else rows with nearly the same joint readings, share one."""
@@ -109,8 +127,8 @@ class Observations:
     def conditions(self) -> Ints:
         """Number what repeats must share beside the pose, shape (N,): pose, approach, payload and session together."""
         columns = [self.pose_groups().astype(np.float64)[:, None]]
-        columns += [c.reshape(len(c), -1).astype(np.float64) for c in (self.direction, self.payload_kg, self.session,
-                                                                       self.setup) if c is not None]  # fmt: skip
+        beside = (self.direction, self.payload_kg, self.payload_com, self.session, self.setup)
+        columns += [c.reshape(len(c), -1).astype(np.float64) for c in beside if c is not None]
         return numbered_rows(np.unique(np.hstack(columns), return_inverse=True)[1].reshape(len(self), -1))
 
     def visits(self) -> Ints:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +43,26 @@ class Link:
     com_sigma: float | None = None
 
 
+def moved_link(link: Link, T: Floats) -> Link:
+    """Return the same body in another frame: ``T (4, 4)`` is the frame it is in now, seen from the other."""
+    R = T[:3, :3]
+    return replace(link, com=R @ link.com + T[:3, 3], inertia=R @ link.inertia @ R.T)
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A point mass kg at ``com`` m in the tool frame."""
+
+    mass: float
+    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class Robot:
     """Nominal description of a serial arm, SI. ``gravity (3,)`` m/s² is in the robot's base frame.
 
-    ``payload_sigma`` is how well payloads are known: share of the mass, and m of the place.
+    ``load`` is what it carries where nobody states a payload. ``payload_sigma`` is how well payloads are known: share of
+    the mass, and m of the place.
     """
 
     name: str
@@ -58,6 +73,7 @@ class Robot:
     T_base: Floats = field(default_factory=lambda: np.eye(4))
     T_tool: Floats = field(default_factory=lambda: np.eye(4))
     payload_sigma: tuple[float, float] = (MASS_SHARE, CENTRE_M)
+    load: Payload | None = None
 
     @property
     def n_joints(self) -> int:

@@ -13,14 +13,15 @@ from kilter_files.faults import fault
 
 TO_DEG: Mapping[str, float] = {"deg": 1.0, "mrad": 180.0 / math.pi / 1000.0, "arcmin": 1.0 / 60.0}
 JOINT_VALUE = re.compile(r"^q(\d+)_(deg|mm)$")
-OTHERS = ("joint", "axis", "payload_kg", "series")
+CENTRE = ("payload_com_x_mm", "payload_com_y_mm", "payload_com_z_mm")
+OTHERS = ("joint", "axis", "payload_kg", *CENTRE, "series")
 
 
 def read_readings(path: Path) -> list[dict[str, Any]]:
     """Readings for a ``joint_parameters`` job.
 
     Columns: ``joint``, ``axis`` (x, y or z), ``q1_deg`` ... (``_mm`` for slides), ``reading_deg`` (or ``_mrad``,
-    ``_arcmin``), optional ``payload_kg`` and ``series``. Lines that start with # are notes.
+    ``_arcmin``), optional ``payload_kg``, ``payload_com_x_mm`` ... and ``series``. Lines that start with # are notes.
 
     Raises:
         FileError: a column that is missing or unknown, or a cell that is no number; names line and column.
@@ -46,7 +47,8 @@ def _columns(path: Path, names: Sequence[str], line: int) -> tuple[list[str], st
     for name in names:
         if name not in known:
             remedy = (
-                f"There are joint, axis, q1_deg (q1_mm) ..., payload_kg, series, and reading_ in {', '.join(TO_DEG)}."
+                "There are joint, axis, q1_deg (q1_mm) ..., payload_kg, payload_com_x_mm ..., series, and reading_ in "
+                f"{', '.join(TO_DEG)}."
             )
             raise fault(path, "an unknown column", remedy, line=line, column=name)
     for name, there in (("joint", "joint" in names), ("axis", "axis" in names), ("reading_deg", len(readings) == 1)):
@@ -79,6 +81,8 @@ def _reading(
     out["reading_deg"] = value(reading) * TO_DEG[reading[8:]]
     if row.get("payload_kg"):
         out["payload_kg"] = value("payload_kg")
+    if any(row.get(name) for name in CENTRE):
+        out["payload_com_mm"] = [value(name) for name in CENTRE]
     if row.get("series"):
         out["series"] = round(value("series"))
     return out

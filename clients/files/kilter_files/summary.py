@@ -23,7 +23,9 @@ NEAR_MM = 0.1
 SHOWN_IN = {"rad": "deg", "m": "mm", "rad/s": "deg/s", "m/s": "mm/s", "rad/s2": "deg/s2", "m/s2": "mm/s2"}
 JOINT = re.compile(r"q\d+_(?:deg|rad|mm|m)")
 DIRECTION = re.compile(r"dir(\d+)")
-LOADS = ("payload_kg", "fx_n", "fy_n", "fz_n", "mx_nm", "my_nm", "mz_nm")
+CENTRE = ("payload_com_x_mm", "payload_com_y_mm", "payload_com_z_mm")
+LOADS = ("payload_kg", *CENTRE, "fx_n", "fy_n", "fz_n", "mx_nm", "my_nm", "mz_nm")
+CONDITIONS = ("payload_kg", "payload_com_mm", "tool_force_n", "tool_moment_nm")
 MOST_LOADS = 12
 
 
@@ -81,7 +83,9 @@ def _poses(columns: Columns, rows: int) -> Document | None:
     if not numbered or any(len(values) != rows for values in numbered):
         return None
     poses = list(zip(*numbered, strict=True))
-    beside = [v for name, v in columns.items() if name in ("payload_kg", "session") or DIRECTION.fullmatch(name)]
+    beside = [
+        v for name, v in columns.items() if name in ("payload_kg", *CENTRE, "session") or DIRECTION.fullmatch(name)
+    ]
     under = list(zip(*numbered, *beside, strict=True))
     visits = Counter(pose for k, pose in enumerate(poses) if k == 0 or under[k] != under[k - 1])
     each = Counter(poses)
@@ -112,7 +116,7 @@ def _loads(columns: Columns, conditions: Mapping[str, Any]) -> Document:
             out[name] = values if len(values) <= MOST_LOADS else [values[0], values[-1]]
             if len(values) > MOST_LOADS:
                 out[f"{name}_distinct"] = len(values)
-    told = {key: value for key, value in conditions.items() if key in ("payload_kg", "tool_force_n", "tool_moment_nm")}
+    told = {key: value for key, value in conditions.items() if key in CONDITIONS}
     return out | {f"campaign_{key}": value for key, value in told.items() if value is not None}
 
 

@@ -38,6 +38,7 @@ CONTRACT: tuple[tuple[str, str], ...] = (
     (r"tau\d+_n", "N"),
     (r"t_s", "s"),
     (r"payload_kg", "kg"),
+    (r"payload_com_[xyz]_(mm|m)", "{0}"),
     (r"temperature_c", "C"),
     (r"(?:tip[xyz]|bar)_(mm|m)", "{0}"),
     (r"f[xyz]_n", "N"),

@@ -17,6 +17,7 @@ function job = plan(robot, campaigns, varargin)
 %     floor_mm             Height in the robot's base frame, mm, that no joint and no tool point goes below.
 %     within               Where poses may be: where the robot was driven before, or anywhere in its limits.
 %     payloads_kg          Loads at hand, kg, 0 to 1000; used where an effect feels them.
+%     payload_com_mm       Centre of these loads in the tool frame, mm; left out: the tool point.
 [options, validation] = kilter.internal.options(varargin);
 job = kilter.internal.run('plan', robot, campaigns, options, validation);
 end

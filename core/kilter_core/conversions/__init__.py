@@ -1,6 +1,6 @@
 """One arm in other words: joint axes (product of exponentials), DH and MDH tables, joint frames; the poses stay the same."""
 
-from kilter_core.conversions.documents import pose_document, robot_document
+from kilter_core.conversions.documents import load_document, pose_document, robot_document
 from kilter_core.conversions.frames import JointFrames, joint_frames
 from kilter_core.conversions.geometry import FlangeFrames, arm_screws, flange_frames, flange_screws, wanted_tool
 from kilter_core.conversions.screws import Screws, chain_frames, screws_of_chain
@@ -17,6 +17,7 @@ __all__ = [
     "flange_screws",
     "joint_frames",
     "link_table",
+    "load_document",
     "pose_document",
     "robot_document",
     "screws_of_chain",

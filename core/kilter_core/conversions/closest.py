@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from kilter_core.chain import Chain
 from kilter_core.conventions import Row, dh_elements, mdh_elements
-from kilter_core.conversions.geometry import arm_screws
-from kilter_core.conversions.screws import Screws
+from kilter_core.conversions.geometry import arm_screws, flange_frames
+from kilter_core.conversions.screws import Screws, chain_frames
 from kilter_core.conversions.tables import link_table
 from kilter_core.effects import Effect
 from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
+from kilter_core.robot import Link, Robot, moved_link
 from kilter_core.transforms import inverse, rotation_log
 
 Floats = NDArray[np.float64]
@@ -41,12 +41,17 @@ class Loss:
 
 @dataclass(frozen=True)
 class ClosestTable:
-    """Rows of a DH or MDH table with base and tool (4, 4), and how far the calibrated arm is from them."""
+    """Rows of a DH or MDH table with base and tool (4, 4), and how far the calibrated arm is from them.
+
+    ``links`` are the robot's bodies in the frames of the rows (``element`` counts joints), ``gravity (3,)`` is in ``base``.
+    """
 
     rows: tuple[Row, ...]
     base: Floats
     tool: Floats
     loss: Loss
+    links: tuple[Link, ...]
+    gravity: Floats
 
 
 def workspace(robot: Robot, count: int = 400, seed: int = 1) -> Observations:
@@ -107,7 +112,21 @@ def closest_table(calibration: Calibration, convention: str) -> ClosestTable:
         values, loss = (fitted, closer) if closer.rms_m < loss.rms_m else (values, loss)
     model, values = model.folded(values)
     named = dict(zip(model.names, values.tolist(), strict=True))
-    return ClosestTable(_rows(rows, named), np.asarray(model.T_base), np.asarray(model.T_tool), loss)
+    found, base = _rows(rows, named), np.asarray(model.T_base)
+    frames = flange_frames(calibration).elements
+    gravity = base[:3, :3].T @ frames[0][:3, :3] @ calibration.robot.gravity
+    links = _links(calibration.robot, frames, found, convention, base)
+    return ClosestTable(found, base, np.asarray(model.T_tool), loss, links, gravity)
+
+
+def _links(robot: Robot, frames: Floats, rows: tuple[Row, ...], convention: str, base: Floats) -> tuple[Link, ...]:
+    """Bodies of the arm, as it stands with all joints at zero, in the frames of the table's rows."""
+    elements, at = (dh_elements if convention == "dh" else mdh_elements)(rows)
+    table = base @ chain_frames(Chain(elements, len(rows)))
+    return tuple(
+        replace(moved_link(link, inverse(table[at[j] + 1]) @ frames[link.element + 1]), element=j)
+        for j, link in enumerate(robot.links)
+    )
 
 
 def _model(robot: Robot, rows: Sequence[Row], convention: str, base: Floats, tool: Floats) -> RobotModel:

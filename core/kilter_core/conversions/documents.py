@@ -15,7 +15,7 @@ from kilter_core.conventions import PARALLEL_RAD, Row
 from kilter_core.conversions.screws import Screws, chain_frames, screws_of_chain
 from kilter_core.conversions.tables import link_table
 from kilter_core.errors import OptionError, RobotError
-from kilter_core.robot import CENTRE_M, MASS_SHARE, Joint, Link, Robot
+from kilter_core.robot import CENTRE_M, MASS_SHARE, Joint, Link, Robot, moved_link
 from kilter_core.robots import robot_from_document
 from kilter_core.transforms import inverse, xyz_rpy_from_pose
 
@@ -52,6 +52,7 @@ def robot_document(robot: Robot, convention: str) -> Document:
     share, centre = robot.payload_sigma
     stated = {"payload_sigma": {"mass_percent": 100.0 * share, "com_mm": 1e3 * centre}}
     document |= stated if robot.payload_sigma != (MASS_SHARE, CENTRE_M) else {}
+    document |= load_document(robot)
     return document | ({"links": _links(robot, document)} if robot.links else {})
 
 
@@ -60,6 +61,13 @@ def pose_document(T: Floats) -> dict[str, float]:
     xyz, rpy = xyz_rpy_from_pose(T)
     lengths = dict(zip(("x_mm", "y_mm", "z_mm"), _plain(xyz * 1e3), strict=True))
     return lengths | dict(zip(("rx_deg", "ry_deg", "rz_deg"), _plain(np.degrees(rpy)), strict=True))
+
+
+def load_document(robot: Robot) -> Document:
+    """The default load as ``load`` of a robot document; nothing where there is none."""
+    if robot.load is None:
+        return {}
+    return {"load": {"payload_kg": robot.load.mass, "payload_com_mm": [1e3 * value for value in robot.load.com]}}
 
 
 def _chain(robot: Robot) -> Document:
@@ -211,18 +219,17 @@ def _links(robot: Robot, document: Document) -> list[Document]:
     base = inverse(other.T_base) @ robot.T_base
     before, after = chain_frames(robot.chain), chain_frames(other.chain)
     return [
-        _link(link, inverse(after[twin.element + 1]) @ base @ before[link.element + 1])
+        _link(moved_link(link, inverse(after[twin.element + 1]) @ base @ before[link.element + 1]))
         for link, twin in zip(robot.links, other.links, strict=True)
     ]
 
 
-def _link(link: Link, T: Floats) -> Document:
-    R = T[:3, :3]
-    inertia = R @ link.inertia @ R.T
+def _link(link: Link) -> Document:
+    inertia = link.inertia
     six = [inertia[i, k] for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     return {
         "mass_kg": link.mass,
-        "com_mm": _plain(1e3 * (R @ link.com + T[:3, 3])),
+        "com_mm": _plain(1e3 * link.com),
         "inertia_kg_m2": [float(value) for value in six],
         **({} if link.mass_sigma is None else {"mass_sigma_kg": link.mass_sigma}),
         **({} if link.com_sigma is None else {"com_sigma_mm": 1e3 * link.com_sigma}),

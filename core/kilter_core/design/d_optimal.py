@@ -30,12 +30,14 @@ def d_optimal_poses(
     progress: Callable[[float], None] | None = None,
     region: Region | None = None,
     payloads_kg: Sequence[float] = (),
+    payload_com: Sequence[float] = (),
 ) -> Observations:
     """Rows (count) that maximise the determinant of the information, within the priors, of position measurements.
 
     ``effects`` are looked for beside those of ``start``; ``noise`` is the standard deviation of a coordinate in m. Poses
     are in ``region`` (within the limits when None), in the order of a short way. A row has ``direction`` where an effect
-    needs it, from either side, and ``payload_kg`` where loads matter and ``payloads_kg`` are at hand.
+    needs it, from either side, and ``payload_kg`` where loads matter and ``payloads_kg`` are at hand, at
+    ``payload_com`` m in the tool frame; else the robot's default load where loads matter.
 
     Raises:
         RobotError: joint limits are missing, or hardly a pose is in the region.
@@ -45,6 +47,7 @@ def d_optimal_poses(
     whole, values, free = _looked_for(start, effects)
     needs = frozenset[str]().union(*(e.needs for e in whole.effects))
     pool = _conditions((region or Region.of(start)).draw(max(POOL, 3 * count), rng), needs, payloads_kg, rng)
+    pool = _loaded(pool, needs, start.robot, payload_com)
     J = whole.jacobian(_complete(pool, needs), values, free)[1][:, :3]
     X = J * np.array([whole.parameters[k].prior_sigma for k in free]) / noise
     C = np.eye(X.shape[2])
@@ -83,6 +86,15 @@ def _conditions(
         direction=rng.choice([-1.0, 1.0], q.shape) if "direction" in needs else None,
         payload_kg=rng.choice(np.asarray(payloads_kg, dtype=np.float64), len(q)) if loads else None,
     )
+
+
+def _loaded(rows: Observations, needs: frozenset[str], robot: Robot, payload_com: Sequence[float]) -> Observations:
+    """Rows with their loads where they hang, or under the robot's default load where loads matter and none is at hand."""
+    if rows.payload_kg is not None and len(payload_com):
+        return replace(rows, payload_com=np.tile(np.asarray(payload_com, dtype=np.float64), (len(rows), 1)))
+    if robot.load is None or not needs & {"moments", "payload_kg"}:
+        return rows
+    return rows.carrying(robot.load.mass, robot.load.com)
 
 
 def _complete(rows: Observations, needs: frozenset[str]) -> Observations:

@@ -32,9 +32,16 @@ class Configuration:
 
 
 def inclinometer_poses(
-    robot: Robot, joint: int, count: int = 8, payloads_kg: Sequence[float] = (0.0,), seed: int = 0
+    robot: Robot,
+    joint: int,
+    count: int = 8,
+    payloads_kg: Sequence[float] = (0.0,),
+    seed: int = 0,
+    payload_com: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> list[Configuration]:
     """Readings of one joint, greedily D-optimal for its three parameters and the offsets of the axes.
+
+    Payloads hang at ``payload_com`` m in the tool frame.
 
     Raises:
         RobotError: limits are missing, or gravity never turns about the joint: it must be measured at the end effector.
@@ -43,7 +50,8 @@ def inclinometer_poses(
     rng = np.random.default_rng(seed)
     q = random_poses(robot, POOL, rng)
     payload = rng.choice(np.asarray(payloads_kg, dtype=np.float64), POOL)
-    whole, upright = regressors(robot, Observations(q, payload_kg=payload))
+    com = np.tile(np.asarray(payload_com, dtype=np.float64), (POOL, 1))
+    whole, upright = regressors(robot, Observations(q, payload_kg=payload, payload_com=com))
     if np.max(np.abs(whole[:, joint, 2, 2])) < LEAST_MOMENT_NM:
         raise RobotError(
             f"Gravity never turns about joint {robot.joints[joint].name}: an inclinometer cannot measure it. Take tool "

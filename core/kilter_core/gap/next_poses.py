@@ -237,5 +237,17 @@ def _conditions(rows: Observations, q: Floats, load: Floats) -> Observations:
         q=q, payload_kg=load, temperature_c=mean(rows.temperature_c), t=mean(rows.t),
         session=None if rows.session is None else np.full(len(q), rows.session[-1]),
         qd=None if rows.qd is None else np.zeros_like(q), qdd=None if rows.qdd is None else np.zeros_like(q),
-        payload_com=mean(rows.payload_com), direction=None if rows.direction is None else np.zeros_like(q),
+        payload_com=_centres(rows, load), direction=None if rows.direction is None else np.zeros_like(q),
     )  # fmt: skip
+
+
+def _centres(rows: Observations, load: Floats) -> Floats | None:
+    """Where each load hangs: as in the rows that carried it; a load that none carried where the mean of all was."""
+    if rows.payload_com is None or rows.payload_kg is None:
+        return None
+    out = np.tile(rows.payload_com.mean(axis=0), (len(load), 1))
+    for value in np.unique(load):
+        carried = rows.payload_kg == value
+        if carried.any():
+            out[load == value] = rows.payload_com[carried].mean(axis=0)
+    return out

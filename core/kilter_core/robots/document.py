@@ -12,7 +12,7 @@ from kilter_core.conventions import Row, dh_elements, mdh_elements, s_model_elem
 from kilter_core.errors import RobotError
 from kilter_core.robot import STANDARD_GRAVITY, Joint, Robot
 from kilter_core.robots.complete import Read, read_places, read_poe
-from kilter_core.robots.parts import MM, Document, joint_of, links_of, payload_sigma_of, pose_of
+from kilter_core.robots.parts import MM, Document, joint_of, links_of, load_of, payload_sigma_of, pose_of
 from kilter_core.robots.presets import preset_document
 
 
@@ -21,7 +21,7 @@ def robot_from_document(document: Document) -> Robot:
 
     URDF is turned into ``chain`` before.
 
-    Fields of a ``preset`` document other than its name, base, tool and gravity come from the preset.
+    Fields of a ``preset`` document other than those in ``_OVERRIDABLE`` come from the preset.
 
     Raises:
         RobotError: a field is missing or cannot be; the message names it.
@@ -44,6 +44,7 @@ def robot_from_document(document: Document) -> Robot:
         T_base=pose_of(document.get("base")),
         T_tool=pose_of(document.get("tool")),
         payload_sigma=payload_sigma_of(document.get("payload_sigma")),
+        load=load_of(document.get("load")),
     )
 
 
@@ -64,7 +65,7 @@ def _read(document: Document, convention: str) -> Read:
 
 
 TABLES = {"dh": dh_elements, "mdh": mdh_elements, "s_model": s_model_elements}
-_OVERRIDABLE = {"name", "gravity_m_s2", "tool", "base", "links", "payload_sigma"}
+_OVERRIDABLE = {"name", "gravity_m_s2", "tool", "base", "links", "payload_sigma", "load"}
 
 
 def _from_rows(document: Document, convention: str) -> tuple[tuple[Joint, ...], Chain, tuple[int, ...]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import RobotError
-from kilter_core.robot import CENTRE_M, MASS_SHARE, Joint, Link
+from kilter_core.robot import CENTRE_M, MASS_SHARE, Joint, Link, Payload
 from kilter_core.transforms import pose_from_xyz_rpy
 
 MM = 1e-3
@@ -77,6 +77,22 @@ def payload_sigma_of(document: Document | None) -> tuple[float, float]:
         MASS_SHARE if percent is None else float(percent) / 100.0,
         CENTRE_M if centre is None else float(centre) * MM,
     )
+
+
+def load_of(document: Document | None) -> Payload | None:
+    """What the robot carries where nobody states a payload.
+
+    Raises:
+        RobotError: no mass, or a negative one.
+
+    """
+    if document is None:
+        return None
+    mass = document.get("payload_kg")
+    if mass is None or not 0.0 <= mass < math.inf:
+        raise RobotError(f"load.payload_kg is {mass}: give a mass, 0 or more.", field="load.payload_kg")
+    x, y, z = (float(value) * MM for value in document.get("payload_com_mm") or (0.0, 0.0, 0.0))
+    return Payload(float(mass), (x, y, z))
 
 
 def _link(i: int, link: Document, element: int) -> Link:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.chain import Axis, Chain, Element
-from kilter_core.robot import Joint, Link, Robot
+from kilter_core.robot import Joint, Link, Payload, Robot
 
 FORMAT = "kilter-chain/1"
 
@@ -19,7 +19,7 @@ def resolved_document(robot: Robot) -> dict[str, Any]:
 
     Its name is left out: the same arm under two names is one arm.
     """
-    return {
+    document: dict[str, Any] = {
         "format": FORMAT,
         "joints": [_joint(joint) for joint in robot.joints],
         "elements": [_element(element) for element in robot.chain.elements],
@@ -29,6 +29,9 @@ def resolved_document(robot: Robot) -> dict[str, Any]:
         "T_tool": robot.T_tool.tolist(),
         "payload_sigma": [float(sigma) for sigma in robot.payload_sigma],
     }
+    # Only where there is one: robots of before keep their hash.
+    load = robot.load
+    return document | ({} if load is None else {"load": {"mass_kg": load.mass, "com_m": list(load.com)}})
 
 
 def robot_from_resolved(name: str, document: Mapping[str, Any]) -> Robot:
@@ -38,6 +41,8 @@ def robot_from_resolved(name: str, document: Mapping[str, Any]) -> Robot:
         for e in document["elements"]
     )
     share, centre = document["payload_sigma"]
+    load = document.get("load")
+    x, y, z = (0.0, 0.0, 0.0) if load is None else load["com_m"]
     return Robot(
         name=name,
         joints=tuple(_joint_of(joint) for joint in document["joints"]),
@@ -47,6 +52,7 @@ def robot_from_resolved(name: str, document: Mapping[str, Any]) -> Robot:
         T_base=np.array(document["T_base"], dtype=np.float64),
         T_tool=np.array(document["T_tool"], dtype=np.float64),
         payload_sigma=(share, centre),
+        load=None if load is None else Payload(load["mass_kg"], (x, y, z)),
     )
 
 

@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from kilter_core.observations import Observations
 from kilter_service.campaigns.columns import Column
+from kilter_service.contract.columns import PAYLOAD_CENTRE
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from kilter_core.robot import Robot
 
 Floats = NDArray[np.float64]
 
@@ -31,10 +34,16 @@ def observations(table: pa.Table, columns: Sequence[Column], conditions: dict[st
     fields["position"] = _vector(si, ("x", "y", "z"))
     fields["sigma"] = _vector(si, ("sx", "sy", "sz"))
     fields["tip"] = _vector(si, ("tipx", "tipy", "tipz"))
+    fields["payload_com"] = _vector(si, PAYLOAD_CENTRE)
     fields["wrench"] = _wrench(si, conditions, table.num_rows)
     fields["rotation"] = _rotation(si)
     fields["markers"] = _markers(si)
     return Observations(**_filled(fields, conditions, table.num_rows))
+
+
+def with_default_load(rows: Observations, robot: Robot) -> Observations:
+    """Return the rows under the robot's default load where they state none; as they are when the robot has none."""
+    return rows if robot.load is None else rows.carrying(robot.load.mass, robot.load.com)
 
 
 def _by_joint(si: dict[tuple[str, int | None], Floats], quantity: str) -> Floats | None:
@@ -84,6 +93,6 @@ def _filled(fields: dict[str, Any], conditions: dict[str, Any], rows: int) -> di
         if fields[name] is None and conditions.get(name) is not None:
             fields[name] = np.full(rows, float(conditions[name]))
     com = conditions.get("payload_com_mm")
-    if com is not None:
+    if fields["payload_com"] is None and com is not None:
         fields["payload_com"] = np.tile(np.asarray(com, dtype=np.float64) * MM, (rows, 1))
     return fields

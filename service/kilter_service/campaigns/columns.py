@@ -150,6 +150,11 @@ def _conflicts(present: set[str], markers: set[int]) -> None:
             "tool or where an instrument saw it, in two campaigns.",
             sorted(held)[0],
         )
+    if "payload_com_x" in present and "payload" not in present:
+        raise refuse(
+            "Column 'payload_kg' is missing: payload_com_x, _y, _z say where the payload has its centre, not how heavy it is.",
+            "payload_kg",
+        )
     if "tipx" in present and not markers:
         raise refuse("Column 'tipx' is missing its markers: a tip is digitised while they are seen.", "tipx")
     if {"qw", "phi"} <= present:

@@ -14,6 +14,7 @@ from sqlalchemy import and_, delete, or_, select
 
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns.assemble import observations as assemble
+from kilter_service.campaigns.assemble import with_default_load
 from kilter_service.campaigns.chunks import Chunk, read_chunk
 from kilter_service.campaigns.columns import read_columns
 from kilter_service.campaigns.records import CampaignRecord, UploadRecord
@@ -239,7 +240,14 @@ def observations(
     tables = [
         _thinned(table.select(uploads[0].columns), every) for upload in uploads for table in _tables(session, upload.id)
     ]
-    return assemble(concat_tables(tables), columns, row.conditions)
+    return with_default_load(assemble(concat_tables(tables), columns, row.conditions), robot)
+
+
+def states_a_load(session: Session, campaign_id: str) -> bool:
+    """Whether a campaign says what hung on the tool, in its conditions or in its columns."""
+    if whole(session, campaign_id).conditions.get("payload_kg") is not None:
+        return True
+    return any("payload_kg" in upload.columns for upload in uploads_of(session, campaign_id))
 
 
 def _thinned(table: pa.Table, every: int) -> pa.Table:

@@ -17,6 +17,7 @@ JOINT_UNITS: dict[str, tuple[dict[str, float], dict[str, float]]] = {
     "tau": ({"nm": 1.0}, {"n": 1.0}),
     "dir": ({"": 1.0}, {"": 1.0}),
 }
+PAYLOAD_CENTRE = ("payload_com_x", "payload_com_y", "payload_com_z")
 # quantity of a plain column -> its units
 PLAIN_UNITS: dict[str, dict[str, float]] = {
     **dict.fromkeys(("x", "y", "z"), LENGTHS),
@@ -25,6 +26,7 @@ PLAIN_UNITS: dict[str, dict[str, float]] = {
     **{part: {"": 1.0} for part in ("qw", "qx", "qy", "qz")},
     "t": {"s": 1.0},
     "payload": {"kg": 1.0},
+    **dict.fromkeys(PAYLOAD_CENTRE, LENGTHS),
     "temperature": {"c": 1.0},
     "session": {"": 1.0},
     "pose_id": {"": 1.0},
@@ -43,5 +45,6 @@ TOGETHER = (
     ("tipx", "tipy", "tipz"),
     ("fx", "fy", "fz"),
     ("mx", "my", "mz"),
+    PAYLOAD_CENTRE,
     ("bar_id", "bar"),
 )

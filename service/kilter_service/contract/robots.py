@@ -119,6 +119,13 @@ class PayloadSigma(Strict):
     )
 
 
+class DefaultLoad(Strict):
+    """What a robot carries where a campaign or a path states no payload."""
+
+    payload_kg: Load = Field(description="Mass of the load, kg, 0 or more.")
+    payload_com_mm: PointMm = Field((0.0, 0.0, 0.0), description="Its centre in the tool frame, mm; the tool point.")
+
+
 class _Robot(Strict):
     name: Name = Field(
         description="Name of the robot, unique on the server: letters, digits, `_`, `.` and `-`, at most 64."
@@ -134,6 +141,9 @@ class _Robot(Strict):
     )
     tool: Pose | None = Field(None, description="The tool point in the flange's frame; null: the flange.")
     base: Pose | None = Field(None, description="The robot's base in the world of the measurements; null: that world.")
+    load: DefaultLoad | None = Field(
+        None, description="What it carries where a campaign or a path states no payload; null: nothing is known."
+    )
     payload_sigma: PayloadSigma | None = Field(None, description="How well payloads are known; null: 10 % and 10 mm.")
 
 

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns import reading
 from kilter_service.campaigns.columns import Column, read_columns
+from kilter_service.contract.columns import PAYLOAD_CENTRE
 from kilter_service.limits import MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 # What a trajectory may say; whatever else a file of observations has is a measurement.
-QUANTITIES = frozenset({"q", "qd", "qdd", "dir", "t", "payload", "temperature", "session", "pose_id"})
+QUANTITIES = frozenset({"q", "qd", "qdd", "dir", "t", "payload", *PAYLOAD_CENTRE, "temperature", "session", "pose_id"})
 
 
 def read_trajectory(

@@ -12,6 +12,7 @@ from kilter_core.conversions.screws import Screws
 if TYPE_CHECKING:
     from kilter_core.effects import Effect
     from kilter_core.model import Calibration
+    from kilter_core.robot import Robot
 
 SAID_MM = 1e-6  # smaller differences are rounding
 
@@ -26,6 +27,13 @@ def left_out(calibration: Calibration) -> tuple[str, ...]:
     sizes = _sizes(calibration)
     arm = [effect for effect in calibration.model.effects if effect.stage != "measurement"]
     return tuple(f"Left out: {_said(effect, sizes.get(effect.id))}." for effect in arm)
+
+
+def masses_as_stated(robot: Robot) -> tuple[str, ...]:
+    """Say what a table of masses leaves out: how well they are known."""
+    if not any(link.mass_sigma is not None or link.com_sigma is not None for link in robot.links):
+        return ()
+    return ("Left out: the standard deviations of masses and centres; the numbers are those the robot states.",)
 
 
 def _sizes(calibration: Calibration) -> dict[str, tuple[float, float]]:

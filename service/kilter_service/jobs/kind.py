@@ -28,6 +28,7 @@ class JobInput:
     ``validation`` is what the job names: rows, a fraction, folds.
     ``confirmation`` are campaigns in which what was found must be seen again.
 
+    ``default_load`` are the campaigns that state no payload, where the robot has a default load.
     ``devices`` and ``names`` are those of all campaigns, by id.
     ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
     the version the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint
@@ -47,6 +48,7 @@ class JobInput:
     driven: NDArray[np.float64] | None = None
     origin: dict[str, Any] | None = None
     confirmation: dict[str, Observations] = field(default_factory=dict)
+    default_load: tuple[str, ...] = ()
 
     @property
     def rows_by_campaign(self) -> dict[str, Observations]:

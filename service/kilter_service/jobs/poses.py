@@ -28,6 +28,7 @@ class Pose:
     kind: str = "new"
     change: str | None = None
     payload_kg: float | None = None
+    payload_com: tuple[float, float, float] | None = None
     direction: tuple[int, ...] | None = None
     information_factor: float | None = None
     pose_id: int | None = None
@@ -42,11 +43,20 @@ def poses_of(
         Pose(
             q=rows.q[k], kind=kind, change=change,
             payload_kg=None if rows.payload_kg is None else float(rows.payload_kg[k]),
+            payload_com=_centre(rows, k),
             direction=None if rows.direction is None else tuple(int(s) for s in rows.direction[k]),
             information_factor=round(float(factors[k]), 3) if len(factors) else None,
         )
         for k in range(len(rows))
     ]  # fmt: skip
+
+
+def _centre(rows: Observations, k: int) -> tuple[float, float, float] | None:
+    """Where the load of a row hangs; None at the tool point, and where no load is asked for."""
+    if rows.payload_kg is None or rows.payload_com is None or not np.any(rows.payload_com):
+        return None
+    x, y, z = rows.payload_com[k].tolist()
+    return x, y, z
 
 
 def document_of(robot: Robot, poses: Sequence[Pose]) -> dict[str, Any]:
@@ -66,6 +76,8 @@ def _row(robot: Robot, pose: Pose) -> dict[str, Any]:
         "direction": None if pose.direction is None else list(pose.direction),
         "information_factor": pose.information_factor,
     }  # fmt: skip
+    if pose.payload_com is not None:
+        row["payload_com_mm"] = [round(value * 1e3, DIGITS) for value in pose.payload_com]
     numbers = {"pose_id": pose.pose_id, "session": pose.session}
     return row | {name: number for name, number in numbers.items() if number is not None}
 
@@ -79,6 +91,10 @@ def _csv(robot: Robot, rows: Sequence[dict[str, Any]]) -> str:
     columns: dict[str, list[Any]] = {name: [row[name] for row in rows] for name in names}
     if all(row["payload_kg"] is not None for row in rows):
         columns["payload_kg"] = [row["payload_kg"] for row in rows]
+    if rows and all("payload_com_mm" in row for row in rows):
+        columns |= {
+            f"payload_com_{axis}_mm": [row["payload_com_mm"][k] for row in rows] for k, axis in enumerate("xyz")
+        }
     if all(row["direction"] is not None for row in rows):
         columns |= {f"dir{j}": [row["direction"][j - 1] for row in rows] for j in range(1, len(names) + 1)}
     for name in ("pose_id", "session"):

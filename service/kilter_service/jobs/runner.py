@@ -15,6 +15,7 @@ from kilter_core.errors import CancelledError, CoreError
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.db import Database
 from kilter_service.jobs import store
+from kilter_service.jobs.default_load import with_load_remark
 from kilter_service.jobs.kind import JobKind, VersionContent
 from kilter_service.jobs.registry import kind_of
 from kilter_service.versions.objections import objections_of
@@ -69,7 +70,7 @@ class Runner:
         tell(0.0, "loading", now=True)
         with self._database.reading() as session:
             job, used = store.load(session, job_id), store.used_by(session, job_id)
-        output = kind.run(job, tell)
+        output = with_load_remark(kind.run(job, tell), job)
         tell(1.0, "storing", now=True)
         version = None if output.version is None else _as_document(output.version)
         return {"state": "succeeded", "result": output.result, "version": version, "used": used}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 from xml.etree.ElementTree import indent, tostring
 
-from kilter_core.conversions import pose_document, robot_document
+from kilter_core.conversions import load_document, pose_document, robot_document
 from kilter_core.model import Calibration
 from kilter_core.robot import Robot
 from kilter_core.robots import robot_from_document
@@ -31,13 +31,17 @@ def _urdf(robot: Robot) -> dict[str, Any]:
     root = new_urdf(robot.name, Calibration.nominal(robot))
     indent(root)
     geared = [{"name": j.name, "gear_ratio": j.gear_ratio} for j in robot.joints if j.gear_ratio is not None]
-    return {
-        "name": robot.name,
-        "convention": "urdf",
-        "urdf": '<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n",
-        "base_link": "base_link",
-        "tip_link": "flange",
-        "gravity_m_s2": robot.gravity.tolist(),
-        "base": pose_document(robot.T_base),
-        "tool": pose_document(robot.T_tool),
-    } | ({"joints": geared} if geared else {})
+    return (
+        {
+            "name": robot.name,
+            "convention": "urdf",
+            "urdf": '<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n",
+            "base_link": "base_link",
+            "tip_link": "flange",
+            "gravity_m_s2": robot.gravity.tolist(),
+            "base": pose_document(robot.T_base),
+            "tool": pose_document(robot.T_tool),
+        }
+        | load_document(robot)
+        | ({"joints": geared} if geared else {})
+    )

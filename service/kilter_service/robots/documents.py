@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from kilter_core.errors import RobotError
 
-KEPT = ("gravity_m_s2", "tool", "base", "links", "payload_sigma")
+KEPT = ("gravity_m_s2", "tool", "base", "links", "payload_sigma", "load")
 
 
 class CoreDocument(NamedTuple):

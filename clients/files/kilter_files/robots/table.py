@@ -10,6 +10,7 @@ from typing import Any
 
 from kilter_files.errors import FileError, UsageError
 from kilter_files.names import did_you_mean
+from kilter_files.robots import masses
 from kilter_files.robots.sheet import Sheet
 from kilter_files.robots.text import read_text
 
@@ -23,7 +24,7 @@ QUANTITIES = {
     "lower": ("lower", "min"),
     "upper": ("upper", "max"),
 }
-LENGTHS = {"mm": 1.0, "m": 1e3}
+LENGTHS = masses.LENGTHS
 ANGLES = {"deg": 1.0, "rad": 180.0 / math.pi}
 TEXTS = ("joint", "type")
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic", "": "revolute"}
@@ -80,15 +81,19 @@ def _document(sheet: Sheet, convention: str, name: str) -> dict[str, Any]:
     if not sheet.rows:
         raise FileError(f"{sheet.path}: has no rows below its header.", file=str(sheet.path))
     rows, joints = [], []
+    weights: list[tuple[int, masses.Cells]] = []
     for number, (line, cells) in enumerate(sheet.rows, 1):
         if len(cells) != len(sheet.names):
             message = f"{len(cells)} cells where the header has {len(sheet.names)}."
             raise FileError(f"{sheet.path}, line {line}: {message}", file=str(sheet.path), line=line)
         row, joint = _row(sheet, columns, line, cells)
         rows.append(row)
+        weights.append((line, _weights(sheet, columns, line, cells)))
         joints.append({"name": joint.pop("name", None) or f"j{number}", **joint})
-    frames = {key: frame for key in ("base", "tool") if (frame := _frame(sheet, key))}
-    return {"name": name, "convention": convention, "joints": joints, "rows": rows, **frames}
+    document: dict[str, Any] = {"name": name, "convention": convention, "joints": joints, "rows": rows}
+    document |= {key: frame for key in ("base", "tool") if (frame := _frame(sheet, key))}
+    more = {"links": masses.links(sheet, weights), "gravity_m_s2": _gravity(sheet), "load": _load(sheet)}
+    return document | {key: value for key, value in more.items() if value}
 
 
 def _columns(sheet: Sheet, convention: str) -> list[tuple[str, str]]:
@@ -96,14 +101,17 @@ def _columns(sheet: Sheet, convention: str) -> list[tuple[str, str]]:
     spellings = {spelling: quantity for quantity, names in QUANTITIES.items() for spelling in names}
     out = []
     for name in sheet.names:
-        plain = name.strip().lower().replace(" ", "_")
+        plain = masses.plain_name(name)
         quantity, _, unit = plain.rpartition("_")
         if plain in TEXTS:
             out.append((plain, ""))
+        elif weight := masses.mass_column(plain):
+            out.append(weight)
         elif spellings.get(quantity) and unit in (*LENGTHS, *ANGLES):
             out.append((spellings[quantity], unit))
         else:
-            raise _unknown(sheet, name, plain in spellings)
+            raise _unknown(sheet, name, plain in (*spellings, *masses.QUANTITIES))
+    masses.refuse_half_a_group(sheet, {quantity for quantity, _ in out})
     if convention == "dh" and any(quantity == "beta" for quantity, _ in out):
         raise FileError(
             f"{sheet.path}: a dh table has no beta; take --convention mdh.", file=str(sheet.path), column="beta"
@@ -112,7 +120,8 @@ def _columns(sheet: Sheet, convention: str) -> list[tuple[str, str]]:
 
 
 def _unknown(sheet: Sheet, name: str, lacks_unit: bool) -> FileError:
-    known = [f"{quantity}_{'mm' if quantity in 'da' else 'deg'}" for quantity in QUANTITIES] + list(TEXTS)
+    known = [f"{quantity}_{'mm' if quantity in 'da' else 'deg'}" for quantity in QUANTITIES]
+    known += [*TEXTS, *masses.NAMES]
     why = "has no unit: write it as, for example, alpha_deg or a_mm" if lacks_unit else "is not known"
     return FileError(
         f"{sheet.path}, column {name!r} {why}{did_you_mean(name, known)}. Known are {', '.join(known)} "
@@ -133,7 +142,7 @@ def _row(
     row: dict[str, Any] = {"type": kind}
     limits: dict[str, float] = {}
     for (quantity, unit), cell in zip(columns, cells, strict=True):
-        if not unit or (not cell and quantity not in ("d", "beta")):
+        if not unit or quantity in masses.QUANTITIES or (not cell and quantity not in ("d", "beta")):
             continue
         factor, word = _factor(sheet, quantity, unit, kind)
         if factor is None:
@@ -150,6 +159,15 @@ def _row(
     if len(limits) == 2:
         joint["limits_mm" if kind == "prismatic" else "limits_deg"] = [limits["lower"], limits["upper"]]
     return row, joint
+
+
+def _weights(sheet: Sheet, columns: list[tuple[str, str]], line: int, cells: list[str]) -> dict[str, float | None]:
+    """Return the cells about masses: kg, mm and kg m2; None where a cell is empty."""
+    return {
+        quantity: _number(sheet, line, quantity, cell) * LENGTHS.get(unit, 1.0) if cell else None
+        for (quantity, unit), cell in zip(columns, cells, strict=True)
+        if quantity in masses.QUANTITIES
+    }
 
 
 def _factor(sheet: Sheet, quantity: str, unit: str, kind: str) -> tuple[float | None, str]:
@@ -175,9 +193,27 @@ def _number(sheet: Sheet, line: int, column: str, cell: str) -> float:
 
 def _frame(sheet: Sheet, key: str) -> dict[str, float]:
     """Return base or tool from a comment such as ``# tool x_mm=0 ... rz_deg=90``."""
+    return _said(sheet, key, r"[xyz]_mm|r[xyz]_deg")
+
+
+def _gravity(sheet: Sheet) -> list[float]:
+    """Return gravity in the base frame from ``# gravity x_m_s2=0 y_m_s2=0 z_m_s2=-9.80665``; empty where nothing is said."""
+    said = _said(sheet, "gravity", "[xyz]_m_s2")
+    return [said.get(f"{axis}_m_s2", 0.0) for axis in "xyz"] if said else []
+
+
+def _load(sheet: Sheet) -> dict[str, Any]:
+    """Return the default load from ``# load payload_kg=2.5 x_mm=0 y_mm=0 z_mm=60``; empty where nothing is said."""
+    said = _said(sheet, "load", "payload_kg|[xyz]_mm")
+    if "payload_kg" not in said:
+        return {}
+    return {"payload_kg": said["payload_kg"], "payload_com_mm": [said.get(f"{axis}_mm", 0.0) for axis in "xyz"]}
+
+
+def _said(sheet: Sheet, key: str, names: str) -> dict[str, float]:
     for comment in sheet.comments:
         word, _, rest = comment.partition(" ")
         if word == key:
-            pairs = re.findall(r"([xyz]_mm|r[xyz]_deg)=(\S+)", rest)
+            pairs = re.findall(rf"({names})=(\S+)", rest)
             return {name: _number(sheet, 0, f"{key} {name}", value) for name, value in pairs}
     return {}

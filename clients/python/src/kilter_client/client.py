@@ -12,6 +12,8 @@ from kilter_client.references import Found, Kind, resolve
 from kilter_client.resources import Campaigns, Robots, Versions
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import httpx
 
     from kilter_files import Prepared
@@ -20,9 +22,13 @@ CORRECT_TIMEOUT_S = 600.0
 
 
 class Corrected(bytes):
-    """A corrected trajectory, as bytes of a file; ``left_out`` are effects of the version that it does not cover."""
+    """A corrected trajectory, as bytes of a file.
+
+    ``left_out`` are effects of the version that it does not cover, ``notes`` what else the server says of it.
+    """
 
     left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 class Kilter:
@@ -73,24 +79,39 @@ class Kilter:
         return list(self._connection.get("/v1/tombstones", **({"robot": robot} if robot else {}))["tombstones"])
 
     def correct(
-        self, robot: str, trajectory: Prepared, *, version: str | None = None, form: str | None = None
+        self,
+        robot: str,
+        trajectory: Prepared,
+        *,
+        version: str | None = None,
+        form: str | None = None,
+        payload_kg: float | None = None,
+        payload_com_mm: Sequence[float] | None = None,
     ) -> Corrected:
         """Correct a trajectory with the active version (or ``version``: an id or its beginning, a name, ``latest``).
 
         The answer has the format that was sent; ``form`` "ros2-yaml" asks for a ROS 2 JointTrajectory instead. Its
-        ``left_out`` names effects of the version that a correction does not cover.
+        ``left_out`` names effects of the version that a correction does not cover, its ``notes`` say which load was taken
+        where none is stated. ``payload_kg`` hangs on the tool along the whole path, at ``payload_com_mm`` in the tool frame.
         """
         version = version and self.versions.id_of(version, robot)
+        wanted = {
+            "version": version,
+            "format": form,
+            "payload_kg": payload_kg,
+            "payload_com_mm": None if payload_com_mm is None else ",".join(f"{value!r}" for value in payload_com_mm),
+        }
         response = self._connection.request(
             "POST",
             address("robots", robot, "correct"),
             content=trajectory.content,
             headers={"Content-Type": trajectory.content_type, "Accept": "*/*" if form else trajectory.content_type},
-            params={name: value for name, value in (("version", version), ("format", form)) if value},
+            params={name: value for name, value in wanted.items() if value is not None},
             timeout=CORRECT_TIMEOUT_S,
         )
         corrected = Corrected(response.content)
         corrected.left_out = tuple(filter(None, response.headers.get("Kilter-Not-Corrected", "").split(", ")))
+        corrected.notes = tuple(filter(None, response.headers.get("Kilter-Notes", "").split(" | ")))
         return corrected
 
     def close(self) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from kilter_service.contract.fits import StageErrors
+from kilter_service.contract.fits import Remark, StageErrors
 from kilter_service.contract.jobs.shared import Version
 from kilter_service.contract.units import Asked, Deg, Mm, Stored
 
@@ -93,5 +93,6 @@ class EvaluateResult(Stored):
     refit: list[str] | None = Field(None, description="Frames that were fitted anew.")
     metrics: dict[str, CampaignErrors] | None = Field(None, description="Errors, by campaign.")
     rows: dict[str, RowErrors] | None = Field(None, description="Errors of the rows, by campaign.")
+    warnings: list[Remark] | None = Field(None, description="What to know before trusting the result.")
     standard: str | None = Field(None, description="The standard, with its year.")
     iso9283: dict[str, Iso9283] | None = Field(None, description="Criteria, by campaign.")

@@ -9,9 +9,10 @@ from pydantic import Field
 from kilter_service.contract.fits import Parameter
 from kilter_service.contract.jobs.shared import MadeVersion, Seed
 from kilter_service.contract.joints import JointMotions
-from kilter_service.contract.units import Asked, Deg, Kg, Load, Stored
+from kilter_service.contract.units import Asked, Deg, Kg, Load, PointMm, Stored
 
 RESOLUTION_DEG = 0.001
+Centre = Annotated[PointMm, Field(strict=False)]
 JointName = Annotated[str, Field(min_length=1, max_length=128)]
 
 
@@ -25,6 +26,9 @@ class Reading(Asked):
     )
     reading_deg: Deg = Field(description="What the inclinometer read beyond the command, degrees.")
     payload_kg: Load = Field(0.0, description="Mass at the tool point, kg, 0 or more.")
+    payload_com_mm: Centre | None = Field(
+        None, description="Centre of that mass in the tool frame, mm; null: the tool point."
+    )
     series: int = Field(0, description="Number of the series; the constant of a series is its own.")
 
 
@@ -42,6 +46,9 @@ class JointParametersOptions(Asked):
     payloads_kg: Annotated[list[Load], Field(min_length=1, max_length=100)] = Field(
         [0.0], description="Loads at hand, kg, 0 or more."
     )
+    payload_com_mm: Centre | None = Field(
+        None, description="Of a proposal: centre of these loads in the tool frame, mm; null: the tool point."
+    )
     seed: Seed = Field(0, description="Seed of the choice, 0 or more.")
 
 
@@ -51,6 +58,7 @@ class Configuration(Stored):
     joint: str | None = Field(None, description="Name of the joint.")
     axis: str | None = Field(None, description="Axis of the joint's frame to read about.")
     payload_kg: Kg | None = Field(None, description="Load to carry, kg.")
+    payload_com_mm: PointMm | None = Field(None, description="Its centre in the tool frame, mm; null: the tool point.")
     q_deg: list[Deg] | None = Field(None, description="All joints, degrees; mm for one that slides.")
 
 

@@ -54,6 +54,9 @@ class PlanOptions(Asked):
     payloads_kg: Annotated[list[Annotated[Kg, Field(ge=0, le=HEAVIEST_KG)]], Field(max_length=100)] = Field(
         [], description="Loads at hand, kg, 0 to 1000; used where an effect feels them."
     )
+    payload_com_mm: Corner | None = Field(
+        None, description="Centre of these loads in the tool frame, mm; null: the tool point."
+    )
 
 
 class PlannedPose(Stored):
@@ -65,6 +68,7 @@ class PlannedPose(Stored):
     kind: str | None = Field(None, description="`new`, or what is done again.")
     change: str | None = Field(None, description="What to change before it, in words; null: nothing.")
     payload_kg: Kg | None = Field(None, description="Load to carry, kg; null: any.")
+    payload_com_mm: PointMm | None = Field(None, description="Its centre in the tool frame, mm; null: the tool point.")
     direction: list[int] | None = Field(None, description="Direction to reach each joint from, -1 or 1; null: any.")
     information_factor: float | None = Field(None, description="How much more is known after it, as a factor.")
     pose_id: int | None = Field(None, description="Number of the pose, for the column of that name.")

@@ -8,7 +8,7 @@ from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions as Options
 from kilter_service.jobs.foresight import Foresight, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
-from kilter_service.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_rad
+from kilter_service.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_metres, to_rad
 
 if TYPE_CHECKING:
     from kilter_core.inclinometers import JointParameter, Log
@@ -20,6 +20,7 @@ AXES = "xyz"
 REMEDY = (
     "Read the joint in the configurations that `propose` names, or move it while its link-side encoder is recorded."
 )
+AT_THE_TOOL = (0.0, 0.0, 0.0)
 
 
 def check(options: Options) -> None:
@@ -153,6 +154,7 @@ def _log(robot: Robot, options: Options) -> Log:
         axis=np.array([AXES.index(r.axis) for r in options.readings], dtype=np.int64),
         reading=to_rad(np.array([r.reading_deg for r in options.readings])),
         payload_kg=np.array([r.payload_kg for r in options.readings]),
+        payload_com=to_metres(np.array([r.payload_com_mm or AT_THE_TOOL for r in options.readings])),
         series=np.array([r.series for r in options.readings], dtype=np.int64),
         resolution=to_rad(options.resolution_deg),
     )
@@ -165,13 +167,18 @@ def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
     joint = _joint(robot, str(options.propose))
     scale = joint_scale(robot)
     configurations: list[dict[str, Any]] = []
-    head = ["joint", "axis", *(f"q{i}_{unit}" for i, unit in enumerate(joint_units(robot), 1)), "payload_kg", "series"]
-    lines = [",".join([*head, "reading_deg"])]
-    for c in inclinometer_poses(robot, joint, options.count, options.payloads_kg, options.seed):
+    com = options.payload_com_mm or AT_THE_TOOL
+    centre = [f"payload_com_{axis}_mm" for axis in AXES] if options.payload_com_mm is not None else []
+    joints = [f"q{i}_{unit}" for i, unit in enumerate(joint_units(robot), 1)]
+    lines = [",".join(["joint", "axis", *joints, "payload_kg", *centre, "series", "reading_deg"])]
+    at = [to_metres(value) for value in com]
+    for c in inclinometer_poses(robot, joint, options.count, options.payloads_kg, options.seed, at):
         q = [float(v) * k for v, k in zip(c.q, scale, strict=True)]
         axis = AXES[c.axis]
         configurations.append({"joint": options.propose, "axis": axis, "payload_kg": c.payload_kg, "q_deg": q})
-        lines.append(",".join([str(options.propose), axis, *(f"{v:.4f}" for v in q), f"{c.payload_kg:g}", "0", ""]))
+        configurations[-1] |= {} if options.payload_com_mm is None else {"payload_com_mm": list(com)}
+        load = [f"{v:g}" for v in (c.payload_kg, *(com if options.payload_com_mm is not None else ()))]
+        lines.append(",".join([str(options.propose), axis, *(f"{v:.4f}" for v in q), *load, "0", ""]))
     return {"configurations": configurations, "csv": "\n".join(lines) + "\n"}
 
 

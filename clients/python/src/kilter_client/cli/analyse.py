@@ -19,6 +19,7 @@ from kilter_client.cli.arguments import (
     Json,
     MoreOptions,
     NoWait,
+    PayloadCentre,
     Robot,
     ValidationText,
 )
@@ -203,6 +204,7 @@ def plan(
         bool, typer.Option("--anywhere", help="Within the limits, also where the robot was never driven.")
     ] = False,
     payload_kg: Annotated[str | None, typer.Option(metavar="KG,KG", help=PLAN["payloads_kg"])] = None,
+    payload_com_mm: PayloadCentre = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the poses as CSV.", dir_okay=False)
     ] = None,
@@ -225,6 +227,7 @@ def plan(
         box_mm=_corners(box),
         within="limits" if anywhere else None,
         payloads_kg=None if payload_kg is None else arguments.numbers("--payload-kg", payload_kg),
+        payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
     )
 
     def files(job: dict[str, Any]) -> None:

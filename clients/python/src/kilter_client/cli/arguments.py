@@ -46,6 +46,10 @@ ConfirmationIds = Annotated[
         show_default=False,
     ),
 ]
+PayloadCentre = Annotated[
+    str | None,
+    typer.Option(metavar="X,Y,Z", help="Centre of the payload in the tool frame, mm; default: the tool point."),
+]
 NoWait = Annotated[bool, typer.Option("--no-wait", help="Return as soon as the job is queued.")]
 Check = Annotated[
     bool,

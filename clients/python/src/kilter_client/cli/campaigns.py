@@ -10,7 +10,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import arguments, keeping
-from kilter_client.cli.arguments import File, Json, Retired, Robot
+from kilter_client.cli.arguments import File, Json, PayloadCentre, Retired, Robot
 from kilter_client.cli.checks import Unchecked
 from kilter_client.cli.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
@@ -85,6 +85,7 @@ def upload(
     campaign: IntoCampaign = None,
     name: Annotated[str | None, typer.Option(help="Name of the campaign; default is the file's name.")] = None,
     payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point during the campaign.")] = None,
+    payload_com_mm: PayloadCentre = None,
     temperature_c: Annotated[float | None, typer.Option(help="Temperature during the campaign.")] = None,
     tool_force_n: ToolForce = None,
     tool_moment_nm: ToolMoment = None,
@@ -100,7 +101,7 @@ def upload(
 
     Makes a campaign, or adds to --campaign. The same file again changes nothing.
     """
-    conditions = _conditions(payload_kg, temperature_c, tool_force_n, tool_moment_nm)
+    conditions = _conditions(payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
     if campaign and (name or notes or conditions):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     prepared = _prepared(robot, file, device, column_map, _Points(preset, euler, joints, topic, joint_order))
@@ -129,11 +130,16 @@ def upload(
 
 
 def _conditions(
-    payload_kg: float | None, temperature_c: float | None, force: str | None, moment: str | None
+    payload_kg: float | None,
+    payload_com_mm: str | None,
+    temperature_c: float | None,
+    force: str | None,
+    moment: str | None,
 ) -> dict[str, Any]:
     """Return what holds for the whole campaign."""
     told = {
         "payload_kg": payload_kg,
+        "payload_com_mm": arguments.three("--payload-com-mm", payload_com_mm),
         "temperature_c": temperature_c,
         "tool_force_n": arguments.three("--tool-force-n", force),
         "tool_moment_nm": arguments.three("--tool-moment-nm", moment),

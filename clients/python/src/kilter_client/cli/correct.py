@@ -12,7 +12,8 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.arguments import File, Json, Robot
+from kilter_client.cli import arguments
+from kilter_client.cli.arguments import File, Json, PayloadCentre, Robot
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
@@ -36,14 +37,19 @@ def correct(
     form: Annotated[
         str | None, typer.Option("--format", help="ros2-yaml: a ROS 2 JointTrajectory instead of the format sent.")
     ] = None,
+    payload_kg: Annotated[
+        float | None, typer.Option(min=0.0, help="Mass on the tool along the whole path, kg; 0 for an empty tool.")
+    ] = None,
+    payload_com_mm: PayloadCentre = None,
     as_json: Json = False,
 ) -> None:
     """Correct a trajectory (t_s, q1_deg, ...) with the active version; the answer has the format that was sent."""
     if as_json and output is None:
         raise UsageError("--json reports what was written: name the file with -o.")
+    centre = arguments.three("--payload-com-mm", payload_com_mm)
     trajectory = prepare(file, column_map=column_map)
     with Kilter() as kilter:
-        content = kilter.correct(robot, trajectory, form=form)
+        content = kilter.correct(robot, trajectory, form=form, payload_kg=payload_kg, payload_com_mm=centre)
     status = {} if form else verdicts(content, trajectory.content_type)
     left = {name: count for name, count in status.items() if name != "OK"}
     if left:
@@ -51,6 +57,8 @@ def correct(
         note(f"Warning: {sum(left.values())} rows are not corrected and have empty cells ({counts}).", as_json)
     if content.left_out:
         note(f"Warning: not corrected is what {', '.join(content.left_out)} does.", as_json)
+    for remark in content.notes:
+        note(f"Note: {remark}", as_json)
     if output is None:
         typer.get_binary_stream("stdout").write(content)
         return
@@ -61,6 +69,7 @@ def correct(
         "bytes": len(content),
         "status": status,
         "not_corrected": list(content.left_out),
+        "notes": list(content.notes),
     }
     emit(
         document,

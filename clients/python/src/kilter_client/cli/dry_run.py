@@ -13,7 +13,7 @@ from kilter_files import Prepared
 
 Document = dict[str, Any]
 
-LOAD_UNITS = {"kg": "kg", "n": "N", "nm": "N m"}
+LOAD_UNITS = {"kg": "kg", "mm": "mm", "m": "m", "n": "N", "nm": "N m"}
 
 
 def what_it_holds(robot: str, prepared: Prepared, conditions: Mapping[str, Any]) -> Document:

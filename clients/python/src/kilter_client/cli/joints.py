@@ -9,7 +9,16 @@ import typer
 
 from kilter_client.cli import arguments
 from kilter_client.cli.analyse import needs_result, run_job, write_poses
-from kilter_client.cli.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, Robot, ValidationText
+from kilter_client.cli.arguments import (
+    CampaignIds,
+    JobName,
+    Json,
+    MoreOptions,
+    NoWait,
+    PayloadCentre,
+    Robot,
+    ValidationText,
+)
 from kilter_client.cli.option_texts import JOINT_PARAMETERS
 from kilter_client.errors import UsageError
 
@@ -29,6 +38,7 @@ def joint_parameters(
     propose: Annotated[str | None, typer.Option(metavar="JOINT", help=JOINT_PARAMETERS["propose"])] = None,
     count: Annotated[int | None, typer.Option(min=4, help=JOINT_PARAMETERS["count"])] = None,
     payload_kg: Annotated[list[float] | None, typer.Option(help=JOINT_PARAMETERS["payloads_kg"], min=0.0)] = None,
+    payload_com_mm: PayloadCentre = None,
     seed: Annotated[int | None, typer.Option(help=JOINT_PARAMETERS["seed"])] = None,
     resolution_deg: Annotated[float | None, typer.Option(help=JOINT_PARAMETERS["resolution_deg"])] = None,
     output: Annotated[
@@ -40,19 +50,18 @@ def joint_parameters(
     as_json: Json = False,
 ) -> None:
     """Measure clearance, backlash and stiffness of joints directly, or say where to read for that."""
-    given = [
-        name for name, there in (("--readings", readings), ("--campaign", campaign), ("--propose", propose)) if there
-    ]
-    if len(given) != 1:
-        raise UsageError(
-            "Give one of --readings FILE (inclinometer), --campaign ID (link-side encoders) and --propose JOINT, "
-            f"not {' and '.join(given) or 'none'}."
-        )
+    _refuse_two_ways({"--readings": readings, "--campaign": campaign, "--propose": propose})
     needs_result(no_wait, output=output)
     if output is not None and propose is None:
         raise UsageError("--output writes a proposal: give --propose JOINT.")
     chosen = arguments.options(
-        option, propose=propose, count=count, payloads_kg=payload_kg or None, seed=seed, resolution_deg=resolution_deg
+        option,
+        propose=propose,
+        count=count,
+        payloads_kg=payload_kg or None,
+        payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
+        seed=seed,
+        resolution_deg=resolution_deg,
     )
     if readings is not None:
         from kilter_files.readings import read_readings
@@ -75,3 +84,12 @@ def joint_parameters(
         files=files,
         name=name,
     )
+
+
+def _refuse_two_ways(ways: dict[str, object]) -> None:
+    given = [name for name, there in ways.items() if there]
+    if len(given) != 1:
+        raise UsageError(
+            "Give one of --readings FILE (inclinometer), --campaign ID (link-side encoders) and --propose JOINT, "
+            f"not {' and '.join(given) or 'none'}."
+        )

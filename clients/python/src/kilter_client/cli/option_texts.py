@@ -61,6 +61,7 @@ PLAN = {
     "floor_mm": "Height in the robot's base frame, mm, that no joint and no tool point goes below.",
     "within": "Where poses may be: where the robot was driven before, or anywhere in its limits.",
     "payloads_kg": "Loads at hand, kg, 0 to 1000; used where an effect feels them.",
+    "payload_com_mm": "Centre of these loads in the tool frame, mm; left out: the tool point.",
 }
 JOINT_PARAMETERS = {
     "readings": "Readings of an inclinometer.",
@@ -68,5 +69,6 @@ JOINT_PARAMETERS = {
     "propose": "Name of the joint to propose configurations for.",
     "count": "Configurations to propose, 4 to 200.",
     "payloads_kg": "Loads at hand, kg, 0 or more.",
+    "payload_com_mm": "Of a proposal: centre of these loads in the tool frame, mm; left out: the tool point.",
     "seed": "Seed of the choice, 0 or more.",
 }

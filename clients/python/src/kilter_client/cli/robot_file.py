@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from kilter_client.cli.arguments import PayloadCentre, three
 from kilter_client.errors import UsageError
 from kilter_files.robots import Described, read_robot
 from kilter_files.robots.plain_name import checked_name, plain_name
@@ -21,6 +22,10 @@ OPTIONS: dict[str, Any] = {
     "file": Annotated[Path | None, typer.Argument(help=ROBOT_FILE, exists=True, dir_okay=False, show_default=False)],
     "preset": Annotated[str | None, typer.Option(help="A robot that ships with Kilter, instead of a file.")],
     "name": Annotated[str | None, typer.Option(help="Name to give it; only robot.json has one.")],
+    "payload_kg": Annotated[
+        float | None, typer.Option(min=0.0, help="What it carries where nobody states a payload, kg.")
+    ],
+    "payload_com_mm": PayloadCentre,
     "base_link": Annotated[str | None, typer.Option(help="URDF: first link of the chain.")],
     "tip_link": Annotated[str | None, typer.Option(help="URDF: last link of the chain.")],
     "convention": Annotated[str | None, typer.Option(help="Table: dh or mdh (Craig).", metavar="dh|mdh")],
@@ -42,15 +47,22 @@ class RobotSource:
     file: Path | None
     preset: str | None
     described: Described
+    load: dict[str, Any] | None = None
 
     def document(self, unnamed: str | None = None) -> dict[str, Any]:
         """Return the robot document; ``unnamed`` is the name of a robot that was given none.
+
+        A load that was given takes the place of the file's.
 
         Raises:
             UsageError: neither file nor preset, both, or options that belong to another kind of file.
             FileError: the file is not what it should be.
 
         """
+        found = self._without_load(unnamed)
+        return found if self.load is None else {**found, "load": self.load}
+
+    def _without_load(self, unnamed: str | None) -> dict[str, Any]:
         if (self.file is None) == (self.preset is None):
             raise UsageError("Give either a FILE or --preset.")
         name = checked_name(self.described.name) if self.described.name else unnamed and plain_name(unnamed)
@@ -75,10 +87,11 @@ def takes_a_robot(command: Callable[..., None]) -> Callable[..., None]:
     def run(**values: Any) -> None:
         shared = {name: values.pop(name) for name in OPTIONS}
         file, preset = shared.pop("file"), shared.pop("preset")
+        load = _load(shared.pop("payload_kg"), shared.pop("payload_com_mm"))
         described: dict[str, Any] = {
             name: value or () if name in ("turned", "follows") else value for name, value in shared.items()
         }
-        command(RobotSource(file, preset, Described(**described)), **values)
+        command(RobotSource(file, preset, Described(**described), load), **values)
 
     parameters = [parameter.replace(kind=_KEYWORD) for parameter in own]
     needed = [parameter for parameter in parameters if parameter.default is inspect.Parameter.empty]
@@ -87,6 +100,21 @@ def takes_a_robot(command: Callable[..., None]) -> Callable[..., None]:
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in [*needed, *given, *rest]}
     run.__name__, run.__doc__ = command.__name__, command.__doc__
     return run
+
+
+def _load(payload_kg: float | None, payload_com_mm: str | None) -> dict[str, Any] | None:
+    """Return the default load that the options state.
+
+    Raises:
+        UsageError: a place without a mass, or no three numbers.
+
+    """
+    centre = three("--payload-com-mm", payload_com_mm)
+    if payload_kg is None:
+        if centre is not None:
+            raise UsageError("--payload-com-mm says where the load has its centre: give --payload-kg beside it.")
+        return None
+    return {"payload_kg": payload_kg} | ({} if centre is None else {"payload_com_mm": centre})
 
 
 _KEYWORD = inspect.Parameter.KEYWORD_ONLY
