@@ -9,13 +9,13 @@ import numpy as np
 
 from kilter_core.errors import OptionError
 from kilter_service.campaigns.assemble import with_default_load
+from kilter_service.wire import to_metres, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.robot import Robot
 
-MM = 1e-3
 FOLLOW_THE_LOAD = frozenset({"moments", "payload_kg"})
 
 
@@ -45,7 +45,7 @@ def under(rows: Observations, carried: Carried, robot: Robot) -> Observations:
             "The path has a column payload_kg, and payload_kg is given for the whole path too: give one of them.",
             option="payload_kg",
         )
-    return rows.carrying(carried.payload_kg, [value * MM for value in carried.payload_com_mm or (0.0, 0.0, 0.0)])
+    return rows.carrying(carried.payload_kg, [to_metres(value) for value in carried.payload_com_mm or (0.0, 0.0, 0.0)])
 
 
 def remarks(
@@ -68,7 +68,7 @@ def remarks(
 
 def said(mass: float, com: Sequence[float]) -> str:
     """Say a load in words."""
-    at = ", ".join(f"{value / MM:.6g}" for value in com)
+    at = ", ".join(f"{to_mm(value):.6g}" for value in com)
     return f"{mass:.6g} kg at ({at}) mm in the tool frame"
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.wire import joint_scale, joint_units
+from kilter_service.wire import joint_scale, joint_units, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.observations import Observations
@@ -77,7 +77,7 @@ def _row(robot: Robot, pose: Pose) -> dict[str, Any]:
         "information_factor": pose.information_factor,
     }  # fmt: skip
     if pose.payload_com is not None:
-        row["payload_com_mm"] = [round(value * 1e3, DIGITS) for value in pose.payload_com]
+        row["payload_com_mm"] = [round(to_mm(value), DIGITS) for value in pose.payload_com]
     numbers = {"pose_id": pose.pose_id, "session": pose.session}
     return row | {name: number for name, number in numbers.items() if number is not None}
 

@@ -144,7 +144,7 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
         lambda fraction: progress(fraction, "choosing poses"),
         _region(job),
         job.options.payloads_kg,
-        [1e-3 * value for value in job.options.payload_com_mm or ()],
+        [to_metres(value) for value in job.options.payload_com_mm or ()],
     )
     return document_of(job.robot, poses_of(rows))
 
