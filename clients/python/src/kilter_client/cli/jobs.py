@@ -8,13 +8,14 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.arguments import Json
+from kilter_client.cli.groups import Group
 from kilter_client.cli.output import emit
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.references import OfRobot, resolved
 from kilter_client.cli.results import show_job
 from kilter_client.cli.tables import show_rows
 
-jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None)
+jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None, cls=Group)
 
 JobId = Annotated[
     str, typer.Argument(help="Its id or the beginning of it, its name, or `latest`.", show_default=False, metavar="JOB")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from kilter_client import Kilter
 from kilter_client.cli.arguments import Json, Robot
+from kilter_client.cli.groups import Group
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.references import OfRobot, resolved
 from kilter_client.errors import UsageError
@@ -21,7 +21,7 @@ Text = Annotated[str, typer.Argument(help="The text.", show_default=False)]
 Yes = Annotated[bool, typer.Option("--yes", help="Really: this cannot be undone.")]
 
 
-class ListsByDefault(TyperGroup):
+class ListsByDefault(Group):
     """A group whose ``list`` may be left out: ``kilter versions ur10`` lists as it always did."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
