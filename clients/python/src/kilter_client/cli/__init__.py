@@ -65,7 +65,9 @@ def run(arguments: Sequence[str]) -> int:
         report_error(error, as_json)
         return 2
     except KilterError as error:
-        report_error(error, as_json)
+        from kilter_client.cli.wording import reworded
+
+        report_error(reworded(error, arguments), as_json)
         return 1
     except typer.TyperException as error:
         report_usage(error, as_json)

@@ -237,6 +237,8 @@ def _corners(text: str | None) -> list[list[float]] | None:
     given = arguments.numbers("--box", text)
     if len(given) != 6:
         raise UsageError(f"--box {text}: give six numbers, the lowest and the highest corner in mm.")
+    if not all(low < high for low, high in zip(given[:3], given[3:], strict=True)):
+        raise UsageError(f"--box {text}: give the lowest corner first, for example -200,100,0,200,400,300 (mm).")
     return [given[:3], given[3:]]
 
 
@@ -287,11 +289,11 @@ def run_job(
         raise UsageError(f"Name at least one --campaign ID: `kilter campaigns {robot}` lists them.")
     held_out = arguments.validation(validation)
     with Kilter() as kilter:
-        ids = resolved_all(kilter, "campaign", ids, robot, as_json)
-        again = resolved_all(kilter, "campaign", confirmation, robot, as_json)
+        ids = resolved_all(kilter, "campaign", ids, robot, as_json, "--campaign")
+        again = resolved_all(kilter, "campaign", confirmation, robot, as_json, "--confirmation")
         if isinstance(held_out, list):
-            held_out = resolved_all(kilter, "campaign", held_out, robot, as_json)
-        options = resolved_options(kilter, options, robot, as_json)
+            held_out = resolved_all(kilter, "campaign", held_out, robot, as_json, "--validation")
+        options = resolved_options(kilter, options, robot, as_json, {"version": "start"} if kind == "plan" else {})
         job = kilter.jobs.submit(kind, robot, ids, held_out, options, again, name)
         if not no_wait:
             note(f"job {job['id']}", as_json)

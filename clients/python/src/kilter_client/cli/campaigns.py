@@ -208,7 +208,7 @@ def _target(
 ) -> str | None:
     """Return the campaign to add to: the one that is named, or the one that has these bytes already."""
     if campaign:
-        return resolved(kilter, "campaign", campaign, robot, as_json)
+        return resolved(kilter, "campaign", campaign, robot, as_json, "--campaign")
     return _known(kilter, robot, wanted, sha256)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -27,14 +28,10 @@ class Group(TyperGroup):
 class FirstLevel(TyperGroup):
     """`kilter` itself: its commands come from the catalogue, a module is imported for a command that is asked for."""
 
-    def __init__(self, **attributes: Any) -> None:
-        self._loaded: dict[str, Any] = {}
-        super().__init__(**attributes)
-
     @property
     def commands(self) -> Any:
         """All commands by name, which imports all their modules."""
-        return {name: self._command(name) for name in ENTRIES}
+        return {name: command(name) for name in ENTRIES}
 
     @commands.setter
     def commands(self, _: Any) -> None:
@@ -46,7 +43,7 @@ class FirstLevel(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return one command."""
-        return self._command(cmd_name) if cmd_name in ENTRIES else None
+        return command(cmd_name) if cmd_name in ENTRIES else None
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands under their headings."""
@@ -55,12 +52,13 @@ class FirstLevel(TyperGroup):
             with formatter.section(heading):
                 formatter.write_dl([(name.ljust(width), entry.summary) for name, entry in entries.items()])
 
-    def _command(self, name: str) -> Any:
-        if name not in self._loaded:
-            self._loaded |= _commands_of(ENTRIES[name].module)
-        return self._loaded[name]
+
+def command(name: str) -> Any:
+    """Return a command of the first level."""
+    return _commands_of(ENTRIES[name].module)[name]
 
 
+@cache
 def _commands_of(module: str) -> Mapping[str, Any]:
     """Import a module and return the commands it registers."""
     app = typer.Typer(rich_markup_mode=None)
