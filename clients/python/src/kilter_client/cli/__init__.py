@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from kilter_client.cli.groups import FirstLevel
-from kilter_client.cli.output import report_error, report_interrupt, report_usage
+from kilter_client.cli.interrupt import CODE, UNKNOWN, InterruptedCommandError
+from kilter_client.cli.output import report_error, report_usage
 from kilter_client.errors import KilterError, UsageError
 
 app = typer.Typer(
@@ -64,6 +65,9 @@ def run(arguments: Sequence[str]) -> int:
     except UsageError as error:
         report_error(error, as_json)
         return 2
+    except InterruptedCommandError as error:
+        report_error(error, as_json)
+        return CODE
     except KilterError as error:
         from kilter_client.cli.wording import reworded
 
@@ -74,7 +78,6 @@ def run(arguments: Sequence[str]) -> int:
         return error.exit_code
     except typer.Abort:
         return 1
-    if code == 130:
-        report_interrupt(as_json)
-        return 1
+    if code == CODE:  # typer's word for Ctrl-C where no command knew better
+        report_error(InterruptedCommandError(UNKNOWN), as_json)
     return code if isinstance(code, int) else 0

@@ -21,6 +21,7 @@ from kilter_client.cli.arguments import (
     Robot,
     ValidationText,
 )
+from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.option_texts import EVALUATE, GAP, IDENTIFY, PLAN
 from kilter_client.cli.output import emit, note
 from kilter_client.cli.progress import job_bar
@@ -296,8 +297,8 @@ def run_job(
         options = resolved_options(kilter, options, robot, as_json, {"version": "start"} if kind == "plan" else {})
         job = kilter.jobs.submit(kind, robot, ids, held_out, options, again, name)
         if not no_wait:
-            note(f"job {job['id']}", as_json)
-            with job_bar(kind, as_json) as progress:
+            with on_interrupt(partial(job_goes_on, job["id"])), job_bar(kind, as_json) as progress:
+                note(f"job {job['id']}", as_json)
                 job = kilter.jobs.wait(job["id"], progress)
     if files is not None and not no_wait:
         files(job)

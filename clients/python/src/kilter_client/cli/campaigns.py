@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,12 +15,13 @@ from kilter_client.cli.arguments import File, Json, Retired, Robot
 from kilter_client.cli.checks import Unchecked
 from kilter_client.cli.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
+from kilter_client.cli.interrupt import on_interrupt
 from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.cli.references import resolved
 from kilter_client.cli.tables import show_rows
-from kilter_client.errors import ApiError, ObservationError, UsageError
+from kilter_client.errors import ApiError, ConflictError, KilterError, ObservationError, UsageError
 from kilter_client.files import DEVICES, Prepared, prepare
 from kilter_client.files.naming import same
 from kilter_client.files.tracker_header import PRESETS
@@ -122,7 +124,8 @@ def upload(
     with Kilter() as kilter:
         target = _target(kilter, robot, campaign, wanted, prepared.sha256, as_json)
         if target is not None:
-            done = _send(kilter, target, file, prepared, as_json)
+            with on_interrupt(partial(_added, kilter, target, prepared.sha256)):
+                done = _send(kilter, target, file, prepared, as_json)
         else:
             done = _send_anew(kilter, robot, wanted, file, prepared, as_json)
     emit(_report(prepared, done), as_json, _show_upload)
@@ -225,13 +228,41 @@ def _send_anew(
 ) -> dict[str, Any]:
     """Send to a new campaign, which is seen only when the rows are in it; a refused file leaves nothing."""
     target = str(kilter.campaigns.add(robot, **wanted, staged=True)["id"])
-    try:
-        done = _send(kilter, target, file, prepared, as_json)
-    except ApiError:
-        kilter.campaigns.discard(target)
-        raise
-    kilter.campaigns.commit(target, [str(done["sha256"])])
+    with on_interrupt(partial(_taken_back, kilter, target)):
+        try:
+            done = _send(kilter, target, file, prepared, as_json)
+        except ApiError:
+            kilter.campaigns.discard(target)
+            raise
+        kilter.campaigns.commit(target, [str(done["sha256"])])
     return done
+
+
+def _taken_back(kilter: Kilter, campaign: str) -> str:
+    """Drop a campaign that was broken off, and say what is left of it."""
+    try:
+        kilter.campaigns.discard(campaign)
+    except ConflictError:  # its last request had reached the server
+        return f"campaign {campaign} is stored, whole."
+    except KilterError as error:
+        return (
+            f"campaign {campaign} is begun, seen and used by nobody, and could not be taken back ({error.detail}). "
+            "The same command sends the file anew."
+        )
+    return "nothing is stored. The same command sends the file again."
+
+
+def _added(kilter: Kilter, campaign: str, sha256: str) -> str:
+    """Say whether rows that were being added are there."""
+    try:
+        there = any(upload["sha256"] == sha256 for upload in kilter.campaigns.get(campaign)["uploads"])
+    except KilterError:
+        return (
+            f"the rows are in campaign {campaign} or not at all. The same command again changes nothing that is there."
+        )
+    if there:
+        return f"the rows are stored in campaign {campaign}."
+    return f"nothing is added to campaign {campaign}. The same command sends the file again."
 
 
 def _send(kilter: Kilter, campaign: str, file: Path, prepared: Prepared, as_json: bool) -> dict[str, Any]:

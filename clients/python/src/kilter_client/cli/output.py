@@ -56,10 +56,3 @@ def report_usage(error: typer.TyperException, as_json: bool) -> None:
     said = re.sub(r"Invalid value for '(.+?)': (?:Value error, )?", r"\1: ", error.format_message())
     said = said.replace(": Input should", ": it should")
     report_error(UsageError(said + ("" if said.endswith((".", "?", "!")) else ".") + hint), as_json)
-
-
-def report_interrupt(as_json: bool) -> None:
-    """Say what Ctrl-C did."""
-    report_error(
-        KilterError("Interrupted. A job goes on at the server: see `kilter jobs`.", code="interrupted"), as_json
-    )

@@ -101,7 +101,7 @@ def command_of(arguments: Sequence[str]) -> Any:
 def _shown(parameter: Any) -> str:
     if parameter.param_type_name == "argument":
         return str(parameter.metavar or parameter.name.upper())
-    return next((text for text in parameter.opts if text.startswith("--")), parameter.opts[0])
+    return str(next((text for text in parameter.opts if text.startswith("--")), parameter.opts[0]))
 
 
 def _flag(parts: Sequence[str], flags: Mapping[str, str], of_job: bool) -> str:
