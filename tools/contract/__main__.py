@@ -12,7 +12,12 @@ from tools.contract.effects import effects_module
 from tools.contract.methods import methods_module
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-PAGES = ("docs/reference/job-options.md", "docs/reference/routes.md", "docs/reference/effects.md")
+PAGES = (
+    "docs/reference/cli.md",
+    "docs/reference/job-options.md",
+    "docs/reference/routes.md",
+    "docs/reference/effects.md",
+)
 MATLAB = ("identify", "gap", "evaluate", "plan")
 
 

@@ -14,6 +14,7 @@ from kilter_client.cli import arguments
 from kilter_client.cli.arguments import (
     CampaignIds,
     ConfirmationIds,
+    HuntValidation,
     JobName,
     Json,
     MoreOptions,
@@ -31,11 +32,17 @@ from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 from kilter_client.plots import can_draw, save_figures
 
+AT_JOINTS = ' One at some joints: \'{"id": "backlash", "joints": [2, 3]}\'; `kilter effects` lists all.'
 Frame = Literal["free", "fixed"]
 Reference = Annotated[Literal["auto", "robot", "registration"] | None, typer.Option(help=IDENTIFY["reference"])]
 Loss = Annotated[Literal["linear", "huber", "tukey"] | None, typer.Option(help=IDENTIFY["loss"])]
 Figures = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Write the figures there: Plotly JSON, PNG and SVG.", file_okay=False)
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Folder for the figures: Plotly JSON; with kilter-client[plots] PNG and SVG too.",
+        file_okay=False,
+    ),
 ]
 
 
@@ -56,10 +63,10 @@ def identify(
     campaign: CampaignIds = None,
     validation: ValidationText = None,
     level: Annotated[int | None, typer.Option(min=1, max=3, help=IDENTIFY["level"])] = None,
-    method: Annotated[str | None, typer.Option(help=IDENTIFY["method"])] = None,
+    method: Annotated[str | None, typer.Option(help=IDENTIFY["method"] + " `kilter methods` lists them.")] = None,
     effects: Annotated[
         list[str] | None,
-        typer.Option("--effects", "--effect", metavar="A,B", help=IDENTIFY["effects"]),
+        typer.Option("--effects", "--effect", metavar="A,B", help=IDENTIFY["effects"] + AT_JOINTS),
     ] = None,
     free: Annotated[list[str] | None, typer.Option(metavar="A,B", help=IDENTIFY["free"])] = None,
     fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help=IDENTIFY["fix"])] = None,
@@ -70,7 +77,9 @@ def identify(
     tool: Annotated[Frame | None, typer.Option(help=IDENTIFY["tool"])] = None,
     refit: Annotated[
         Literal["base", "none"] | None,
-        typer.Option(help="A base to every campaign and session, or one to all; by default a sheet has its own."),
+        typer.Option(
+            help="base: a base to each campaign and session; none: one to all; left out: sheets and bars have their own."
+        ),
     ] = None,
     loss: Loss = None,
     reference: Reference = None,
@@ -113,13 +122,13 @@ def identify(
 def gap(
     robot: Robot,
     campaign: CampaignIds = None,
-    validation: ValidationText = None,
+    validation: HuntValidation = None,
     confirmation: ConfirmationIds = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help=GAP["start"])] = None,
     alpha: Annotated[float | None, typer.Option(help=GAP["alpha"])] = None,
     effects: Annotated[
         list[str] | None,
-        typer.Option("--effects", "--effect", metavar="A,B", help=GAP["effects"]),
+        typer.Option("--effects", "--effect", metavar="A,B", help=GAP["effects"] + AT_JOINTS),
     ] = None,
     noise_mm: Annotated[float | None, typer.Option(help=GAP["noise_mm"])] = None,
     free: Annotated[list[str] | None, typer.Option(metavar="A,B", help=GAP["free"])] = None,
@@ -186,7 +195,7 @@ def plan(
     purpose: Annotated[str | None, typer.Option(help=PLAN["purpose"])] = None,
     count: Annotated[int | None, typer.Option(min=1, help=PLAN["count"])] = None,
     effects: Annotated[
-        list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help=PLAN["effects"])
+        list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help=PLAN["effects"] + AT_JOINTS)
     ] = None,
     seed: Annotated[int | None, typer.Option(help=PLAN["seed"])] = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help=PLAN["version"])] = None,
@@ -197,11 +206,18 @@ def plan(
         typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["box_mm"]),
     ] = None,
     anywhere: Annotated[
-        bool, typer.Option("--anywhere", help="Within the limits, also where the robot was never driven.")
+        bool, typer.Option("--anywhere", help="Also where the robot was never driven: only its limits count.")
     ] = False,
     payload_kg: Annotated[str | None, typer.Option(metavar="KG,KG", help=PLAN["payloads_kg"])] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the poses as CSV.", dir_okay=False)
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write the poses as CSV, with loads and directions where they matter.",
+            dir_okay=False,
+        ),
     ] = None,
     option: MoreOptions = None,
     name: JobName = "",

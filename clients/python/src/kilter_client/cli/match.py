@@ -58,7 +58,7 @@ def match(
     by: How = "order",
     joints_map: Annotated[Path | None, typer.Option(help="Column map of the joint log.", **Existing)] = None,
     tcp: Tcp = None,
-    tool: Annotated[str | None, typer.Option(help="Tool of a recording of several, with --tcp.")] = None,
+    tool: Annotated[str | None, typer.Option(help="Tool of a recording of several, where --tcp asks for one.")] = None,
     topic: Topic = None,
     joint_order: JointOrder = None,
     rate: Rate = None,

@@ -65,7 +65,12 @@ def check(
 def convert(
     source: RobotSource,
     to: Annotated[str, typer.Option(metavar="CONVENTION", help="chain, dh, mdh, s_model, poe, cpc, mcpc or urdf.")],
-    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="File to write.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="File to write, .json or .urdf; without it the document is printed."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write a robot in another convention: the same poses at the same joint readings; nothing is added."""
