@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from kilter_core.errors import CoreError
 from kilter_service.settings import Settings
+from kilter_service.version import code_version
 
 USAGE_CODES = frozenset({"binding_refused", "token_file_open"})
 Command = Callable[[Settings, argparse.Namespace], None]
@@ -101,6 +102,7 @@ def parser() -> argparse.ArgumentParser:
     root = argparse.ArgumentParser(
         prog="kilterd", description="The server of Kilter.", epilog=f"Example: kilterd serve. {ENVIRONMENT}"
     )
+    root.add_argument("--version", action="version", version=f"kilterd {code_version()}")
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (run, example) in COMMANDS.items():
         text = (run.__doc__ or "").strip()

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import logging
+import os
 import socket
 
+from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings
 
 log = logging.getLogger("kilter.api")
@@ -14,9 +17,36 @@ GRACE_S = 3
 
 
 def listener(settings: Settings) -> socket.socket:
-    """Open the socket the API listens on; port 0 takes a free one."""
+    """Open the socket the API listens on; port 0 takes a free one.
+
+    Raises:
+        ServiceError: the system does not allow it, or the port is taken.
+
+    """
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    return socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
+    try:
+        return socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
+    except OSError as error:
+        raise ServiceError(
+            f"The API cannot listen on {settings.host} port {settings.port}, {_why(error)}.",
+            code="binding_refused",
+            host=settings.host,
+            port=settings.port,
+        ) from error
+
+
+def _why(error: OSError) -> str:
+    """The reason in words, and the setting to change."""
+    if error.errno == errno.EADDRINUSE:
+        return "another program listens there: set KILTER_PORT (or --port) to another, 0 takes a free one"
+    if error.errno == errno.EACCES:
+        return (
+            "ports below 1024 need rights that this account does not have: set KILTER_PORT (or --port) to a higher one"
+        )
+    reason = (
+        os.strerror(error.errno) if error.errno and error.errno > 0 else error
+    )  # a name that is none has a code below 0
+    return f"{reason}: set KILTER_HOST (or --host) to an address of this machine"
 
 
 def url_of(opened: socket.socket) -> str:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from kilter_service.auth.token import admin_token, check_binding
-from kilter_service.corrector.endpoints import check_listening
+from kilter_service.corrector.endpoints import check_free, check_listening
 from kilter_service.errors import ServiceError
 from kilter_service.server_file import ServerFile
 from kilter_service.serving import listener, url_of
@@ -32,6 +32,7 @@ SUPERVISED = "KILTER_SUPERVISED"
 CHECK_S = 0.1
 READY_S = 300.0  # the first start on a machine compiles the kernels, on a busy one for minutes
 STOP_S = 8.0
+REFUSED = 2  # what a process ends with when its settings cannot be: the same again would end the same
 FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S = 0.2, 10.0, 30.0
 
 
@@ -80,6 +81,16 @@ class Child:
             self._close()
             self.start()
 
+    def refuse_if_refused(self) -> None:
+        """End this process as the other ended, when it cannot run with these settings; it has said why.
+
+        Raises:
+            SystemExit: with the other's exit code.
+
+        """
+        if self._process is not None and self._process.poll() == REFUSED:
+            raise SystemExit(REFUSED)
+
     def ask_to_stop(self) -> None:
         """Send SIGTERM."""
         if self._process is not None and self._process.poll() is None:
@@ -106,7 +117,8 @@ def serve(settings: Settings) -> None:
     """Run everything until SIGTERM or SIGINT; prints one JSON line when all is ready.
 
     Raises:
-        ServiceError: the address may not be listened on, or a server runs in this data folder already.
+        ServiceError: an address may not be listened on or is taken, or a server runs in this data folder already.
+        SystemExit: a process cannot run with these settings, and has said why.
 
     """
     check_binding(settings)
@@ -116,6 +128,7 @@ def serve(settings: Settings) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     with _alone(settings.data), listener(settings) as opened, ServerFile(settings.server_file) as file:
+        check_free(settings.zenoh_listen)
         children = [
             Child("api", settings, "--fd", str(opened.fileno()), keep=(opened.fileno(),)),
             Child("worker", settings),
@@ -178,6 +191,7 @@ def _wait_until_ready(settings: Settings, children: list[Child], url: str, stop:
     deadline = time.monotonic() + READY_S
     while not stop.wait(CHECK_S / 2):
         for child in children:
+            child.refuse_if_refused()  # later a port may be taken for a moment, and everything else goes on
             child.watch()
         if _answers(f"{url}/v1/health/ready") and _zenoh(settings) is not None:
             return True

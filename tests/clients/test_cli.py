@@ -76,6 +76,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         "identify", "gap", "evaluate", "plan", "joint-parameters",
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "version", "activate", "rollback", "diff",
         "residuals", "activations", "export", "correct", "status",
+        "effects", "methods", "presets", "formats", "columns",
     )} == set(COMMANDS)  # fmt: skip
 
 

@@ -108,7 +108,9 @@ def test_a_file_of_the_same_name_is_numbered_and_its_bytes_are_known_again(
 def test_bad_references_are_one_sentence_with_the_choices(robot: str, command: Command, kilter: Kilter) -> None:
     made = {name: kilter.campaigns.add(robot, name)["id"] for name in ("monday", "tuesday")}
     _, err = command("identify", robot, "-c", "cmp_", code=1)
-    assert err.startswith(f"Error: Robot {robot!r} has no campaign 'cmp_'. There are: {made['tuesday']} 'tuesday', ")
+    assert err.startswith(
+        f"Error: --campaign: Robot {robot!r} has no campaign 'cmp_'. There are: {made['tuesday']} 'tuesday', "
+    )
     problem = command.json("campaigns", "name", "monday", "tuesday", "--robot", robot, code=1)
     assert problem["code"] == "name_taken"
     assert "another name" in problem["detail"]

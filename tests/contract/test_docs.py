@@ -223,3 +223,15 @@ def test_changelog_has_the_usual_form() -> None:
     assert "\n## [Unreleased]\n" in text
     kinds = set(re.findall(r"^### (.+)$", text, re.MULTILINE))
     assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+
+
+def test_no_table_of_options_is_written_by_hand() -> None:
+    """Every row of the page on commands stands between the marks of `make contract`, which --check compares."""
+    page = text_of("reference/cli.md")
+    by_hand = re.sub(r"<!-- make contract: .+? -->\n.*?<!-- end -->", "", page, flags=re.DOTALL)
+    assert not re.findall(r"^\|.*", by_hand, re.MULTILINE)
+    from kilter_client.cli import app
+
+    for name, command in commands(typer.main.get_command(app), "kilter"):
+        options = [p for p in command.params if p.param_type_name == "option" and p.opts[0] not in ("--json", "--help")]
+        assert (f"<!-- make contract: {name} -->" in page) == bool(options), name

@@ -12,7 +12,12 @@ from tools.contract.effects import effects_module
 from tools.contract.methods import methods_module
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-PAGES = ("docs/reference/job-options.md", "docs/reference/routes.md", "docs/reference/effects.md")
+PAGES = (
+    "docs/reference/cli.md",
+    "docs/reference/job-options.md",
+    "docs/reference/routes.md",
+    "docs/reference/effects.md",
+)
 MATLAB = ("identify", "gap", "evaluate", "plan")
 
 
@@ -27,9 +32,12 @@ def modules() -> dict[Path, str]:
 
 def tables() -> dict[Path, str]:
     """Return whatever repeats the contract as it should be."""
+    from tools.contract.lists import listed_texts
     from tools.contract.tables import command_texts, with_help, with_tables  # imports the modules, which must stand
 
-    texts = {"clients/python/src/kilter_client/cli/option_texts.py": formatted(command_texts())}
+    client = "clients/python/src/kilter_client/cli"
+    texts = {f"{client}/option_texts.py": formatted(command_texts())}
+    texts[f"{client}/listed_texts.py"] = formatted(listed_texts())
     texts |= {page: with_tables(read(page)) for page in PAGES}
     texts |= {
         f"clients/matlab/+kilter/{kind}.m": with_help(kind, read(f"clients/matlab/+kilter/{kind}.m")) for kind in MATLAB

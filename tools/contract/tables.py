@@ -12,8 +12,9 @@ from typing import Any
 from kilter_core.effects import EFFECTS
 from kilter_service.contract.words import allowed
 from kilter_service.jobs.registry import KINDS
+from tools.contract.commands import table_of_command, table_of_server
 
-MARK = re.compile(r"(<!-- make contract: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+MARK = re.compile(r"(<!-- make contract: (?P<name>[\w -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def with_tables(page: str) -> str:
@@ -26,6 +27,10 @@ def _table(name: str) -> str:
         return "\n".join(_effect_rows()) + "\n"
     if name == "kinds":
         return "\n".join(_kind_rows()) + "\n"
+    if name == "kilterd":
+        return table_of_server()
+    if name.startswith("kilter "):
+        return table_of_command(name)
     return "\n".join(_option_rows(name.removeprefix("options of "))) + "\n"
 
 

@@ -14,18 +14,21 @@ __all__ = ["DEVICES", "Prepared", "prepare"]
 
 
 def _ipa_lasertracker(path: Path) -> Table:
+    """A campaign of Fraunhofer IPA's laser tracker data set."""
     from kilter_files.ipa_lasertracker import read_ipa_lasertracker
 
     return read_ipa_lasertracker(path)
 
 
 def _ballbar(path: Path) -> Table:
+    """The log of a double ball bar."""
     from kilter_files.ballbar import ballbar_table
 
     return ballbar_table(path)
 
 
 def _inclinometer(path: Path) -> Table:
+    """The log of an inclinometer: no campaign, see `kilter tilt-join`."""
     raise FileError(
         f"{path}: an inclinometer measures joints, not tool positions, so it makes no campaign. See what it holds with "
         "`kilter inspect`, and send readings with `kilter joint-parameters ROBOT --readings FILE`.",
@@ -33,7 +36,8 @@ def _inclinometer(path: Path) -> Table:
     )
 
 
-# device name -> reader of its files; any other device's files must be contract columns or come with a map
+# device name -> reader of its files, whose docstring is its line in `kilter formats`; any other device's files must be
+# contract columns or come with a map
 DEVICES: Mapping[str, Callable[[Path], Table]] = {
     "ballbar": _ballbar,
     "inclinometer": _inclinometer,

@@ -11,6 +11,7 @@ from kilter_files.marker_text import read_marker_text
 from kilter_files.mcap_check import MCAP, SQLITE
 from kilter_files.ndi_n3d import is_n3d, read_n3d
 from kilter_files.recording import Recording, in_unit
+from kilter_files.recording_kinds import RECORDINGS
 
 PICTURE = "Export the numbers; a scanned pencil sheet is read with kilter sheet-read."
 ZIP = b"PK\x03\x04"
@@ -47,9 +48,9 @@ def kind_of(path: Path) -> str:
             return "xlsx"
         if head.startswith(magic):
             raise fault(path, f"is {what}", remedy)
-    if is_c3d(head) or path.suffix.lower() == ".c3d":
+    if is_c3d(head) or path.suffix.lower() in RECORDINGS["c3d"][1]:
         return "c3d"
-    if (b"\0" in head and is_n3d(head)) or path.suffix.lower() == ".n3d":
+    if (b"\0" in head and is_n3d(head)) or path.suffix.lower() in RECORDINGS["n3d"][1]:
         return "n3d"
     return "text"
 

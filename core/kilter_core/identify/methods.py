@@ -28,21 +28,26 @@ class Method:
     """A way to fit.
 
     ``minimum`` says that it ends at a least-squares minimum, which intervals rest on; ``lets_rows_go`` that it goes with
-    loss "tukey".
+    loss "tukey"; ``summary`` is its line in `kilter methods`.
     """
 
     fit: Fitter
+    summary: str = ""
     minimum: bool = False
     lets_rows_go: bool = False
 
 
 ESTIMATORS: Mapping[str, Method] = MappingProxyType({
-    "least_squares": Method(estimate, minimum=True, lets_rows_go=True),
-    "pose_pseudo_inverse": Method(pose_pseudo_inverse),
-    "influence": Method(influence),
-    "kalman": Method(kalman, minimum=True),
-    "global_search": Method(global_search, minimum=True, lets_rows_go=True),
-    "linear_least_squares": Method(linear_least_squares),
+    "least_squares": Method(
+        estimate, "all poses together, weighted, with the exact Jacobian; take it first", minimum=True, lets_rows_go=True
+    ),
+    "pose_pseudo_inverse": Method(pose_pseudo_inverse, "pose by pose, and the mean of the answers (thesis 3.6)"),
+    "influence": Method(influence, "pose by pose, each weighted by its influence (thesis 3.7, 3.8)"),
+    "kalman": Method(kalman, "continue a version with the rows of a new campaign alone", minimum=True),
+    "global_search": Method(
+        global_search, "search a box first: zeros off by a turn, another drawing", minimum=True, lets_rows_go=True
+    ),
+    "linear_least_squares": Method(linear_least_squares, "the problem linearised at the start, solved once"),
 })  # fmt: skip
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import ipaddress
 import shutil
+import socket
 import tempfile
 from pathlib import Path
 
@@ -54,6 +56,27 @@ def cannot_listen(endpoint: str, reason: str) -> ServiceError:
         code="binding_refused",
         listen=endpoint,
     )
+
+
+def check_free(endpoint: str) -> None:
+    """Refuse a TCP endpoint that another program listens on, before a process is started for it.
+
+    Raises:
+        ServiceError: it is taken.
+
+    """
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.partition("#")[0].partition("?")[0].rpartition(":")
+    if protocol != "tcp" or not port.isdecimal() or port == "0":
+        return
+    family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
+    try:
+        with socket.socket(family) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what a program left behind is no listener
+            probe.bind((host.strip("[]"), int(port)))
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:  # all else zenoh says itself
+            raise cannot_listen(endpoint, "Address already in use") from error
 
 
 class Door:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from kilter_client.errors import ApiError, ServerUnreachableError, from_problem
-from kilter_client.locate import Place
+from kilter_client.locate import Place, locate
 
 if TYPE_CHECKING:
     import httpx
@@ -35,12 +35,26 @@ class Connection:
         import httpx  # 0.2 s: not when the package is imported
 
         self.url = place.url
+        self._place = place
         headers = {"Authorization": f"Bearer {place.token}"} if place.token else {}
         self._client = httpx.Client(base_url=place.url, headers=headers, transport=transport, timeout=TIMEOUT_S)
 
     def close(self) -> None:
         """Close the connections."""
         self._client.close()
+
+    def look_again(self) -> None:
+        """Go on with the server that runs on this machine now, if this one was found by its file there."""
+        if not self._place.by_file:
+            return
+        try:
+            self._place = locate()
+        except ServerUnreachableError:  # it has not said yet where it is
+            return
+        self.url = self._place.url
+        self._client.base_url = self.url
+        if self._place.token:
+            self._client.headers["Authorization"] = f"Bearer {self._place.token}"
 
     def request(self, method: str, path: str, content: Content = None, **arguments: Any) -> httpx.Response:
         """Send a request and return its answer; one that the server is too busy for is sent again after a while.

@@ -24,8 +24,11 @@ Validation = Sequence[str] | float | Mapping[str, int] | None
 
 FINISHED = ("succeeded", "failed", "cancelled")
 POLL_S = (0.1, 0.2, 0.5, 1.0)
-# How often in a row a wait may find no server before it gives up: a restart takes some seconds.
-MAX_SILENCES = 10
+# How long a wait goes on without an answer: a server that is started again is ready within seconds, on a busy machine
+# that compiles its kernels within a minute or two.
+PATIENCE_S = 120.0
+LOOK_TIMEOUT_S = 10.0
+AWAY = f"the server does not answer, waiting up to {PATIENCE_S:.0f} s for it"
 
 
 class Jobs:
@@ -91,12 +94,13 @@ class Jobs:
         timeout_s: float | None = None,
         robot: str | None = None,
     ) -> Document:
-        """Follow a job to its end and return its document with the result.
+        """Follow a job to its end and return its document with the result, through a restart of the server too.
 
         Raises:
             JobFailedError: it failed; the document is the exception's ``job``.
             JobCancelledError: it was cancelled.
             JobTimeoutError: it goes on after ``timeout_s``.
+            ServerUnreachableError: the server gave no answer for two minutes; the job is stored there.
 
         """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
@@ -108,7 +112,8 @@ class Jobs:
                 return succeeded(told if "result" in told else self.get(job_id))
             if deadline is not None and time.monotonic() > deadline:
                 raise JobTimeoutError(
-                    f"Job {job_id} is still {told.get('state')} after {timeout_s:g} s.", job_id=job_id
+                    f"Job {job_id} is still {told.get('state', 'without an answer')} after {timeout_s:g} s.",
+                    job_id=job_id,
                 )
         return succeeded(self.get(job_id))
 
@@ -144,21 +149,40 @@ class Jobs:
                     yield data
 
     def _polled(self, job_id: str) -> Iterator[Document]:
-        looks, silences = 0, 0
-        while True:
+        """Yield the job's document again and again, through a restart of the server that ends within ``PATIENCE_S``."""
+        looks, heard, job = 0, time.monotonic(), Document()
+        while job.get("state") not in FINISHED:
             try:
-                job = self.get(job_id)
-            except ServerUnreachableError:
-                silences += 1
-                if silences >= MAX_SILENCES:
-                    raise
-            else:
-                silences = 0
+                job = self._look(job_id)
+                heard = time.monotonic()
                 yield job
-                if job.get("state") in FINISHED:
-                    return
+            except (ServerUnreachableError, ApiError) as error:
+                if not _may_pass(error):
+                    raise
+                if time.monotonic() - heard > PATIENCE_S:
+                    raise _gone(self._connection.url, job_id) from error
+                self._connection.look_again()
+                yield {"progress": {"fraction": _progress_of(job)[0], "stage": AWAY}}
             time.sleep(POLL_S[min(looks, len(POLL_S) - 1)])
             looks += 1
+
+    def _look(self, job_id: str) -> Document:
+        path = address("jobs", job_id)
+        return self._connection.document(self._connection.request("GET", path, timeout=LOOK_TIMEOUT_S))
+
+
+def _may_pass(error: ServerUnreachableError | ApiError) -> bool:
+    """Whether an error is one of a server that starts, stops or is busy, so that asking again may help."""
+    return isinstance(error, ServerUnreachableError) or (error.status or 0) >= 500
+
+
+def _gone(url: str, job_id: str) -> ServerUnreachableError:
+    return ServerUnreachableError(
+        f"{url} has not answered for {PATIENCE_S:.0f} s. Job {job_id} is stored there and goes on when the server is back: "
+        f"`kilter jobs watch {job_id}` follows it.",
+        url=url,
+        job_id=job_id,
+    )
 
 
 def _request(

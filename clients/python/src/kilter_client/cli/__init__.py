@@ -1,41 +1,54 @@
-"""The ``kilter`` command: 0 done, 1 the request or the job failed, 2 wrong usage."""
+"""The ``kilter`` command: 0 done, 1 the request or the job failed, 2 wrong usage, 130 interrupted."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from typing import Annotated
 
 import typer
 
-from kilter_client.cli import (
-    analyse,
-    campaigns,
-    correct,
-    inspect,
-    jobs,
-    joins,
-    joints,
-    match,
-    residuals,
-    robots,
-    sheet,
-    versions,
-)
-from kilter_client.cli.output import report_error, report_interrupt, report_usage
+from kilter_client.cli.groups import FirstLevel
+from kilter_client.cli.interrupt import CODE, UNKNOWN, InterruptedCommandError
+from kilter_client.cli.output import report_error, report_usage
 from kilter_client.errors import KilterError, UsageError
 
 app = typer.Typer(
     name="kilter",
     help="Work with a Kilter server: describe robots, upload measurements, identify, and correct.\n\n"
     "The server is the one of KILTER_URL, else the one running on this machine. "
-    "Every command takes --json: one JSON document on stdout and nothing else.",
-    no_args_is_help=True,
+    "Every command takes --json: one JSON document on stdout and nothing else. "
+    "`kilter COMMAND --help` shows its options and an example.",
+    epilog="Example: kilter upload ur10 measured.csv",
+    cls=FirstLevel,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for module in (robots, inspect, campaigns, match, sheet, joins, analyse, joints, jobs, versions, residuals, correct):
-    module.register(app)
+
+
+@app.callback(invoke_without_command=True)
+def first(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version of this command, and of the server if it answers.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="With --version: as one JSON document.")] = False,
+) -> None:
+    """Show the version, or the help where no command is given."""
+    if version:
+        from kilter_client.cli.release import show_releases
+
+        show_releases(as_json)
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        if as_json:
+            raise UsageError("Give a command: `kilter --help` lists them.")
+        typer.echo(context.get_help())
+        raise typer.Exit(2)
+    if as_json:
+        name = context.invoked_subcommand
+        raise UsageError(f"--json belongs behind the command: `kilter {name} ... --json`.")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -52,15 +65,19 @@ def run(arguments: Sequence[str]) -> int:
     except UsageError as error:
         report_error(error, as_json)
         return 2
-    except KilterError as error:
+    except InterruptedCommandError as error:
         report_error(error, as_json)
+        return CODE
+    except KilterError as error:
+        from kilter_client.cli.wording import reworded
+
+        report_error(reworded(error, arguments), as_json)
         return 1
     except typer.TyperException as error:
         report_usage(error, as_json)
         return error.exit_code
     except typer.Abort:
         return 1
-    if code == 130:
-        report_interrupt(as_json)
-        return 1
+    if code == CODE:  # typer's word for Ctrl-C where no command knew better
+        report_error(InterruptedCommandError(UNKNOWN), as_json)
     return code if isinstance(code, int) else 0

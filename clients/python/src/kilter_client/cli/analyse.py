@@ -15,6 +15,7 @@ from kilter_client.cli.arguments import (
     CampaignIds,
     Check,
     ConfirmationIds,
+    HuntValidation,
     JobName,
     Json,
     MoreOptions,
@@ -23,6 +24,7 @@ from kilter_client.cli.arguments import (
     Robot,
     ValidationText,
 )
+from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.job_check import finish_check
 from kilter_client.cli.option_texts import EVALUATE, GAP, IDENTIFY, PLAN
 from kilter_client.cli.output import emit, note
@@ -33,11 +35,17 @@ from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 from kilter_client.plots import can_draw, save_figures
 
+AT_JOINTS = ' One at some joints: \'{"id": "backlash", "joints": [2, 3]}\'; `kilter effects` lists all.'
 Frame = Literal["free", "fixed"]
 Reference = Annotated[Literal["auto", "robot", "registration"] | None, typer.Option(help=IDENTIFY["reference"])]
 Loss = Annotated[Literal["linear", "huber", "tukey"] | None, typer.Option(help=IDENTIFY["loss"])]
 Figures = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Write the figures there: Plotly JSON, PNG and SVG.", file_okay=False)
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Folder for the figures: Plotly JSON; with kilter-client[plots] PNG and SVG too.",
+        file_okay=False,
+    ),
 ]
 
 
@@ -58,10 +66,10 @@ def identify(
     campaign: CampaignIds = None,
     validation: ValidationText = None,
     level: Annotated[int | None, typer.Option(min=1, max=3, help=IDENTIFY["level"])] = None,
-    method: Annotated[str | None, typer.Option(help=IDENTIFY["method"])] = None,
+    method: Annotated[str | None, typer.Option(help=IDENTIFY["method"] + " `kilter methods` lists them.")] = None,
     effects: Annotated[
         list[str] | None,
-        typer.Option("--effects", "--effect", metavar="A,B", help=IDENTIFY["effects"]),
+        typer.Option("--effects", "--effect", metavar="A,B", help=IDENTIFY["effects"] + AT_JOINTS),
     ] = None,
     free: Annotated[list[str] | None, typer.Option(metavar="A,B", help=IDENTIFY["free"])] = None,
     fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help=IDENTIFY["fix"])] = None,
@@ -72,7 +80,9 @@ def identify(
     tool: Annotated[Frame | None, typer.Option(help=IDENTIFY["tool"])] = None,
     refit: Annotated[
         Literal["base", "none"] | None,
-        typer.Option(help="A base to every campaign and session, or one to all; by default a sheet has its own."),
+        typer.Option(
+            help="base: a base to each campaign and session; none: one to all; left out: sheets and bars have their own."
+        ),
     ] = None,
     loss: Loss = None,
     reference: Reference = None,
@@ -116,13 +126,13 @@ def identify(
 def gap(
     robot: Robot,
     campaign: CampaignIds = None,
-    validation: ValidationText = None,
+    validation: HuntValidation = None,
     confirmation: ConfirmationIds = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help=GAP["start"])] = None,
     alpha: Annotated[float | None, typer.Option(help=GAP["alpha"])] = None,
     effects: Annotated[
         list[str] | None,
-        typer.Option("--effects", "--effect", metavar="A,B", help=GAP["effects"]),
+        typer.Option("--effects", "--effect", metavar="A,B", help=GAP["effects"] + AT_JOINTS),
     ] = None,
     noise_mm: Annotated[float | None, typer.Option(help=GAP["noise_mm"])] = None,
     free: Annotated[list[str] | None, typer.Option(metavar="A,B", help=GAP["free"])] = None,
@@ -190,7 +200,7 @@ def plan(
     purpose: Annotated[str | None, typer.Option(help=PLAN["purpose"])] = None,
     count: Annotated[int | None, typer.Option(min=1, help=PLAN["count"])] = None,
     effects: Annotated[
-        list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help=PLAN["effects"])
+        list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help=PLAN["effects"] + AT_JOINTS)
     ] = None,
     seed: Annotated[int | None, typer.Option(help=PLAN["seed"])] = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help=PLAN["version"])] = None,
@@ -201,12 +211,19 @@ def plan(
         typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["box_mm"]),
     ] = None,
     anywhere: Annotated[
-        bool, typer.Option("--anywhere", help="Within the limits, also where the robot was never driven.")
+        bool, typer.Option("--anywhere", help="Also where the robot was never driven: only its limits count.")
     ] = False,
     payload_kg: Annotated[str | None, typer.Option(metavar="KG,KG", help=PLAN["payloads_kg"])] = None,
     payload_com_mm: PayloadCentre = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the poses as CSV.", dir_okay=False)
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write the poses as CSV, with loads and directions where they matter.",
+            dir_okay=False,
+        ),
     ] = None,
     option: MoreOptions = None,
     name: JobName = "",
@@ -244,6 +261,8 @@ def _corners(text: str | None) -> list[list[float]] | None:
     given = arguments.numbers("--box", text)
     if len(given) != 6:
         raise UsageError(f"--box {text}: give six numbers, the lowest and the highest corner in mm.")
+    if not all(low < high for low, high in zip(given[:3], given[3:], strict=True)):
+        raise UsageError(f"--box {text}: give the lowest corner first, for example -200,100,0,200,400,300 (mm).")
     return [given[:3], given[3:]]
 
 
@@ -295,18 +314,18 @@ def run_job(
         raise UsageError(f"Name at least one --campaign ID: `kilter campaigns {robot}` lists them.")
     held_out = arguments.validation(validation)
     with Kilter() as kilter:
-        ids = resolved_all(kilter, "campaign", ids, robot, as_json)
-        again = resolved_all(kilter, "campaign", confirmation, robot, as_json)
+        ids = resolved_all(kilter, "campaign", ids, robot, as_json, "--campaign")
+        again = resolved_all(kilter, "campaign", confirmation, robot, as_json, "--confirmation")
         if isinstance(held_out, list):
-            held_out = resolved_all(kilter, "campaign", held_out, robot, as_json)
-        options = resolved_options(kilter, options, robot, as_json)
+            held_out = resolved_all(kilter, "campaign", held_out, robot, as_json, "--validation")
+        options = resolved_options(kilter, options, robot, as_json, {"version": "start"} if kind == "plan" else {})
         if check:
             told = kilter.jobs.check(kind, robot, ids, held_out, options, again, name)
             return finish_check(told, as_json)
         job = kilter.jobs.submit(kind, robot, ids, held_out, options, again, name)
         if not no_wait:
-            note(f"job {job['id']}", as_json)
-            with job_bar(kind, as_json) as progress:
+            with on_interrupt(partial(job_goes_on, job["id"])), job_bar(kind, as_json) as progress:
+                note(f"job {job['id']}", as_json)
                 job = kilter.jobs.wait(job["id"], progress)
     if files is not None and not no_wait:
         files(job)

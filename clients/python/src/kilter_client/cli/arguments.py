@@ -37,6 +37,17 @@ ValidationText = Annotated[
         show_default=False,
     ),
 ]
+HuntValidation = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--validation",
+        "-v",
+        metavar="ID|FRACTION",
+        help="What to hold out: campaign ids, or a fraction of the poses (0.25); left out: a quarter of 60 poses or more. "
+        "Of fewer, and with 0, one pose after the other is left out, and nothing is confirmed.",
+        show_default=False,
+    ),
+]
 ConfirmationIds = Annotated[
     list[str] | None,
     typer.Option(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,12 +15,13 @@ from kilter_client.cli.arguments import File, Json, PayloadCentre, Retired, Robo
 from kilter_client.cli.checks import Unchecked
 from kilter_client.cli.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.inspect import JointOrder, Topic, check_numpy
+from kilter_client.cli.interrupt import on_interrupt
 from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import REMEDY_FOR_COLUMNS, emit, note, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.cli.references import resolved
 from kilter_client.cli.tables import show_rows
-from kilter_client.errors import ApiError, ObservationError, UsageError
+from kilter_client.errors import ApiError, ConflictError, KilterError, ObservationError, UsageError
 from kilter_client.naming import same
 from kilter_files import DEVICES, Prepared, prepare
 from kilter_files.tracker_header import PRESETS
@@ -83,16 +85,22 @@ def upload(
         typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False),
     ] = None,
     campaign: IntoCampaign = None,
-    name: Annotated[str | None, typer.Option(help="Name of the campaign; default is the file's name.")] = None,
-    payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point during the campaign.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(help="Name of the campaign; default is the file's, with a number behind it when that is taken."),
+    ] = None,
+    payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point during the campaign, kg.")] = None,
     payload_com_mm: PayloadCentre = None,
-    temperature_c: Annotated[float | None, typer.Option(help="Temperature during the campaign.")] = None,
+    temperature_c: Annotated[float | None, typer.Option(help="Temperature during the campaign, deg C.")] = None,
     tool_force_n: ToolForce = None,
     tool_moment_nm: ToolMoment = None,
     notes: Annotated[str, typer.Option(help="Notes kept with the campaign.")] = "",
     dry_run: Annotated[
         bool,
-        typer.Option("--dry-run", help="Show ranges, poses, repeats, loads and what would be refused; send nothing."),
+        typer.Option(
+            "--dry-run",
+            help="Send nothing: show ranges in mm and deg, poses, repeats, loads, what would be refused (then exit 1).",
+        ),
     ] = False,
     unchecked: Unchecked = False,
     as_json: Json = False,
@@ -123,7 +131,8 @@ def upload(
     with Kilter() as kilter:
         target = _target(kilter, robot, campaign, wanted, prepared.sha256, as_json)
         if target is not None:
-            done = _send(kilter, target, file, prepared, as_json)
+            with on_interrupt(partial(_added, kilter, target, prepared.sha256)):
+                done = _send(kilter, target, file, prepared, as_json)
         else:
             done = _send_anew(kilter, robot, wanted, file, prepared, as_json)
     emit(_report(prepared, done), as_json, _show_upload)
@@ -214,7 +223,7 @@ def _target(
 ) -> str | None:
     """Return the campaign to add to: the one that is named, or the one that has these bytes already."""
     if campaign:
-        return resolved(kilter, "campaign", campaign, robot, as_json)
+        return resolved(kilter, "campaign", campaign, robot, as_json, "--campaign")
     return _known(kilter, robot, wanted, sha256)
 
 
@@ -231,13 +240,41 @@ def _send_anew(
 ) -> dict[str, Any]:
     """Send to a new campaign, which is seen only when the rows are in it; a refused file leaves nothing."""
     target = str(kilter.campaigns.add(robot, **wanted, staged=True)["id"])
-    try:
-        done = _send(kilter, target, file, prepared, as_json)
-    except ApiError:
-        kilter.campaigns.discard(target)
-        raise
-    kilter.campaigns.commit(target, [str(done["sha256"])])
+    with on_interrupt(partial(_taken_back, kilter, target)):
+        try:
+            done = _send(kilter, target, file, prepared, as_json)
+        except ApiError:
+            kilter.campaigns.discard(target)
+            raise
+        kilter.campaigns.commit(target, [str(done["sha256"])])
     return done
+
+
+def _taken_back(kilter: Kilter, campaign: str) -> str:
+    """Drop a campaign that was broken off, and say what is left of it."""
+    try:
+        kilter.campaigns.discard(campaign)
+    except ConflictError:  # its last request had reached the server
+        return f"campaign {campaign} is stored, whole."
+    except KilterError as error:
+        return (
+            f"campaign {campaign} is begun, seen and used by nobody, and could not be taken back ({error.detail}). "
+            "The same command sends the file anew."
+        )
+    return "nothing is stored. The same command sends the file again."
+
+
+def _added(kilter: Kilter, campaign: str, sha256: str) -> str:
+    """Say whether rows that were being added are there."""
+    try:
+        there = any(upload["sha256"] == sha256 for upload in kilter.campaigns.get(campaign)["uploads"])
+    except KilterError:
+        return (
+            f"the rows are in campaign {campaign} or not at all. The same command again changes nothing that is there."
+        )
+    if there:
+        return f"the rows are stored in campaign {campaign}."
+    return f"nothing is added to campaign {campaign}. The same command sends the file again."
 
 
 def _send(kilter: Kilter, campaign: str, file: Path, prepared: Prepared, as_json: bool) -> dict[str, Any]:

@@ -52,7 +52,7 @@ def from_circles(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Find a robot from points measured while one joint moved at a time; nothing is added."""
+    """Find a robot from circles: points measured while one joint moved at a time; nothing is added."""
     named = checked_name(name) if name else plain_name(file.stem)
     prepared = prepare(file, column_map=column_map)
     with Kilter() as kilter:

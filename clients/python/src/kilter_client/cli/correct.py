@@ -6,6 +6,8 @@ import csv
 import io
 import json
 from collections import Counter
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,6 +16,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli import arguments
 from kilter_client.cli.arguments import File, Json, PayloadCentre, Robot
+from kilter_client.cli.interrupt import on_interrupt
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
@@ -43,13 +46,21 @@ def correct(
     payload_com_mm: PayloadCentre = None,
     as_json: Json = False,
 ) -> None:
-    """Correct a trajectory (t_s, q1_deg, ...) with the active version; the answer has the format that was sent."""
+    """Correct a trajectory (t_s, q1_deg, ...) with the active version; the answer has the format that was sent.
+
+    dx_mm, dy_mm, dz_mm are where the uncorrected tool would be minus where it should be, along the axes of the base frame
+    that the version corrects in; the command says which one that is. Exit code 1 when no row could be corrected.
+    """
     if as_json and output is None:
         raise UsageError("--json reports what was written: name the file with -o.")
     centre = arguments.three("--payload-com-mm", payload_com_mm)
     trajectory = prepare(file, column_map=column_map)
-    with Kilter() as kilter:
-        content = kilter.correct(robot, trajectory, form=form, payload_kg=payload_kg, payload_com_mm=centre)
+    with on_interrupt(partial(_not_written, output)), Kilter() as kilter:
+        version = kilter.robots.get(robot).get("active_version")
+        content = kilter.correct(
+            robot, trajectory, version=version, form=form, payload_kg=payload_kg, payload_com_mm=centre
+        )
+        frames = {} if version is None else frames_of(kilter.versions.get(version))
     status = {} if form else verdicts(content, trajectory.content_type)
     left = {name: count for name, count in status.items() if name != "OK"}
     if left:
@@ -59,15 +70,20 @@ def correct(
         note(f"Warning: not corrected is what {', '.join(content.left_out)} does.", as_json)
     for remark in content.notes:
         note(f"Note: {remark}", as_json)
+    refused = bool(status) and not status.get("OK")
+    if frames and not form:
+        note(f"dx_mm, dy_mm, dz_mm are along the axes of the {frames['axes']}.", as_json)
     if output is None:
         typer.get_binary_stream("stdout").write(content)
-        return
+        raise typer.Exit(1 if refused else 0)
     write(output, content)
     document = {
         "robot": robot,
         "output": str(output),
         "bytes": len(content),
         "status": status,
+        "version_id": version,
+        "frames": frames,
         "not_corrected": list(content.left_out),
         "notes": list(content.notes),
     }
@@ -76,16 +92,35 @@ def correct(
         as_json,
         lambda _: say(f"{output}: {sum(status.values()) or len(content)} {'rows' if status else 'bytes'}"),
     )
+    if refused:
+        note("Error: no row could be corrected; the column status says why.", as_json)
+        raise typer.Exit(1)
+
+
+def frames_of(version: Mapping[str, Any]) -> dict[str, str]:
+    """Return whose base and tool frame a version corrects in, and in words which axes an error is along."""
+    found = (version.get("details") or {}).get("reference") or {}
+    base, tool = found.get("base") or "robot", found.get("tool") or "robot"
+    axes = "robot's base frame" if base == "robot" else "base frame as the registration found it"
+    return {"base": base, "tool": tool, "axes": axes}
+
+
+def _not_written(output: Path | None) -> str:
+    return f"{output or 'the answer'} is not written. The server keeps nothing of a trajectory; the same command corrects it."
 
 
 def verdicts(content: bytes, content_type: str) -> dict[str, int]:
-    """Count the rows of each status in a corrected trajectory; nothing for Parquet, which needs a package to read."""
+    """Count the rows of each status in a corrected trajectory; nothing for Parquet without the package that reads it."""
     if content_type == CSV_TYPE:
         rows = csv.DictReader(io.StringIO(content.decode()))
         return dict(Counter(row["status"] for row in rows))
     if content_type == JSON_TYPE:
         return dict(Counter(json.loads(content)["status"]))
-    return {}
+    try:
+        from pyarrow import parquet
+    except ImportError:
+        return {}
+    return dict(Counter(parquet.read_table(io.BytesIO(content), columns=["status"])["status"].to_pylist()))
 
 
 def status(as_json: Json = False) -> None:

@@ -56,7 +56,12 @@ def inspect(
     joint_order: JointOrder = None,
     draft: Annotated[
         Path | None,
-        typer.Option("--draft", metavar="MAP", help="Write a first column map for the file.", dir_okay=False),
+        typer.Option(
+            "--draft",
+            metavar="MAP",
+            help="Write a first column map there; what could not be told is marked ?.",
+            dir_okay=False,
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

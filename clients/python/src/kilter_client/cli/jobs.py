@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.arguments import Json
+from kilter_client.cli.groups import Group
+from kilter_client.cli.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.output import emit
 from kilter_client.cli.progress import job_bar
 from kilter_client.cli.references import OfRobot, resolved
 from kilter_client.cli.results import show_job
 from kilter_client.cli.tables import show_rows
 
-jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None)
+jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None, cls=Group)
 
 JobId = Annotated[
     str, typer.Argument(help="Its id or the beginning of it, its name, or `latest`.", show_default=False, metavar="JOB")
@@ -63,8 +66,7 @@ def watch(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Follow a job to its end and show its result."""
     with Kilter() as kilter:
         job = resolved(kilter, "job", job, robot, as_json)
-        known = kilter.jobs.get(job)
-        with job_bar(str(known["kind"]), as_json) as progress:
+        with on_interrupt(partial(job_goes_on, job)), job_bar(job, as_json) as progress:
             document = kilter.jobs.wait(job, progress)
     emit(document, as_json, show_job)
 

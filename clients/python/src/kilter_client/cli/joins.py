@@ -32,7 +32,7 @@ def ballbar_join(
     joints: Joints,
     output: Output,
     radius_mm: Annotated[
-        float | None, typer.Option("--radius-mm", help="The bar's length, whatever its log says.")
+        float | None, typer.Option("--radius-mm", help="The bar's length, whatever its log says, mm.")
     ] = None,
     zero_deg: Annotated[float, typer.Option(help="Where the bar's angle 0 lies, from the robot's x axis.")] = 0.0,
     joints_map: Map = None,
@@ -58,7 +58,11 @@ def tilt_join(
     output: Output,
     before: Annotated[
         Path | None,
-        typer.Option(help="Log of the inclinometer on the link before the joint.", exists=True, dir_okay=False),
+        typer.Option(
+            help="Log of the inclinometer on the link before the joint; needed where earlier joints move.",
+            exists=True,
+            dir_okay=False,
+        ),
     ] = None,
     axis: Annotated[
         Literal["x", "y", "z"], typer.Option(help="Axis of the joint frame it turns about; z is its own.")

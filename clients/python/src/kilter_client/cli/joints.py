@@ -42,7 +42,10 @@ def joint_parameters(
     seed: Annotated[int | None, typer.Option(help=JOINT_PARAMETERS["seed"])] = None,
     resolution_deg: Annotated[float | None, typer.Option(help=JOINT_PARAMETERS["resolution_deg"])] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the proposal as CSV.", dir_okay=False)
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Write the proposal as CSV, to be filled in.", dir_okay=False
+        ),
     ] = None,
     option: MoreOptions = None,
     name: JobName = "",

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from kilter_client import Kilter
 from kilter_client.cli.arguments import Json, Robot
+from kilter_client.cli.groups import Group
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.references import OfRobot, resolved
-from kilter_client.errors import UsageError
+from kilter_client.errors import ApiError, UsageError
 from kilter_client.references import Kind, is_full
 
 Reference = Annotated[
@@ -21,7 +21,7 @@ Text = Annotated[str, typer.Argument(help="The text.", show_default=False)]
 Yes = Annotated[bool, typer.Option("--yes", help="Really: this cannot be undone.")]
 
 
-class ListsByDefault(TyperGroup):
+class ListsByDefault(Group):
     """A group whose ``list`` may be left out: ``kilter versions ur10`` lists as it always did."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -83,8 +83,7 @@ def _register_use(group: typer.Typer, kind: Kind) -> None:
         """Delete it for good, if nothing cites it; its hash is kept."""
         with Kilter() as kilter:
             if not is_full(kind, full_id):
-                found = kilter.resolve(kind, full_id).id
-                raise UsageError(f"A purge takes the full id: {full_id!r} is {found}. Give that, if it is the one.")
+                raise UsageError(f"A purge takes the full id{_of(kilter, kind, full_id)}")
             _refuse_unsure(yes, f"kilter {kind}s purge {full_id}")
             document = _kept(kilter, kind).purge(full_id)
         emit(document, as_json, _show_tombstone)
@@ -128,6 +127,14 @@ def _change(kind: Kind, reference: str, robot: str | None, as_json: bool, **word
         document = _kept(kilter, kind).change(resolved(kilter, kind, reference, robot, as_json), **words)
     told = f" {document['name']!r}" if document["name"] else ""
     emit(document, as_json, lambda _: say(f"{kind} {document['id']}{told}: {document['notes'] or 'no notes'}"))
+
+
+def _of(kilter: Kilter, kind: Kind, reference: str) -> str:
+    """Return what a reference that is no full id stands for, as the end of a sentence."""
+    try:
+        return f": {reference!r} is {kilter.resolve(kind, reference).id}. Give that, if it is the one."
+    except ApiError:  # nothing, or several of different robots
+        return f", {reference!r} is none: `kilter {kind}s ROBOT` lists them."
 
 
 def _refuse_unsure(yes: bool, command: str) -> None:

@@ -12,6 +12,7 @@ from kilter_client.cli import arguments
 from kilter_client.cli.arguments import Json
 from kilter_client.cli.checks import Model, Piecewise, Unchecked, checks_of, cut_by, in_time
 from kilter_client.cli.inspect import AllowCut, JointOrder, Rate, Topic, Unit, check_numpy
+from kilter_client.cli.interrupt import on_interrupt
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import UsageError
@@ -57,7 +58,7 @@ def match(
     by: How = "order",
     joints_map: Annotated[Path | None, typer.Option(help="Column map of the joint log.", **Existing)] = None,
     tcp: Tcp = None,
-    tool: Annotated[str | None, typer.Option(help="Tool of a recording of several, with --tcp.")] = None,
+    tool: Annotated[str | None, typer.Option(help="Tool of a recording of several, where --tcp asks for one.")] = None,
     topic: Topic = None,
     joint_order: JointOrder = None,
     rate: Rate = None,
@@ -167,7 +168,8 @@ def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, Any], as_json: b
             done["rows"] += count
             bar(done["rows"], max(rows, done["rows"]))
 
-        sent = send_whole(kilter, robot, dict(wanted), pieces, progress)
+        with on_interrupt(lambda: f"{done['rows']} rows are kept for it. The same command goes on where it stopped."):
+            sent = send_whole(kilter, robot, dict(wanted), pieces, progress)
     return {"campaign_id": sent.campaign_id, "rows": sent.rows, "rows_there_already": sent.there}
 
 

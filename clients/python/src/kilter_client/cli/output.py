@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -52,11 +53,6 @@ def report_usage(error: typer.TyperException, as_json: bool) -> None:
     """Print what was wrong with the command line, and where its help is."""
     context = getattr(error, "ctx", None)
     hint = f" Try `{context.command_path} --help`." if context is not None else ""
-    report_error(UsageError(error.format_message() + hint), as_json)
-
-
-def report_interrupt(as_json: bool) -> None:
-    """Say what Ctrl-C did."""
-    report_error(
-        KilterError("Interrupted. A job goes on at the server: see `kilter jobs`.", code="interrupted"), as_json
-    )
+    said = re.sub(r"Invalid value for '(.+?)': (?:Value error, )?", r"\1: ", error.format_message())
+    said = said.replace(": Input should", ": it should")
+    report_error(UsageError(said + ("" if said.endswith((".", "?", "!")) else ".") + hint), as_json)

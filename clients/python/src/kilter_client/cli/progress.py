@@ -7,6 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from kilter_client.cli.output import note
+from kilter_client.jobs import AWAY
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -21,10 +24,18 @@ def upload_bar(name: str, as_json: bool) -> Iterator[Callable[[int, int], None]]
 
 @contextmanager
 def job_bar(name: str, as_json: bool) -> Iterator[Callable[[float, str], None]]:
-    """Show the fraction and the stage of a job."""
+    """Show the fraction and the stage of a job; where nobody watches a bar, say once that the server is away."""
+    said: set[str] = set()
     with _bar(as_json) as bar:
         task = bar.add_task(name, total=1.0)
-        yield lambda fraction, stage: bar.update(task, completed=fraction, description=f"{name}: {stage}")
+
+        def show(fraction: float, stage: str) -> None:
+            bar.update(task, completed=fraction, description=f"{name}: {stage}")
+            if bar.disable and stage == AWAY and stage not in said:
+                said.add(stage)
+                note(f"{name}: {stage}", as_json)
+
+        yield show
 
 
 def _bar(as_json: bool) -> Progress:

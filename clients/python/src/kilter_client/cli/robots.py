@@ -13,13 +13,14 @@ from kilter_client.cli import circles, keeping
 from kilter_client.cli.arguments import Json, Retired, Robot
 from kilter_client.cli.arm_figure import save_arm
 from kilter_client.cli.drawing import show_check
+from kilter_client.cli.groups import Group
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.robot_file import RobotSource, takes_a_robot
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 
-robot = typer.Typer(help="Describe robots.", no_args_is_help=True, rich_markup_mode=None)
+robot = typer.Typer(help="Describe robots.", no_args_is_help=True, rich_markup_mode=None, cls=Group)
 
 
 def register(app: typer.Typer) -> None:
@@ -35,7 +36,7 @@ def add(
     source: RobotSource,
     as_json: Json = False,
 ) -> None:
-    """Add a robot from robot.json, from a file of another tool, or from a preset."""
+    """Add a robot from robot.json, another tool's file, or a preset."""
     document = source.document()
     with Kilter() as kilter:
         emit(kilter.robots.add(document), as_json, _show)
@@ -48,7 +49,7 @@ def check(
     plot: Annotated[Path | None, typer.Option(help="Draw the arm into this .png or .svg file too.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Draw a robot at zero and list axes, limits, reach and what looks wrong; nothing is added."""
+    """Draw and check a robot: it at zero, axes, limits, reach, what looks wrong; nothing is added."""
     if plot is not None and plot.suffix.lower() not in (".png", ".svg"):
         raise UsageError(f"--plot {plot}: give a file that ends in .png or .svg.")
     document = source.document(source.file.stem if source.file else None)
@@ -64,7 +65,12 @@ def check(
 def convert(
     source: RobotSource,
     to: Annotated[str, typer.Option(metavar="CONVENTION", help="chain, dh, mdh, s_model, poe, cpc, mcpc or urdf.")],
-    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="File to write.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="File to write, .json or .urdf; without it the document is printed."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write a robot in another convention: the same poses at the same joint readings; nothing is added."""

@@ -42,7 +42,8 @@ def sheet(
     radius_mm: Annotated[float, typer.Option("--radius-mm", help="Radius of the circle to draw along.")],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="sheet.pdf or sheet.svg.")],
     page: Annotated[
-        Literal["a4", "a3", "letter"] | None, typer.Option(help="Paper; default is A4 where the circle fits, else A3.")
+        Literal["a4", "a3", "letter"] | None,
+        typer.Option(help="Paper, to a radius of 87 mm (A4), 90 (letter), 130.5 (A3); default is A4, else A3."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -103,7 +104,10 @@ def sheet_join(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the rows go, as CSV.")],
     points: Annotated[
         Path | None,
-        typer.Option(help="CSV of quarter points 1 to 4 in the robot's base: x_mm, y_mm, z_mm.", exists=True),
+        typer.Option(
+            help="CSV of quarter points 1 to 4 in the robot's base: x_mm, y_mm, z_mm; else rows are in the sheet's.",
+            exists=True,
+        ),
     ] = None,
     faces_down: Annotated[
         bool, typer.Option("--faces-down", help="The sheet's face is below, as on a ceiling.")

@@ -1,0 +1,66 @@
+"""All commands: under which heading `kilter --help` lists them, the module that has them, and one line of what they do.
+
+A command's module is imported when the command is called, so that each answers fast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A command of the first level; ``module`` is the one of ``kilter_client.cli`` that registers it."""
+
+    module: str
+    summary: str
+
+
+CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
+    "Measure": {
+        "upload": Entry("campaigns", "Send measurements of a robot; they become a campaign."),
+        "campaigns": Entry("campaigns", "List, name, retire and purge campaigns."),
+        "inspect": Entry("inspect", "Show what is understood of a file; nothing is sent."),
+        "match": Entry("match", "Join a recording of markers with a joint log."),
+        "sheet": Entry("sheet", "Write the sheet to print for measuring with a pencil."),
+        "sheet-read": Entry("sheet", "Read a scan or photo of a drawn sheet."),
+        "sheet-join": Entry("sheet", "Join a drawn sheet and the height with the joint log."),
+        "ballbar-join": Entry("joins", "Join a ball bar's log with the joint log."),
+        "tilt-join": Entry("joins", "Join an inclinometer's log with the joint log."),
+        "plan": Entry("analyse", "Plan poses to measure."),
+        "columns": Entry("lists", "List the columns of measurements and their units."),
+        "formats": Entry("lists", "List the files that can be read."),
+    },
+    "Identify": {
+        "identify": Entry("analyse", "Identify parameters from campaigns; makes a version."),
+        "gap": Entry("analyse", "Find and name what the model lacks; makes a version."),
+        "evaluate": Entry("analyse", "Compare a version with a campaign."),
+        "joint-parameters": Entry("joints", "Measure play and stiffness of joints directly."),
+        "jobs": Entry("jobs", "List, show, watch and cancel jobs."),
+        "effects": Entry("lists", "List the physical effects that can be identified."),
+        "methods": Entry("lists", "List the methods of an identification."),
+    },
+    "Versions": {
+        "versions": Entry("versions", "List, name, retire and purge versions."),
+        "version": Entry("versions", "Show a version: where it comes from, its parameters."),
+        "activate": Entry("versions", "Make a version the one that corrects."),
+        "rollback": Entry("versions", "Return to the version that was active before."),
+        "activations": Entry("versions", "List who activated which version, when and why."),
+        "diff": Entry("versions", "Compare the parameters of two versions."),
+        "residuals": Entry("residuals", "Write what a version leaves of every measured row."),
+        "export": Entry("versions", "Write a version as a file for other programs."),
+    },
+    "Correct": {
+        "correct": Entry("correct", "Correct a trajectory with the active version."),
+    },
+    "Robots": {
+        "robot": Entry("robots", "Add, list, show, check, convert and retire robots."),
+        "presets": Entry("lists", "List the robots that ship with Kilter."),
+    },
+    "Server": {
+        "status": Entry("correct", "Show whether the server is ready."),
+    },
+}
+
+ENTRIES: Mapping[str, Entry] = {name: entry for listed in CATALOGUE.values() for name, entry in listed.items()}

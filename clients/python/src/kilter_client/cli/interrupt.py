@@ -1,0 +1,43 @@
+"""What Ctrl-C leaves behind: one sentence with what is stored and how to go on, and exit code 130."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import ClassVar
+
+from kilter_client.errors import KilterError
+
+CODE = 130
+UNKNOWN = (
+    "Interrupted. What the server had begun it finishes: `kilter jobs` and `kilter campaigns ROBOT` show what is there."
+)
+
+
+class InterruptedCommandError(KilterError):
+    """Ctrl-C, with what it left behind."""
+
+    default_code: ClassVar[str] = "interrupted"
+    default_title: ClassVar[str] = "Interrupted"
+
+
+@contextmanager
+def on_interrupt(tell: Callable[[], str]) -> Iterator[None]:
+    """Say what ``tell`` returns when the person presses Ctrl-C inside.
+
+    Raises:
+        InterruptedCommandError: Ctrl-C was pressed.
+
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise InterruptedCommandError(f"Interrupted: {tell()}") from None
+
+
+def job_goes_on(job_id: str) -> str:
+    """Say that a job goes on, and the commands for it."""
+    return (
+        f"job {job_id} goes on at the server. `kilter jobs watch {job_id}` follows it, "
+        f"`kilter jobs cancel {job_id}` stops it."
+    )

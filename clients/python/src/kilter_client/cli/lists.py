@@ -1,0 +1,114 @@
+"""``kilter effects | methods | presets | formats | columns``: what there is, one line each, without a server."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator, Sequence
+
+import typer
+
+from kilter_client.cli.arguments import Json
+from kilter_client.cli.listed_texts import COLUMNS, EFFECTS, EXPORTS, METHODS, PRESETS
+from kilter_client.cli.output import Document, emit, note
+from kilter_client.cli.tables import show_rows
+
+OF_THIS_RELEASE = "These are of this release of the command; a server of another release may have others."
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the ``kilter`` command."""
+    app.command(epilog="Example: kilter effects")(effects)
+    app.command(epilog="Example: kilter methods")(methods)
+    app.command(epilog="Example: kilter presets")(presets)
+    app.command(epilog="Example: kilter formats")(formats)
+    app.command(epilog="Example: kilter columns")(columns)
+
+
+def effects(as_json: Json = False) -> None:
+    """List the physical effects that can be identified: what each is, where it acts, and what rows or robot must hold.
+
+    The list is that of this release of the command; no server is asked.
+    """
+    _show("effects", EFFECTS, ("id", "acts_on", "needs", "summary"), ("effect", "acts on", "needs", "what"), as_json)
+    note(f"Use: kilter identify ROBOT --effects clearance_tilt,backlash. {OF_THIS_RELEASE}", as_json)
+
+
+def methods(as_json: Json = False) -> None:
+    """List the methods of an identification.
+
+    The list is that of this release of the command; no server is asked.
+    """
+    _show("methods", METHODS, ("id", "summary"), ("method", "what"), as_json)
+    note(f"Use: kilter identify ROBOT --method kalman. {OF_THIS_RELEASE}", as_json)
+
+
+def presets(as_json: Json = False) -> None:
+    """List the robots that ship with Kilter, and where their values come from.
+
+    The list is that of this release of the command; no server is asked.
+    """
+    head = ("preset", "joints", "convention", "masses", "source")
+    rows = [{**preset, "source": preset["source"] if as_json else _first(preset["source"])} for preset in PRESETS]
+    _show("presets", rows, ("id", *head[1:]), head, as_json)
+    note(f"Use: kilter robot add --preset ur10 --name my-arm. {OF_THIS_RELEASE}", as_json)
+
+
+def formats(as_json: Json = False) -> None:
+    """List the files that are read and written, with their endings and the command that takes them."""
+    _show("formats", list(_formats()), ("use", "id", "endings", "what"), ("use", "format", "endings", "what"), as_json)
+    note("`kilter inspect FILE` shows what is understood of a file.", as_json)
+
+
+def columns(as_json: Json = False) -> None:
+    """List the columns of measurements, with their units.
+
+    The list is that of this release of the command; no server is asked.
+    """
+    from kilter_files.units import unit_of
+
+    rows = []
+    for column in COLUMNS:
+        units = dict.fromkeys(unit_of(name) for name in re.findall(r"\w+", column["columns"]))
+        rows.append({**column, "unit": ", ".join(unit for unit in units if unit)})
+    if not as_json:
+        rows = [{**row, "meaning": _first(row["meaning"])} for row in rows]
+    _show("columns", rows, ("columns", "unit", "meaning"), ("columns", "unit", "meaning"), as_json)
+    note("Other names and units come in with a column map: `kilter inspect FILE --draft columns.toml`.", as_json)
+
+
+def _formats() -> Iterator[dict[str, str]]:
+    from kilter_files import DEVICES
+    from kilter_files.recording_kinds import JOINT_LOGS, RECORDINGS
+    from kilter_files.robots.read import KATANA, TABLES, UR, URDF
+    from kilter_files.source import FORMATS
+    from kilter_files.tracker_header import PRESETS as POINTS
+
+    for name, form in FORMATS.items():
+        yield _format("upload --map", name, form.endings, form.title)
+    for name, read in DEVICES.items():
+        yield _format("upload --device", name, (), inspect.getdoc(read) or "")
+    for name, preset in POINTS.items():
+        yield _format("upload --preset", name, (), f"points exported as text: {preset.title}")
+    for name, (title, endings) in {**RECORDINGS, **JOINT_LOGS}.items():
+        yield _format("match", name, endings, title)
+    robots = (("json", (".json",), "robot.json"), ("urdf", URDF, "URDF"), ("table", TABLES, "DH or MDH table"))
+    others = (("universal", UR, "calibration of Universal Robots"), ("katana", KATANA, "configuration of a Katana"))
+    for name, endings, title in (*robots, *others):
+        yield _format("robot add", name, endings, title)
+    for export in EXPORTS:
+        yield _format("export --format", export["id"], (export["ending"],), "a version for other programs")
+
+
+def _format(use: str, name: str, endings: Sequence[str], what: str) -> dict[str, str]:
+    return {"use": use, "id": name, "endings": " ".join(endings), "what": what.rstrip(".")}
+
+
+def _show(name: str, rows: Sequence[dict[str, str]], keys: Sequence[str], head: Sequence[str], as_json: bool) -> None:
+    document: Document = {name: list(rows)}
+    emit(document, as_json, lambda _: show_rows(head, [tuple(row[key] for key in keys) for row in rows]))
+
+
+def _first(text: str) -> str:
+    """Return what stands before the first full stop or semicolon that ends a thought."""
+    return text.replace(". ", "; ").split("; ", 1)[0].split(" (", 1)[0] if len(text) > 90 else text

@@ -1,0 +1,105 @@
+"""`kilter correct`: whose axes the removed error is along, and how a path of which nothing could be corrected ends."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from numpy.typing import NDArray
+from pyarrow import parquet
+
+from kilter_client import Kilter
+from kilter_client.cli import run
+
+Capture = pytest.CaptureFixture[str]
+Write = Callable[..., Path]
+Floats = NDArray[np.float64]
+LENGTHS_MM = (400.0, 300.0, 200.0)
+HEAD = "q1_deg,q2_deg,q3_deg"
+OFF_DEG = np.array([0.1, 0, 0])
+
+
+def tip_mm(q_deg: Floats) -> Floats:
+    """Tool point of an arm with a turning column and two links in its plane, in its own base frame."""
+    q1, q2, q3 = np.radians(q_deg.T)
+    out = LENGTHS_MM[1] * np.cos(q2) + LENGTHS_MM[2] * np.cos(q2 + q3)
+    up = LENGTHS_MM[0] + LENGTHS_MM[1] * np.sin(q2) + LENGTHS_MM[2] * np.sin(q2 + q3)
+    return np.stack([out * np.cos(q1), out * np.sin(q1), up], axis=1)
+
+
+def arm(name: str) -> dict[str, object]:
+    """The arm as DH table; its base stands a metre aside and is turned by 90 degrees about z."""
+    rows = [(90.0, 0.0, LENGTHS_MM[0]), (0.0, LENGTHS_MM[1], 0.0), (0.0, LENGTHS_MM[2], 0.0)]
+    return {
+        "name": name,
+        "convention": "dh",
+        "joints": [{"name": f"j{k}", "limits_deg": [-170, 170]} for k in (1, 2, 3)],
+        "rows": [
+            {"type": "revolute", "alpha_deg": alpha, "a_mm": a, "theta_offset_deg": 0, "d_mm": d}
+            for alpha, a, d in rows
+        ],
+        "base": {"x_mm": 1000, "y_mm": 0, "z_mm": 0, "rx_deg": 0, "ry_deg": 0, "rz_deg": 90},
+    }
+
+
+def test_the_error_is_along_the_axes_of_the_robots_base(kilter: Kilter, tmp_path: Path, capsys: Capture) -> None:
+    kilter.robots.add(arm("aside"))
+    rng = np.random.default_rng(3)
+    q = rng.uniform((-90, 0, -80), (90, 70, 80), (40, 3))
+    own = tip_mm(q + OFF_DEG)
+    seen = np.stack([1000 - own[:, 1], own[:, 0], own[:, 2]], axis=1) + rng.normal(0, 0.001, own.shape)
+    (tmp_path / "measured.csv").write_text(table(f"{HEAD},x_mm,y_mm,z_mm", np.hstack([q, seen])))
+    assert run(["upload", "aside", str(tmp_path / "measured.csv"), "--name", "monday"]) == 0
+    fit = ["identify", "aside", "-c", "monday", "--level", "1", "--tool", "fixed"]
+    assert run([*fit, "--base", "fixed"]) == 0
+    assert run(["activate", "latest", "--robot", "aside", "--force"]) == 0
+    path = np.array([[0.0, 30.0, 40.0], [50.0, 20.0, -30.0]])
+    (tmp_path / "path.csv").write_text(table(HEAD, path))
+    capsys.readouterr()
+    assert run(["correct", "aside", str(tmp_path / "path.csv"), "-o", str(tmp_path / "out.csv")]) == 0
+    assert "dx_mm, dy_mm, dz_mm are along the axes of the robot's base frame." in capsys.readouterr().err
+    rows = list(csv.DictReader((tmp_path / "out.csv").read_text().splitlines()))
+    removed = np.array([[float(row[f"d{axis}_mm"]) for axis in "xyz"] for row in rows])
+    np.testing.assert_allclose(removed, tip_mm(path + OFF_DEG) - tip_mm(path), atol=0.01)
+    assert np.abs(removed).max() > 0.5  # along y of the base, which is -x of the measurements
+    assert run([*fit, "--fix", "theta_offset_1", "--reference", "registration"]) == 0
+    assert run(["activate", "latest", "--robot", "aside", "--force"]) == 0
+    assert run(["correct", "aside", str(tmp_path / "path.csv"), "-o", str(tmp_path / "out.csv")]) == 0
+    assert "along the axes of the base frame as the registration found it." in capsys.readouterr().err
+
+
+def table(head: str, rows: Floats) -> str:
+    return "\n".join([head, *(",".join(f"{value:.9g}" for value in row) for row in rows), ""])
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "json"])
+def test_a_path_of_which_nothing_is_corrected_exits_1(
+    robot: str, kilter: Kilter, write_campaign: Write, tmp_path: Path, capsys: Capture, ending: str
+) -> None:
+    campaign = kilter.campaigns.add(robot, "monday")["id"]
+    kilter.campaigns.upload(campaign, write_campaign(30))
+    job = kilter.jobs.run("identify", robot, [campaign], options={"level": 1})
+    kilter.versions.activate(job["result"]["version_id"], force=True)
+    columns = {f"q{k}_deg": [0.0, 999.0, 999.0] for k in range(1, 6)}
+    bad, mixed = {name: values[1:] for name, values in columns.items()}, columns
+    for rows, code, refused in ((bad, 1, 2), (mixed, 0, 2)):
+        path = tmp_path / f"path-{code}.{ending}"
+        if ending == "csv":
+            path.write_text(table(",".join(rows), np.array(list(rows.values())).T))
+        elif ending == "json":
+            path.write_text(json.dumps(rows))
+        else:
+            parquet.write_table(pa.table(rows), path)
+        capsys.readouterr()
+        given = ["correct", robot, str(path), "-o", str(tmp_path / f"out.{ending}")]
+        assert run(given) == code
+        assert ("no row could be corrected" in capsys.readouterr().err) == bool(code)
+        assert run([*given, "--json"]) == code
+        printed = capsys.readouterr()
+        assert printed.err == ""
+        assert json.loads(printed.out)["status"].get("JOINT_LIMIT") == refused

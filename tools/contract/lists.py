@@ -1,0 +1,77 @@
+"""What `kilter effects`, `methods`, `presets`, `columns` and `formats` list without a server."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from kilter_core.effects import EFFECTS, Effect
+from kilter_core.identify.methods import ESTIMATORS
+from kilter_core.robots import preset_document, preset_names, robot_from_document
+from kilter_service.exporters.registry import FORMATS
+
+COLUMNS_PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "columns.md"
+ROW = re.compile(r"^\| (?P<names>`.+?) \| (?P<meaning>.+) \|$", re.MULTILINE)
+NEEDED = {"moments": "link masses", "direction": "dir1 ...", "t": "t_s", "qd": "qd1_deg_s ..."}
+PLACES = {"base": "base", "measurement": "instrument"}
+
+
+def listed_texts() -> str:
+    """Return the module of the client with all lists."""
+    lines = ['"""What the command lists without a server, made by `make contract`: change it where it stands."""\n']
+    lines.append("from __future__ import annotations\n")
+    for name, rows in (
+        ("EFFECTS", _effects()),
+        ("METHODS", _methods()),
+        ("PRESETS", _presets()),
+        ("COLUMNS", _columns()),
+        ("EXPORTS", _exports()),
+    ):
+        lines += [f"{name}: list[dict[str, str]] = [", *(f"    {row!r}," for row in rows), "]"]
+    return "\n".join(lines) + "\n"
+
+
+def _effects() -> Iterator[dict[str, str]]:
+    for kind in EFFECTS.values():
+        needs = sorted(NEEDED.get(need, need) for need in kind.needs)
+        yield {"id": kind.id, "acts_on": _place(kind), "needs": ", ".join(needs), "summary": kind.summary}
+
+
+def _place(kind: type[Effect]) -> str:
+    if kind.at_joints:
+        return "joints"
+    return "workspace" if kind.empirical or kind.learned else PLACES.get(kind.stage, "whole arm")
+
+
+def _methods() -> Iterator[dict[str, str]]:
+    for name, method in ESTIMATORS.items():
+        yield {"id": name, "summary": method.summary}
+
+
+def _presets() -> Iterator[dict[str, str]]:
+    for name in preset_names():
+        document: dict[str, Any] = preset_document(name)
+        robot = robot_from_document(document)
+        masses = "with masses" if robot.has_masses else "no masses"
+        yield {
+            "id": name,
+            "joints": str(robot.n_joints),
+            "convention": document["convention"],
+            "masses": masses,
+            "source": document["source"],
+        }
+
+
+def _columns() -> Iterator[dict[str, str]]:
+    """The rows of the page on columns, which says of each what it means."""
+    for row in ROW.finditer(COLUMNS_PAGE.read_text(encoding="utf-8")):
+        meaning = re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", row["meaning"]).replace("`", "")
+        meaning = re.sub(r" See [^.]+$", "", meaning)
+        yield {"columns": row["names"].replace("`", ""), "meaning": meaning}
+
+
+def _exports() -> Iterator[dict[str, str]]:
+    for name, form in FORMATS.items():
+        yield {"id": name, "ending": f".{form.suffix}"}
