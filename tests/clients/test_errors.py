@@ -161,7 +161,10 @@ def test_a_busy_server_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
             return httpx.Response(503, headers={"Retry-After": "2"}, json={"code": "busy", "detail": "Later."})
         return httpx.Response(201, json={"id": "upl_1", "rows": 1})
 
-    assert client(busy_twice).campaigns.upload("cmp_1", Prepared(b"q1_deg,x_mm\n1,2\n", "text/csv"))["rows"] == 1
+    assert (
+        client(busy_twice).campaigns.upload("cmp_0123456789abcdef", Prepared(b"q1_deg,x_mm\n1,2\n", "text/csv"))["rows"]
+        == 1
+    )
     assert len(set(bodies)) == 1
     assert waits == [2.0, 2.0]
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from kilter_client.connection import Connection, Document, address
+from kilter_client.calls import references, server, versions
+from kilter_client.calls.references import Found, Kind
+from kilter_client.connection import Connection
 from kilter_client.jobs import Jobs
 from kilter_client.locate import locate
-from kilter_client.references import Found, Kind, resolve
 from kilter_client.resources import Campaigns, Robots, Versions
+from kilter_client.steps import Document
 
 if TYPE_CHECKING:
     import httpx
 
     from kilter_client.files import Prepared
-
-CORRECT_TIMEOUT_S = 600.0
 
 
 class Corrected(bytes):
@@ -57,7 +57,7 @@ class Kilter:
 
     def health(self) -> Document:
         """Return whether the server is ready, and what it looked at."""
-        return self._connection.get("/v1/health")
+        return self._connection.run(server.health())
 
     def resolve(self, kind: Kind, reference: str, robot: str | None = None) -> Found:
         """Return what stands behind the beginning of an id, a name or ``latest`` of a campaign, version or job.
@@ -66,11 +66,11 @@ class Kilter:
             NotFoundError: nothing. ConflictError: more than one thing. The sentences list what there is.
 
         """
-        return resolve(self._connection, kind, reference, robot)
+        return self._connection.run(references.resolve(kind, reference, robot))
 
     def tombstones(self, robot: str | None = None) -> list[Document]:
         """Return what was purged, newest first: its hash, who purged it, and when."""
-        return list(self._connection.get("/v1/tombstones", **({"robot": robot} if robot else {}))["tombstones"])
+        return self._connection.run(server.tombstones(robot))
 
     def correct(
         self, robot: str, trajectory: Prepared, *, version: str | None = None, form: str | None = None
@@ -80,17 +80,9 @@ class Kilter:
         The answer has the format that was sent; ``form`` "ros2-yaml" asks for a ROS 2 JointTrajectory instead. Its
         ``left_out`` names effects of the version that a correction does not cover.
         """
-        version = version and self.versions.id_of(version, robot)
-        response = self._connection.request(
-            "POST",
-            address("robots", robot, "correct"),
-            content=trajectory.content,
-            headers={"Content-Type": trajectory.content_type, "Accept": "*/*" if form else trajectory.content_type},
-            params={name: value for name, value in (("version", version), ("format", form)) if value},
-            timeout=CORRECT_TIMEOUT_S,
-        )
+        response = self._connection.run(versions.correct(robot, trajectory, version, form))
         corrected = Corrected(response.content)
-        corrected.left_out = tuple(filter(None, response.headers.get("Kilter-Not-Corrected", "").split(", ")))
+        corrected.left_out = tuple(filter(None, response.headers.get("kilter-not-corrected", "").split(", ")))
         return corrected
 
     def close(self) -> None:
