@@ -21,7 +21,7 @@ from kilter_client import Kilter
 COMMANDS = Path(sys.executable).parent
 DISTRIBUTIONS = ("kilter", "kilter-client")
 # In the end no wheel installs `core`, `service` or `migrations` at top level; until they move, nothing may join them.
-TOP_LEVEL = {"core", "service", "migrations", "kilter_client"}
+TOP_LEVEL = {"core", "service", "migrations", "kilter", "kilter_client"}
 READY_WITHIN_S, FIT_WITHIN_S, STOP_WITHIN_S = 300.0, 300.0, 30.0  # the kernels are compiled on the way
 HELD_OUT_BELOW_MM = 0.05
 

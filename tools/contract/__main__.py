@@ -8,11 +8,13 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from tools.contract.client_types import client_modules
 from tools.contract.effects import effects_module
 from tools.contract.methods import methods_module
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES = ("docs/reference/job-options.md", "docs/reference/routes.md", "docs/reference/effects.md")
+TYPED = "clients/python/src/kilter_client/typed"
 MATLAB = ("identify", "gap", "evaluate", "plan")
 
 
@@ -30,6 +32,8 @@ def tables() -> dict[Path, str]:
     from tools.contract.tables import command_texts, with_help, with_tables  # imports the modules, which must stand
 
     texts = {"clients/python/src/kilter_client/cli/option_texts.py": formatted(command_texts())}
+    made = client_modules(REPOSITORY / "tests/contract/openapi.json")
+    texts |= {f"{TYPED}/{module}.py": formatted(text) for module, text in made.items()}
     texts |= {page: with_tables(read(page)) for page in PAGES}
     texts |= {
         f"clients/matlab/+kilter/{kind}.m": with_help(kind, read(f"clients/matlab/+kilter/{kind}.m")) for kind in MATLAB

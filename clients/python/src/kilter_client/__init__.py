@@ -1,8 +1,12 @@
-"""Client of a Kilter server."""
+"""Client of a Kilter server: ``k = connect()``, then verbs as ``k.upload`` and ``k.identify``."""
 
 from __future__ import annotations
 
-from kilter_client.client import Kilter
+from importlib import import_module
+from typing import Any
+
+from kilter_client.async_client import AsyncKilter, connect_async
+from kilter_client.client import Kilter, connect
 from kilter_client.errors import (
     ApiError,
     CalibrationError,
@@ -27,6 +31,7 @@ from kilter_client.files import Prepared, prepare
 
 __all__ = [
     "ApiError",
+    "AsyncKilter",
     "CalibrationError",
     "ConflictError",
     "FileError",
@@ -46,5 +51,16 @@ __all__ = [
     "ServerUnreachableError",
     "TooFewPosesError",
     "UsageError",
+    "connect",
+    "connect_async",
     "prepare",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Return a type of the results (``kilter.IdentifyResult``); they are loaded when they are asked for."""
+    from kilter_client.typed.names import MODULE_OF
+
+    if name not in MODULE_OF:
+        raise AttributeError(f"module 'kilter' has no attribute {name!r}")
+    return getattr(import_module(f"kilter_client.typed.{MODULE_OF[name]}"), name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import httpx
 
 T = TypeVar("T")
+Reword = Callable[[KilterError], None]
 
 EVENTS_TIMEOUT_S = 90.0  # the server sends something at least every 15 s
 
@@ -22,10 +23,12 @@ EVENTS_TIMEOUT_S = 90.0  # the server sends something at least every 15 s
 class Connection:
     """One server, kept connected."""
 
-    def __init__(self, place: Place, transport: httpx.BaseTransport | None = None) -> None:
+    def __init__(
+        self, place: Place, transport: httpx.BaseTransport | None = None, reword: Reword | None = None
+    ) -> None:
         import httpx  # 0.2 s: not when the package is imported
 
-        self.url = place.url
+        self.url, self._reword = place.url, reword
         self._client = httpx.Client(transport=transport, **_settings(place))
 
     def close(self) -> None:
@@ -40,6 +43,10 @@ class Connection:
             ServerUnreachableError: no answer.
 
         """
+        with _in_words(self._reword):
+            return self._run(call)
+
+    def _run(self, call: Steps[T]) -> T:
         answer: Answer | KilterError | None = None
         while True:
             try:
@@ -83,10 +90,12 @@ class Connection:
 class AsyncConnection:
     """One server, kept connected, under asyncio."""
 
-    def __init__(self, place: Place, transport: httpx.AsyncBaseTransport | None = None) -> None:
+    def __init__(
+        self, place: Place, transport: httpx.AsyncBaseTransport | None = None, reword: Reword | None = None
+    ) -> None:
         import httpx
 
-        self.url = place.url
+        self.url, self._reword = place.url, reword
         self._client = httpx.AsyncClient(transport=transport, **_settings(place))
 
     async def close(self) -> None:
@@ -95,6 +104,10 @@ class AsyncConnection:
 
     async def run(self, call: Steps[T]) -> T:
         """Do what a call asks for, step by step, and return what it returns; errors are those of ``Connection``."""
+        with _in_words(self._reword):
+            return await self._run(call)
+
+    async def _run(self, call: Steps[T]) -> T:
         answer: Answer | KilterError | None = None
         while True:
             try:
@@ -158,6 +171,17 @@ def _arguments(step: Request) -> dict[str, Any]:
 async def _one_by_one(step: Request) -> AsyncIterator[bytes]:
     for piece in step.pieces():
         yield piece
+
+
+@contextmanager
+def _in_words(reword: Reword | None) -> Iterator[None]:
+    """Put errors that leave a call in the words of whoever called."""
+    try:
+        yield
+    except KilterError as error:
+        if reword is not None:
+            reword(error)
+        raise
 
 
 @contextmanager
