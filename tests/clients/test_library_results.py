@@ -73,7 +73,7 @@ def test_fields_and_the_document_behind_them() -> None:
     assert len(result.set_aside) == 0
     with pytest.raises(FrozenInstanceError):
         result.version_id = "other"  # type: ignore[misc]
-    with pytest.raises(KeyError, match="did you mean .*a_2"):
+    with pytest.raises(KeyError, match=r"did you mean .*a_2"):
         result.parameters["a_3"]
 
 

@@ -41,6 +41,14 @@ def tables() -> dict[Path, str]:
     return {REPOSITORY / name: text for name, text in texts.items()}
 
 
+def library() -> dict[Path, str]:
+    """Return the reference of the Python library as it should be."""
+    from tools.contract.library import library_page, types_page  # imports the types, which must stand
+
+    texts = {"docs/reference/library.md": library_page(), "docs/reference/library-types.md": types_page()}
+    return {REPOSITORY / name: text for name, text in texts.items()}
+
+
 def stale(files: Mapping[Path, str], check: bool) -> bool:
     """Write, or name with ``check``, what is not up to date; whether anything was."""
     old = [path for path, text in files.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
@@ -71,7 +79,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tools.contract", description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing, say what is not up to date")
     check = parser.parse_args().check
-    found = [stale(made(), check) for made in (modules, tables)]
+    found = [stale(made(), check) for made in (modules, tables, library)]
     return 1 if check and any(found) else 0
 
 

@@ -49,14 +49,14 @@ class FileError(KilterError):
 
 
 class MissingPackageError(KilterError):
-    """A file format that needs a package which is not installed."""
+    """A file format, an array or a frame that needs a package which is not installed."""
 
     default_code = "package_missing"
     default_title = "Package missing"
 
 
 class UsageError(KilterError):
-    """Options of the command line that do not go together."""
+    """Options of the command line, or arguments of a verb, that do not go together."""
 
     default_code = "usage"
     default_title = "Wrong usage"
