@@ -69,6 +69,8 @@ def test_fields_and_the_document_behind_them() -> None:
     assert result.metrics.validation.registration_only.mean_mm == 0.835
     assert result.parameters["a_2"].change == pytest.approx(0.1234567)
     assert result.parameters[1]["more"] == 3
+    assert "a_2" in result.parameters
+    assert "a_3" not in result.parameters
     assert result.noise_mm is None
     assert len(result.set_aside) == 0
     with pytest.raises(FrozenInstanceError):

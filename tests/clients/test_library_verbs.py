@@ -154,7 +154,7 @@ def test_a_robot_by_document_file_and_preset(k: Kilter, tmp_path: Path) -> None:
     assert k.add_robot(preset="ur5e", name="verbs-b").sha256 == k.robot("verbs-a").sha256
     assert {"verbs-a", "verbs-b"} <= {one.name for one in k.robots()}
     for wrong in ({}, {"source": document, "preset": "ur5e"}):
-        with pytest.raises(UsageError, match="either a source"):
+        with pytest.raises(UsageError, match="either by source"):
             k.add_robot(**wrong)  # type: ignore[arg-type]
     with pytest.raises(FileError):
         k.add_robot(tmp_path / "none.json")
@@ -202,10 +202,48 @@ def test_plans_and_evaluations(k: Kilter, robot: str, write_campaign: Write) -> 
 
 def test_a_job_is_waited_for_later(k: Kilter, robot: str, write_campaign: Write) -> None:
     stored = k.upload(robot, write_campaign())
-    job = k.jobs.submit("identify", robot, [stored.campaign_id], options={"level": 1})
-    v = k.wait(job["id"], progress=False)
-    assert v["version_id"] == k.job(job["id"]).result.version_id  # type: ignore[attr-defined]
+    job = k.submit("identify", robot, stored, validation=0.2, level=1)
+    v = k.wait(job, progress=False)
+    assert v["version_id"] == k.job(job).result.version_id  # type: ignore[attr-defined]
     assert [one.id for one in k.jobs(robot)] == [job["id"]]
+
+
+def test_a_hunt(k: Kilter, robot: str, write_campaign: Write) -> None:
+    stored = k.upload(robot, write_campaign(60))
+    found = k.gap(robot, stored, validation=0.25, effects="encoder_scale", progress=False)
+    assert found.gap is not None
+    assert repr(found).startswith(f"gap {found.verdict}: {found.gap.before_mm:.3g} mm")
+    assert found.job is not None
+    assert found.job["options"]["effects"] == ["encoder_scale"]
+    assert "<table>" in found._repr_html_()
+    assert len(found.residuals()) == 60
+
+
+def test_a_robot_is_looked_at_and_found(k: Kilter, robot: str) -> None:
+    seen = k.check_robot(preset="ur5e")
+    assert len(seen.axes) == 6
+    assert seen.reach_mm > 800
+    chain = k.convert_robot({"name": "x", "convention": "preset", "preset": "ur5e"}, "chain")
+    assert k.check_robot(chain).reach_mm == pytest.approx(seen.reach_mm)
+    assert "ur5e" not in {one.name for one in k.robots()}
+    corners = [(0, 0, 0), (100, 0, 0), (0, 100, 0)]
+    known = [{"name": f"p{i}", "known_mm": p, "measured_mm": (p[0] + 7, p[1], p[2])} for i, p in enumerate(corners)]
+    assert k.find_frame({"points": known}).pose.x_mm == pytest.approx(7.0)
+
+
+def test_a_robot_is_found_from_circles(k: Kilter) -> None:
+    turns = np.linspace(-60.0, 60.0, 15)
+    first = {"q1_deg": turns, "q2_deg": 0 * turns}
+    second = {"q1_deg": 0 * turns, "q2_deg": turns}
+    # The first axis is z through the origin; the second is y through (0, 0, 300); the tool is 400 mm along x from there.
+    c, s = np.cos(np.radians(turns)), np.sin(np.radians(turns))
+    places = [np.stack([400 * c, 400 * s, 300 + 0 * s]), np.stack([400 * c, 0 * s, 300 - 400 * s])]
+    rows = {name: np.concatenate([first[name], second[name]]) for name in first}
+    rows |= {f"{axis}_mm": np.concatenate([place[i] for place in places]) for i, axis in enumerate("xyz")}
+    found = k.find_robot(rows, "two-axes")
+    assert found.rms_mm < 1e-6
+    assert [round(axis.radius_mm) for axis in found.axes] == [400, 400]
+    assert found.robot["name"] == "two-axes"
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,10 @@ class AsyncKilter:
         return await self._connection.run(call)
 
     add_robot = awaited(described.add_robot)
+    check_robot = awaited(described.check_robot)
+    convert_robot = awaited(described.convert_robot)
+    find_robot = awaited(described.find_robot)
+    find_frame = awaited(described.find_frame)
     robot = awaited(described.robot)
     robots = awaited(described.robots)
     upload = awaited(measured.upload)
@@ -59,6 +63,7 @@ class AsyncKilter:
     evaluate = awaited(computed.evaluate)
     plan = awaited(computed.plan)
     joint_parameters = awaited(computed.joint_parameters)
+    submit = awaited(computed.submit)
     job = awaited(computed.job)
     wait = awaited(computed.wait)
     cancel = awaited(computed.cancel)

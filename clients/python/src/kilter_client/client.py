@@ -66,6 +66,10 @@ class Kilter:
         return bound(self._connection.run(call), self._connection)
 
     add_robot = waiting(robots.add_robot)
+    check_robot = waiting(robots.check_robot)
+    convert_robot = waiting(robots.convert_robot)
+    find_robot = waiting(robots.find_robot)
+    find_frame = waiting(robots.find_frame)
     robot = waiting(robots.robot)
     upload = waiting(campaigns.upload)
     campaign = waiting(campaigns.campaign)
@@ -74,6 +78,7 @@ class Kilter:
     evaluate = waiting(jobs.evaluate)
     plan = waiting(jobs.plan)
     joint_parameters = waiting(jobs.joint_parameters)
+    submit = waiting(jobs.submit)
     job = waiting(jobs.job)
     wait = waiting(jobs.wait)
     cancel = waiting(jobs.cancel)

@@ -100,6 +100,9 @@ class Records(Sequence[T], Tabular, Generic[T]):
     def __len__(self) -> int:
         return len(self._records)
 
+    def __contains__(self, one: object) -> bool:
+        return any(one is record or one == _called(record) for record in self._records)
+
     def to_dict(self) -> dict[str, list[Any]]:
         """Return the columns by name: fields that are numbers or words, units in their names or in ``unit``."""
         names = (*scalar_names(self._kind), *self._kind.ALSO)

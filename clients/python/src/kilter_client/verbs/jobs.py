@@ -161,6 +161,28 @@ def joint_parameters(
     return cast("JointParametersResult", (yield from _run(asked, progress, timeout_s)))
 
 
+def submit(
+    kind: str,
+    robot: Thing,
+    campaigns: Thing | Sequence[Thing] = (),
+    *,
+    validation: HeldOut = None,
+    confirmation: Thing | Sequence[Thing] = (),
+    name: str = "",
+    **options: Any,
+) -> Steps[Record]:
+    """Ask for a job without waiting for it: ``"identify"``, ``"gap"``, ``"evaluate"``, ``"plan"``, ``"joint_parameters"``.
+
+    Returns the job, still queued; ``wait`` follows it. The rest is as in the verb of the kind.
+
+    Raises:
+        OptionError: an option that does not exist or does not fit.
+
+    """
+    asked = _asked(kind, robot, campaigns, options, validation, name, confirmation)
+    return _read((yield from calls.submit(str(asked["robot"]), asked)))
+
+
 def wait(
     job: Thing, *, robot: str | None = None, progress: Watching = True, timeout_s: float | None = None
 ) -> Steps[Record]:
