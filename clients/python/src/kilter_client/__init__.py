@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from kilter_client.async_client import AsyncKilter, connect_async
 from kilter_client.client import Kilter, connect
 from kilter_client.errors import (
     ApiError,
@@ -28,6 +27,9 @@ from kilter_client.errors import (
     UsageError,
 )
 from kilter_client.files import Prepared, prepare
+
+if TYPE_CHECKING:
+    from kilter_client.async_client import AsyncKilter, connect_async
 
 __all__ = [
     "ApiError",
@@ -58,7 +60,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Return a type of the results (``kilter.IdentifyResult``); they are loaded when they are asked for."""
+    """Return what is loaded when it is asked for: the client under asyncio, types of results (``IdentifyResult``)."""
+    if name in ("AsyncKilter", "connect_async"):
+        return getattr(import_module("kilter_client.async_client"), name)
     from kilter_client.typed.names import MODULE_OF
 
     if name not in MODULE_OF:

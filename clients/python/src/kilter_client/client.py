@@ -13,7 +13,6 @@ from kilter_client.resources import Campaigns, Robots, Versions
 from kilter_client.running import waiting
 from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns, jobs, keeping, robots, versions
-from kilter_client.wording import reworded
 
 if TYPE_CHECKING:
     import httpx
@@ -154,4 +153,6 @@ def connect(url: str | None = None, token: str | None = None) -> Kilter:
         ServerUnreachableError: nothing says where the server is.
 
     """
+    from kilter_client.wording import reworded
+
     return Kilter(url, token, reword=reworded)
