@@ -20,7 +20,7 @@ from kilter_client import Kilter
 
 COMMANDS = Path(sys.executable).parent
 DISTRIBUTIONS = ("kilter-core", "kilter", "kilter-files", "kilter-client")
-TOP_LEVEL = {"kilter_core", "kilter_service", "kilter_files", "kilter_client"}
+TOP_LEVEL = {"kilter_core", "kilter_service", "kilter_files", "kilter", "kilter_client"}
 READY_WITHIN_S, FIT_WITHIN_S, STOP_WITHIN_S = 300.0, 300.0, 30.0  # the kernels are compiled on the way
 HELD_OUT_BELOW_MM = 0.05
 

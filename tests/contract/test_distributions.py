@@ -21,7 +21,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 FOLDERS = {"kilter": ".", "kilter-core": "core", "kilter-files": "clients/files", "kilter-client": "clients/python"}
 TOP_LEVEL = {
     "kilter": {"kilter_service"}, "kilter-core": {"kilter_core"}, "kilter-files": {"kilter_files"},
-    "kilter-client": {"kilter_client"},
+    "kilter-client": {"kilter", "kilter_client"},
 }  # fmt: skip
 PYTHONS = ["3.11", "3.12", "3.13"]
 
@@ -107,7 +107,7 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_a_wheel_brings_its_own_module_and_no_other(name: str, wheels: dict[str, Path]) -> None:
     names = [Path(path) for path in zipfile.ZipFile(wheels[name]).namelist()]
     assert {path.parts[0] for path in names if not path.parts[0].endswith(".dist-info")} == TOP_LEVEL[name]
-    assert f"{next(iter(TOP_LEVEL[name]))}/py.typed" in map(str, names)
+    assert {f"{module}/py.typed" for module in TOP_LEVEL[name]} <= {str(path) for path in names}
     if name == "kilter":
         revisions = sorted(path.name for path in (REPOSITORY / "migrations/versions").glob("2*.py"))
         assert sorted(path.name for path in names if path.match("kilter_service/migrations/versions/*.py")) == revisions
@@ -117,8 +117,8 @@ USE = """
 import os, sys
 from pathlib import Path
 site = Path(sys.argv[1])
-import kilter_client, kilter_core, kilter_files, kilter_service
-for package in (kilter_client, kilter_core, kilter_files, kilter_service):
+import kilter, kilter_client, kilter_core, kilter_files, kilter_service
+for package in (kilter, kilter_client, kilter_core, kilter_files, kilter_service):
     assert Path(package.__file__).is_relative_to(site), package.__file__
 from kilter_core.robots import preset_document, preset_names, robot_from_document
 for name in preset_names():

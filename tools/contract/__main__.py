@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from tools.contract.client_types import client_modules
 from tools.contract.effects import effects_module
 from tools.contract.methods import methods_module
 
@@ -18,6 +19,7 @@ PAGES = (
     "docs/reference/routes.md",
     "docs/reference/effects.md",
 )
+TYPED = "clients/python/src/kilter_client/typed"
 MATLAB = ("identify", "gap", "evaluate", "plan")
 
 
@@ -38,10 +40,20 @@ def tables() -> dict[Path, str]:
     client = "clients/python/src/kilter_client/cli"
     texts = {f"{client}/option_texts.py": formatted(command_texts())}
     texts[f"{client}/listed_texts.py"] = formatted(listed_texts())
+    made = client_modules(REPOSITORY / "tests/contract/openapi.json")
+    texts |= {f"{TYPED}/{module}.py": formatted(text) for module, text in made.items()}
     texts |= {page: with_tables(read(page)) for page in PAGES}
     texts |= {
         f"clients/matlab/+kilter/{kind}.m": with_help(kind, read(f"clients/matlab/+kilter/{kind}.m")) for kind in MATLAB
     }
+    return {REPOSITORY / name: text for name, text in texts.items()}
+
+
+def library() -> dict[Path, str]:
+    """Return the reference of the Python library as it should be."""
+    from tools.contract.library import library_page, types_page  # imports the types, which must stand
+
+    texts = {"docs/reference/library.md": library_page(), "docs/reference/library-types.md": types_page()}
     return {REPOSITORY / name: text for name, text in texts.items()}
 
 
@@ -75,7 +87,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tools.contract", description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing, say what is not up to date")
     check = parser.parse_args().check
-    found = [stale(made(), check) for made in (modules, tables)]
+    found = [stale(made(), check) for made in (modules, tables, library)]
     return 1 if check and any(found) else 0
 
 

@@ -1,8 +1,11 @@
-"""Client of a Kilter server."""
+"""Client of a Kilter server: ``k = connect()``, then verbs as ``k.upload`` and ``k.identify``."""
 
 from __future__ import annotations
 
-from kilter_client.client import Kilter
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from kilter_client.client import Kilter, connect
 from kilter_client.errors import (
     ApiError,
     CalibrationError,
@@ -25,8 +28,12 @@ from kilter_client.errors import (
 )
 from kilter_files import Prepared, prepare
 
+if TYPE_CHECKING:
+    from kilter_client.async_client import AsyncKilter, connect_async
+
 __all__ = [
     "ApiError",
+    "AsyncKilter",
     "CalibrationError",
     "ConflictError",
     "FileError",
@@ -46,5 +53,18 @@ __all__ = [
     "ServerUnreachableError",
     "TooFewPosesError",
     "UsageError",
+    "connect",
+    "connect_async",
     "prepare",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Return what is loaded when it is asked for: the client under asyncio, types of results (``IdentifyResult``)."""
+    if name in ("AsyncKilter", "connect_async"):
+        return getattr(import_module("kilter_client.async_client"), name)
+    from kilter_client.typed.names import MODULE_OF
+
+    if name not in MODULE_OF:
+        raise AttributeError(f"module 'kilter' has no attribute {name!r}")
+    return getattr(import_module(f"kilter_client.typed.{MODULE_OF[name]}"), name)

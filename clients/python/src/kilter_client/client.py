@@ -3,116 +3,100 @@
 from __future__ import annotations
 
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from kilter_client.connection import Connection, Document, address
+from kilter_client.calls import references, server
+from kilter_client.connection import Connection, Reword
 from kilter_client.jobs import Jobs
 from kilter_client.locate import locate
-from kilter_client.references import Found, Kind, resolve
 from kilter_client.resources import Campaigns, Robots, Versions
+from kilter_client.running import waiting
+from kilter_client.steps import Steps
+from kilter_client.verbs import campaigns, jobs, keeping, robots, versions
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import httpx
 
-    from kilter_files import Prepared
+    from kilter_client.results.record import Records
+    from kilter_client.typed.campaigns import Campaign
+    from kilter_client.typed.robots import RobotSummary
+    from kilter_client.typed.server import JobSummary
+    from kilter_client.typed.versions import VersionSummary
 
-CORRECT_TIMEOUT_S = 600.0
-
-
-class Corrected(bytes):
-    """A corrected trajectory, as bytes of a file.
-
-    ``left_out`` are effects of the version that it does not cover, ``notes`` what else the server says of it.
-    """
-
-    left_out: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+T = TypeVar("T")
 
 
 class Kilter:
-    """A Kilter server: ``robots``, ``campaigns``, ``jobs``, ``versions``, and ``correct`` for trajectories.
+    """A Kilter server. Verbs give typed results; ``robots``, ``campaigns``, ``jobs`` and ``versions`` plain documents.
 
-    Without arguments it is the server of KILTER_URL, else the one running on this machine.
+    Without arguments it is the server of KILTER_URL, else the one running on this machine. ``connect`` makes one.
 
     Example::
 
-        with Kilter() as kilter:
-            kilter.robots.add({"name": "arm", "convention": "preset", "preset": "katana450-chapter4"})
-            campaign = kilter.campaigns.add("arm", "first", device="leica-at960")
-            kilter.campaigns.upload(campaign["id"], "measured.csv")
-            job = kilter.jobs.run("identify", "arm", [campaign["id"]], validation=0.3, options={"level": 1})
-            kilter.versions.activate(job["result"]["version_id"])
+        with kilter.connect() as k:
+            k.add_robot(preset="ur5e")
+            k.upload("ur5e", "a.csv")
+            v = k.identify("ur5e", "a.csv", validation=0.3)
+            k.activate(v)
+            k.correct("ur5e", "path.csv").save("corrected.csv")
 
     """
 
     def __init__(
-        self, url: str | None = None, token: str | None = None, transport: httpx.BaseTransport | None = None
+        self,
+        url: str | None = None,
+        token: str | None = None,
+        transport: httpx.BaseTransport | None = None,
+        reword: Reword | None = None,
     ) -> None:
-        self._connection = Connection(locate(url, token), transport)
-        self.robots = Robots(self._connection)
-        self.campaigns = Campaigns(self._connection)
-        self.jobs = Jobs(self._connection)
-        self.versions = Versions(self._connection)
+        self._connection = Connection(locate(url, token), transport, reword)
+        self.robots = _Robots(self._connection)
+        self.campaigns = _Campaigns(self._connection)
+        self.jobs = _Jobs(self._connection)
+        self.versions = _Versions(self._connection)
 
     @property
     def url(self) -> str:
         """The server's address."""
         return self._connection.url
 
-    def health(self) -> Document:
-        """Return whether the server is ready, and what it looked at."""
-        return self._connection.get("/v1/health")
+    def run(self, call: Steps[T]) -> T:
+        """Do what a call asks for; a result that it returns can ask for more by itself."""
+        return bound(self._connection.run(call), self._connection)
 
-    def resolve(self, kind: Kind, reference: str, robot: str | None = None) -> Found:
-        """Return what stands behind the beginning of an id, a name or ``latest`` of a campaign, version or job.
-
-        Raises:
-            NotFoundError: nothing. ConflictError: more than one thing. The sentences list what there is.
-
-        """
-        return resolve(self._connection, kind, reference, robot)
-
-    def tombstones(self, robot: str | None = None) -> list[Document]:
-        """Return what was purged, newest first: its hash, who purged it, and when."""
-        return list(self._connection.get("/v1/tombstones", **({"robot": robot} if robot else {}))["tombstones"])
-
-    def correct(
-        self,
-        robot: str,
-        trajectory: Prepared,
-        *,
-        version: str | None = None,
-        form: str | None = None,
-        payload_kg: float | None = None,
-        payload_com_mm: Sequence[float] | None = None,
-    ) -> Corrected:
-        """Correct a trajectory with the active version (or ``version``: an id or its beginning, a name, ``latest``).
-
-        The answer has the format that was sent; ``form`` "ros2-yaml" asks for a ROS 2 JointTrajectory instead. Its
-        ``left_out`` names effects of the version that a correction does not cover, its ``notes`` say which load was taken
-        where none is stated. ``payload_kg`` hangs on the tool along the whole path, at ``payload_com_mm`` in the tool frame.
-        """
-        version = version and self.versions.id_of(version, robot)
-        wanted = {
-            "version": version,
-            "format": form,
-            "payload_kg": payload_kg,
-            "payload_com_mm": None if payload_com_mm is None else ",".join(f"{value!r}" for value in payload_com_mm),
-        }
-        response = self._connection.request(
-            "POST",
-            address("robots", robot, "correct"),
-            content=trajectory.content,
-            headers={"Content-Type": trajectory.content_type, "Accept": "*/*" if form else trajectory.content_type},
-            params={name: value for name, value in wanted.items() if value is not None},
-            timeout=CORRECT_TIMEOUT_S,
-        )
-        corrected = Corrected(response.content)
-        corrected.left_out = tuple(filter(None, response.headers.get("Kilter-Not-Corrected", "").split(", ")))
-        corrected.notes = tuple(filter(None, response.headers.get("Kilter-Notes", "").split(" | ")))
-        return corrected
+    add_robot = waiting(robots.add_robot)
+    check_robot = waiting(robots.check_robot)
+    convert_robot = waiting(robots.convert_robot)
+    find_robot = waiting(robots.find_robot)
+    find_frame = waiting(robots.find_frame)
+    robot = waiting(robots.robot)
+    upload = waiting(campaigns.upload)
+    campaign = waiting(campaigns.campaign)
+    identify = waiting(jobs.identify)
+    gap = waiting(jobs.gap)
+    evaluate = waiting(jobs.evaluate)
+    plan = waiting(jobs.plan)
+    joint_parameters = waiting(jobs.joint_parameters)
+    submit = waiting(jobs.submit)
+    job = waiting(jobs.job)
+    wait = waiting(jobs.wait)
+    cancel = waiting(jobs.cancel)
+    version = waiting(versions.version)
+    activate = waiting(versions.activate)
+    rollback = waiting(versions.rollback)
+    activations = waiting(versions.activations)
+    preview = waiting(versions.preview)
+    diff = waiting(versions.diff)
+    residuals = waiting(versions.residuals)
+    export = waiting(versions.export)
+    correct = waiting(versions.correct)
+    change = waiting(keeping.change)
+    retire = waiting(keeping.retire)
+    restore = waiting(keeping.restore)
+    purge = waiting(keeping.purge)
+    resolve = waiting(references.resolve)
+    health = waiting(server.health)
+    tombstones = waiting(server.tombstones)
 
     def close(self) -> None:
         """Close the connections."""
@@ -125,3 +109,50 @@ class Kilter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def __repr__(self) -> str:
+        return f"Kilter({self.url!r})"
+
+
+def bound(found: T, connection: Connection) -> T:
+    """Let a typed result ask over this connection."""
+    bind: Any = getattr(found, "bound", None)
+    return found if bind is None else bind(connection.run)
+
+
+class _Robots(Robots):
+    def __call__(self, *, retired: bool = False) -> Records[RobotSummary]:
+        """Return the robots by name; with ``retired`` also those that are out of use."""
+        return self._run(robots.robots(retired=retired))
+
+
+class _Campaigns(Campaigns):
+    def __call__(self, robot: Any, *, retired: bool = False) -> Records[Campaign]:
+        """Return the campaigns of a robot, oldest first; with ``retired`` also those that are out of use."""
+        return self._run(campaigns.campaigns(robot, retired=retired))
+
+
+class _Jobs(Jobs):
+    def __call__(self, robot: Any = None, *, limit: int = 100) -> Records[JobSummary]:
+        """Return the newest jobs, of one robot or of all."""
+        return self._run(jobs.jobs(robot, limit=limit))
+
+
+class _Versions(Versions):
+    def __call__(self, robot: Any, *, retired: bool = False) -> Records[VersionSummary]:
+        """Return the versions of a robot, newest first; with ``retired`` also those that are out of use."""
+        return self._run(versions.versions(robot, retired=retired))
+
+
+def connect(url: str | None = None, token: str | None = None) -> Kilter:
+    """Connect to a server: the one at ``url``, else of KILTER_URL, else the one running on this machine.
+
+    Errors speak of verbs and their arguments, where those of ``Kilter(...)`` have the server's own words.
+
+    Raises:
+        ServerUnreachableError: nothing says where the server is.
+
+    """
+    from kilter_client.wording import reworded
+
+    return Kilter(url, token, reword=reworded)

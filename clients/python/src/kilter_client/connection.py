@@ -1,141 +1,219 @@
-"""Requests to the server; every refusal comes back as the exception of its code."""
+"""Calls sent to a server over connections that stay open: with threads, or under asyncio."""
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
-from urllib.parse import quote
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from kilter_client.errors import ApiError, ServerUnreachableError, from_problem
+from kilter_client.errors import KilterError, ServerUnreachableError
 from kilter_client.locate import Place, locate
+from kilter_client.steps import Answer, Events, Follow, LookAgain, Pause, Request, Step, Steps, refuse
 
 if TYPE_CHECKING:
     import httpx
 
-Document = dict[str, Any]
-Content = bytes | Iterator[bytes] | Callable[[], Iterator[bytes]] | None
+T = TypeVar("T")
+Reword = Callable[[KilterError], None]
 
-TIMEOUT_S = 60.0
-BUSY, BUSY_TRIES, LONGEST_WAIT_S = 503, 6, 10.0  # a busy server says after how many seconds to come again
 EVENTS_TIMEOUT_S = 90.0  # the server sends something at least every 15 s
-
-
-def address(*parts: str) -> str:
-    """Return the path of a resource; names are quoted, whatever they hold."""
-    return "/v1/" + "/".join(quote(part, safe="") for part in parts)
 
 
 class Connection:
     """One server, kept connected."""
 
-    def __init__(self, place: Place, transport: httpx.BaseTransport | None = None) -> None:
+    def __init__(
+        self, place: Place, transport: httpx.BaseTransport | None = None, reword: Reword | None = None
+    ) -> None:
         import httpx  # 0.2 s: not when the package is imported
 
-        self.url = place.url
-        self._place = place
-        headers = {"Authorization": f"Bearer {place.token}"} if place.token else {}
-        self._client = httpx.Client(base_url=place.url, headers=headers, transport=transport, timeout=TIMEOUT_S)
+        self.url, self._place, self._reword = place.url, place, reword
+        self._client = httpx.Client(transport=transport, **_settings(place))
 
     def close(self) -> None:
         """Close the connections."""
         self._client.close()
 
-    def look_again(self) -> None:
-        """Go on with the server that runs on this machine now, if this one was found by its file there."""
-        if not self._place.by_file:
-            return
-        try:
-            self._place = locate()
-        except ServerUnreachableError:  # it has not said yet where it is
-            return
-        self.url = self._place.url
-        self._client.base_url = self.url
-        if self._place.token:
-            self._client.headers["Authorization"] = f"Bearer {self._place.token}"
-
-    def request(self, method: str, path: str, content: Content = None, **arguments: Any) -> httpx.Response:
-        """Send a request and return its answer; one that the server is too busy for is sent again after a while.
-
-        ``content`` is a body, or a function that makes it anew for every try.
+    def run(self, call: Steps[T]) -> T:
+        """Do what a call asks for, step by step, and return what it returns.
 
         Raises:
             ApiError: the server refuses; a subclass by the problem's code.
             ServerUnreachableError: no answer.
 
         """
-        for left in reversed(range(BUSY_TRIES)):
-            body = content() if callable(content) else content
-            with self._reaching():
-                response = self._client.request(method, path, content=body, **arguments)
-            wait_s = response.headers.get("Retry-After", "")
-            if response.status_code != BUSY or not wait_s.isdecimal() or not left:
-                break
-            time.sleep(min(float(wait_s), LONGEST_WAIT_S))
-        _refuse(response.status_code, response.content)
-        return response
+        with _in_words(self._reword):
+            return self._run(call)
 
-    def get(self, path: str, **parameters: Any) -> Document:
-        """Return the JSON document at ``path``."""
-        return self.document(self.request("GET", path, params=parameters))
+    def _run(self, call: Steps[T]) -> T:
+        answer: Answer | KilterError | None = None
+        while True:
+            try:
+                step = call.throw(answer) if isinstance(answer, KilterError) else call.send(answer)
+            except StopIteration as end:
+                found: T = end.value
+                return found
+            try:
+                answer = self._done(step)
+            except KilterError as error:
+                answer = error
+            except BaseException:  # Ctrl-C, or what the caller's progress raised: the call lets go of what it holds
+                call.close()
+                raise
 
-    def post(self, path: str, body: Mapping[str, Any] | None = None) -> Document:
-        """Send a JSON document and return the answer's."""
-        return self.document(self.request("POST", path, json=body))
+    def _done(self, step: Step) -> Answer | None:
+        if isinstance(step, Pause):
+            time.sleep(step.seconds)
+            return None
+        if isinstance(step, LookAgain):
+            self.url, self._place = _moved(self._client, self._place)
+            return None
+        with reaching(self.url):
+            if isinstance(step, Request):
+                return self._sent(step)
+            self._followed(step)
+            return None
 
-    def patch(self, path: str, body: Mapping[str, Any]) -> Document:
-        """Send what shall change as a JSON document and return the answer's."""
-        return self.document(self.request("PATCH", path, json=body))
+    def _sent(self, step: Request) -> Answer:
+        content = None if step.content is None else step.pieces()
+        response = self._client.request(content=content, **_arguments(step))
+        return Answer(response.status_code, response.headers, response.content, str(response.url))
 
-    def document(self, response: httpx.Response) -> Document:
-        """Return the JSON object an answer holds.
-
-        Raises:
-            ApiError: it holds something else, so this is no Kilter server.
-
-        """
-        try:
-            found = response.json()
-        except ValueError:
-            found = None
-        if not isinstance(found, dict):
-            raise ApiError(
-                f"{response.url} answered something that is no JSON object: is KILTER_URL a Kilter server?",
-                status=response.status_code,
-            )
-        return found
-
-    @contextmanager
-    def lines(self, path: str) -> Iterator[Iterator[str]]:
-        """Open a stream of text lines (server-sent events)."""
-        headers = {"Accept": "text/event-stream"}
-        with self._reaching(), self._client.stream("GET", path, headers=headers, timeout=EVENTS_TIMEOUT_S) as response:
+    def _followed(self, step: Follow) -> None:
+        events = Events()
+        with self._client.stream("GET", step.path, **_EVENTS) as response:
             if response.status_code >= 400:
-                _refuse(response.status_code, response.read())
-            yield response.iter_lines()
+                refuse(response.status_code, response.read())
+            for line in response.iter_lines():
+                if any(step.told(data) for data in events.take(line) if isinstance(data, dict)):
+                    return
 
-    @contextmanager
-    def _reaching(self) -> Iterator[None]:
+
+class AsyncConnection:
+    """One server, kept connected, under asyncio."""
+
+    def __init__(
+        self, place: Place, transport: httpx.AsyncBaseTransport | None = None, reword: Reword | None = None
+    ) -> None:
         import httpx
 
-        try:
-            yield
-        except httpx.TimeoutException as error:
-            raise ServerUnreachableError(f"{self.url} did not answer in time ({error}).", url=self.url) from error
-        except (httpx.TransportError, httpx.InvalidURL) as error:
-            raise ServerUnreachableError(
-                f"{self.url} does not answer ({error}). Is the server running (`kilterd serve`), and KILTER_URL right?",
-                url=self.url,
-            ) from error
+        self.url, self._place, self._reword = place.url, place, reword
+        self._client = httpx.AsyncClient(transport=transport, **_settings(place))
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self._client.aclose()
+
+    async def run(self, call: Steps[T]) -> T:
+        """Do what a call asks for, step by step, and return what it returns; errors are those of ``Connection``."""
+        with _in_words(self._reword):
+            return await self._run(call)
+
+    async def _run(self, call: Steps[T]) -> T:
+        answer: Answer | KilterError | None = None
+        while True:
+            try:
+                step = call.throw(answer) if isinstance(answer, KilterError) else call.send(answer)
+            except StopIteration as end:
+                found: T = end.value
+                return found
+            try:
+                answer = await self._done(step)
+            except KilterError as error:
+                answer = error
+            except BaseException:  # a task that is cancelled waits here: what the call holds is let go at once
+                call.close()
+                raise
+
+    async def _done(self, step: Step) -> Answer | None:
+        if isinstance(step, Pause):
+            import asyncio  # brings ssl along: not when the package is imported
+
+            await asyncio.sleep(step.seconds)
+            return None
+        if isinstance(step, LookAgain):
+            self.url, self._place = _moved(self._client, self._place)
+            return None
+        with reaching(self.url):
+            return await (self._sent(step) if isinstance(step, Request) else self._followed(step))
+
+    async def _sent(self, step: Request) -> Answer:
+        content = None if step.content is None else _one_by_one(step)
+        response = await self._client.request(content=content, **_arguments(step))
+        return Answer(response.status_code, response.headers, response.content, str(response.url))
+
+    async def _followed(self, step: Follow) -> None:
+        events = Events()
+        async with self._client.stream("GET", step.path, **_EVENTS) as response:
+            if response.status_code >= 400:
+                refuse(response.status_code, await response.aread())
+            async for line in response.aiter_lines():
+                if any(step.told(data) for data in events.take(line) if isinstance(data, dict)):
+                    return
 
 
-def _refuse(status: int, content: bytes) -> None:
-    if status < 400:
-        return
+_EVENTS: Mapping[str, Any] = {"headers": {"Accept": "text/event-stream"}, "timeout": EVENTS_TIMEOUT_S}
+
+
+def _settings(place: Place) -> dict[str, Any]:
+    headers = {"Authorization": f"Bearer {place.token}"} if place.token else {}
+    return {"base_url": place.url, "headers": headers}
+
+
+def _moved(client: httpx.Client | httpx.AsyncClient, place: Place) -> tuple[str, Place]:
+    """Let a client go on with the server that runs on this machine now, if it was found by its file there."""
+    if not place.by_file:
+        return place.url, place
     try:
-        problem = json.loads(content)
-    except ValueError:
-        problem = {}
-    raise from_problem(problem if isinstance(problem, dict) else {}, status)
+        place = locate()
+    except ServerUnreachableError:  # it has not said yet where it is
+        return place.url, place
+    client.base_url = place.url
+    client.headers.update(_settings(place)["headers"])
+    return place.url, place
+
+
+def _arguments(step: Request) -> dict[str, Any]:
+    """What ``httpx`` is given of a request besides its content."""
+    length = {} if step.content is None else {"Content-Length": str(len(step.content))}
+    given: dict[str, Any] = {"json": step.body} if step.body is not None else {}
+    return given | {
+        "method": step.method,
+        "url": step.path,
+        "params": step.params,
+        "headers": {**step.headers, **length},
+        "timeout": step.timeout_s,
+    }
+
+
+async def _one_by_one(step: Request) -> AsyncIterator[bytes]:
+    for piece in step.pieces():
+        yield piece
+
+
+@contextmanager
+def _in_words(reword: Reword | None) -> Iterator[None]:
+    """Put errors that leave a call in the words of whoever called."""
+    try:
+        yield
+    except KilterError as error:
+        if reword is not None:
+            reword(error)
+        raise
+
+
+@contextmanager
+def reaching(url: str) -> Iterator[None]:
+    """Turn what goes wrong on the way to a server into the client's own error."""
+    import httpx
+
+    try:
+        yield
+    except httpx.TimeoutException as error:
+        raise ServerUnreachableError(f"{url} did not answer in time ({error}).", url=url) from error
+    except (httpx.TransportError, httpx.InvalidURL) as error:
+        raise ServerUnreachableError(
+            f"{url} does not answer ({error}). Is the server running (`kilterd serve`), and KILTER_URL right?",
+            url=url,
+        ) from error

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from kilter_client.calls.jobs import AWAY
 from kilter_client.cli.output import note
-from kilter_client.jobs import AWAY
 
 if TYPE_CHECKING:
     from rich.progress import Progress

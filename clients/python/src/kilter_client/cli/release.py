@@ -5,9 +5,10 @@ from __future__ import annotations
 from importlib.metadata import PackageNotFoundError, version
 
 from kilter_client.cli.output import emit, say
-from kilter_client.connection import Connection, Document
+from kilter_client.connection import Connection
 from kilter_client.errors import KilterError
 from kilter_client.locate import locate
+from kilter_client.steps import Document, Request, read
 
 PATIENCE_S = 3.0
 SOURCE_TREE = "0.1.0+source"
@@ -20,7 +21,7 @@ def show_releases(as_json: bool) -> None:
         place = locate()
         document["url"] = place.url
         connection = Connection(place)
-        found = connection.document(connection.request("GET", "/v1/health/live", timeout=PATIENCE_S))
+        found = connection.run(read(Request("GET", "/v1/health/live", timeout_s=PATIENCE_S)))
         document["server"] = found.get("version")
         connection.close()
     except KilterError as error:

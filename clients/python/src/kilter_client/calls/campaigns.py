@@ -1,0 +1,58 @@
+"""Calls about campaigns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from kilter_client.calls.kept import place
+from kilter_client.calls.robots import also
+from kilter_client.steps import Document, Request, Sent, Steps, address, answer_of, get, post, read
+
+if TYPE_CHECKING:
+    from kilter_files import Prepared
+
+UPLOAD_TIMEOUT_S = 600.0
+
+
+def add(robot: str, wanted: Mapping[str, Any]) -> Steps[Document]:
+    """Add a campaign to a robot; what is false of ``staged`` and ``numbered`` is not sent."""
+    body = {key: value for key, value in wanted.items() if value or key not in ("staged", "numbered")}
+    return post(address("robots", robot, "campaigns"), body)
+
+
+def listed(robot: str, staged: bool = False, retired: bool = False) -> Steps[list[Document]]:
+    """Return the campaigns of a robot, oldest first."""
+    asked = ({"staged": "true"} if staged else {}) | also(retired)
+    found = yield from get(address("robots", robot, "campaigns"), **asked)
+    return list(found["campaigns"])
+
+
+def commit(campaign_id: str, sha256: Sequence[str]) -> Steps[Document]:
+    """Make a staged campaign visible."""
+    return post(address("campaigns", campaign_id, "commit"), {"sha256": [*sha256]})
+
+
+def discard(campaign_id: str) -> Steps[None]:
+    """Delete a staged campaign."""
+    yield from answer_of(Request("DELETE", address("campaigns", campaign_id)))
+
+
+def one(campaign: str, robot: str | None = None) -> Steps[Document]:
+    """Return a campaign and its uploads."""
+    path = yield from place("campaign", campaign, robot)
+    return (yield from get(path))
+
+
+def upload(campaign: str, file: Prepared, sent: Sent | None = None, robot: str | None = None) -> Steps[Document]:
+    """Send observations."""
+    path = yield from place("campaign", campaign, robot, "observations")
+    request = Request(
+        "POST",
+        path,
+        content=file.content,
+        headers={"Content-Type": file.content_type},
+        timeout_s=UPLOAD_TIMEOUT_S,
+        sent=sent,
+    )
+    return (yield from read(request))

@@ -1,0 +1,75 @@
+"""Calls about robots."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from kilter_client.steps import Document, Request, Steps, address, answer_of, get, patch, post, read
+
+if TYPE_CHECKING:
+    from kilter_files import Prepared
+
+
+def add(document: Mapping[str, Any]) -> Steps[Document]:
+    """Add a robot."""
+    return post("/v1/robots", document)
+
+
+def check(document: Mapping[str, Any]) -> Steps[Document]:
+    """Look at a robot without adding it."""
+    return post("/v1/robots/check", document)
+
+
+def convert(document: Mapping[str, Any], to: str) -> Steps[Document]:
+    """Write a robot in another convention."""
+    return read(Request("POST", "/v1/robots/convert", params={"to": to}, body=document))
+
+
+def from_circles(rows: Prepared, name: str, convention: str, base: str, follows: Sequence[str]) -> Steps[Document]:
+    """Find a robot from rows in which one joint moved at a time."""
+    return read(
+        Request(
+            "POST",
+            address("robots", "from-circles"),
+            content=rows.content,
+            headers={"Content-Type": rows.content_type},
+            params={"name": name, "to": convention, "base": base, "follows": [*follows]},
+        )
+    )
+
+
+def frame(points: Mapping[str, Any]) -> Steps[Document]:
+    """Find a frame from digitised points."""
+    return post("/v1/frames", points)
+
+
+def listed(retired: bool = False) -> Steps[list[Document]]:
+    """Return the robots, by name."""
+    found = yield from get("/v1/robots", **also(retired))
+    return list(found["robots"])
+
+
+def one(name: str) -> Steps[Document]:
+    """Return a robot."""
+    return get(address("robots", name))
+
+
+def remove(name: str) -> Steps[None]:
+    """Delete a robot nothing was measured on."""
+    yield from answer_of(Request("DELETE", address("robots", name)))
+
+
+def note(name: str, remarks: str) -> Steps[Document]:
+    """Keep a note with a robot."""
+    return patch(address("robots", name), {"remarks": remarks})
+
+
+def do(name: str, what: str) -> Steps[Document]:
+    """Retire, restore, purge or roll back a robot."""
+    return post(address("robots", name, what))
+
+
+def also(retired: bool) -> dict[str, str]:
+    """Return what asks for retired ones too."""
+    return {"retired": "true"} if retired else {}

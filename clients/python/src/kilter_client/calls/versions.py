@@ -1,0 +1,100 @@
+"""Calls about versions, and corrections by them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from kilter_client.calls.kept import place
+from kilter_client.calls.references import id_of
+from kilter_client.calls.robots import also
+from kilter_client.steps import Answer, Document, Request, Steps, address, answer_of, get, post
+
+if TYPE_CHECKING:
+    from kilter_files import Prepared
+
+LONG_TIMEOUT_S = 600.0
+
+
+def listed(robot: str, retired: bool = False) -> Steps[list[Document]]:
+    """Return the versions of a robot, newest first."""
+    found = yield from get(address("robots", robot, "versions"), **also(retired))
+    return list(found["versions"])
+
+
+def one(version: str, robot: str | None = None) -> Steps[Document]:
+    """Return a version."""
+    path = yield from place("version", version, robot)
+    return (yield from get(path))
+
+
+def preview(version: str, robot: str | None = None) -> Steps[Document]:
+    """Return how a version would correct."""
+    path = yield from place("version", version, robot, "preview")
+    return (yield from get(path))
+
+
+def activate(version: str, force: bool, reason: str, robot: str | None) -> Steps[Document]:
+    """Make a version the one that corrects."""
+    path = yield from place("version", version, robot, "activate")
+    return (yield from post(path, {"force": force, "reason": reason}))
+
+
+def activations(robot: str) -> Steps[list[Document]]:
+    """Return who activated what, newest first."""
+    found = yield from get(address("robots", robot, "activations"))
+    return list(found["activations"])
+
+
+def diff(first: str, second: str, robot: str | None = None) -> Steps[Document]:
+    """Compare two versions."""
+    other = yield from id_of("version", second, robot)
+    path = yield from place("version", first, robot, "diff", other)
+    return (yield from get(path))
+
+
+def residuals(version: str, campaigns: Sequence[str], form: str, robot: str | None) -> Steps[bytes]:
+    """Return what a version leaves of every row as a file."""
+    path = yield from place("version", version, robot, "residuals")
+    used = []
+    for campaign in campaigns:
+        found = yield from id_of("campaign", campaign, robot)
+        used.append(found)
+    asked = {"format": form, "campaign": used}
+    answer = yield from answer_of(Request("GET", path, params=asked, timeout_s=LONG_TIMEOUT_S))
+    return answer.content
+
+
+def export(version: str, form: str, robot: str | None = None) -> Steps[bytes]:
+    """Return a version as a file."""
+    path = yield from place("version", version, robot, "export")
+    answer = yield from answer_of(Request("GET", path, params={"format": form}))
+    return answer.content
+
+
+def correct(
+    robot: str,
+    trajectory: Prepared,
+    version: str | None,
+    form: str | None,
+    payload_kg: float | None = None,
+    payload_com_mm: Sequence[float] | None = None,
+) -> Steps[Answer]:
+    """Correct a trajectory."""
+    chosen = None if not version else (yield from id_of("version", version, robot))
+    wanted = {
+        "version": chosen,
+        "format": form or None,
+        "payload_kg": payload_kg,
+        "payload_com_mm": None if payload_com_mm is None else ",".join(f"{float(value)!r}" for value in payload_com_mm),
+    }
+    accepted = "*/*" if form else trajectory.content_type
+    request = Request(
+        "POST",
+        address("robots", robot, "correct"),
+        content=trajectory.content,
+        headers={"Content-Type": trajectory.content_type, "Accept": accepted},
+        params={name: value for name, value in wanted.items() if value is not None},
+        timeout_s=LONG_TIMEOUT_S,
+    )
+    return (yield from answer_of(request))

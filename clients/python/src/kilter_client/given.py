@@ -1,0 +1,106 @@
+"""What a script may give for rows of measurements or of a trajectory: a path, columns, an array or a pandas frame."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from kilter_client.errors import UsageError
+from kilter_files import prepare
+from kilter_files.table import CSV_TYPE, WHOLE_NUMBERS, Prepared
+
+# A path, what `prepare` made, columns by name, a structured array, a 2-D array with `columns`, or a pandas frame.
+Data: TypeAlias = "str | PathLike[str] | Prepared | Mapping[str, Any] | Any"
+
+
+def rows_of(
+    data: Data,
+    columns: Sequence[str] | None = None,
+    device: str | None = None,
+    column_map: str | PathLike[str] | None = None,
+) -> Prepared:
+    """Return the rows ready to send; columns have the contract's names, with their unit.
+
+    Raises:
+        UsageError: it is none of what can be given, or names of columns are missing.
+        FileError: the file, or its map, is not what it should be.
+
+    """
+    if isinstance(data, Prepared):
+        return data
+    if isinstance(data, str | PathLike):
+        return prepare(Path(fspath(data)), device, None if column_map is None else Path(fspath(column_map)))
+    if column_map is not None:
+        raise UsageError(
+            "column_map= belongs to a file: name the columns of arrays as the contract does (q1_deg, x_mm)."
+        )
+    found = _columns(data, columns)
+    lengths = {name: len(values) for name, values in found.items()}
+    if len(set(lengths.values())) != 1:
+        told = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise UsageError(f"Columns must have the same number of rows, and there must be one: {told or 'none given'}.")
+    rows = [*range(1, next(iter(lengths.values())) + 1)]
+    return Prepared(_csv(found), CSV_TYPE, tuple(found), len(rows))
+
+
+def name_of(data: Data) -> str:
+    """Return what a campaign is called when nobody names it: the file's name."""
+    return Path(fspath(data)).name if isinstance(data, str | PathLike) else "arrays"
+
+
+def _columns(data: Any, columns: Sequence[str] | None) -> dict[str, list[Any]]:
+    if isinstance(data, Mapping):
+        return {str(name): _listed(name, values) for name, values in data.items()}
+    names = getattr(getattr(data, "dtype", None), "names", None)
+    if names:  # a structured array
+        return {name: data[name].tolist() for name in names}
+    if hasattr(data, "columns") and hasattr(data, "iloc"):  # a pandas frame
+        return {str(name): data[name].tolist() for name in data.columns}
+    shape = getattr(data, "shape", None)
+    if shape is None or len(shape) != 2:
+        raise UsageError(
+            f"{type(data).__name__} holds no rows: give a path, a mapping of columns (q1_deg, x_mm, ...), a structured "
+            "array, a pandas frame, or an array of two dimensions with columns=."
+        )
+    if columns is None or len(columns) != shape[1]:
+        given = "not given" if columns is None else f"{len(columns)} names"
+        raise UsageError(f"An array of {shape[1]} columns needs columns= with a name for each; they are {given}.")
+    return {name: data[:, k].tolist() for k, name in enumerate(columns)}
+
+
+def _listed(name: Any, values: Any) -> list[Any]:
+    if isinstance(values, str | bytes) or not hasattr(values, "__len__"):
+        raise UsageError(f"Column {name!r} is {type(values).__name__}, not a sequence of numbers.")
+    found = values.tolist() if hasattr(values, "tolist") else list(values)
+    if any(isinstance(one, list | tuple) for one in found):
+        raise UsageError(
+            f"Column {name!r} has more than one dimension: give a column for each number (x_mm, y_mm, z_mm)."
+        )
+    return found
+
+
+def _csv(columns: Mapping[str, Sequence[Any]]) -> bytes:
+    """Every digit of every number; NaN, None and pandas' NA are empty cells."""
+    out = io.StringIO(newline="")
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(columns)
+    cells = ([_cell(name, value) for value in values] for name, values in columns.items())
+    writer.writerows(zip(*cells, strict=True))
+    return out.getvalue().encode()
+
+
+def _cell(name: str, value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    try:
+        number = math.nan if value is None else float(value)
+    except (TypeError, ValueError):  # pandas' NA has no float; what else is no number is refused by the server
+        return "" if str(value) in ("<NA>", "NaT") else str(value)
+    if math.isnan(number):
+        return ""
+    return str(int(number)) if name.startswith(WHOLE_NUMBERS) and number.is_integer() else repr(number)

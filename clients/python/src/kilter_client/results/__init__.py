@@ -1,0 +1,1 @@
+"""How answers are read, shown and turned into arrays."""

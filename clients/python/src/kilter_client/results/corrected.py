@@ -1,0 +1,106 @@
+"""A corrected trajectory."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kilter_client.errors import MissingPackageError, UsageError
+from kilter_client.results.rows import Rows, saved
+from kilter_client.results.tables import html_table
+from kilter_files.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pandas as pd
+
+
+class Corrected(bytes):
+    """A corrected trajectory, as bytes of a file.
+
+    ``left_out`` are effects of the version that it does not cover, ``notes`` what else the server says of it.
+    """
+
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    media_type: str = CSV_TYPE
+
+    @property
+    def rows(self) -> Rows:
+        """The rows: joints in deg (slides in mm), the predicted error removed as ``dx_mm`` to ``dz_mm``, ``status``.
+
+        Raises:
+            MissingPackageError: it is Parquet and pyarrow is not installed.
+            UsageError: it is in the form of ROS 2, which has no such rows.
+
+        """
+        if self.media_type == CSV_TYPE:
+            return Rows(bytes(self))
+        if self.media_type == JSON_TYPE:
+            return Rows(bytes(self), json.loads(self))
+        if self.media_type == PARQUET_TYPE:
+            return Rows(bytes(self), _of_parquet(bytes(self)))
+        raise UsageError(f"A trajectory of type {self.media_type} has no rows: leave out form=, or use save().")
+
+    def to_dict(self) -> dict[str, list[Any]]:
+        """Return the columns of the rows by name."""
+        return self.rows.to_dict()
+
+    def to_numpy(self) -> np.ndarray[Any, Any]:
+        """Return the rows as a structured array."""
+        return self.rows.to_numpy()
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the rows as a pandas frame."""
+        return self.rows.to_pandas()
+
+    @property
+    def status(self) -> dict[str, int]:
+        """How many rows have which status; those that are not ``OK`` are not corrected and have empty cells."""
+        return dict(Counter(self.rows.to_dict().get("status", ())))
+
+    def save(self, path: Path | str) -> Path:
+        """Write the file, byte for byte as it came.
+
+        Raises:
+            FileError: the file cannot be written.
+
+        """
+        return saved(bytes(self), path)
+
+    def __repr__(self) -> str:
+        left = f"; not corrected is what {', '.join(self.left_out)} does" if self.left_out else ""
+        if self.media_type not in (CSV_TYPE, JSON_TYPE):
+            return f"corrected trajectory: {len(self)} bytes of {self.media_type}{left}"
+        told = ", ".join(f"{count} {name}" for name, count in self.status.items())
+        return f"corrected trajectory: {len(self.rows)} rows ({told}), largest change {_largest(self.rows)}{left}"
+
+    def __str__(self) -> str:
+        return repr(self)
+
+    def _repr_html_(self) -> str:
+        if self.media_type not in (CSV_TYPE, JSON_TYPE):
+            return html_table((), (), repr(self))
+        return self.rows._repr_html_()
+
+
+def _largest(rows: Rows) -> str:
+    """The largest correction of the tool."""
+    columns = rows.to_dict()
+    steps = zip(*(columns.get(f"d{axis}_mm", ()) for axis in "xyz"), strict=True)
+    sizes = [sum(float(d) ** 2 for d in step) ** 0.5 for step in steps if None not in step]
+    return f"{max(sizes, default=0.0):.3g} mm"
+
+
+def _of_parquet(content: bytes) -> dict[str, list[Any]]:
+    try:
+        from pyarrow import parquet
+    except ImportError as error:
+        raise MissingPackageError(
+            "Rows of Parquet need pyarrow: pip install 'kilter-client[files]'.", package="pyarrow"
+        ) from error
+    found: dict[str, list[Any]] = parquet.read_table(io.BytesIO(content)).to_pydict()
+    return found

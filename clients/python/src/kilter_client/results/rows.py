@@ -1,0 +1,89 @@
+"""Rows of a file that the server sent, column by column."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kilter_client.errors import FileError
+from kilter_client.results.tables import Tabular, array_of, numpy_for
+from kilter_files.names import did_you_mean
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+class Rows(Tabular):
+    """A table of the server: ``rows["dx_mm"]`` is a numpy array, the unit is in the name; NaN is an empty cell."""
+
+    def __init__(self, content: bytes, columns: Mapping[str, list[Any]] | None = None) -> None:
+        self.content = content
+        self._columns = _of_csv(content) if columns is None else dict(columns)
+        self._length = len(next(iter(self._columns.values()), ()))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(self._columns)
+
+    def __getitem__(self, name: str) -> np.ndarray[Any, Any]:
+        if name not in self._columns:
+            raise KeyError(
+                f"there is no column {name!r}{did_you_mean(name, self._columns)} in {', '.join(self._columns)}"
+            )
+        return array_of(numpy_for("A column"), self._columns[name])  # type: ignore[no-any-return]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return self._length
+
+    def to_dict(self) -> dict[str, list[Any]]:
+        """Return the columns by name; None is an empty cell."""
+        return dict(self._columns)
+
+    def save(self, path: Path | str) -> Path:
+        """Write the file, byte for byte as it came.
+
+        Raises:
+            FileError: the file cannot be written.
+
+        """
+        return saved(self.content, path)
+
+    def __repr__(self) -> str:
+        return f"{len(self)} rows: {', '.join(self._columns)}"
+
+
+def saved(content: bytes, path: Path | str) -> Path:
+    """Write bytes to a file and return its path.
+
+    Raises:
+        FileError: the file cannot be written.
+
+    """
+    file = Path(path)
+    try:
+        file.write_bytes(content)
+    except OSError as error:
+        raise FileError(f"{file}: cannot be written: {error.strerror or error}.", file=str(file)) from error
+    return file
+
+
+def _of_csv(content: bytes) -> dict[str, list[Any]]:
+    names, *lines = list(csv.reader(io.StringIO(content.decode()))) or [[]]
+    return {name: _values([line[k] for line in lines]) for k, name in enumerate(names)}
+
+
+def _values(cells: list[str]) -> list[Any]:
+    """A column as whole numbers, as numbers, or as the words that stand there."""
+    for kind in (int, float):
+        try:
+            return [None if cell == "" else kind(cell) for cell in cells]
+        except ValueError:
+            continue
+    return list(cells)

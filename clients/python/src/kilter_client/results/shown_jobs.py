@@ -1,0 +1,191 @@
+"""How the results of jobs, versions and campaigns look."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from kilter_client.results.shown import Asking, Shown
+from kilter_client.results.tables import as_known, html_table, number
+
+if TYPE_CHECKING:
+    from kilter_client.results.rows import Rows
+
+
+def parameter_table(parameters: Sequence[Any]) -> str:
+    """Return the parameters for a notebook: nominal, change and interval, no digits beyond what is known."""
+    return html_table(
+        ("parameter", "nominal", "change", "95 % interval", "sigma", "unit", ""),
+        [_parameter(one) for one in parameters],
+        "parameters",
+    )
+
+
+def _parameter(one: Any) -> tuple[str, ...]:
+    known = one.lower is not None and one.upper is not None
+    interval = f"{as_known(one.lower, one.sigma)} to {as_known(one.upper, one.sigma)}" if known else ""
+    change = one.value if one.nominal is None else one.change
+    remark = one.reason or ("not identifiable" if one.identifiable is False else "")
+    sigma = number(one.sigma, 2)
+    return (one.name, number(one.nominal), as_known(change, one.sigma), interval, sigma, one.unit or "", remark)
+
+
+class ShownFit(Shown, Asking):
+    """An identification: its version, its errors before and after, its parameters."""
+
+    parameters: Any
+    version_id: str | None
+
+    def _line(self) -> str:
+        metrics = getattr(self, "metrics", None)
+        errors = "" if metrics is None else f": {metrics!r}"
+        return f"version {self.version_id}{errors}; {len(self.parameters)} parameters"
+
+    def _tables(self) -> Iterator[str]:
+        metrics = getattr(self, "metrics", None)
+        if metrics is not None:
+            yield metrics._repr_html_()
+        yield parameter_table(self.parameters)
+
+
+class ShownVersion(ShownFit):
+    """A version as it is stored."""
+
+    id: str
+    name: str
+    robot: str
+    active: bool
+    metrics: Any
+
+    def _line(self) -> str:
+        called = f" {self.name!r}" if self.name else ""
+        state = "active" if self.active else "not active"
+        return (
+            f"version {self.id}{called} of {self.robot}, {state}: {self.metrics!r}; {len(self.parameters)} parameters"
+        )
+
+
+class ShownHunt(Shown, Asking):
+    """A gap hunt: what it names, and how the gap shrank."""
+
+    verdict: str | None
+    sentence: str | None
+    gap: Any
+    effects: Any
+
+    def _line(self) -> str:
+        named = ", ".join(f"{one.id} ({one.verdict})" for one in self.effects) or "no effect named"
+        size = self.gap
+        shrank = "" if size is None else f": {number(size.before_mm, 3)} mm -> {number(size.after_mm, 3)} mm"
+        noise = "" if size is None else f", noise {number(size.noise_mm, 3)} mm"
+        return f"gap {self.verdict}{shrank}{noise}; {named}"
+
+    def _tables(self) -> Iterator[str]:
+        if self.sentence:
+            yield f"<p>{escape(self.sentence)}</p>"
+        head = ("effect", "joints", "verdict", "gain mm", "p")
+        yield html_table(head, [_effect(one) for one in self.effects], "effects")
+
+
+def _effect(one: Any) -> tuple[str, ...]:
+    joints = ", ".join(map(str, one.joints))
+    return one.id, joints, str(one.verdict), number(one.gain_mm, 3), number(one.p_value, 2)
+
+
+class ShownEvaluation(Shown):
+    """How well a version predicts each campaign."""
+
+    metrics: Any
+    iso9283: Any
+    version_id: str | None
+
+    def _line(self) -> str:
+        of = f"version {self.version_id}" if self.version_id else "the robot as drawn"
+        known = [(campaign, errors.identified or errors.nominal) for campaign, errors in self.metrics.items()]
+        shown = [f"{campaign} mean error {errors.mean_mm:.3g} mm" for campaign, errors in known if errors is not None]
+        for campaign, report in self.iso9283.items():
+            shown += [f"{campaign} {symbol} {number(found.mm, 3)} mm" for symbol, found in report.metrics.items()]
+        return f"{of}: {', '.join(shown) or 'no errors'}"
+
+
+class ShownPlan(Shown):
+    """Poses to measure."""
+
+    count: int | None
+    purpose: str | None
+    csv: str | None
+
+    def _line(self) -> str:
+        return f"{self.count} poses for {self.purpose}"
+
+    def to_rows(self) -> Rows:
+        """Return the poses: joints with their unit, directions, loads."""
+        from kilter_client.results.rows import Rows
+
+        return Rows((self.csv or "").encode())
+
+
+class ShownCampaign:
+    """A campaign."""
+
+    id: str
+    name: str
+    robot: str
+    rows: int
+    role: str
+    device: str
+
+    def __repr__(self) -> str:
+        measured = f" by {self.device}" if self.device else ""
+        return f"campaign {self.id} {self.name!r} of {self.robot}: {self.rows} rows, role {self.role}{measured}"
+
+
+class ShownUpload:
+    """What was stored."""
+
+    campaign_id: str
+    rows: int
+    total_rows: int
+    new: bool
+    columns: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        known = "" if self.new else ", which were there already"
+        return (
+            f"campaign {self.campaign_id}: {self.rows} rows{known}, {self.total_rows} in all; {', '.join(self.columns)}"
+        )
+
+
+class ShownActivated(Shown):
+    """A version that was made active, and what it was compared with."""
+
+    id: str
+    robot: str
+    forced: bool
+    compared: Any
+
+    def _line(self) -> str:
+        compared = self.compared
+        rival = None if compared is None else compared.active
+        before = "" if rival is None else f", {rival.mean_mm:.3g} mm with the version before"
+        error = "" if compared is None else f": mean error {compared.mean_mm:.3g} mm on {compared.rows} rows{before}"
+        return f"version {self.id} corrects {self.robot}{' (forced)' if self.forced else ''}{error}"
+
+
+class ShownDiff(Shown):
+    """What differs between two versions."""
+
+    a: str
+    b: str
+    parameters: Any
+    effects_added: tuple[str, ...]
+    effects_removed: tuple[str, ...]
+
+    def _line(self) -> str:
+        moved = sum(1 for one in self.parameters if one.change)
+        effects = [f"+{name}" for name in self.effects_added] + [f"-{name}" for name in self.effects_removed]
+        return f"{self.a} to {self.b}: {moved} of {len(self.parameters)} parameters differ {' '.join(effects)}".rstrip()
+
+    def _tables(self) -> Iterator[str]:
+        yield self.parameters._repr_html_()

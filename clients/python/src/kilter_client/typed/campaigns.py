@@ -1,0 +1,88 @@
+"""What the server answers about campaigns, made from the interface by `make contract`: change it there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_client.results.record import Record, Records
+from kilter_client.results.shown_jobs import ShownCampaign, ShownUpload
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Conditions(Record):
+    """What held during the whole campaign; a column of the rows goes before it."""
+
+    payload_com_mm: tuple[float, ...]
+    """Centre of the payload in the tool frame, mm; None: the tool point."""
+    payload_kg: float | None
+    """Mass at the tool point, kg, 0 or more; None: not known."""
+    temperature_c: float | None
+    """Temperature of the arm, degrees Celsius."""
+    tool_force_n: tuple[float, ...]
+    """Force on the tool point in the tool frame, N."""
+    tool_moment_nm: tuple[float, ...]
+    """Moment on the tool point in the tool frame, N m."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Upload(Record):
+    """A stored file of observations."""
+
+    columns: tuple[str, ...]
+    """Columns of the file, in its order."""
+    created_at: str
+    """When it was stored."""
+    media_type: str
+    """Media type it was sent as."""
+    rows: int
+    """Rows of the file."""
+    sha256: str
+    """SHA-256 of the bytes that were sent, 64 hexadecimal digits."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Campaign(ShownCampaign, Record):
+    """A campaign and what was uploaded to it."""
+
+    conditions: Conditions
+    """What held during the whole campaign."""
+    created_at: str
+    """When it was added."""
+    device: str
+    """What it was measured with; `pencil`, `sheet` and `ballbar` have a frame of their own every time."""
+    id: str
+    """Id of the campaign, `cmp_` and 16 hexadecimal digits."""
+    name: str
+    """Name for people, at most 200 characters."""
+    notes: str
+    """Whatever else is worth knowing."""
+    retired_at: str | None
+    """Since when it is out of use; None: it is in use."""
+    robot: str
+    """Name of its robot."""
+    role: str
+    """What it is meant for; a job may use it otherwise."""
+    rows: int
+    """Rows of all its uploads."""
+    staged: bool
+    """Whether its parts come one by one, and it is hidden until they are all there."""
+    uploads: Records[Upload]
+    """Files stored, oldest first."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Uploaded(ShownUpload, Record):
+    """What an upload became; ``new`` is false when the same bytes were there already."""
+
+    campaign_id: str
+    """Campaign it went to."""
+    columns: tuple[str, ...]
+    """Columns of the file, in its order."""
+    new: bool
+    """False when the same bytes were there already."""
+    rows: int
+    """Rows of the file."""
+    sha256: str
+    """SHA-256 of the bytes that were sent, 64 hexadecimal digits."""
+    total_rows: int
+    """Rows the campaign has now."""

@@ -1,0 +1,106 @@
+"""What the server answers about comparisons, made from the interface by `make contract`: change it there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from kilter_client.results.record import Record, Records
+from kilter_client.results.shown_jobs import ShownDiff
+from kilter_client.typed.fits import Metrics
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ParameterChange(Record):
+    """A parameter in two versions; None where a version does not have it."""
+
+    a: float | None
+    """Value in version a."""
+    b: float | None
+    """Value in version b."""
+    change: float | None
+    """b minus a."""
+    name: str
+    """Name of the parameter; base and tool are whole frames, `base_x` ... `tool_rz`."""
+    unit: str
+    """Unit of the numbers."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class VersionDiff(ShownDiff, Record):
+    """What differs from version a to version b."""
+
+    a: str
+    """Id of version a."""
+    b: str
+    """Id of version b."""
+    effects_added: tuple[str, ...]
+    """Ids of effects that only b has."""
+    effects_removed: tuple[str, ...]
+    """Ids of effects that only a has."""
+    metrics_a: Metrics
+    """Errors of a."""
+    metrics_b: Metrics
+    """Errors of b."""
+    parameters: Records[ParameterChange]
+    """All parameters of both, and how they differ."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointPreview(Record):
+    """The largest correction of a joint."""
+
+    joint: str
+    """Name of the joint."""
+    largest_deg: float | None
+    """Largest correction, degrees; None: it slides, or nothing was corrected."""
+    largest_mm: float | None
+    """Largest correction, mm; None: it turns, or nothing was corrected."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class VersionPreview(Record):
+    """How a version would correct, without activating it."""
+
+    corrected: int
+    """How many of them it would correct."""
+    joints: Records[JointPreview]
+    """The largest correction of each joint, limits left aside."""
+    largest_at: tuple[float, ...]
+    """The joints there: degrees, mm for one that slides."""
+    largest_mm: float | None
+    """Largest movement of the tool by the correction, mm, limits left aside."""
+    mean_mm: float | None
+    """Mean movement of the tool by the correction, mm; None: nothing was corrected."""
+    poses: int
+    """How many poses were looked at."""
+    refused: Mapping[str, int]
+    """The others, by why they would be refused, such as `CORRECTION_TOO_LARGE` for its limits."""
+    temperature_c: float | None
+    """Temperature it was looked at with, degrees Celsius; None: not known."""
+    unsupported_effects: tuple[str, ...]
+    """Ids of its effects that would not be corrected at run time."""
+    version_id: str
+    """Id of the version."""
+    within: str
+    """Poses looked at: `campaigns`, where the robot was driven before; `limits`, anywhere in its limits."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Tombstone(Record):
+    """What is left of something that was purged."""
+
+    at: str
+    """When it was purged."""
+    by: str
+    """Who purged it."""
+    id: str
+    """The id it had; a robot's is its name."""
+    kind: str
+    """What it was."""
+    name: str
+    """What it was called."""
+    robot: str
+    """Name of the robot it belonged to."""
+    sha256: str
+    """Of a version its hash, of a robot that of its chain, of a campaign that of its uploads' hashes."""

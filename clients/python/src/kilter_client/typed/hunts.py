@@ -1,0 +1,296 @@
+"""What the server answers about hunts, made from the interface by `make contract`: change it there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from kilter_client.results.record import Record, Records
+from kilter_client.results.shown_jobs import ShownHunt
+from kilter_client.typed.fits import Layout, LoadNumber, Objection, Reference, Remark
+from kilter_client.typed.hunt_numbers import (
+    Adequacy,
+    AliasMatrix,
+    Amplitude,
+    Evidence,
+    GapNoise,
+    GapSize,
+    Gates,
+    NegativeControl,
+    Predictive,
+)
+from kilter_client.typed.identifications import BarFigure, Marker
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Detectable(Record):
+    """The smallest amplitude that would be seen."""
+
+    id: str
+    """Id of the effect."""
+    parameter: str | None
+    """Name of the parameter."""
+    smallest_detectable: float | None
+    """Smallest amplitude that would be seen."""
+    unit: str | None
+    """Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."""
+    visibility: float | None
+    """Share of its signature that geometry cannot imitate, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Heatmap(Record):
+    """A table of numbers as colours."""
+
+    colorscale: str | None
+    """Name of the colour scale."""
+    legendgroup: str | None
+    """Traces of one group are switched on and off together."""
+    marker: Marker | None
+    """How its points or bars are drawn."""
+    name: str | None
+    """What it shows, for the legend."""
+    showlegend: bool | None
+    """Whether the legend has it."""
+    type: str
+    """Kind of the trace."""
+    x: tuple[str, ...]
+    """Labels of the columns."""
+    xaxis: str | None
+    """Its x axis, such as `x2`; None: the first."""
+    y: tuple[str, ...]
+    """Labels of the rows."""
+    yaxis: str | None
+    """Its y axis, such as `y2`; None: the first."""
+    z: tuple[tuple[float | None, ...], ...]
+    """Numbers, row by row."""
+    zmax: float | None
+    """Number at its upper end."""
+    zmin: float | None
+    """Number at the lower end of the colour scale."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TableFigure(Record):
+    """A table as colours as a Plotly document."""
+
+    data: Records[Heatmap]
+    """The table, as Plotly has it."""
+    layout: Layout | None
+    """Layout, as Plotly has it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GapFigures(Record):
+    """Figures of a hunt; beside these fields `residual_joint_1` and so on: the residual along what each joint moves."""
+
+    alias_matrix: TableFigure | None
+    """How alike signatures are after the geometry."""
+    contribution: BarFigure | None
+    """How far each named effect moves the tool."""
+    gap_bar: BarFigure | None
+    """The error after each effect, on fitted and held-out rows."""
+    residual_by_direction: BarFigure | None
+    """Residual by the direction of the last motion."""
+    residual_by_load: BarFigure | None
+    """Residual by payload."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Alias(Record):
+    """A rival that does as well."""
+
+    behind: float | None
+    """Points of the criterion it is behind."""
+    correlation: float | None
+    """How alike the two look, 0 to 1."""
+    id: str
+    """Id of the effect."""
+    joints: tuple[int, ...]
+    """Joints it acts at, from 1; None: it does not act at joints."""
+    p_wrong: float | None
+    """Chance that the rival is the right one."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class HeldOutGain(Record):
+    """What held-out poses gain by an effect."""
+
+    deviations: float | None
+    """Standard deviations by which they err as foretold."""
+    gain: float | None
+    """Gain in the log-likelihood of the held-out poses."""
+    standard_error: float | None
+    """Standard error of the gain."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Amount(Record):
+    """A parameter as the confirmation has it."""
+
+    name: str
+    """Name of the parameter."""
+    sigma: float | None
+    """Standard deviation of the value."""
+    unit: str | None
+    """Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."""
+    value: float | None
+    """Its value."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Replication(Record):
+    """What a confirmation says of an effect."""
+
+    apart_sigma: float | None
+    """Standard deviations between the two amplitudes."""
+    outcome: str | None
+    """`replicated`, `not_seen`, `contradicted` or `not_testable`."""
+    p_value: float | None
+    """Chance of such amplitudes without the effect."""
+    parameters: Records[Amount]
+    """Its amplitudes in the confirmation."""
+    reason: str | None
+    """Why nothing can be said."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class NamedEffect(Record):
+    """An effect that was named, and how sure that is."""
+
+    RENAMED: ClassVar[Mapping[str, str]] = {"class_": "class"}
+    alias_set: Records[Alias]
+    """Rivals that do as well."""
+    class_: str | None
+    """The class that cannot be told apart; None: none."""
+    empirical: bool | None
+    """Whether it is a shape without a cause."""
+    evidence: Evidence | None
+    """The number that each test was decided by."""
+    gain_mm: float | None
+    """What it takes off the rms error, mm; degrees of joint data."""
+    gates: Gates | None
+    """The tests it passed."""
+    held_out_gain: HeldOutGain | None
+    """What held-out poses gain by it."""
+    id: str
+    """Id of the effect."""
+    inclusion: float | None
+    """Share of resamples on which it returns, 0 to 1."""
+    joints: tuple[int, ...]
+    """Joints it acts at, from 1; None: it does not act at joints."""
+    moves_mm: float | None
+    """Rms movement of the tool by it, mm; None: joint data."""
+    p_value: float | None
+    """Chance of such a gain by nothing, over the whole library."""
+    parameters: Records[Amplitude]
+    """Its amplitudes."""
+    replication: Replication | None
+    """What the confirmation says; None: there was none."""
+    seen_joints: tuple[int, ...]
+    """Joints at which the rows show it, from 1."""
+    to_confirm: tuple[str, ...]
+    """What would raise the verdict, in words."""
+    too_small_to_matter: bool | None
+    """Whether that is too small to matter."""
+    verdict: str | None
+    """`replicated`, `confirmed`, `class_confirmed` or `provisional`, the surest first."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class NextPose(Record):
+    """A pose to measure next."""
+
+    change: str | None
+    """What to change before it, in words; None: nothing."""
+    direction: tuple[int, ...]
+    """Direction to reach each joint from, -1 or 1; None: any."""
+    information_factor: float | None
+    """How much more is known after it, as a factor."""
+    kind: str | None
+    """`new`, or what is done again."""
+    payload_kg: float | None
+    """Load to carry, kg; None: any."""
+    q_deg: tuple[float, ...]
+    """All joints, degrees; mm for one that slides."""
+    separates: tuple[str, ...]
+    """The two that it tells apart."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Place(Record):
+    """A level of a factor at which the model was wrong."""
+
+    excess: float | None
+    """Squared error beyond what noise leaves, in multiples of that; 0 is none."""
+    factor: str | None
+    """What was looked at, such as the angle of a joint."""
+    level: str | None
+    """The level of it."""
+    p_value: float | None
+    """Chance of such an excess by noise."""
+    visits: int | None
+    """Visits at this level."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Untestable(Record):
+    """What these rows cannot say."""
+
+    id: str
+    """Id of the effect."""
+    joints: tuple[int, ...]
+    """Joints it acts at, from 1; None: it does not act at joints."""
+    reason: str | None
+    """Why."""
+    remedy: str | None
+    """What to measure so that it can be tested."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GapResult(ShownHunt, Record):
+    """What a hunt found. The version holds the named effects and the geometry fitted with them."""
+
+    adequacy: Adequacy | None
+    """Whether the model now agrees with the rows."""
+    alias_matrix: AliasMatrix | None
+    """How alike effects look in these rows."""
+    effects: Records[NamedEffect]
+    """Effects that were named."""
+    figures: GapFigures | None
+    """Figures by name."""
+    gap: GapSize | None
+    """How large the gap was and is, on rows fitted and held out."""
+    load_model: Records[LoadNumber]
+    """Masses and centres as stated and as found."""
+    negative_control: NegativeControl | None
+    """What shuffled rows would name."""
+    next_poses: Records[NextPose]
+    """Poses to measure next."""
+    next_poses_csv: str | None
+    """The same as a CSV file of columns of a measurement."""
+    noise: GapNoise | None
+    """The noise that the gap is compared with."""
+    not_testable: Records[Untestable]
+    """What these rows cannot say, and how they could."""
+    objections: Records[Objection]
+    """What it found against activating the version."""
+    predictive: Predictive | None
+    """How the held-out rows lie in their 95 % intervals."""
+    reference: Reference | None
+    """Where the frames of a correction come from."""
+    sentence: str | None
+    """The verdict in words."""
+    smallest_detectable: Records[Detectable]
+    """Smallest amplitude that would be seen."""
+    start: str | None
+    """The version it continued from; None: the robot as drawn."""
+    verdict: str | None
+    """`no_gap`, `closed`, `provisional` or `unexplained`."""
+    version_id: str | None
+    """Id of the version it made; None: none."""
+    warnings: Records[Remark]
+    """What to know before trusting the result."""
+    where: Records[Place]
+    """Where the model was wrong before."""

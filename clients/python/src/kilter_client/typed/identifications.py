@@ -1,0 +1,493 @@
+"""What the server answers about identifications, made from the interface by `make contract`: change it there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_client.results.record import Record, Records
+from kilter_client.results.shown_jobs import ShownFit
+from kilter_client.typed.fits import (
+    Layout,
+    LoadNumber,
+    Metrics,
+    NullDirection,
+    Objection,
+    Parameter,
+    Reference,
+    Remark,
+    Text,
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CorrelatedGroup(Record):
+    """Parameters that go together."""
+
+    correlation: float | None
+    """Strongest correlation between two of them, -1 to 1."""
+    parameters: tuple[str, ...]
+    """Names of the parameters."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ErrorBars(Record):
+    """Intervals beside bars."""
+
+    array: tuple[float | None, ...]
+    """Length above each value, or on both sides."""
+    arrayminus: tuple[float | None, ...]
+    """Length below each value; None: as above."""
+    color: str | None
+    """Colour."""
+    symmetric: bool | None
+    """Whether both sides are alike; None: they are."""
+    thickness: float | None
+    """Width of the line, pixels."""
+    type: str
+    """Lengths are given for each bar."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ColorBar(Record):
+    """The legend of a colour scale."""
+
+    title: Text | None
+    """What the colours say."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Marker(Record):
+    """How points or bars are drawn."""
+
+    cmax: float | None
+    """Number at its upper end."""
+    cmin: float | None
+    """Number at the lower end of the colour scale."""
+    color: str | tuple[str, ...] | tuple[float | None, ...] | None
+    """Colour, one for each, or the numbers that `colorscale` turns into colours."""
+    colorbar: ColorBar | None
+    """Legend of the colour scale; None: none."""
+    colorscale: str | None
+    """Name of the colour scale of numbers."""
+    size: float | None
+    """Size of a point, pixels."""
+    symbol: str | None
+    """Form of a point; None: a disc."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Bars(Record):
+    """Bars, with their intervals."""
+
+    error_x: ErrorBars | None
+    """Intervals along x."""
+    error_y: ErrorBars | None
+    """Intervals along y."""
+    hovertext: tuple[str, ...]
+    """What is said of each bar under the pointer."""
+    legendgroup: str | None
+    """Traces of one group are switched on and off together."""
+    marker: Marker | None
+    """How its points or bars are drawn."""
+    name: str | None
+    """What it shows, for the legend."""
+    orientation: str | None
+    """`h`: bars that lie; None: bars that stand."""
+    showlegend: bool | None
+    """Whether the legend has it."""
+    type: str
+    """Kind of the trace."""
+    x: tuple[float | str | None, ...]
+    """Along x: values, or labels of bars that stand."""
+    xaxis: str | None
+    """Its x axis, such as `x2`; None: the first."""
+    y: tuple[float | str | None, ...]
+    """Along y: labels of bars, or values."""
+    yaxis: str | None
+    """Its y axis, such as `y2`; None: the first."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BarFigure(Record):
+    """Bars as a Plotly document."""
+
+    data: Records[Bars]
+    """Bars, as Plotly has them."""
+    layout: Layout | None
+    """Layout, as Plotly has it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Line(Record):
+    """How a line is drawn."""
+
+    color: str | None
+    """Colour."""
+    shape: str | None
+    """`hv`: steps; None: straight from point to point."""
+    width: float | None
+    """Width, pixels."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Scatter(Record):
+    """Points or a line in a plane."""
+
+    fill: str | None
+    """`tozeroy`: filled down to zero; None: not filled."""
+    legendgroup: str | None
+    """Traces of one group are switched on and off together."""
+    line: Line | None
+    """How its line is drawn."""
+    marker: Marker | None
+    """How its points or bars are drawn."""
+    mode: str | None
+    """`markers`, or `lines`."""
+    name: str | None
+    """What it shows, for the legend."""
+    showlegend: bool | None
+    """Whether the legend has it."""
+    type: str
+    """Kind of the trace."""
+    x: tuple[float | str | None, ...]
+    """Values along x; None: a gap."""
+    xaxis: str | None
+    """Its x axis, such as `x2`; None: the first."""
+    y: tuple[float | None, ...]
+    """Values along y; None: a gap."""
+    yaxis: str | None
+    """Its y axis, such as `y2`; None: the first."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PlaneFigure(Record):
+    """Points and lines as a Plotly document."""
+
+    data: Records[Scatter]
+    """Points and lines, as Plotly has them."""
+    layout: Layout | None
+    """Layout, as Plotly has it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Scatter3d(Record):
+    """Points or a line in space."""
+
+    legendgroup: str | None
+    """Traces of one group are switched on and off together."""
+    line: Line | None
+    """How its line is drawn."""
+    marker: Marker | None
+    """How its points or bars are drawn."""
+    mode: str | None
+    """`markers`, or `lines`."""
+    name: str | None
+    """What it shows, for the legend."""
+    showlegend: bool | None
+    """Whether the legend has it."""
+    type: str
+    """Kind of the trace."""
+    x: tuple[float | None, ...]
+    """Values along x; None: a gap."""
+    xaxis: str | None
+    """Its x axis, such as `x2`; None: the first."""
+    y: tuple[float | None, ...]
+    """Values along y; None: a gap."""
+    yaxis: str | None
+    """Its y axis, such as `y2`; None: the first."""
+    z: tuple[float | None, ...]
+    """Values along z; None: a gap."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SpaceFigure(Record):
+    """Points and lines in space as a Plotly document."""
+
+    data: Records[Scatter3d]
+    """Points and lines, as Plotly has them."""
+    layout: Layout | None
+    """Layout, as Plotly has it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class IdentifyFigures(Record):
+    """Figures of an identification; those that its rows do not give are not there."""
+
+    fitted_errors: PlaneFigure | None
+    """The same of fitted rows, where none were held out."""
+    held_out_errors: PlaneFigure | None
+    """Errors of held-out rows before, with registration only, and identified."""
+    parameter_changes: BarFigure | None
+    """Changes of parameters with 95 % intervals."""
+    predicted_error: PlaneFigure | None
+    """What the fit does not know, over the workspace."""
+    residual_arrows: PlaneFigure | None
+    """Residuals as arrows from three sides."""
+    residual_arrows_3d: SpaceFigure | None
+    """Residuals as arrows in space."""
+    worst_rows: BarFigure | None
+    """Rows that are left with most, by campaign and number."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Influence(Record):
+    """How far a parameter moves the tool."""
+
+    leads: float | None
+    """Share of the poses in which it moves the tool more than any other."""
+    max_mm: float | None
+    """Largest movement, mm."""
+    mean_k: float | None
+    """Mean over the poses of its movement over the largest of any parameter, 0 to 1."""
+    mean_mm: float | None
+    """Mean movement of the tool over the poses, mm."""
+    min_mm: float | None
+    """Least movement, mm."""
+    name: str
+    """Name of the parameter."""
+    step: float | None
+    """Change that was imposed, in `unit`."""
+    unit: str | None
+    """Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Learned(Record):
+    """Whether an effect that was learned predicts held-out poses better."""
+
+    effects: tuple[str, ...]
+    """Ids of the learned effects."""
+    held_out_with_mm: float | None
+    """Mean error on held-out poses with them, mm."""
+    held_out_without_mm: float | None
+    """Mean error on held-out poses without them, mm."""
+    kept: bool | None
+    """Whether they stayed in the model."""
+    p_value: float | None
+    """Chance of such a gain when there is none; None: not tried."""
+    poses: int | None
+    """Poses it was tried on."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Method(Record):
+    """The method of a fit, and what it says of itself."""
+
+    best_mm: float | None
+    """Error at the best point of a global search, mm."""
+    continued: bool | None
+    """Whether a filter continued from a version's covariance."""
+    effects: str | None
+    """With `tilt_first`: whether effects were `held` or `fitted first`."""
+    evaluations: int | None
+    """Models that a global search tried."""
+    linear_error: float | None
+    """Largest error of the linearisation, in standard deviations of a residual."""
+    mean_square_innovation: float | None
+    """Mean squared innovation of a filter; 1 is as expected."""
+    name: str | None
+    """Name of the method."""
+    needed: bool | None
+    """Whether the search found what a plain fit does not."""
+    rows: int | None
+    """Rows that a filter took in."""
+    rows_left_out: int | None
+    """Rows that the fit left out."""
+    settled: bool | None
+    """Whether the sweeps settled."""
+    start_mm: float | None
+    """Error at its start, mm."""
+    sweeps: int | None
+    """Sweeps over the poses of a method that goes pose by pose."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Noise(Record):
+    """What the rows of an identification scatter by."""
+
+    between_shots_mm: float | None
+    """Standard deviation between shots without motion, mm."""
+    between_visits_mm: float | None
+    """Standard deviation between visits of a pose, mm; None: no repeats."""
+    inadequacy_mm: float | None
+    """What of it is beyond the noise, mm."""
+    residuals_mm: float | None
+    """Standard deviation of a coordinate of what the fit leaves, mm."""
+    wrong_rows: int | None
+    """Rows too far from the repeats of their pose to be noise."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Observability(Record):
+    """Observability indices of the poses, per prior standard deviation and in mm."""
+
+    O1: float | None
+    """Geometric mean of the singular values over the root of the poses."""
+    O2: float | None
+    """Smallest over largest singular value, 0 to 1."""
+    O3: float | None
+    """Smallest singular value."""
+    O4: float | None
+    """Smallest squared over largest singular value."""
+    O5: float | None
+    """One over the sum of the inverse singular values."""
+    parameters: int | None
+    """Parameters that were free."""
+    rank: int | None
+    """Combinations of parameters that the poses can tell."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class OwnBase(Record):
+    """A base that was fitted to rows of its own."""
+
+    campaign: str | None
+    """Id of the campaign; None: the campaigns of other devices."""
+    moved_mm: float | None
+    """How far the base lies from the others', mm."""
+    session: int | None
+    """Session of the campaign; None: all of it."""
+    turned_deg: float | None
+    """How far it is turned, degrees."""
+    use: str | None
+    """What the rows were used for."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Scale(Record):
+    """The standard deviations that residuals were weighed by."""
+
+    point_mm: float | None
+    """Of a coordinate of a point, mm."""
+    turn_deg: float | None
+    """Of an orientation, degrees."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SetAside(Record):
+    """A row that counts less than half in a fit with a robust loss."""
+
+    campaign: str | None
+    """Id of the campaign."""
+    residual_sigma: float | None
+    """Length of what is left of it, in standard deviations."""
+    row: int
+    """Row of the campaign, from 1."""
+    weight: float | None
+    """What it counts, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class IdentifyResult(ShownFit, Record):
+    """What an identification found; the version holds the same."""
+
+    base_refitted: Records[OwnBase]
+    """Bases that were fitted to rows of their own."""
+    correlated_groups: Records[CorrelatedGroup]
+    """Parameters that go together."""
+    figures: IdentifyFigures | None
+    """Figures by name."""
+    influence: Records[Influence]
+    """How far each parameter moves the tool; method `influence`."""
+    intervals: str | None
+    """What the intervals rest on: `bootstrap` or `profile`."""
+    iterations: int | None
+    """Iterations of the fit."""
+    learned: Learned | None
+    """Whether a learned effect predicts better."""
+    load_model: Records[LoadNumber]
+    """Masses and centres as stated and as found."""
+    method: Method | None
+    """The method, and what it says of itself."""
+    metrics: Metrics | None
+    """Errors on the rows fitted and on those held out."""
+    noise: Noise | None
+    """What the rows scatter by."""
+    noise_mm: float | None
+    """Standard deviation of a coordinate of the noise, mm."""
+    noise_source: str | None
+    """What the noise was estimated from."""
+    null_directions: Records[NullDirection]
+    """What the data could not tell."""
+    objections: Records[Objection]
+    """What it found against activating the version."""
+    observability: Observability | None
+    """Observability indices of the poses."""
+    parameters: Records[Parameter]
+    """Parameters that were identified."""
+    reference: Reference | None
+    """Where the frames of a correction come from."""
+    scale: Scale | None
+    """The standard deviations that residuals were weighed by."""
+    set_aside: Records[SetAside]
+    """Rows that a robust loss let go."""
+    version_id: str | None
+    """Id of the version it made; None: none."""
+    warnings: Records[Remark]
+    """What to know before trusting the result."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Configuration(Record):
+    """A configuration to read the inclinometer in."""
+
+    axis: str | None
+    """Axis of the joint's frame to read about."""
+    joint: str | None
+    """Name of the joint."""
+    payload_com_mm: tuple[float, ...]
+    """Its centre in the tool frame, mm; None: the tool point."""
+    payload_kg: float | None
+    """Load to carry, kg."""
+    q_deg: tuple[float, ...]
+    """All joints, degrees; mm for one that slides."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Motion(Record):
+    """A motion of a joint, before and after what was found of it is taken off."""
+
+    campaign: str | None
+    """Id of the campaign."""
+    left_deg: float | None
+    """What is left of it, degrees."""
+    raw_deg: float | None
+    """Standard deviation of link minus motor angle, degrees."""
+    use: str | None
+    """`fitted` or `predicted`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointMotions(Record):
+    """A joint with an encoder on its link side."""
+
+    dead: str | None
+    """Why its channel says nothing; None: it does."""
+    joint: str
+    """Name of the joint."""
+    motions: Records[Motion]
+    """Its motions, fitted and predicted."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointParametersResult(ShownFit, Record):
+    """What was measured of the joints, or where to read."""
+
+    configurations: Records[Configuration]
+    """Configurations to read."""
+    csv: str | None
+    """The configurations as a CSV file to fill in."""
+    joint: str | None
+    """The joint that configurations are proposed for."""
+    joints: Records[JointMotions]
+    """What link-side encoders say of each joint."""
+    measured_by: str | None
+    """`inclinometer` or `link-side encoder`."""
+    objections: Records[Objection]
+    """What it found against activating the version."""
+    parameters: Records[Parameter]
+    """Clearance, backlash and stiffness of the joints."""
+    version_id: str | None
+    """Id of the version it made; None: none."""
+    warnings: Records[Remark]
+    """What to know before trusting the result."""

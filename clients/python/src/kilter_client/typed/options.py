@@ -1,0 +1,153 @@
+"""Options of jobs by name, made from the interface by `make contract`: change it there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, TypedDict
+
+
+class EvaluateOptions(TypedDict, total=False):
+    """What can be asked of an evaluation."""
+
+    criteria: Sequence[Literal["AP", "RP", "vAP", "AD", "RD", "AT", "RT", "dAP", "dRP"]]
+    """Criteria of ISO 9283 that must be given; empty: all that the rows support."""
+    metrics: Literal["errors", "iso9283"]
+    """Errors, or the criteria of ISO 9283."""
+    refit: Sequence[Literal["base", "tool"]]
+    """Frames fitted anew to these rows: [], ["base"] or ["base", "tool"] (the tracker was set up anew)."""
+    version: str | None
+    """Id of the version; None: the active one, else the robot as drawn."""
+
+
+class GapOptions(TypedDict, total=False):
+    """What can be asked of a gap hunt."""
+
+    alpha: float
+    """Chance of any false name in the whole hunt, between 0 and 0.5."""
+    base: Literal["free", "fixed"]
+    """Whether the base is fitted."""
+    bootstraps: int
+    """Resamples behind the p-value of an effect, 1 to 20000."""
+    effects: Sequence[str | Mapping[str, Any]]
+    """Look for these effects only, by id or at some joints; empty: for all."""
+    fix: Sequence[str]
+    """Parameters to hold, by name or pattern (`alpha_*`)."""
+    free: Sequence[str]
+    """Parameters to identify, by name or pattern (`alpha_*`); empty: those of the level."""
+    limits: Mapping[str, Any] | None
+    """The largest correction the version may make; None: 1 degree and 5 mm."""
+    matters_um: float
+    """Movement of the tool below which nothing matters, micrometres (um), 0 or more."""
+    max_effects: int
+    """Most effects to name, 1 to 50."""
+    next_poses: int
+    """Poses to propose, 0 to 1000."""
+    noise_mm: float | None
+    """Standard deviation of a coordinate, mm, above 0, where no pose was measured twice."""
+    permutations: int
+    """Shuffles of the negative control, 1 to 10000."""
+    reference: Literal["auto", "robot", "registration"]
+    """Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame that is fixed or found within 10 mm and 1 degree of it."""
+    resamples: int
+    """Resamples of poses on which a name must return, 1 to 10000."""
+    seed: int
+    """Seed of everything that is drawn by chance, 0 or more."""
+    start: str | None
+    """Id of the version to continue from; None: the robot as drawn."""
+    tool: Literal["free", "fixed"]
+    """Whether the tool is fitted."""
+
+
+class IdentifyOptions(TypedDict, total=False):
+    """What can be asked of an identification."""
+
+    base: Literal["free", "fixed", "removed"]
+    """Whether the base is fitted; `removed`: only distances between poses count."""
+    effects: Sequence[str | Mapping[str, Any]]
+    """Effects to identify, by id or with options; empty: none, at level 3 the thesis's three."""
+    fix: Sequence[str]
+    """Parameters to hold, by name or pattern (`alpha_*`)."""
+    free: Sequence[str]
+    """Parameters to identify, by name or pattern (`alpha_*`); empty: those of the level."""
+    intervals: Literal["bootstrap", "profile"] | None
+    """Add 95 % intervals that do not rest on the covariance; None: none."""
+    level: Literal[1, 2, 3] | None
+    """1 joint offsets, 2 geometry, 3 geometry and effects; None: 3 when `effects` are named, else 2."""
+    limits: Mapping[str, Any] | None
+    """The largest correction the version may make; None: 1 degree and 5 mm."""
+    loss: Literal["linear", "huber", "tukey"]
+    """`huber` bounds what a wrong row can pull, `tukey` lets it go and names it."""
+    method: Literal[
+        "least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search", "linear_least_squares"
+    ]
+    """The estimator."""
+    noise_mm: float | None
+    """Standard deviation of a coordinate, mm, above 0; None: estimated from the rows."""
+    reference: Literal["auto", "robot", "registration"]
+    """Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame that is fixed or found within 10 mm and 1 degree of it."""
+    refit: Sequence[Literal["base"]] | None
+    """["base"]: every campaign and session has a base of its own; []: all rows share one; None: the device decides, and sheets and ball bars have their own."""
+    search_deg: float
+    """Half the width of a global search in angles, degrees, above 0."""
+    search_mm: float
+    """Half the width of a global search in lengths, mm, above 0."""
+    seed: int
+    """Seed of everything that is drawn by chance, 0 or more."""
+    sheet_order: Literal["checked", "given"] | None
+    """`given`: the quarter points of drawn sheets are in the right order, do not check; None: `checked`."""
+    socket_distances_mm: Mapping[str, Any]
+    """Known distances between ball sockets, mm, above 0: {"1-2": 400.0}."""
+    start: str | None
+    """Id of the version to start from; None: the robot as drawn."""
+    tilt_first: bool
+    """Hold the effects while the geometry is identified: those of the start, else as fitted before it."""
+    tool: Literal["free", "fixed"]
+    """Whether the tool is fitted."""
+
+
+class JointParametersOptions(TypedDict, total=False):
+    """Readings to evaluate, or a joint to propose configurations for; neither, with campaigns of link-side encoders."""
+
+    count: int
+    """Configurations to propose, 4 to 200."""
+    payload_com_mm: Sequence[float] | None
+    """Of a proposal: centre of these loads in the tool frame, mm; None: the tool point."""
+    payloads_kg: Sequence[float]
+    """Loads at hand, kg, 0 or more."""
+    propose: str | None
+    """Name of the joint to propose configurations for."""
+    readings: Sequence[Mapping[str, Any]]
+    """Readings of an inclinometer."""
+    resolution_deg: float
+    """Resolution of the inclinometer, degrees, above 0."""
+    seed: int
+    """Seed of the choice, 0 or more."""
+
+
+class PlanOptions(TypedDict, total=False):
+    """What can be asked of a plan."""
+
+    box_mm: Sequence[Sequence[float]] | None
+    """Lowest and highest corner, mm, of a box the tool stays in, in the frame of the measurements."""
+    count: int | None
+    """Poses, 1 to 2000, or cycles; None: 118, 60 or 12 poses by purpose, 30 cycles."""
+    effects: Sequence[str | Mapping[str, Any]]
+    """Of `identify`: effects to see; of `separate`: the two, or one to tell from geometry; empty: what the hunt that made the version left undecided."""
+    floor_mm: float | None
+    """Height in the robot's base frame, mm, that no joint and no tool point goes below."""
+    method: Literal["d_optimal", "iso9283", "five_poses", "two_poses"]
+    """Of `identify`: `d_optimal` or the poses of `iso9283`; of `iso9283`: `five_poses` or `two_poses` for its cycles."""
+    noise_mm: float | None
+    """Standard deviation of a coordinate, mm, above 0; None: that of the repeats, else 0.05."""
+    payload_com_mm: Sequence[float] | None
+    """Centre of these loads in the tool frame, mm; None: the tool point."""
+    payloads_kg: Sequence[float]
+    """Loads at hand, kg, 0 to 1000; used where an effect feels them."""
+    purpose: Literal["iso9283", "identify", "separate"]
+    """`iso9283`: cube and planes of the standard; `identify`: poses that determine the parameters best; `separate`: poses that tell two effects apart."""
+    seed: int
+    """Seed of the choice, 0 or more."""
+    version: str | None
+    """Id of the version to plan with; None: the robot as drawn."""
+    within: Literal["campaigns", "limits"]
+    """Where poses may be: where the robot was driven before, or anywhere in its limits."""

@@ -1,0 +1,75 @@
+"""What the server answers about plans, made from the interface by `make contract`: change it there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_client.results.record import Record, Records
+from kilter_client.results.shown_jobs import ShownPlan
+from kilter_client.typed.fits import Remark
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PlannedPose(Record):
+    """A pose to measure; beside these fields the joints, as columns of a measurement: `q1_deg` ..., `q3_mm` of a slide."""
+
+    change: str | None
+    """What to change before it, in words; None: nothing."""
+    direction: tuple[int, ...]
+    """Direction to reach each joint from, -1 or 1; None: any."""
+    information_factor: float | None
+    """How much more is known after it, as a factor."""
+    kind: str | None
+    """`new`, or what is done again."""
+    payload_com_mm: tuple[float, ...]
+    """Its centre in the tool frame, mm; None: the tool point."""
+    payload_kg: float | None
+    """Load to carry, kg; None: any."""
+    pose_id: int | None
+    """Number of the pose, for the column of that name."""
+    session: int | None
+    """Number of the cycle, for the column of that name."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Proposal(Record):
+    """Poses that belong together."""
+
+    change: str | None
+    """What to change before them, in words; None: nothing."""
+    information_factor: float | None
+    """How much more is known after them, as a factor."""
+    kind: str | None
+    """`new`, or what is done again."""
+    poses: int | None
+    """How many poses."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PlanResult(ShownPlan, Record):
+    """Poses to measure. Collisions are not checked."""
+
+    correlation: float | None
+    """How alike they are so far, 0 to 1."""
+    count: int | None
+    """How many poses."""
+    csv: str | None
+    """The poses as a CSV file of columns of a measurement."""
+    cycles: int | None
+    """Cycles of the standard's poses."""
+    cycles_demanded: int | None
+    """Cycles that the standard demands."""
+    poses: Records[PlannedPose]
+    """The poses, in the order of a short way."""
+    proposals: Records[Proposal]
+    """The poses, by what to change before them."""
+    purpose: str | None
+    """What the poses are for."""
+    separates: tuple[str, ...]
+    """The two that the poses tell apart."""
+    start: str | None
+    """The version it was planned with; None: the robot as drawn."""
+    warnings: Records[Remark]
+    """What to know before driving them."""
+    within: str | None
+    """Where poses were looked for."""

@@ -1,0 +1,291 @@
+"""What the server answers about versions, made from the interface by `make contract`: change it there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_client.results.record import Record, Records
+from kilter_client.results.shown_jobs import ShownActivated, ShownVersion
+from kilter_client.typed.fits import LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
+from kilter_client.typed.identifications import (
+    CorrelatedGroup,
+    Influence,
+    JointMotions,
+    Learned,
+    Method,
+    Noise,
+    Observability,
+    OwnBase,
+    Scale,
+    SetAside,
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CorrectionLimits(Record):
+    """The largest correction a version may make; anything larger is refused, not clipped."""
+
+    max_joint_deg: float
+    """Largest correction of a joint, degrees, above 0 to 30."""
+    max_position_mm: float
+    """Largest correction of the tool, and of a joint that slides, mm, above 0 to 200."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Covariance(Record):
+    """What a version knows of its parameters, SI; empty where nothing was identified."""
+
+    inadequacy_m: float | None
+    """Standard deviation of a coordinate that the fit left beyond the noise, m."""
+    matrix: tuple[tuple[float, ...], ...]
+    """Covariance of the parameters, SI (m, rad, N m, ...)."""
+    names: tuple[str, ...]
+    """Names of the parameters, in the order of the matrix."""
+    noise_m: float | None
+    """Standard deviation of a coordinate of the noise, m."""
+    units: str | None
+    """`SI`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Details(Record):
+    """What else the job of a version said. Which of it there is depends on the kind of job."""
+
+    base_refitted: Records[OwnBase]
+    """Bases that were fitted to rows of their own."""
+    correlated_groups: Records[CorrelatedGroup]
+    """Parameters that go together."""
+    held_out_fraction: float | None
+    """Share of the poses that a hunt held out unasked."""
+    influence: Records[Influence]
+    """How far each parameter moves the tool; method `influence`."""
+    intervals: str | None
+    """What the intervals rest on: `bootstrap` or `profile`."""
+    iterations: int | None
+    """Iterations of the fit."""
+    joints: Records[JointMotions]
+    """What link-side encoders say of each joint."""
+    learned: Learned | None
+    """Whether a learned effect predicts better."""
+    load_model: Records[LoadNumber]
+    """Masses and centres as stated and as found."""
+    measured_by: str | None
+    """What joints were measured by: `inclinometer` or `link-side encoder`."""
+    method: Method | None
+    """The method, and what it says of itself."""
+    noise: Noise | None
+    """What the rows scatter by."""
+    noise_source: str | None
+    """What the noise was estimated from."""
+    observability: Observability | None
+    """Observability indices of the poses."""
+    reference: Reference | None
+    """Where the frames of a correction come from."""
+    scale: Scale | None
+    """The standard deviations that residuals were weighed by."""
+    set_aside: Records[SetAside]
+    """Rows that a robust loss let go."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class UsedCampaign(Record):
+    """A campaign a version was made from, and the hashes of its uploads."""
+
+    id: str
+    """Id of the campaign."""
+    name: str
+    """Name of the campaign."""
+    role: str
+    """What the campaign is meant for."""
+    rows: int
+    """Rows it had then."""
+    sha256: tuple[str, ...]
+    """SHA-256 of the files it had then."""
+    use: str
+    """What it was used for: `train`, `validation` or `confirmation`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Version(ShownVersion, Record):
+    """A version with all it holds; the covariance is SI, everything else in mm and degrees.
+
+    ``objections`` are what its own identification says against activating it.
+    ``details`` is what else its job said: method, observability, correlated groups, influence, intervals."""
+
+    active: bool
+    """Whether the robot is corrected with it."""
+    campaigns: Records[UsedCampaign]
+    """Campaigns it was made from."""
+    code_version: str
+    """Release of Kilter that made it."""
+    covariance: Covariance
+    """How well its parameters are known, SI."""
+    created_at: str
+    """When it was made."""
+    details: Details
+    """What else its job said."""
+    effects: tuple[str, ...]
+    """Ids of its effects."""
+    hash_scheme: int
+    """What `sha256` covers: 1 calibration and limits, 2 the robot's chain too."""
+    id: str
+    """Id of the version, `ver_` and 16 hexadecimal digits."""
+    job_id: str
+    """The job that made it."""
+    limits: CorrectionLimits
+    """The largest correction it may make."""
+    metrics: Metrics
+    """Errors on the rows fitted and on those held out."""
+    name: str
+    """What people call it, at most 200 characters; unique for its robot while it is in use."""
+    noise_mm: float | None
+    """Standard deviation of a coordinate of the noise, mm."""
+    notes: str
+    """What people noted on it."""
+    null_directions: Records[NullDirection]
+    """What the data could not tell."""
+    objections: Records[Objection]
+    """What its own identification says against activating it."""
+    parameters: Records[Parameter]
+    """Parameters that were identified."""
+    parent_id: str | None
+    """The version it was started from; None: the robot as drawn."""
+    retired_at: str | None
+    """Since when it is out of use; None: it is in use."""
+    robot: str
+    """Name of its robot."""
+    robot_sha256: str
+    """SHA-256 of the chain of the robot it was made on, 64 hexadecimal digits; empty: it could not be resolved."""
+    sha256: str
+    """SHA-256 of what the version holds, 64 hexadecimal digits."""
+    warnings: Records[Remark]
+    """What to know before trusting it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class VersionSummary(Record):
+    """A version in a list; metrics are those of the identification."""
+
+    active: bool
+    """Whether the robot is corrected with it."""
+    code_version: str
+    """Release of Kilter that made it."""
+    created_at: str
+    """When it was made."""
+    effects: tuple[str, ...]
+    """Ids of its effects."""
+    id: str
+    """Id of the version, `ver_` and 16 hexadecimal digits."""
+    job_id: str
+    """The job that made it."""
+    metrics: Metrics
+    """Errors on the rows fitted and on those held out."""
+    name: str
+    """What people call it, at most 200 characters; unique for its robot while it is in use."""
+    notes: str
+    """What people noted on it."""
+    parent_id: str | None
+    """The version it was started from; None: the robot as drawn."""
+    retired_at: str | None
+    """Since when it is out of use; None: it is in use."""
+    robot: str
+    """Name of its robot."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Rival(Record):
+    """What a version is compared with. It is worse when its error is larger by more than ``margin_mm``."""
+
+    larger_by_mm: float
+    """By how much the version's mean error is larger, mm; below 0: it is smaller."""
+    margin_mm: float
+    """By how much it may be larger by chance, mm."""
+    mean_mm: float
+    """Mean error of the rival, mm."""
+    poses: int
+    """Poses compared."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Comparison(Record):
+    """Mean errors on rows that no version compared was fitted to, base and tool fitted anew to each campaign.
+
+    ``active`` is None when no version was active, or when it cannot predict these rows or was fitted to all of them."""
+
+    active: Rival | None
+    """The version that was active, on the rows it can be compared on."""
+    active_version: str | None
+    """The version that was active."""
+    campaigns: tuple[str, ...]
+    """Ids of the campaigns they are from."""
+    mean_mm: float
+    """Mean error of the version, mm."""
+    poses: int
+    """Poses they are at."""
+    registration_only: Rival
+    """The robot as drawn, base and tool fitted."""
+    rows: int
+    """Rows compared."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ActivatedVersion(ShownActivated, Record):
+    """A version that corrects from now on; ``unsupported_effects`` are those it does not correct at run time.
+
+    ``compared`` is None when there were no rows to compare on; ``warnings`` say why, and what else was left out.
+    ``objections`` are what would have refused it without ``forced``. A roll-back is never compared."""
+
+    active: bool
+    """Whether the robot is corrected with it."""
+    code_version: str
+    """Release of Kilter that made it."""
+    compared: Comparison | None
+    """How it was compared; None: there was nothing to compare on."""
+    created_at: str
+    """When it was made."""
+    effects: tuple[str, ...]
+    """Ids of its effects."""
+    forced: bool
+    """Whether it was activated in spite of what speaks against it."""
+    id: str
+    """Id of the version, `ver_` and 16 hexadecimal digits."""
+    job_id: str
+    """The job that made it."""
+    metrics: Metrics
+    """Errors on the rows fitted and on those held out."""
+    name: str
+    """What people call it, at most 200 characters; unique for its robot while it is in use."""
+    notes: str
+    """What people noted on it."""
+    objections: Records[Objection]
+    """What would have refused it without `force`."""
+    parent_id: str | None
+    """The version it was started from; None: the robot as drawn."""
+    retired_at: str | None
+    """Since when it is out of use; None: it is in use."""
+    robot: str
+    """Name of its robot."""
+    unsupported_effects: tuple[str, ...]
+    """Ids of its effects that are not corrected at run time."""
+    warnings: Records[Remark]
+    """What the comparison left out."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Activation(Record):
+    """An entry of the log of active versions; ``objections`` were overruled where it was ``forced``."""
+
+    action: str
+    """`activate` or `rollback`."""
+    actor: str
+    """Who did it."""
+    at: str
+    """When."""
+    forced: bool
+    """Whether it was forced."""
+    objections: Records[Objection]
+    """What spoke against it."""
+    reason: str
+    """Why, as it was given."""
+    version_id: str
+    """The version that became active."""

@@ -1,0 +1,154 @@
+"""Verbs about measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import TYPE_CHECKING, Any, Literal
+
+from kilter_client.calls import campaigns as calls
+from kilter_client.errors import ApiError, ObservationError, UsageError
+from kilter_client.given import Data, name_of, rows_of
+from kilter_client.naming import same
+from kilter_client.progress import Watching, watched
+from kilter_client.results.record import Records
+from kilter_client.steps import Document, Sent, Steps
+from kilter_client.verbs.things import Thing, reference
+
+if TYPE_CHECKING:
+    from kilter_client.typed.campaigns import Campaign, Uploaded
+    from kilter_files import Prepared
+
+MOST_LINES = 8  # of a file that are named in a refusal
+
+
+def upload(
+    robot: Thing,
+    data: Data,
+    *,
+    columns: Sequence[str] | None = None,
+    name: str | None = None,
+    role: Literal["train", "validation", "confirmation"] = "train",
+    device: str | None = None,
+    column_map: str | PathLike[str] | None = None,
+    payload_kg: float | None = None,
+    payload_com_mm: Sequence[float] | None = None,
+    temperature_c: float | None = None,
+    tool_force_n: Sequence[float] | None = None,
+    tool_moment_nm: Sequence[float] | None = None,
+    notes: str = "",
+    campaign: Thing | None = None,
+    progress: Watching = True,
+) -> Steps[Uploaded]:
+    """Upload measurements as a campaign of a robot; the same rows again change nothing.
+
+    Args:
+        robot: name of the robot.
+        data: a path; or columns by name (``{"q1_deg": ..., "x_mm": ...}``), a structured array, a pandas frame.
+        columns: names of the columns of an array of two dimensions, with units.
+        name: name of the campaign; without one it is the file's, with a number behind it where that is taken.
+        role: what the rows are for.
+        device: what they were measured with; files of some devices are converted.
+        column_map: column map of a lab's own file.
+        payload_kg: mass at the tool point during the campaign, kg.
+        payload_com_mm: its centre in the tool frame, mm.
+        temperature_c: temperature of the arm, degrees Celsius.
+        tool_force_n: force on the tool point in its frame, N.
+        tool_moment_nm: moment on the tool point in its frame, N m.
+        notes: whatever else is worth knowing.
+        campaign: add to this campaign, make none.
+        progress: True for a bar, False for none, or a function of the fraction sent and the stage.
+
+    Raises:
+        FileError: the file is not what it should be.
+        UsageError: the data are no rows, or ``campaign`` is given with what it has already.
+        ObservationError: the rows are not what their columns say; nothing is stored.
+
+    """
+    from kilter_client.typed.campaigns import Uploaded
+
+    conditions = _conditions(
+        payload_kg=payload_kg,
+        payload_com_mm=payload_com_mm,
+        temperature_c=temperature_c,
+        tool_force_n=tool_force_n,
+        tool_moment_nm=tool_moment_nm,
+    )
+    if campaign is not None and (name or notes or conditions):
+        raise UsageError("campaign= adds to a campaign that has its name, notes and conditions already.")
+    wanted: Document = {"name": name or name_of(data), "device": device or "", "role": role, "notes": notes}
+    wanted |= {"conditions": conditions, "numbered": name is None}
+    into = None if campaign is None else reference("campaign", campaign)
+    prepared = rows_of(data, columns, device, column_map)
+    return Uploaded.read((yield from _watched(reference("robot", robot), into, wanted, prepared, progress)))
+
+
+def _conditions(**told: Any) -> dict[str, Any]:
+    """What holds for the whole campaign; numbers and lists as JSON has them."""
+    given = {key: value for key, value in told.items() if value is not None}
+    return {key: [float(one) for one in v] if hasattr(v, "__len__") else float(v) for key, v in given.items()}
+
+
+def _watched(
+    robot: str, into: str | None, wanted: Mapping[str, Any], prepared: Prepared, progress: Watching
+) -> Steps[Document]:
+    """Send, and show how far it is."""
+    with watched(progress, f"sending {wanted['name']}") as bar:
+        sent: Sent | None = None if bar is None else lambda some, total: bar(some / max(total, 1), "sending")
+        try:
+            return (yield from _sent(robot, into, wanted, prepared, sent))
+        except ObservationError as error:
+            raise _placed(error, prepared) from error
+
+
+def _sent(
+    robot: str, into: str | None, wanted: Mapping[str, Any], prepared: Prepared, sent: Sent | None
+) -> Steps[Document]:
+    """Send to a campaign, to the one that has these rows already, or to a new one, seen when the rows are in it."""
+    if into is None:
+        for known in (yield from calls.listed(robot)):
+            if same(known, wanted) and any(done["sha256"] == prepared.sha256 for done in known["uploads"]):
+                into = str(known["id"])
+    if into is not None:
+        return (yield from calls.upload(into, prepared, sent, robot))
+    made = yield from calls.add(robot, {**wanted, "staged": True})
+    target = str(made["id"])
+    try:
+        done = yield from calls.upload(target, prepared, sent)
+    except ApiError:
+        yield from calls.discard(target)
+        raise
+    yield from calls.commit(target, [str(done["sha256"])])
+    return done
+
+
+def _placed(error: ObservationError, prepared: Prepared) -> ObservationError:
+    """Add on which lines of the person's own file the refused rows stand."""
+    rows = [k for k in error.context.get("rows") or [error.context.get("row")] if isinstance(k, int)]
+    lines = [prepared.lines[k - 1] for k in rows if 0 < k <= len(prepared.lines)]
+    if lines:
+        error.context["lines"] = lines
+        more = " ..." if len(lines) > MOST_LINES else ""
+        error.detail += f" In the file that is line {', '.join(map(str, lines[:MOST_LINES]))}{more}."
+        error.args = (error.detail,)
+    return error
+
+
+def campaign(campaign: Thing, *, robot: str | None = None) -> Steps[Campaign]:
+    """Return a campaign: its rows, role, conditions and uploads.
+
+    Raises:
+        NotFoundError: there is none; ConflictError: the name stands for several.
+
+    """
+    from kilter_client.typed.campaigns import Campaign
+
+    return Campaign.read((yield from calls.one(reference("campaign", campaign), robot)))
+
+
+def campaigns(robot: Thing, *, retired: bool = False) -> Steps[Records[Campaign]]:
+    """Return the campaigns of a robot, oldest first; with ``retired`` also those that are out of use."""
+    from kilter_client.typed.campaigns import Campaign
+
+    found = yield from calls.listed(reference("robot", robot), retired=retired)
+    return Records(Campaign, [Campaign.read(one) for one in found])

@@ -1,0 +1,281 @@
+"""Verbs that compute: each asks for a job, follows it, and returns what it found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack, cast
+
+from kilter_client.calls import jobs as calls
+from kilter_client.progress import Watching, watched
+from kilter_client.results.record import Record, Records
+from kilter_client.steps import Document, Steps
+from kilter_client.verbs.things import Thing, reference, references
+
+if TYPE_CHECKING:
+    from kilter_client.typed.evaluations import EvaluateResult
+    from kilter_client.typed.hunts import GapResult
+    from kilter_client.typed.identifications import IdentifyResult, JointParametersResult
+    from kilter_client.typed.options import (
+        EvaluateOptions,
+        GapOptions,
+        IdentifyOptions,
+        JointParametersOptions,
+        PlanOptions,
+    )
+    from kilter_client.typed.plans import PlanResult
+    from kilter_client.typed.server import JobSummary
+
+# A share of the poses, campaigns, or {"folds": 5}.
+HeldOut: TypeAlias = "float | Thing | Sequence[Thing] | Mapping[str, int] | None"
+LISTS = ("effects", "free", "fix", "refit", "criteria")  # options of which one may be given without brackets
+VERSIONS = ("start", "version")
+
+
+def identify(
+    robot: Thing,
+    campaigns: Thing | Sequence[Thing],
+    *,
+    validation: HeldOut = None,
+    name: str = "",
+    progress: Watching = True,
+    timeout_s: float | None = None,
+    **options: Unpack[IdentifyOptions],
+) -> Steps[IdentifyResult]:
+    """Identify a robot's parameters from campaigns; the result names a new version.
+
+    Args:
+        robot: name of the robot.
+        campaigns: what to fit to: results of ``upload``, names, ids, ``"latest"``.
+        validation: what to hold out: a share of the poses (0.3), campaigns, or ``{"folds": 5}``.
+        name: name of the job and of the version.
+        progress: True for a bar, False for none, or a function of the fraction done and the stage.
+        timeout_s: seconds to wait at most; the job goes on.
+        options: the options of the job by name, as ``level=2``, ``effects=["backlash"]``.
+
+    Raises:
+        OptionError: an option that does not exist or does not fit.
+        JobFailedError: the job ended without a result; JobTimeoutError: it goes on.
+
+    """
+    asked = _asked("identify", robot, campaigns, options, validation, name)
+    return cast("IdentifyResult", (yield from _run(asked, progress, timeout_s)))
+
+
+def gap(
+    robot: Thing,
+    campaigns: Thing | Sequence[Thing],
+    *,
+    validation: HeldOut = None,
+    confirmation: Thing | Sequence[Thing] = (),
+    name: str = "",
+    progress: Watching = True,
+    timeout_s: float | None = None,
+    **options: Unpack[GapOptions],
+) -> Steps[GapResult]:
+    """Find where the model is wrong, name what is missing, and show how the gap shrinks on rows never used.
+
+    ``confirmation`` are campaigns of another day or set-up in which it must see again what it found. The rest is as in
+    ``identify``.
+
+    Raises:
+        OptionError: an option that does not exist or does not fit.
+        JobFailedError: the job ended without a result; JobTimeoutError: it goes on.
+
+    """
+    asked = _asked("gap", robot, campaigns, options, validation, name, confirmation)
+    return cast("GapResult", (yield from _run(asked, progress, timeout_s)))
+
+
+def evaluate(
+    robot: Thing,
+    campaigns: Thing | Sequence[Thing],
+    *,
+    name: str = "",
+    progress: Watching = True,
+    timeout_s: float | None = None,
+    **options: Unpack[EvaluateOptions],
+) -> Steps[EvaluateResult]:
+    """Compare a version with campaigns: errors in mm and degrees, or the criteria of ISO 9283.
+
+    Without ``version`` it is the active one, else the robot as drawn.
+
+    Raises:
+        OptionError: an option that does not exist or does not fit.
+        JobFailedError: the job ended without a result; JobTimeoutError: it goes on.
+
+    """
+    asked = _asked("evaluate", robot, campaigns, options, None, name)
+    return cast("EvaluateResult", (yield from _run(asked, progress, timeout_s)))
+
+
+def plan(
+    robot: Thing,
+    campaigns: Thing | Sequence[Thing] = (),
+    *,
+    name: str = "",
+    progress: Watching = True,
+    timeout_s: float | None = None,
+    **options: Unpack[PlanOptions],
+) -> Steps[PlanResult]:
+    """Plan poses to measure: for ISO 9283, to identify well, or to tell two effects apart.
+
+    Raises:
+        OptionError: an option that does not exist or does not fit.
+        JobFailedError: the job ended without a result; JobTimeoutError: it goes on.
+
+    """
+    asked = _asked("plan", robot, campaigns, options, None, name)
+    return cast("PlanResult", (yield from _run(asked, progress, timeout_s)))
+
+
+def joint_parameters(
+    robot: Thing,
+    readings_file: str | PathLike[str] | None = None,
+    *,
+    campaigns: Thing | Sequence[Thing] = (),
+    validation: HeldOut = None,
+    name: str = "",
+    progress: Watching = True,
+    timeout_s: float | None = None,
+    **options: Unpack[JointParametersOptions],
+) -> Steps[JointParametersResult]:
+    """Measure clearance, backlash and stiffness of joints directly, or say with ``propose`` where to read for that.
+
+    ``readings_file`` is a CSV file of inclinometer readings, in deg; ``campaigns`` have link-side encoders.
+
+    Raises:
+        FileError: the file is not what it should be.
+        OptionError: an option that does not exist or does not fit.
+        JobFailedError: the job ended without a result; JobTimeoutError: it goes on.
+
+    """
+    chosen: dict[str, Any] = dict(options)
+    if readings_file is not None:
+        from kilter_files.readings import read_readings
+
+        chosen["readings"] = read_readings(Path(fspath(readings_file)))
+    asked = _asked("joint_parameters", robot, campaigns, chosen, validation, name)
+    return cast("JointParametersResult", (yield from _run(asked, progress, timeout_s)))
+
+
+def submit(
+    kind: str,
+    robot: Thing,
+    campaigns: Thing | Sequence[Thing] = (),
+    *,
+    validation: HeldOut = None,
+    confirmation: Thing | Sequence[Thing] = (),
+    name: str = "",
+    **options: Any,
+) -> Steps[Record]:
+    """Ask for a job without waiting for it: ``"identify"``, ``"gap"``, ``"evaluate"``, ``"plan"``, ``"joint_parameters"``.
+
+    Returns the job, still queued; ``wait`` follows it. The rest is as in the verb of the kind.
+
+    Raises:
+        OptionError: an option that does not exist or does not fit.
+
+    """
+    asked = _asked(kind, robot, campaigns, options, validation, name, confirmation)
+    return _read((yield from calls.submit(str(asked["robot"]), asked)))
+
+
+def wait(
+    job: Thing, *, robot: str | None = None, progress: Watching = True, timeout_s: float | None = None
+) -> Steps[Record]:
+    """Follow a job to its end and return its result, as the verb of its kind does.
+
+    Raises:
+        JobFailedError: it ended without a result; JobCancelledError: it was cancelled; JobTimeoutError: it goes on.
+
+    """
+    return (yield from _waited(reference("job", job), robot, progress, timeout_s))
+
+
+def job(job: Thing, *, robot: str | None = None) -> Steps[Record]:
+    """Return a job: how it stands, what was asked, and its result if there is one.
+
+    Raises:
+        NotFoundError: there is none.
+
+    """
+    return _read((yield from calls.one(reference("job", job), robot)))
+
+
+def jobs(robot: Thing | None = None, *, limit: int = 100) -> Steps[Records[JobSummary]]:
+    """Return the newest jobs, of one robot or of all."""
+    from kilter_client.typed.server import JobSummary
+
+    found = yield from calls.listed(None if robot is None else reference("robot", robot), limit)
+    return Records(JobSummary, [JobSummary.read(one) for one in found])
+
+
+def cancel(job: Thing, *, robot: str | None = None) -> Steps[Record]:
+    """Ask a job to stop.
+
+    Raises:
+        NotFoundError: there is none.
+
+    """
+    return _read((yield from calls.cancel(reference("job", job), robot)))
+
+
+def _asked(
+    kind: str,
+    robot: Thing,
+    campaigns: Thing | Sequence[Thing],
+    options: Mapping[str, Any],
+    validation: HeldOut,
+    name: str,
+    confirmation: Thing | Sequence[Thing] = (),
+) -> Document:
+    held_out = references("campaign", validation) if _names_campaigns(validation) else validation  # type: ignore[arg-type]
+    chosen = {key: _option(key, value) for key, value in options.items()}
+    used, again = references("campaign", campaigns), references("campaign", confirmation)
+    return calls.asked(kind, reference("robot", robot), used, held_out, chosen, again, name)
+
+
+def _names_campaigns(validation: HeldOut) -> bool:
+    return isinstance(validation, str | Record) or (
+        isinstance(validation, Sequence) and not isinstance(validation, Mapping)
+    )
+
+
+def _option(name: str, value: Any) -> Any:
+    """Return an option as JSON has it: a lone value in brackets where several may be given, arrays as lists."""
+    if name in LISTS and isinstance(value, str):
+        return [value]
+    if name in VERSIONS and isinstance(value, Record):
+        return reference("version", value)
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return value
+
+
+def _run(asked: Document, progress: Watching, timeout_s: float | None) -> Steps[Record]:
+    job = yield from calls.submit(str(asked["robot"]), asked)
+    return (yield from _waited(str(job["id"]), None, progress, timeout_s, f"{asked['kind']} {asked['robot']}"))
+
+
+def _waited(
+    job_id: str, robot: str | None, progress: Watching, timeout_s: float | None, label: str = ""
+) -> Steps[Record]:
+    with watched(progress, label or job_id) as told:
+        done = _read((yield from calls.wait(job_id, told, timeout_s, robot)))
+    result: Record = getattr(done, "result", None) or done
+    object.__setattr__(result, "_job", done)
+    return result
+
+
+def _read(document: Document) -> Record:
+    """Read a job by its kind; one of a kind that this release does not know keeps its document."""
+    from kilter_client.typed.names import JOBS, MODULE_OF
+
+    name = JOBS.get(str(document.get("kind")))
+    if name is None:
+        return Record.read(document)
+    found: Record = getattr(import_module(f"kilter_client.typed.{MODULE_OF[name]}"), name).read(document)
+    return found

@@ -1,0 +1,100 @@
+"""Verbs that name, note, retire, restore and purge."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+from kilter_client.calls import kept
+from kilter_client.calls import robots as robot_calls
+from kilter_client.calls.references import Kind
+from kilter_client.errors import UsageError
+from kilter_client.results.record import Record
+from kilter_client.steps import Document, Steps
+from kilter_client.verbs.things import Thing, What, kind_of, reference
+
+if TYPE_CHECKING:
+    from kilter_client.typed.comparisons import Tombstone
+
+
+def change(
+    thing: Thing,
+    *,
+    name: str | None = None,
+    notes: str | None = None,
+    kind: What | None = None,
+    robot: str | None = None,
+) -> Steps[Record]:
+    """Name a campaign or version, or note something on it or on a robot; what is left out stays.
+
+    Raises:
+        UsageError: a name alone does not say what it is: give ``kind``.
+        ConflictError: the name is taken.
+
+    """
+    what = kind_of(thing, kind)
+    called = reference(what, thing)
+    if what != "robot":
+        return _read(what, (yield from kept.change(_kept(what), called, name, notes, robot)))
+    if name is not None:
+        raise UsageError("A robot keeps the name it was added with: give notes= only.")
+    return _read(what, (yield from robot_calls.note(called, notes or "")))
+
+
+def retire(thing: Thing, *, kind: What | None = None, robot: str | None = None) -> Steps[Record]:
+    """Take a campaign, a version or a robot out of use; what cites it stays as it is.
+
+    Raises:
+        UsageError: a name alone does not say what it is: give ``kind``.
+        ConflictError: it is active.
+
+    """
+    return (yield from _do("retire", thing, kind, robot))
+
+
+def restore(thing: Thing, *, kind: What | None = None, robot: str | None = None) -> Steps[Record]:
+    """Bring a campaign, a version or a robot back into use.
+
+    Raises:
+        UsageError: a name alone does not say what it is: give ``kind``.
+
+    """
+    return (yield from _do("restore", thing, kind, robot))
+
+
+def purge(thing: Thing, *, kind: What | None = None) -> Steps[Tombstone]:
+    """Delete a retired campaign, version or robot for good, by its full id; returns what is left: its hash, who, when.
+
+    Raises:
+        ConflictError: something cites it, or it is in use.
+
+    """
+    from kilter_client.typed.comparisons import Tombstone
+
+    what = kind_of(thing, kind)
+    called = reference(what, thing)
+    found = yield from robot_calls.do(called, "purge") if what == "robot" else kept.purge(_kept(what), called)
+    return Tombstone.read(found)
+
+
+def _do(doing: str, thing: Thing, kind: What | None, robot: str | None) -> Steps[Record]:
+    what = kind_of(thing, kind)
+    called = reference(what, thing)
+    if what == "robot":
+        return _read(what, (yield from robot_calls.do(called, doing)))
+    return _read(what, (yield from kept.do(_kept(what), called, doing, robot)))
+
+
+def _kept(what: What) -> Kind:
+    if what == "job":
+        raise UsageError("Jobs are kept as they are: name, note, retire or purge the version that the job made.")
+    return cast(Kind, what)
+
+
+def _read(what: What, document: Document) -> Record:
+    from kilter_client.typed.campaigns import Campaign
+    from kilter_client.typed.robots import RobotReport
+    from kilter_client.typed.versions import Version
+
+    kinds: dict[str, Any] = {"campaign": Campaign, "version": Version, "robot": RobotReport}
+    found: Record = kinds[what].read(document)
+    return found

@@ -1,0 +1,187 @@
+"""Verbs about robots."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from kilter_client.calls import robots as calls
+from kilter_client.errors import UsageError
+from kilter_client.given import Data, rows_of
+from kilter_client.results.record import Records
+from kilter_client.steps import Steps
+from kilter_client.verbs.things import Thing, reference
+
+if TYPE_CHECKING:
+    from kilter_client.typed.robots import FoundRobot, Frame, RobotCheck, RobotReport, RobotSummary
+
+
+def add_robot(
+    source: str | PathLike[str] | Mapping[str, Any] | None = None,
+    *,
+    preset: str | None = None,
+    name: str | None = None,
+    convention: str | None = None,
+    base_link: str | None = None,
+    tip_link: str | None = None,
+    model: str | None = None,
+    turned: Sequence[str] = (),
+    follows: Sequence[str] = (),
+) -> Steps[RobotReport]:
+    """Add a robot from a file (JSON, URDF, a table, another tool's), from a document, or from a preset.
+
+    The same robot twice changes nothing.
+
+    Args:
+        source: a path, or the document of a robot.
+        preset: name of a preset instead, as ``"ur5e"``.
+        name: name of the robot; a preset has its own where none is given.
+        convention: of a table: ``"dh"``, ``"mdh"``, ...
+        base_link: of a URDF, where the arm begins.
+        tip_link: of a URDF, where it ends.
+        model: of a calibration file of Universal Robots.
+        turned: joints whose controller counts the other way.
+        follows: pairs ``"j3=j2"`` of joints of which the first is read against the horizontal.
+
+    Raises:
+        UsageError: neither or both of ``source`` and ``preset``, or something is missing that the file does not say.
+        FileError: the file is not what it should be.
+        RobotError: it cannot be an arm; ConflictError: another robot has that name.
+
+    """
+    from kilter_client.typed.robots import RobotReport
+
+    document = _document(source, preset, name, _Described(convention, base_link, tip_link, model, turned, follows))
+    return RobotReport.read((yield from calls.add(document)))
+
+
+def check_robot(
+    source: str | PathLike[str] | Mapping[str, Any] | None = None,
+    *,
+    preset: str | None = None,
+    name: str | None = None,
+    convention: str | None = None,
+    base_link: str | None = None,
+    tip_link: str | None = None,
+    model: str | None = None,
+    turned: Sequence[str] = (),
+    follows: Sequence[str] = (),
+) -> Steps[RobotCheck]:
+    """Return what a robot comes to without adding it: axes, the arm at zero and its reach in mm, what looks wrong.
+
+    Arguments are those of ``add_robot``.
+
+    Raises:
+        UsageError: neither or both of ``source`` and ``preset``, or something is missing that the file does not say.
+        FileError: the file is not what it should be; RobotError: it cannot be an arm.
+
+    """
+    from kilter_client.typed.robots import RobotCheck
+
+    given = _Described(convention, base_link, tip_link, model, turned, follows)
+    return RobotCheck.read((yield from calls.check(_document(source, preset, name or "unnamed", given))))
+
+
+def convert_robot(source: str | PathLike[str] | Mapping[str, Any], to: str) -> Steps[dict[str, Any]]:
+    """Return the same arm as a document of another convention; nothing is added.
+
+    Args:
+        source: the path of a document (JSON), or a document.
+        to: ``"chain"``, ``"dh"``, ``"mdh"``, ``"s_model"``, ``"poe"``, ``"cpc"``, ``"mcpc"`` or ``"urdf"``.
+
+    Raises:
+        FileError: the file is not what it should be; RobotError: it cannot be an arm, or not be written so.
+
+    """
+    return (yield from calls.convert(_document(source, None, None, _Described()), to))
+
+
+def find_robot(
+    data: Data,
+    name: str,
+    *,
+    columns: Sequence[str] | None = None,
+    convention: str = "chain",
+    base: str = "axis",
+    follows: Sequence[str] = (),
+) -> Steps[FoundRobot]:
+    """Find a robot from rows in which one joint moved at a time: its document as ``robot``, and each axis.
+
+    Args:
+        data: a path, columns by name, a structured array, or a pandas frame.
+        name: name of the robot.
+        columns: names of the columns of an array of two dimensions, with units.
+        convention: of the document.
+        base: ``"axis"`` puts the base on the first axis, ``"device"`` leaves it where the rows are measured from.
+        follows: pairs ``"j3=j2"`` of joints that are read against the horizontal.
+
+    Raises:
+        ObservationError: the rows are no circles; FileError: the file is not what it should be.
+
+    """
+    from kilter_client.typed.robots import FoundRobot
+
+    found = yield from calls.from_circles(rows_of(data, columns), name, convention, base, follows)
+    return FoundRobot.read(found)
+
+
+def find_frame(points: Mapping[str, Any]) -> Steps[Frame]:
+    """Find a frame from digitised ``points`` or ``features``: its pose in mm and deg, and how far each point is off.
+
+    Raises:
+        CalibrationError: the points make no frame.
+
+    """
+    from kilter_client.typed.robots import Frame
+
+    return Frame.read((yield from calls.frame(points)))
+
+
+class _Described(NamedTuple):
+    """What a file does not say itself."""
+
+    convention: str | None = None
+    base_link: str | None = None
+    tip_link: str | None = None
+    model: str | None = None
+    turned: Sequence[str] = ()
+    follows: Sequence[str] = ()
+
+
+def _document(
+    source: str | PathLike[str] | Mapping[str, Any] | None, preset: str | None, name: str | None, given: _Described
+) -> Mapping[str, Any]:
+    """Return the document of a robot, whatever it is given by."""
+    if (source is None) == (preset is None):
+        raise UsageError("A robot is given either by source (a path or a document) or by preset=.")
+    if preset is not None:
+        return {"name": name or preset, "convention": "preset", "preset": preset}
+    if isinstance(source, Mapping):
+        return {**source, "name": name} if name else source
+    from kilter_files.robots.read import Described, read_robot
+
+    described = Described(
+        name, given.base_link, given.tip_link, given.convention, given.model, given.turned, given.follows
+    )
+    return read_robot(Path(fspath(source or "")), described)
+
+
+def robot(name: Thing) -> Steps[RobotReport]:
+    """Return a robot: joints with limits in deg or mm, names of its parameters, its active version.
+
+    Raises:
+        NotFoundError: there is no such robot.
+
+    """
+    from kilter_client.typed.robots import RobotReport
+
+    return RobotReport.read((yield from calls.one(reference("robot", name))))
+
+
+def robots(*, retired: bool = False) -> Steps[Records[RobotSummary]]:
+    """Return the robots by name; with ``retired`` also those that are out of use."""
+    from kilter_client.typed.robots import RobotSummary
+
+    return Records(RobotSummary, [RobotSummary.read(one) for one in (yield from calls.listed(retired))])

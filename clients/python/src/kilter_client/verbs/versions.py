@@ -1,0 +1,169 @@
+"""Verbs about versions and corrections."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kilter_client.calls import robots as robot_calls
+from kilter_client.calls import versions as calls
+from kilter_client.given import Data, rows_of
+from kilter_client.results.record import Records
+from kilter_client.steps import Steps
+from kilter_client.verbs.things import Thing, reference, references
+
+if TYPE_CHECKING:
+    from kilter_client.results.corrected import Corrected
+    from kilter_client.results.rows import Rows
+    from kilter_client.typed.comparisons import VersionDiff, VersionPreview
+    from kilter_client.typed.versions import ActivatedVersion, Activation, Version, VersionSummary
+
+
+def version(version: Thing, *, robot: str | None = None) -> Steps[Version]:
+    """Return a version: its parameters with nominal, value and sigma, its errors in mm, what it was made from.
+
+    Raises:
+        NotFoundError: there is none; ConflictError: the name stands for several.
+
+    """
+    from kilter_client.typed.versions import Version
+
+    return Version.read((yield from calls.one(reference("version", version), robot)))
+
+
+def versions(robot: Thing, *, retired: bool = False) -> Steps[Records[VersionSummary]]:
+    """Return the versions of a robot, newest first; with ``retired`` also those that are out of use."""
+    from kilter_client.typed.versions import VersionSummary
+
+    found = yield from calls.listed(reference("robot", robot), retired)
+    return Records(VersionSummary, [VersionSummary.read(one) for one in found])
+
+
+def activate(
+    version: Thing, *, robot: str | None = None, force: bool = False, reason: str = ""
+) -> Steps[ActivatedVersion]:
+    """Make a version the one that corrects, unless it predicts worse than the active one.
+
+    ``force`` activates it all the same; the log keeps that and the ``reason``.
+
+    Raises:
+        NotFoundError: there is no such version.
+        ConflictError: it predicts worse, or is retired.
+
+    """
+    from kilter_client.typed.versions import ActivatedVersion
+
+    return ActivatedVersion.read((yield from calls.activate(reference("version", version), force, reason, robot)))
+
+
+def rollback(robot: Thing) -> Steps[ActivatedVersion]:
+    """Return to the version that was active before.
+
+    Raises:
+        ConflictError: there was none.
+
+    """
+    from kilter_client.typed.versions import ActivatedVersion
+
+    return ActivatedVersion.read((yield from robot_calls.do(reference("robot", robot), "rollback")))
+
+
+def activations(robot: Thing) -> Steps[Records[Activation]]:
+    """Return who activated which version, when and why, newest first."""
+    from kilter_client.typed.versions import Activation
+
+    found = yield from calls.activations(reference("robot", robot))
+    return Records(Activation, [Activation.read(one) for one in found])
+
+
+def preview(version: Thing, *, robot: str | None = None) -> Steps[VersionPreview]:
+    """Return how a version would correct: the largest correction in mm and where, and which poses it would refuse."""
+    from kilter_client.typed.comparisons import VersionPreview
+
+    return VersionPreview.read((yield from calls.preview(reference("version", version), robot)))
+
+
+def diff(first: Thing, second: Thing, *, robot: str | None = None) -> Steps[VersionDiff]:
+    """Compare two versions, parameter by parameter.
+
+    Raises:
+        NotFoundError: there is no such version.
+
+    """
+    from kilter_client.typed.comparisons import VersionDiff
+
+    one, other = reference("version", first), reference("version", second)
+    return VersionDiff.read((yield from calls.diff(one, other, robot)))
+
+
+def residuals(version: Thing, campaigns: Thing | Sequence[Thing] = (), *, robot: str | None = None) -> Steps[Rows]:
+    """Return what a version leaves of every row, mm: of these campaigns, or of all its own.
+
+    Raises:
+        NotFoundError: there is no such version or campaign.
+
+    """
+    from kilter_client.results.rows import Rows
+
+    used = references("campaign", campaigns)
+    return Rows((yield from calls.residuals(reference("version", version), used, "csv", robot)))
+
+
+def export(
+    version: Thing, form: str = "json", *, robot: str | None = None, path: str | Path | None = None
+) -> Steps[bytes]:
+    """Return a version as a file (``"json"``, ``"urdf"``, ``"dh-csv"``, ...), and write it to ``path`` if one is given.
+
+    Raises:
+        OptionError: there is no such form; FileError: the file cannot be written.
+
+    """
+    from kilter_client.results.rows import saved
+
+    content = yield from calls.export(reference("version", version), form, robot)
+    if path is not None:
+        saved(content, path)
+    return content
+
+
+def correct(
+    robot: Thing,
+    trajectory: Data,
+    *,
+    columns: Sequence[str] | None = None,
+    version: Thing | None = None,
+    form: str | None = None,
+    payload_kg: float | None = None,
+    payload_com_mm: Sequence[float] | None = None,
+) -> Steps[Corrected]:
+    """Correct a trajectory with the active version, or with ``version``.
+
+    The answer has the format that was sent, CSV for arrays; ``form="ros2-yaml"`` asks for a ROS 2 JointTrajectory.
+
+    Args:
+        robot: name of the robot.
+        trajectory: a path; or columns by name (``{"t_s": ..., "q1_deg": ...}``), a structured array, a pandas frame.
+        columns: names of the columns of an array of two dimensions, with units.
+        version: another version than the active one.
+        form: another format than the one sent.
+        payload_kg: what hangs on the tool along the whole path, kg.
+        payload_com_mm: its centre in the tool frame, mm.
+
+    Raises:
+        ConflictError: the robot has no active version.
+        ObservationError: the rows are not what their columns say.
+        FileError, UsageError: the trajectory is no such file, or no rows.
+
+    """
+    from kilter_client.results.corrected import Corrected
+
+    chosen = None if not version else reference("version", version)
+    answer = yield from calls.correct(
+        reference("robot", robot), rows_of(trajectory, columns), chosen, form, payload_kg, payload_com_mm
+    )
+    corrected = Corrected(answer.content)
+    corrected.media_type = answer.headers.get("content-type", "").partition(";")[0]
+    corrected.left_out = tuple(filter(None, answer.headers.get("kilter-not-corrected", "").split(", ")))
+    corrected.notes = tuple(filter(None, answer.headers.get("kilter-notes", "").split(" | ")))
+    return corrected

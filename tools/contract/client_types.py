@@ -1,0 +1,218 @@
+"""The Python client's types, from the snapshot of the HTTP interface: a frozen dataclass for each schema of an answer."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+Schema = Mapping[str, Any]
+
+# Which module holds what: the answers named here with all they need that no module before holds.
+MODULES: Mapping[str, Sequence[str]] = {
+    "robots": ("RobotReport", "RobotSummary", "RobotCheck", "FoundRobot", "Frame"),
+    "campaigns": ("Campaign", "Uploaded"),
+    "fits": ("Metrics", "Parameter", "NullDirection", "Objection", "Remark", "Figure", "Reference", "LoadNumber"),
+    "identifications": ("IdentifyResult", "JointParametersResult"),
+    "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
+    "comparisons": ("VersionDiff", "VersionPreview", "Tombstone"),
+    "hunt_numbers": (
+        "Adequacy",
+        "AliasMatrix",
+        "GapNoise",
+        "GapSize",
+        "NegativeControl",
+        "Evidence",
+        "Gates",
+        "Amplitude",
+    ),
+    "hunts": ("GapResult",),
+    "evaluations": ("EvaluateResult",),
+    "plans": ("PlanResult",),
+    "server": ("Health", "ResolvedReference", "JobSummary"),
+}
+JOB = "/v1/jobs/{job}"
+# What is written by hand for a type: how it is shown, and what can be made of it.
+SHOWN: Mapping[str, tuple[str, str]] = {
+    "ActivatedVersion": ("ShownActivated", "shown_jobs"),
+    "Campaign": ("ShownCampaign", "shown_jobs"),
+    "EvaluateResult": ("ShownEvaluation", "shown_jobs"),
+    "Figure": ("ShownFigure", "shown"),
+    "GapResult": ("ShownHunt", "shown_jobs"),
+    "IdentifyResult": ("ShownFit", "shown_jobs"),
+    "JointParametersResult": ("ShownFit", "shown_jobs"),
+    "Metrics": ("ShownMetrics", "shown"),
+    "Parameter": ("ShownParameter", "shown"),
+    "PlanResult": ("ShownPlan", "shown_jobs"),
+    "Uploaded": ("ShownUpload", "shown_jobs"),
+    "Version": ("ShownVersion", "shown_jobs"),
+    "VersionDiff": ("ShownDiff", "shown_jobs"),
+}
+# Names that Python or the record they stand in has already.
+RENAMED = {"class": "class_", "document": "posted"}
+PLAIN = {"string": "str", "integer": "int", "number": "float", "boolean": "bool", "null": "None"}
+REFERENCE = "#/components/schemas/"
+HEAD = '"""{}, made from the interface by `make contract`: change it there."""\n\nfrom __future__ import annotations\n'
+
+
+def client_modules(snapshot: Path) -> dict[str, str]:
+    """Return the text of each module of ``kilter_client.typed``."""
+    interface = json.loads(snapshot.read_text(encoding="utf-8"))
+    schemas = interface["components"]["schemas"]
+    jobs = _kinds_of_job(interface)
+    held: dict[str, str] = {}
+    texts = {}
+    for module, roots in {**MODULES, "jobs": [*jobs.values()]}.items():
+        own = _needed(schemas, roots, held)
+        held |= dict.fromkeys(own, module)
+        texts[module] = _module(module, schemas, own, held)
+    texts["options"] = _options(schemas, [f"{name.removesuffix('Job')}Options" for name in jobs.values()])
+    texts["names"] = _names(held, jobs)
+    return texts
+
+
+def _kinds_of_job(interface: Schema) -> dict[str, str]:
+    """Schema of the job of each kind."""
+    answer = interface["paths"][JOB]["get"]["responses"]["200"]["content"]["application/json"]["schema"]
+    found = answer["discriminator"]["mapping"]
+    return {kind: name.removeprefix(REFERENCE) for kind, name in sorted(found.items())}
+
+
+def _needed(schemas: Schema, roots: Sequence[str], held: Mapping[str, str]) -> list[str]:
+    """Schemas that a module holds, what is needed before what needs it."""
+    own: list[str] = []
+
+    def visit(name: str) -> None:
+        if name in held or name in own:
+            return
+        for needed in sorted(_named(_types(schemas[name]))):
+            visit(needed)
+        own.append(name)
+
+    for root in roots:
+        visit(root)
+    return own
+
+
+def _types(schema: Schema) -> dict[str, str]:
+    return {name: _type(field) for name, field in schema.get("properties", {}).items()}
+
+
+def _named(types: Mapping[str, str]) -> set[str]:
+    """Types of ours that stand in the hints; words in quotes are values."""
+    words = " ".join(re.sub(r'"[^"]*"', "", text) for text in types.values())
+    return set(re.findall(r"\b[A-Z]\w+\b", words)) - {"Any", "Literal", "Mapping", "None", "Records", "Sequence"}
+
+
+def _type(schema: Schema) -> str:
+    """Type of a field. Lists and objects are empty instead of null; robots and options stay documents."""
+    variants = schema.get("anyOf")
+    if variants:
+        kinds = list(dict.fromkeys(_type(one) for one in variants))
+        holds = [kind for kind in kinds if kind != "None"]
+        return (
+            holds[0] if len(holds) == 1 and holds[0].startswith(("Records", "tuple", "Mapping")) else " | ".join(kinds)
+        )
+    if "$ref" in schema:
+        name = schema["$ref"].removeprefix(REFERENCE)
+        return "Mapping[str, Any]" if name.endswith("Options") or name == "Folds" else str(name)
+    if "const" in schema or "enum" in schema:
+        return "str" if schema.get("type") == "string" else PLAIN[schema["type"]]
+    if schema.get("type") == "array":
+        return _array(schema)
+    if schema.get("type") == "object" or "oneOf" in schema:
+        inner = schema.get("additionalProperties")
+        return f"Mapping[str, {_type(inner) if isinstance(inner, Mapping) and inner else 'Any'}]"
+    return PLAIN[schema["type"]]
+
+
+def _array(schema: Schema) -> str:
+    items = schema.get("items") or (schema.get("prefixItems") or [{}])[0]
+    inner = _type(items) if items else "Any"
+    return f"Records[{inner}]" if "$ref" in items else f"tuple[{inner}, ...]"
+
+
+def _module(module: str, schemas: Schema, own: Sequence[str], held: Mapping[str, str]) -> str:
+    classes = "\n".join(line for name in own for line in _class(name, schemas[name]))
+    lines = [HEAD.format(f"What the server answers about {module.replace('_', ' ')}")]
+    if re.search(r"\bMapping\[", classes):
+        lines.append("from collections.abc import Mapping")
+    lines.append("from dataclasses import dataclass")
+    typing = [name for name in ("Any", "ClassVar") if re.search(rf"\b{name}\b", classes)]
+    if typing:
+        lines.append(f"from typing import {', '.join(typing)}")
+    lines.append("\nfrom kilter_client.results.record import Record" + (", Records" if "Records[" in classes else ""))
+    for where in ("shown", "shown_jobs"):
+        shown = sorted({SHOWN[name][0] for name in own if name in SHOWN and SHOWN[name][1] == where})
+        if shown:
+            lines.append(f"from kilter_client.results.{where} import {', '.join(shown)}")
+    used: dict[str, set[str]] = {}
+    for name in own:
+        for needed in _named(_types(schemas[name])) - set(own):
+            used.setdefault(held[needed], set()).add(needed)
+    lines += [f"from kilter_client.typed.{other} import {', '.join(sorted(used[other]))}" for other in sorted(used)]
+    return "\n".join(lines) + "\n\n" + classes
+
+
+def _class(name: str, schema: Schema) -> Iterator[str]:
+    bases = f"{SHOWN[name][0]}, Record" if name in SHOWN else "Record"
+    yield "\n@dataclass(frozen=True, kw_only=True, eq=False, repr=False)"
+    yield f"class {name}({bases}):"
+    yield f'    """{_text(schema["description"])}"""\n'
+    renamed = {RENAMED[field]: field for field in schema["properties"] if field in RENAMED}
+    if renamed:
+        yield f"    RENAMED: ClassVar[Mapping[str, str]] = {renamed!r}"
+    for field, one in schema["properties"].items():
+        yield f"    {RENAMED.get(field, field)}: {_type(one)}"
+        yield f'    """{_text(_described(one))}"""'
+    yield ""
+
+
+def _described(schema: Schema) -> str:
+    return str(schema.get("description", ""))
+
+
+def _text(text: str) -> str:
+    """Say None where the interface says null, as Python does; nothing at the end of a name in quotes is lost."""
+    text = re.sub(r"\bnull\b", "None", text).replace("\\", "\\\\")
+    return text + " " if text.endswith('"') else text
+
+
+def _options(schemas: Schema, names: Sequence[str]) -> str:
+    lines = [HEAD.format("Options of jobs by name")]
+    lines += ["from collections.abc import Mapping, Sequence", "from typing import Any, Literal, TypedDict\n"]
+    for name in names:
+        lines.append(f"\nclass {name}(TypedDict, total=False):")
+        lines.append(f'    """{_text(schemas[name]["description"])}"""\n')
+        for field, one in schemas[name]["properties"].items():
+            lines.append(f"    {field}: {_given(one)}")
+            lines.append(f'    """{_text(_described(one))}"""')
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _given(schema: Schema) -> str:
+    """Type of an option as it is given: any sequence, and values by name."""
+    variants = schema.get("anyOf")
+    if variants:
+        return " | ".join(dict.fromkeys(_given(one) for one in variants))
+    if "oneOf" in schema:
+        return "str | Mapping[str, Any]"
+    if "$ref" in schema:
+        return "Mapping[str, Any]"
+    if "enum" in schema or "const" in schema:
+        values = schema.get("enum") or [schema["const"]]
+        return f"Literal[{', '.join(map(json.dumps, values))}]"
+    if schema.get("type") == "array":
+        items = schema.get("items") or (schema.get("prefixItems") or [{}])[0]
+        return f"Sequence[{_given(items) if items else 'Any'}]"
+    return "Mapping[str, Any]" if schema.get("type") == "object" else PLAIN[schema["type"]]
+
+
+def _names(held: Mapping[str, str], jobs: Mapping[str, str]) -> str:
+    lines = [HEAD.format("In which module each type is"), "MODULE_OF = {"]
+    lines += [f"    {name!r}: {module!r}," for name, module in sorted(held.items())]
+    lines += ["}", "JOBS = {", *(f"    {kind!r}: {name!r}," for kind, name in jobs.items()), "}"]
+    return "\n".join([*lines, ""])

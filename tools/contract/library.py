@@ -1,0 +1,174 @@
+"""The reference of the Python library, from its docstrings and its types."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from importlib import import_module
+from typing import Any
+
+import kilter
+from kilter_client.results import corrected, record, rows, shown, shown_jobs, tables
+from kilter_client.typed.names import MODULE_OF
+
+MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n"
+GROUPS = {
+    "Robots": ("add_robot", "check_robot", "convert_robot", "find_robot", "find_frame", "robot", "robots"),
+    "Measurements": ("upload", "campaign", "campaigns"),
+    "Jobs": ("identify", "gap", "evaluate", "plan", "joint_parameters", "submit", "job", "jobs", "wait", "cancel"),
+    "Versions": (
+        "version",
+        "versions",
+        "activate",
+        "rollback",
+        "activations",
+        "preview",
+        "diff",
+        "residuals",
+        "export",
+    ),
+    "Correction": ("correct",),
+    "Keeping": ("change", "retire", "restore", "purge", "tombstones"),
+    "Server": ("resolve", "health"),
+}
+# What results can do, by hand-written class.
+BEHAVIOUR = {
+    "Every result": (record.Record,),
+    "Lists of results": (record.Records, tables.Tabular),
+    "Parameters": (shown.ShownParameter,),
+    "Identifications, versions and hunts": (shown.Shown, shown.Asking),
+    "Plans": (shown_jobs.ShownPlan,),
+    "Figures": (shown.ShownFigure,),
+    "Rows": (rows.Rows,),
+    "Corrected trajectories": (corrected.Corrected,),
+}
+SECTION = re.compile(r"^(Args|Raises):\n", re.MULTILINE)
+WIDEST = 100
+
+
+def library_page() -> str:
+    """Return the page of verbs."""
+    lines = ["# The Python library\n", MADE, f"{_words(kilter.__doc__ or '')}\n"]
+    lines.append(
+        "A [lab script](../how-to/lab-script.md) shows it at work; the fields of every result are in its "
+        "[types](library-types.md), exceptions in [errors](errors.md).\n"
+    )
+    lines.append(
+        "Wherever a robot, campaign, version or job is meant, give its name, its id or the beginning of it, `latest`, "
+        "or the result that made it; names and `latest` of versions and jobs need `robot=` where no robot is named.\n"
+    )
+    lines.append(
+        "`**options` are the [options of the job](job-options.md) by name. `progress` is True for a bar where somebody "
+        "watches, False, or a function of the fraction done and the stage. `timeout_s` ends the waiting, not the job.\n"
+    )
+    lines.append("## Connecting\n")
+    for function in (kilter.connect, kilter.connect_async):
+        lines += _function(function, f"kilter.{function.__name__}")
+    for title, names in GROUPS.items():
+        lines.append(f"## {title}\n")
+        for name in names:
+            lines += _function(getattr(kilter.AsyncKilter, name), f"k.{name}", bound=True)
+    lines.append("## Results\n")
+    for title, kinds in BEHAVIOUR.items():
+        lines.append(f"### {title}\n")
+        for kind in kinds:
+            lines += _kind(kind)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def types_page() -> str:
+    """Return the page of the results' fields."""
+    lines = ["# Types of the Python library\n", MADE]
+    lines.append(
+        "What answers hold, by type: `kilter.IdentifyResult` and so on. Units are in the names, or in the field `unit` "
+        "beside a value. Lists are empty and values None where an answer has none; `result.document` is the answer as "
+        "it came, also with what this release of the library does not know.\n"
+    )
+    for module in dict.fromkeys(MODULE_OF.values()):
+        lines.append(f"## {module.replace('_', ' ').capitalize()}\n")
+        found = import_module(f"kilter_client.typed.{module}")
+        for name in sorted(name for name, where in MODULE_OF.items() if where == module):
+            lines += _type(getattr(found, name))
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _function(function: Callable[..., Any], called: str, bound: bool = False) -> Iterator[str]:
+    signature = inspect.signature(function)
+    own = [one for one in signature.parameters.values() if not (bound and one.name == "self")]
+    yield f"### {called}\n"
+    yield f"```python\n{_call(called, signature.replace(parameters=own))}\n```\n"
+    yield f"{_described(function)}\n"
+
+
+def _call(called: str, signature: inspect.Signature) -> str:
+    """The signature as it would stand in a file, one argument a line where it is long."""
+    given = [_argument(one) for one in signature.parameters.values()]
+    kinds = [one.kind for one in signature.parameters.values()]
+    if inspect.Parameter.KEYWORD_ONLY in kinds:
+        given.insert(kinds.index(inspect.Parameter.KEYWORD_ONLY), "*")
+    line = f"{called}({', '.join(given)}) -> {signature.return_annotation}"
+    if len(line) <= WIDEST:
+        return line
+    body = "".join(f"    {one},\n" for one in given)
+    return f"{called}(\n{body}) -> {signature.return_annotation}"
+
+
+def _argument(one: inspect.Parameter) -> str:
+    stars = "**" if one.kind is inspect.Parameter.VAR_KEYWORD else ""
+    default = "" if one.default is inspect.Parameter.empty else f" = {one.default!r}"
+    return f"{stars}{one.name}: {one.annotation}{default}"
+
+
+def _described(thing: Any) -> str:
+    """A docstring as a page has it: its sections as lists."""
+    head, *sections = SECTION.split(inspect.getdoc(thing) or "")
+    text = _words(head.strip())
+    for title, body in zip(sections[::2], sections[1::2], strict=True):
+        items = re.split(r"\n(?=\S)", inspect.cleandoc("\n" + body))
+        lines = [f"- {_item(' '.join(item.split()))}" for item in items if item.strip()]
+        text += f"\n\n{'Arguments' if title == 'Args' else 'Raises'}:\n\n" + "\n".join(lines)
+    return text
+
+
+def _item(text: str) -> str:
+    return re.sub(r"(?:(?<=^)|(?<=; ))(\w+(?:, \w+)*): ", r"`\1`: ", _words(text))
+
+
+def _kind(kind: type) -> Iterator[str]:
+    yield f"{_described(kind)}\n"
+    for name, value in vars(kind).items():
+        if (
+            name.startswith("_")
+            or name in ("bound",)
+            or not (callable(value) or isinstance(value, property | classmethod))
+        ):
+            continue
+        if name == "read":
+            continue
+        words = _described(value.fget if isinstance(value, property) else value).partition("\n\nRaises:")
+        raised = "".join(re.sub(r"\n+- ", " ", words[2])).strip()
+        first = " ".join(words[0].split())
+        yield f"- `{name}{'' if isinstance(value, property) else '()'}`: {first}{f' Raises {raised}' if raised else ''}"
+    yield ""
+
+
+def _type(kind: type) -> Iterator[str]:
+    yield f"### {kind.__name__}\n"
+    yield f"{_words(inspect.getdoc(kind) or '')}\n"
+    described = dict(re.findall(r'^    (\w+): [^\n]+\n    """(.*?)"""$', inspect.getsource(kind), re.M | re.S))
+    own = [one for one in fields(kind) if one.name != "document"]
+    if own:
+        yield "| field | type | meaning |\n|---|---|---|"
+        for one in own:
+            yield f"| `{one.name}` | {_cell(f'`{one.type}`')} | {_cell(described.get(one.name, ''))} |"
+    yield ""
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def _words(text: str) -> str:
+    return text.replace("``", "`")
