@@ -82,7 +82,9 @@ def test_prefixes_names_and_latest_stand_for_one_id(shelf: Shelf) -> None:
     assert shelf.resolve("campaign", staged)["code"] == "campaign_not_found"
     version, job = shelf.version("0a"), "job_0a"
     assert shelf.resolve("version", "latest", "katana")["id"] == version
-    assert shelf.resolve("job", "latest", "katana")["id"] == shelf.resolve("job", "0a")["id"] == job
+    assert shelf.resolve("job", "latest", "katana")["id"] == shelf.resolve("job", "job_0a")["id"] == job
+    # A word of three letters that happens to be hexadecimal is no id: names are mistyped.
+    assert shelf.resolve("campaign", "646")["code"] == "campaign_not_found"
 
 
 def test_an_ambiguous_reference_lists_the_candidates(shelf: Shelf) -> None:

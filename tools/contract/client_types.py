@@ -31,6 +31,7 @@ MODULES: Mapping[str, Sequence[str]] = {
     "hunts": ("GapResult",),
     "evaluations": ("EvaluateResult",),
     "plans": ("PlanResult",),
+    "checks": ("IdentifyCheck", "GapCheck", "EvaluateCheck", "PlanCheck", "JointParametersCheck"),
     "server": ("Health", "ResolvedReference", "JobSummary"),
 }
 JOB = "/v1/jobs/{job}"
@@ -107,7 +108,10 @@ def _named(types: Mapping[str, str]) -> set[str]:
 
 
 def _type(schema: Schema) -> str:
-    """Type of a field. Lists and objects are empty instead of null; robots and options stay documents."""
+    """Type of a field. Lists and objects are empty instead of null; robots and options stay documents.
+
+    Every figure is one type to the library: a document of Plotly that can be drawn and saved, under its name.
+    """
     variants = schema.get("anyOf")
     if variants:
         kinds = list(dict.fromkeys(_type(one) for one in variants))
@@ -117,6 +121,8 @@ def _type(schema: Schema) -> str:
         )
     if "$ref" in schema:
         name = schema["$ref"].removeprefix(REFERENCE)
+        if name.endswith("Figures"):
+            return "Mapping[str, Figure]"
         return "Mapping[str, Any]" if name.endswith("Options") or name == "Folds" else str(name)
     if "const" in schema or "enum" in schema:
         return "str" if schema.get("type") == "string" else PLAIN[schema["type"]]

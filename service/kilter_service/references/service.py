@@ -14,6 +14,7 @@ from kilter_service.references.store import LATEST, PREFIXES, Found
 from kilter_service.robots import store as robots
 
 HEXADECIMAL = re.compile("[0-9a-f]+")
+LEAST = 4  # digits of an id without what it begins with: of one letter a mistyped name would find something by chance
 MOST_NAMED = 10
 
 
@@ -36,7 +37,8 @@ def resolve(database: Database, kind: Kind, reference: str, robot: str | None) -
             newest_job = named[:1] if kind == "job" else named
             return _one(session, kind, reference, robot, robot_id, _preferred(newest_job), "name")
         text = reference.removeprefix(PREFIXES[kind])
-        found = store.beginning_with(session, kind, robot_id, reference) if HEXADECIMAL.fullmatch(text) else []
+        told = HEXADECIMAL.fullmatch(text) and (text != reference or len(text) >= LEAST)
+        found = store.beginning_with(session, kind, robot_id, reference) if told else []
         exact = [one for one in found if one.id == reference]
         by: By = "id" if exact else "prefix"
         return _one(session, kind, reference, robot, robot_id, exact or found, by)

@@ -63,6 +63,15 @@ group = typer.Typer(
 )
 
 
+ColumnMap = Annotated[
+    Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
+]
+CampaignName = Annotated[
+    str | None,
+    typer.Option(help="Name of the campaign; default is the file's, with a number behind it when that is taken."),
+]
+
+
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.command(epilog="Example: kilter upload ur10 measurements_grid.csv --device ipa-lasertracker")(upload)
@@ -80,15 +89,9 @@ def upload(
     topic: Topic = None,
     joint_order: JointOrder = None,
     role: Annotated[Role, typer.Option(help="What the measurements are for.")] = "train",
-    column_map: Annotated[
-        Path | None,
-        typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False),
-    ] = None,
+    column_map: ColumnMap = None,
     campaign: IntoCampaign = None,
-    name: Annotated[
-        str | None,
-        typer.Option(help="Name of the campaign; default is the file's, with a number behind it when that is taken."),
-    ] = None,
+    name: CampaignName = None,
     payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point during the campaign, kg.")] = None,
     payload_com_mm: PayloadCentre = None,
     temperature_c: Annotated[float | None, typer.Option(help="Temperature during the campaign, deg C.")] = None,

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,6 +22,9 @@ from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
 from kilter_files import prepare
 from kilter_files.table import CSV_TYPE, JSON_TYPE
+
+if TYPE_CHECKING:
+    from kilter_client.results.corrected import Corrected
 
 
 def register(app: typer.Typer) -> None:
@@ -62,14 +65,7 @@ def correct(
         )
         frames = {} if version is None else frames_of(kilter.versions.get(version))
     status = {} if form else verdicts(content, trajectory.content_type)
-    left = {name: count for name, count in status.items() if name != "OK"}
-    if left:
-        counts = ", ".join(f"{name} {count}" for name, count in left.items())
-        note(f"Warning: {sum(left.values())} rows are not corrected and have empty cells ({counts}).", as_json)
-    if content.left_out:
-        note(f"Warning: not corrected is what {', '.join(content.left_out)} does.", as_json)
-    for remark in content.notes:
-        note(f"Note: {remark}", as_json)
+    _remark(content, status, as_json)
     refused = bool(status) and not status.get("OK")
     if frames and not form:
         note(f"dx_mm, dy_mm, dz_mm are along the axes of the {frames['axes']}.", as_json)
@@ -95,6 +91,18 @@ def correct(
     if refused:
         note("Error: no row could be corrected; the column status says why.", as_json)
         raise typer.Exit(1)
+
+
+def _remark(content: Corrected, status: Mapping[str, int], as_json: bool) -> None:
+    """Say what is not corrected, and which load was taken."""
+    left = {name: count for name, count in status.items() if name != "OK"}
+    if left:
+        counts = ", ".join(f"{name} {count}" for name, count in left.items())
+        note(f"Warning: {sum(left.values())} rows are not corrected and have empty cells ({counts}).", as_json)
+    if content.left_out:
+        note(f"Warning: not corrected is what {', '.join(content.left_out)} does.", as_json)
+    for remark in content.notes:
+        note(f"Note: {remark}", as_json)
 
 
 def frames_of(version: Mapping[str, Any]) -> dict[str, str]:

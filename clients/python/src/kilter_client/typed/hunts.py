@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownHunt
-from kilter_client.typed.fits import Layout, LoadNumber, Objection, Reference, Remark
+from kilter_client.typed.fits import Figure, LoadNumber, Objection, Reference, Remark
 from kilter_client.typed.hunt_numbers import (
     Adequacy,
     AliasMatrix,
@@ -20,7 +20,6 @@ from kilter_client.typed.hunt_numbers import (
     NegativeControl,
     Predictive,
 )
-from kilter_client.typed.identifications import BarFigure, Marker
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -37,64 +36,6 @@ class Detectable(Record):
     """Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."""
     visibility: float | None
     """Share of its signature that geometry cannot imitate, 0 to 1."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Heatmap(Record):
-    """A table of numbers as colours."""
-
-    colorscale: str | None
-    """Name of the colour scale."""
-    legendgroup: str | None
-    """Traces of one group are switched on and off together."""
-    marker: Marker | None
-    """How its points or bars are drawn."""
-    name: str | None
-    """What it shows, for the legend."""
-    showlegend: bool | None
-    """Whether the legend has it."""
-    type: str
-    """Kind of the trace."""
-    x: tuple[str, ...]
-    """Labels of the columns."""
-    xaxis: str | None
-    """Its x axis, such as `x2`; None: the first."""
-    y: tuple[str, ...]
-    """Labels of the rows."""
-    yaxis: str | None
-    """Its y axis, such as `y2`; None: the first."""
-    z: tuple[tuple[float | None, ...], ...]
-    """Numbers, row by row."""
-    zmax: float | None
-    """Number at its upper end."""
-    zmin: float | None
-    """Number at the lower end of the colour scale."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class TableFigure(Record):
-    """A table as colours as a Plotly document."""
-
-    data: Records[Heatmap]
-    """The table, as Plotly has it."""
-    layout: Layout | None
-    """Layout, as Plotly has it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class GapFigures(Record):
-    """Figures of a hunt; beside these fields `residual_joint_1` and so on: the residual along what each joint moves."""
-
-    alias_matrix: TableFigure | None
-    """How alike signatures are after the geometry."""
-    contribution: BarFigure | None
-    """How far each named effect moves the tool."""
-    gap_bar: BarFigure | None
-    """The error after each effect, on fitted and held-out rows."""
-    residual_by_direction: BarFigure | None
-    """Residual by the direction of the last motion."""
-    residual_by_load: BarFigure | None
-    """Residual by payload."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -258,7 +199,7 @@ class GapResult(ShownHunt, Record):
     """How alike effects look in these rows."""
     effects: Records[NamedEffect]
     """Effects that were named."""
-    figures: GapFigures | None
+    figures: Mapping[str, Figure]
     """Figures by name."""
     gap: GapSize | None
     """How large the gap was and is, on rows fitted and held out."""

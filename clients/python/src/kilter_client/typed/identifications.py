@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownFit
-from kilter_client.typed.fits import (
-    Layout,
-    LoadNumber,
-    Metrics,
-    NullDirection,
-    Objection,
-    Parameter,
-    Reference,
-    Remark,
-    Text,
-)
+from kilter_client.typed.fits import Figure, LoadNumber, Metrics, NullDirection, Objection, Parameter, Reference, Remark
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -27,206 +18,6 @@ class CorrelatedGroup(Record):
     """Strongest correlation between two of them, -1 to 1."""
     parameters: tuple[str, ...]
     """Names of the parameters."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ErrorBars(Record):
-    """Intervals beside bars."""
-
-    array: tuple[float | None, ...]
-    """Length above each value, or on both sides."""
-    arrayminus: tuple[float | None, ...]
-    """Length below each value; None: as above."""
-    color: str | None
-    """Colour."""
-    symmetric: bool | None
-    """Whether both sides are alike; None: they are."""
-    thickness: float | None
-    """Width of the line, pixels."""
-    type: str
-    """Lengths are given for each bar."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ColorBar(Record):
-    """The legend of a colour scale."""
-
-    title: Text | None
-    """What the colours say."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Marker(Record):
-    """How points or bars are drawn."""
-
-    cmax: float | None
-    """Number at its upper end."""
-    cmin: float | None
-    """Number at the lower end of the colour scale."""
-    color: str | tuple[str, ...] | tuple[float | None, ...] | None
-    """Colour, one for each, or the numbers that `colorscale` turns into colours."""
-    colorbar: ColorBar | None
-    """Legend of the colour scale; None: none."""
-    colorscale: str | None
-    """Name of the colour scale of numbers."""
-    size: float | None
-    """Size of a point, pixels."""
-    symbol: str | None
-    """Form of a point; None: a disc."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Bars(Record):
-    """Bars, with their intervals."""
-
-    error_x: ErrorBars | None
-    """Intervals along x."""
-    error_y: ErrorBars | None
-    """Intervals along y."""
-    hovertext: tuple[str, ...]
-    """What is said of each bar under the pointer."""
-    legendgroup: str | None
-    """Traces of one group are switched on and off together."""
-    marker: Marker | None
-    """How its points or bars are drawn."""
-    name: str | None
-    """What it shows, for the legend."""
-    orientation: str | None
-    """`h`: bars that lie; None: bars that stand."""
-    showlegend: bool | None
-    """Whether the legend has it."""
-    type: str
-    """Kind of the trace."""
-    x: tuple[float | str | None, ...]
-    """Along x: values, or labels of bars that stand."""
-    xaxis: str | None
-    """Its x axis, such as `x2`; None: the first."""
-    y: tuple[float | str | None, ...]
-    """Along y: labels of bars, or values."""
-    yaxis: str | None
-    """Its y axis, such as `y2`; None: the first."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class BarFigure(Record):
-    """Bars as a Plotly document."""
-
-    data: Records[Bars]
-    """Bars, as Plotly has them."""
-    layout: Layout | None
-    """Layout, as Plotly has it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Line(Record):
-    """How a line is drawn."""
-
-    color: str | None
-    """Colour."""
-    shape: str | None
-    """`hv`: steps; None: straight from point to point."""
-    width: float | None
-    """Width, pixels."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Scatter(Record):
-    """Points or a line in a plane."""
-
-    fill: str | None
-    """`tozeroy`: filled down to zero; None: not filled."""
-    legendgroup: str | None
-    """Traces of one group are switched on and off together."""
-    line: Line | None
-    """How its line is drawn."""
-    marker: Marker | None
-    """How its points or bars are drawn."""
-    mode: str | None
-    """`markers`, or `lines`."""
-    name: str | None
-    """What it shows, for the legend."""
-    showlegend: bool | None
-    """Whether the legend has it."""
-    type: str
-    """Kind of the trace."""
-    x: tuple[float | str | None, ...]
-    """Values along x; None: a gap."""
-    xaxis: str | None
-    """Its x axis, such as `x2`; None: the first."""
-    y: tuple[float | None, ...]
-    """Values along y; None: a gap."""
-    yaxis: str | None
-    """Its y axis, such as `y2`; None: the first."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PlaneFigure(Record):
-    """Points and lines as a Plotly document."""
-
-    data: Records[Scatter]
-    """Points and lines, as Plotly has them."""
-    layout: Layout | None
-    """Layout, as Plotly has it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Scatter3d(Record):
-    """Points or a line in space."""
-
-    legendgroup: str | None
-    """Traces of one group are switched on and off together."""
-    line: Line | None
-    """How its line is drawn."""
-    marker: Marker | None
-    """How its points or bars are drawn."""
-    mode: str | None
-    """`markers`, or `lines`."""
-    name: str | None
-    """What it shows, for the legend."""
-    showlegend: bool | None
-    """Whether the legend has it."""
-    type: str
-    """Kind of the trace."""
-    x: tuple[float | None, ...]
-    """Values along x; None: a gap."""
-    xaxis: str | None
-    """Its x axis, such as `x2`; None: the first."""
-    y: tuple[float | None, ...]
-    """Values along y; None: a gap."""
-    yaxis: str | None
-    """Its y axis, such as `y2`; None: the first."""
-    z: tuple[float | None, ...]
-    """Values along z; None: a gap."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class SpaceFigure(Record):
-    """Points and lines in space as a Plotly document."""
-
-    data: Records[Scatter3d]
-    """Points and lines, as Plotly has them."""
-    layout: Layout | None
-    """Layout, as Plotly has it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class IdentifyFigures(Record):
-    """Figures of an identification; those that its rows do not give are not there."""
-
-    fitted_errors: PlaneFigure | None
-    """The same of fitted rows, where none were held out."""
-    held_out_errors: PlaneFigure | None
-    """Errors of held-out rows before, with registration only, and identified."""
-    parameter_changes: BarFigure | None
-    """Changes of parameters with 95 % intervals."""
-    predicted_error: PlaneFigure | None
-    """What the fit does not know, over the workspace."""
-    residual_arrows: PlaneFigure | None
-    """Residuals as arrows from three sides."""
-    residual_arrows_3d: SpaceFigure | None
-    """Residuals as arrows in space."""
-    worst_rows: BarFigure | None
-    """Rows that are left with most, by campaign and number."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -385,7 +176,7 @@ class IdentifyResult(ShownFit, Record):
     """Bases that were fitted to rows of their own."""
     correlated_groups: Records[CorrelatedGroup]
     """Parameters that go together."""
-    figures: IdentifyFigures | None
+    figures: Mapping[str, Figure]
     """Figures by name."""
     influence: Records[Influence]
     """How far each parameter moves the tool; method `influence`."""

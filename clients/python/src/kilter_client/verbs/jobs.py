@@ -183,6 +183,32 @@ def submit(
     return _read((yield from calls.submit(str(asked["robot"]), asked)))
 
 
+def check(
+    kind: str,
+    robot: Thing,
+    campaigns: Thing | Sequence[Thing] = (),
+    *,
+    validation: HeldOut = None,
+    confirmation: Thing | Sequence[Thing] = (),
+    **options: Any,
+) -> Steps[Record]:
+    """Say at once what a job would do, and start nothing: what it uses and holds out, what is missing, how long it takes.
+
+    The arguments are those of ``submit``. Of ``"identify"`` also what the poses can tell apart, of ``"gap"`` which
+    effects can be tested.
+
+    Raises:
+        OptionError: an option that does not exist or does not fit.
+
+    """
+    from kilter_client.typed.names import JOBS
+
+    asked = _asked(kind, robot, campaigns, options, validation, "", confirmation)
+    told = yield from calls.check(str(asked["robot"]), asked)
+    found: type[Record] = getattr(import_module("kilter_client.typed.checks"), f"{JOBS[kind].removesuffix('Job')}Check")
+    return found.read(told)
+
+
 def wait(
     job: Thing, *, robot: str | None = None, progress: Watching = True, timeout_s: float | None = None
 ) -> Steps[Record]:

@@ -1,0 +1,273 @@
+"""What the server answers about checks, made from the interface by `make contract`: change it there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_client.results.record import Record, Records
+from kilter_client.typed.fits import NullDirection
+from kilter_client.typed.hunts import Detectable, Untestable
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CheckedCampaign(Record):
+    """A campaign that a job would use."""
+
+    device: str
+    """What it was measured with."""
+    id: str
+    """Id of the campaign."""
+    name: str
+    """Name of the campaign."""
+    poses: int | None
+    """Distinct poses among the rows; None: it cannot be read."""
+    role: str
+    """What it was measured for: `train`, `validation` or `confirmation`."""
+    rows: int
+    """Rows it has."""
+    use: str
+    """What this job takes it for."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Duration(Record):
+    """How long the job would compute, in seconds; waiting for other jobs is not among it."""
+
+    basis: str
+    """What this rests on: earlier jobs of this server, or a rule."""
+    expected: float
+    """Most likely, s."""
+    high: float
+    """Hardly more, s."""
+    low: float
+    """Hardly less, s."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class HeldOut(Record):
+    """What a job would not fit, but judge by."""
+
+    how: str
+    """`campaigns` named; a `fraction` of the poses; `folds`, every pose once; `unasked`: the quarter that a gap hunt holds out by itself; `none`."""
+    poses: int
+    """Distinct poses among them."""
+    rows: int
+    """Rows held out."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class UnknownParameter(Record):
+    """A parameter that the poses do not tell."""
+
+    name: str
+    """Name of the parameter."""
+    reason: str
+    """Why, in words."""
+    remedy: str
+    """What would tell it; tried on the model, under these conditions."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Identifiability(Record):
+    """What the poses tell of the parameters, by the Jacobian at the start of the fit."""
+
+    identifiable: tuple[str, ...]
+    """Names of the parameters that the poses tell."""
+    noise_from: str
+    """Where it comes from: `noise_mm`, repeats of poses, or assumed for want of both."""
+    noise_mm: float
+    """Standard deviation of a coordinate this was judged with, mm."""
+    not_identifiable: Records[UnknownParameter]
+    """The others, with what would tell them."""
+    null_directions: Records[NullDirection]
+    """Combinations that the poses cannot tell."""
+    parameters: int
+    """How many parameters would be identified."""
+    rank: int
+    """How many independent combinations of them the poses see at all."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JobProblem(Record):
+    """What the job would fail of."""
+
+    code: str
+    """Stable name of the error that the job would end with."""
+    message: str
+    """What is wrong, and what helps."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Missing(Record):
+    """What the job would run without, and what that costs."""
+
+    reason: str
+    """Why it cannot be told."""
+    remedy: str
+    """What to measure or to give."""
+    what: str
+    """What is missing, or not seen."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class IdentifyCheck(Record):
+    """What an identification would do."""
+
+    campaigns: Records[CheckedCampaign]
+    """Campaigns it would use, in the order given."""
+    duration_s: Duration
+    """How long it would compute, s."""
+    held_out: HeldOut
+    """What would be held out."""
+    identifiability: Identifiability | None
+    """What the poses tell of the parameters; None: see `problems`."""
+    kind: str
+    """Kind of the job."""
+    limited: tuple[str, ...]
+    """Where this check looked at less than the job would, in words."""
+    missing: Records[Missing]
+    """What it would run without."""
+    poses: int
+    """Distinct poses among those rows."""
+    problems: Records[JobProblem]
+    """What it would fail of; empty where it would run."""
+    robot: str
+    """Name of the robot."""
+    rows: int
+    """Rows of the campaigns it would learn from, held-out rows among them."""
+    version: str | None
+    """Id of the version it would start from; None: the robot as drawn."""
+    would_run: bool
+    """Whether the job would run through, as far as can be told."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Testability(Record):
+    """What a hunt could test, judged with the geometry fitted and nothing named."""
+
+    not_testable: Records[Untestable]
+    """Effects that cannot be tested, with what would help."""
+    testable: Records[Detectable]
+    """Parameters that can be tested, with the smallest amplitude seen."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GapCheck(Record):
+    """What a gap hunt would do."""
+
+    campaigns: Records[CheckedCampaign]
+    """Campaigns it would use, in the order given."""
+    duration_s: Duration
+    """How long it would compute, s."""
+    held_out: HeldOut
+    """What would be held out."""
+    kind: str
+    """Kind of the job."""
+    limited: tuple[str, ...]
+    """Where this check looked at less than the job would, in words."""
+    missing: Records[Missing]
+    """What it would run without."""
+    poses: int
+    """Distinct poses among those rows."""
+    problems: Records[JobProblem]
+    """What it would fail of; empty where it would run."""
+    robot: str
+    """Name of the robot."""
+    rows: int
+    """Rows of the campaigns it would learn from, held-out rows among them."""
+    testability: Testability | None
+    """What could be tested; None: see `problems`."""
+    version: str | None
+    """Id of the version it would start from; None: the robot as drawn."""
+    would_run: bool
+    """Whether the job would run through, as far as can be told."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class EvaluateCheck(Record):
+    """What an evaluation would do."""
+
+    campaigns: Records[CheckedCampaign]
+    """Campaigns it would use, in the order given."""
+    duration_s: Duration
+    """How long it would compute, s."""
+    held_out: HeldOut
+    """What would be held out."""
+    kind: str
+    """Kind of the job."""
+    limited: tuple[str, ...]
+    """Where this check looked at less than the job would, in words."""
+    missing: Records[Missing]
+    """What it would run without."""
+    poses: int
+    """Distinct poses among those rows."""
+    problems: Records[JobProblem]
+    """What it would fail of; empty where it would run."""
+    robot: str
+    """Name of the robot."""
+    rows: int
+    """Rows of the campaigns it would learn from, held-out rows among them."""
+    version: str | None
+    """Id of the version it would start from; None: the robot as drawn."""
+    would_run: bool
+    """Whether the job would run through, as far as can be told."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PlanCheck(Record):
+    """What a plan would do."""
+
+    campaigns: Records[CheckedCampaign]
+    """Campaigns it would use, in the order given."""
+    duration_s: Duration
+    """How long it would compute, s."""
+    held_out: HeldOut
+    """What would be held out."""
+    kind: str
+    """Kind of the job."""
+    limited: tuple[str, ...]
+    """Where this check looked at less than the job would, in words."""
+    missing: Records[Missing]
+    """What it would run without."""
+    poses: int
+    """Distinct poses among those rows."""
+    problems: Records[JobProblem]
+    """What it would fail of; empty where it would run."""
+    robot: str
+    """Name of the robot."""
+    rows: int
+    """Rows of the campaigns it would learn from, held-out rows among them."""
+    version: str | None
+    """Id of the version it would start from; None: the robot as drawn."""
+    would_run: bool
+    """Whether the job would run through, as far as can be told."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointParametersCheck(Record):
+    """What a measurement of joints would do."""
+
+    campaigns: Records[CheckedCampaign]
+    """Campaigns it would use, in the order given."""
+    duration_s: Duration
+    """How long it would compute, s."""
+    held_out: HeldOut
+    """What would be held out."""
+    kind: str
+    """Kind of the job."""
+    limited: tuple[str, ...]
+    """Where this check looked at less than the job would, in words."""
+    missing: Records[Missing]
+    """What it would run without."""
+    poses: int
+    """Distinct poses among those rows."""
+    problems: Records[JobProblem]
+    """What it would fail of; empty where it would run."""
+    robot: str
+    """Name of the robot."""
+    rows: int
+    """Rows of the campaigns it would learn from, held-out rows among them."""
+    version: str | None
+    """Id of the version it would start from; None: the robot as drawn."""
+    would_run: bool
+    """Whether the job would run through, as far as can be told."""
