@@ -13,7 +13,7 @@ from service.campaigns.chunks import Chunk, write_chunk
 from service.campaigns.columns import has, read_columns
 from service.campaigns.rules import RowRules
 from service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
-from service.contract.columns import CONTACTS
+from service.contract.columns import CONTACTS, TILTS
 from service.db import Database, Session
 from service.errors import ServiceError
 from service.paging import Page, in_time
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from core.robot import Robot
 
 STAGED_FOR = timedelta(days=7)
-MEASURED = ("x", "marker_x", "link", *CONTACTS)
+MEASURED = ("x", "marker_x", "link", *TILTS, *CONTACTS)
 
 
 def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
@@ -125,8 +125,8 @@ def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -
     columns = read_columns(names, [joint.kind for joint in robot.joints])
     if not any(has(columns, quantity) for quantity in MEASURED):
         raise ObservationError(
-            "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ..., or what held "
-            "the tool, socket_id, plane_id or bar_id with bar_mm."
+            "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ..., or "
+            "tilt1x_deg ..., or what held the tool, socket_id, plane_id or bar_id with bar_mm."
         )
     rules = RowRules(columns, robot)
     chunks = []

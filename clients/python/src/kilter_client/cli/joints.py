@@ -45,7 +45,7 @@ def joint_parameters(
     ]
     if len(given) != 1:
         raise UsageError(
-            "Give one of --readings FILE (inclinometer), --campaign ID (link-side encoders) and --propose JOINT, "
+            "Give one of --readings FILE (inclinometer), --campaign ID (encoders, inclinometers) and --propose JOINT, "
             f"not {' and '.join(given) or 'none'}."
         )
     needs_result(no_wait, output=output)
