@@ -50,6 +50,22 @@ class Log:
     resolution: float = math.radians(0.001)
     payload_com: Floats | None = None
 
+    @staticmethod
+    def of(rows: Observations, resolution: float) -> Log:
+        """Every reading of the rows; sessions are series, a payload that is not said is none.
+
+        Raises:
+            ObservationError: the rows have no readings of inclinometers.
+
+        """
+        if rows.tilt is None:
+            raise ObservationError("These rows hold no readings of inclinometers: upload tilt1x_deg and so on.")
+        row, joint, axis = np.nonzero(~np.isnan(rows.tilt))
+        payload = np.zeros(len(rows)) if rows.payload_kg is None else rows.payload_kg
+        series = np.zeros(len(rows), dtype=np.int64) if rows.session is None else rows.session
+        reading = rows.tilt[row, joint, axis]
+        return Log(rows.q[row], joint, axis, reading, payload[row], series[row], resolution)
+
     def observations(self) -> Observations:
         """The configurations as rows."""
         return Observations(self.q, payload_kg=self.payload_kg, payload_com=self.payload_com)

@@ -74,7 +74,8 @@ def link_joints(robot: Robot, train: Sequence[Observations], held: Sequence[Obse
     """
     if not train or any(rows.link_q is None for rows in (*train, *held)):
         raise ObservationError(
-            "These rows hold no angles behind the gear: upload link1_deg ... linkn_deg, or give inclinometer readings.",
+            "These rows hold no angles behind the gear: upload link1_deg ... linkn_deg or tilt1x_deg ..., or "
+            "give inclinometer readings.",
             missing=["link_q"],
         )
     if sum(map(len, train)) < FEWEST_ROWS:

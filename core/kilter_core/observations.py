@@ -29,6 +29,8 @@ class Observations:
     tool frame, the tool point when None. Without an instrument: ``socket``, ``plane`` and ``bar (N,)`` the
     number of the ball socket, plane or ball bar that the tool's ball is held by in a row, 0 for none; ``bar_length (N,)``
     m that the bar reads. ``setup (N,)`` numbers the set-ups of the instrument where each has a frame of its own.
+    ``tilt (N, n, 3)`` what each joint turned about x, y and z of its frame beyond its command, up to a constant, as
+    inclinometers read it, NaN where none did.
     """
 
     q: Floats
@@ -54,6 +56,7 @@ class Observations:
     bar: Ints | None = None
     bar_length: Floats | None = None
     setup: Ints | None = None
+    tilt: Floats | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -60,7 +60,7 @@ def identify_figures() -> dict[str, Any]:
         "residual_arrows": {"data": _from_three_sides(tails, heads, red), "layout": _sides("sides")},
         "parameter_changes": changes(parameters),
     }
-    return dict(signed(drawn, "arm", [{"id": "cmp_1", "name": "rows"}], "ver_1"))
+    return dict(signed(drawn, "arm", ["rows"], "ver_1"))
 
 
 @pytest.mark.parametrize(

@@ -163,7 +163,7 @@ def test_changes_have_a_panel_for_each_unit_and_the_interval_that_was_found() ->
 def test_names_stay_names() -> None:
     """No marks and no mathematics: Plotly would read both, and a title between two dollars is gone."""
     layout = lying("title", "x", ["a"])
-    used = [{"id": f"cmp_{k}", "name": name} for k, name in enumerate(["a < b $x$", "b", "c", "d"])]
+    used = ["a < b $x$", "b", "c", "d"]
     title = signed({"f": {"data": [], "layout": layout}}, "<b>$y$", used, "ver_1")["f"]["layout"]["title"]["text"]
     assert "<b>" not in title
     assert "$" not in title

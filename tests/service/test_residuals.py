@@ -13,6 +13,7 @@ import pytest
 from pyarrow import parquet
 
 from kilter_core.observations import Observations
+from kilter_service.contract.residuals import ResidualRows
 from kilter_service.db import Database
 from kilter_service.versions import store
 
@@ -68,6 +69,13 @@ def test_rows_let_go_are_named_and_told_with_all_others(
     assert {(r["campaign"], int(r["row"])) for r in rows if r["set_aside"] == "true"} >= gone
     assert {r["campaign"] for r in rows if r["held_out"] == "true"} == {other}
     assert {r["campaign"] for r in rows if r["held_out"] == "false"} == {first, second}
+
+    answer = client.get(f"/v1/versions/{version}/residuals", params={"format": "json"}).raise_for_status()
+    typed = ResidualRows.model_validate_json(answer.content)
+    assert answer.headers["content-type"] == "application/json"
+    assert [f"{value:.9g}" for value in typed.dz_mm if value is not None] == [f"{float(r['dz_mm']):.9g}" for r in rows]
+    assert typed.turn_deg == [None] * len(rows)
+    assert typed.set_aside == [r["set_aside"] == "true" for r in rows]
     with database.reading() as session:
         calibration = store.calibration(session, version)
     columns = katana.columns(60, 5)

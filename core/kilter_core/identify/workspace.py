@@ -19,7 +19,20 @@ Floats = NDArray[np.float64]
 POSES = 1000
 # What a pose is measured as says nothing of the pose; what it is driven under does.
 MEASURED: dict[str, Any] = dict.fromkeys(
-    ("position", "rotation", "markers", "tip", "link_q", "sigma", "socket", "plane", "bar", "bar_length", "setup")
+    (
+        "position",
+        "rotation",
+        "markers",
+        "tip",
+        "link_q",
+        "sigma",
+        "socket",
+        "plane",
+        "bar",
+        "bar_length",
+        "setup",
+        "tilt",
+    )
 )
 
 

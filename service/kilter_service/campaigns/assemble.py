@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kilter_core.observations import Observations
 from kilter_service.campaigns.columns import Column
-from kilter_service.contract.columns import PAYLOAD_CENTRE
+from kilter_service.contract.columns import PAYLOAD_CENTRE, TILTS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -37,6 +37,7 @@ def observations(table: pa.Table, columns: Sequence[Column], conditions: dict[st
     fields["payload_com"] = _vector(si, PAYLOAD_CENTRE)
     fields["wrench"] = _wrench(si, conditions, table.num_rows)
     fields["rotation"] = _rotation(si)
+    fields["tilt"] = _tilt(si, table.num_rows)
     fields["markers"] = _markers(si)
     return Observations(**_filled(fields, conditions, table.num_rows))
 
@@ -79,6 +80,17 @@ def _rotation(si: dict[tuple[str, int | None], Floats]) -> Floats | None:
         return np.asarray(Rotation.from_quat(quaternion).as_matrix())
     euler = _vector(si, ("phi", "theta", "psi"))
     return None if euler is None else np.asarray(Rotation.from_euler("ZXZ", euler).as_matrix())
+
+
+def _tilt(si: dict[tuple[str, int | None], Floats], rows: int) -> Floats | None:
+    """Readings (N, n, 3) of inclinometers, nan where nothing was read; None without any such column."""
+    given = [(TILTS.index(q), number) for q, number in si if q in TILTS and number is not None]
+    if not given:
+        return None
+    out = np.full((rows, sum(q == "q" for q, _ in si), len(TILTS)), np.nan)
+    for axis, joint in given:
+        out[:, joint, axis] = si[TILTS[axis], joint]
+    return out
 
 
 def _markers(si: dict[tuple[str, int | None], Floats]) -> Floats | None:

@@ -9,10 +9,11 @@ from difflib import get_close_matches
 from typing import Any
 
 from kilter_core.errors import ObservationError
-from kilter_service.contract.columns import CONTACTS, JOINT_UNITS, LENGTHS, PLAIN_UNITS, TOGETHER
+from kilter_service.contract.columns import CONTACTS, JOINT_UNITS, LENGTHS, PLAIN_UNITS, TILT_UNITS, TILTS, TOGETHER
 from kilter_service.limits import MAX_COLUMNS, MAX_NAME
 
 _JOINT = re.compile(r"(q|qd|qdd|link|tau|dir)([1-9][0-9]?)(?:_(\w+))?")
+_TILT = re.compile(r"tilt([1-9][0-9]?)([xyz])(?:_(\w+))?")
 _MARKER = re.compile(r"m([1-9][0-9]?)([xyz])(?:_(\w+))?")
 _PLAIN = re.compile(rf"({'|'.join(sorted(PLAIN_UNITS, key=len, reverse=True))})(?:_(\w+))?")
 
@@ -28,8 +29,8 @@ class Column:
 
     @property
     def may_be_empty(self) -> bool:
-        """Whether a cell may be missing: a marker can be out of sight, a tip is digitised in some rows only."""
-        return self.quantity.startswith(("marker_", "tip"))
+        """Whether a cell may be missing: a marker can be out of sight, a tip or a joint is looked at in some rows only."""
+        return self.quantity.startswith(("marker_", "tip")) or self.quantity in TILTS
 
     @property
     def is_integer(self) -> bool:
@@ -94,6 +95,10 @@ def refuse(message: str, column: str, **context: Any) -> ObservationError:
 def _read(name: str, kinds: Sequence[str]) -> Column:
     if match := _JOINT.fullmatch(name):
         return _joint(name, match[1], int(match[2]), match[3] or "", kinds)
+    if match := _TILT.fullmatch(name):
+        number, stem = int(match[1]), f"tilt{match[1]}{match[2]}"
+        _of_joint(name, number, kinds)
+        return Column(name, f"tilt_{match[2]}", number - 1, _factor(name, stem, match[3] or "", TILT_UNITS))
     if match := _MARKER.fullmatch(name):
         factor = _factor(name, f"m{match[1]}{match[2]}", match[3] or "", LENGTHS)
         return Column(name, f"marker_{match[2]}", int(match[1]) - 1, factor)
@@ -105,10 +110,14 @@ def _read(name: str, kinds: Sequence[str]) -> Column:
 
 
 def _joint(name: str, quantity: str, number: int, unit: str, kinds: Sequence[str]) -> Column:
-    if number > len(kinds):
-        raise refuse(f"Column {name!r} is of joint {number}, the robot has {len(kinds)} joints.", name)
+    _of_joint(name, number, kinds)
     units = JOINT_UNITS[quantity][kinds[number - 1] == "prismatic"]
     return Column(name, quantity, number - 1, _factor(name, f"{quantity}{number}", unit, units))
+
+
+def _of_joint(name: str, number: int, kinds: Sequence[str]) -> None:
+    if number > len(kinds):
+        raise refuse(f"Column {name!r} is of joint {number}, the robot has {len(kinds)} joints.", name)
 
 
 def _factor(name: str, stem: str, unit: str, units: dict[str, float]) -> float:
@@ -176,4 +185,5 @@ def _known(kinds: Sequence[str]) -> list[str]:
             for joint, kind in enumerate(kinds)
             for unit in units_of[kind == "prismatic"]
         ]
+    names += [f"tilt{joint + 1}{axis}_{unit}" for joint in range(len(kinds)) for axis in "xyz" for unit in TILT_UNITS]
     return names

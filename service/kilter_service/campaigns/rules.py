@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns.columns import Column
 from kilter_service.campaigns.joint_limits import JointLimits
-from kilter_service.contract.columns import CONTACTS
+from kilter_service.contract.columns import CONTACTS, TILTS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -53,6 +53,7 @@ class RowRules:
             self._check_column(column, cells[column.name])
         self._check_markers(cells)
         self._check_tips(cells)
+        self._check_tilts(cells)
         self._check_contacts(cells)
         self._check_quaternions(cells)
         self._remember(cells)
@@ -83,7 +84,7 @@ class RowRules:
 
     def _check_column(self, column: Column, cells: Floats) -> None:
         if not column.may_be_empty:
-            self._refuse(np.isnan(cells), column.name, "is empty: only markers and tips may be missing")
+            self._refuse(np.isnan(cells), column.name, "is empty: only markers, tips and tilts may be missing")
         if column.is_integer:
             self._refuse(cells != np.round(cells), column.name, "is not a whole number", cells)
         if column.quantity == "dir":
@@ -112,6 +113,14 @@ class RowRules:
         missing = [np.isnan(cells[name]) for name in names]
         for name, absent in zip(names, missing, strict=True):
             self._refuse(absent & ~np.all(missing, axis=0), name, "is empty where the tip's other cells are not")
+
+    def _check_tilts(self, cells: dict[str, Floats]) -> None:
+        """Where inclinometers are all that measured, a row without any reading says nothing."""
+        names = [c.name for c in self.columns if c.quantity in TILTS]
+        others = any(c.quantity in ("x", "marker_x", "link", *CONTACTS) for c in self.columns)
+        if names and not others:
+            empty = np.all([np.isnan(cells[name]) for name in names], axis=0)
+            self._refuse(empty, names[0], "and all other readings are empty: leave the row out")
 
     def _check_contacts(self, cells: dict[str, Floats]) -> None:
         """Every row is held by one thing, a ball bar with the length it reads."""

@@ -13,7 +13,7 @@ from kilter_service.campaigns.chunks import Chunk, write_chunk
 from kilter_service.campaigns.columns import has, read_columns
 from kilter_service.campaigns.rules import RowRules
 from kilter_service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
-from kilter_service.contract.columns import CONTACTS
+from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.paging import Page, in_time
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from kilter_core.robot import Robot
 
 STAGED_FOR = timedelta(days=7)
-MEASURED = ("x", "marker_x", "link", *CONTACTS)
+MEASURED = ("x", "marker_x", "link", *TILTS, *CONTACTS)
 
 
 def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
@@ -125,8 +125,8 @@ def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -
     columns = read_columns(names, [joint.kind for joint in robot.joints])
     if not any(has(columns, quantity) for quantity in MEASURED):
         raise ObservationError(
-            "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ..., or what held "
-            "the tool, socket_id, plane_id or bar_id with bar_mm."
+            "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ..., or "
+            "tilt1x_deg ..., or what held the tool, socket_id, plane_id or bar_id with bar_mm."
         )
     rules = RowRules(columns, robot)
     chunks = []

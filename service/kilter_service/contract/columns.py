@@ -36,6 +36,9 @@ PLAIN_UNITS: dict[str, dict[str, float]] = {
     **{f"{kind}_id": {"": 1.0} for kind in ("socket", "plane", "bar")},
     "bar": LENGTHS,
 }
+# Readings of inclinometers, by joint and axis of its frame: `tilt2x_deg`. A cell is empty where nothing was read.
+TILT_UNITS = ANGLES
+TILTS = ("tilt_x", "tilt_y", "tilt_z")
 CONTACTS = ("socket_id", "plane_id", "bar_id")
 TOGETHER = (
     ("x", "y", "z"),

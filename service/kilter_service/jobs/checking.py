@@ -60,7 +60,7 @@ def check(database: Database, job: NewJob) -> JobCheck:
 def _load(session: Session, job: NewJob, kind: JobKind, request: JobRequest) -> _Loaded:
     robot_id = service.checked(session, job, kind)
     used = store.used_in(session, request)
-    every = max(1, math.ceil(sum(one["rows"] for one in used) / MOST_ROWS))
+    every = max(1, math.ceil(sum(one.rows for one in used) / MOST_ROWS))
     given, why = None, None
     try:
         given = store.input_of(session, robot_id, job.kind, request, every)
@@ -72,13 +72,13 @@ def _load(session: Session, job: NewJob, kind: JobKind, request: JobRequest) -> 
         store.start_of(session, robot_id, kind, request),
         [
             CheckedCampaign(
-                id=one["id"],
-                name=one["name"],
-                role=one["role"],
-                use=one["use"],
-                device=campaigns.device(session, one["id"]),
-                rows=one["rows"],
-                poses=poses_of(rows[one["id"]]) if one["id"] in rows else None,
+                id=one.id,
+                name=one.name,
+                role=one.role,
+                use=one.use,
+                device=campaigns.device(session, one.id),
+                rows=one.rows,
+                poses=poses_of(rows[one.id]) if one.id in rows else None,
             )
             for one in used
         ],

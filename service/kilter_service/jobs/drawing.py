@@ -74,10 +74,9 @@ def told(value: float) -> str:
     return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
 
 
-def signed(figures: Mapping[str, Document], robot: str, used: Sequence[Mapping[str, Any]], version: str) -> Any:
+def signed(figures: Mapping[str, Document], robot: str, campaigns: Sequence[str], version: str) -> Any:
     """Return the pictures with robot, campaigns and version under their titles and in ``layout.meta``."""
-    campaigns = [str(one["name"] or one["id"]) for one in used]
-    meta = {"robot": robot, "campaigns": campaigns, "version": version}
+    meta = {"robot": robot, "campaigns": list(campaigns), "version": version}
     named = ", ".join(short(name) for name in campaigns[:MOST_CAMPAIGNS])
     more = f" and {len(campaigns) - MOST_CAMPAIGNS} more" if len(campaigns) > MOST_CAMPAIGNS else ""
     under = f"<br><sup>{plain_text(short(robot))}, version {version}<br>measured: {plain_text(named)}{more}</sup>"

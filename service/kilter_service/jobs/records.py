@@ -45,6 +45,18 @@ class JobRequest:
 
 
 @dataclass(frozen=True)
+class UsedRecord:
+    """A campaign as a job used it: ``use`` is train, validation or confirmation; the hashes are those of its uploads."""
+
+    id: str
+    name: str
+    role: str
+    use: str
+    rows: int
+    sha256: list[str]
+
+
+@dataclass(frozen=True)
 class JobRecord:
     """A stored job."""
 

@@ -17,6 +17,7 @@ from kilter_service.db import Database
 from kilter_service.jobs import store
 from kilter_service.jobs.default_load import with_load_remark
 from kilter_service.jobs.kind import JobKind, VersionContent
+from kilter_service.jobs.records import UsedRecord
 from kilter_service.jobs.registry import kind_of
 from kilter_service.versions.objections import objections_of
 
@@ -73,7 +74,12 @@ class Runner:
         output = with_load_remark(kind.run(job, tell), job)
         tell(1.0, "storing", now=True)
         version = None if output.version is None else _as_document(output.version)
-        return {"state": "succeeded", "result": output.result, "version": version, "used": used}
+        return {
+            "state": "succeeded",
+            "result": output.result,
+            "version": version,
+            "used": [asdict(one) for one in used],
+        }
 
     def finish(self, job_id: str, outcome: Outcome) -> None:
         """Second step: store the outcome; a second time changes nothing."""
@@ -81,8 +87,9 @@ class Runner:
             if outcome["state"] == "succeeded":
                 version = _as_content(outcome["version"])
                 said = [] if version is None else objections_of(version.report, version.limits)
-                objections = [objection.model_dump() for objection in said]
-                store.succeed(session, job_id, outcome["result"], version, outcome.get("used"), objections)
+                used = outcome.get("used")
+                records = None if used is None else [UsedRecord(**one) for one in used]
+                store.succeed(session, job_id, outcome["result"], version, records, said)
             elif outcome["state"] == "failed":
                 store.fail(session, job_id, outcome["code"], outcome["message"])
             elif outcome["state"] == "cancelled":

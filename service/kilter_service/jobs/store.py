@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any
@@ -12,13 +12,14 @@ from sqlalchemy import ColumnElement, and_, or_, select, update
 
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL, NewJob
+from kilter_service.contract.versions import Objection
 from kilter_service.db import Session
 from kilter_service.db.tables import JobRow, RobotRow, VersionRow, now
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.drawing import signed
 from kilter_service.jobs.durations import PastRun
 from kilter_service.jobs.kind import JobInput, JobKind, VersionContent
-from kilter_service.jobs.records import JobRecord, JobRequest
+from kilter_service.jobs.records import JobRecord, JobRequest, UsedRecord
 from kilter_service.jobs.refusals import read_options
 from kilter_service.jobs.registry import kind_of
 from kilter_service.paging import Page
@@ -202,8 +203,8 @@ def succeed(
     job_id: str,
     result: dict[str, Any],
     content: VersionContent | None,
-    used: list[dict[str, Any]] | None = None,
-    objections: Sequence[Mapping[str, str]] = (),
+    used: Sequence[UsedRecord] | None = None,
+    objections: Sequence[Objection] = (),
 ) -> None:
     """Store the result and the version of a job; a job that is over already is left alone.
 
@@ -216,9 +217,10 @@ def succeed(
     if content is not None:
         used = used_by(session, job_id) if used is None else used
         version_id = versions.add(session, row.robot_id, job_id, _version(row, content, used))
-        result = {**result, "version_id": version_id, "objections": [dict(one) for one in objections]}
-        robot = session.get_one(RobotRow, row.robot_id).name
-        result |= {"figures": signed(result["figures"], robot, used, version_id)} if "figures" in result else {}
+        result = {**result, "version_id": version_id, "objections": [one.model_dump() for one in objections]}
+        if "figures" in result:
+            robot = session.get_one(RobotRow, row.robot_id).name
+            result["figures"] = signed(result["figures"], robot, [c.name or c.id for c in used], version_id)
     row.result = result
     _finish(row, "succeeded", "done", 1.0)
 
@@ -242,12 +244,12 @@ def _finish(row: JobRow, state: str, stage: str, fraction: float) -> None:
     row.state, row.stage, row.fraction, row.finished_at = state, stage, fraction, now()
 
 
-def used_by(session: Session, job_id: str) -> list[dict[str, Any]]:
+def used_by(session: Session, job_id: str) -> list[UsedRecord]:
     """Return the campaigns a job uses, with the hashes of what was uploaded so far."""
     return used_in(session, JobRequest.of(_row(session, job_id).request))
 
 
-def used_in(session: Session, request: JobRequest) -> list[dict[str, Any]]:
+def used_in(session: Session, request: JobRequest) -> list[UsedRecord]:
     """Return the campaigns a request names, with the hashes of what was uploaded so far."""
     named = {
         "train": request.campaigns, "validation": request.held, "confirmation": request.confirmation,
@@ -255,26 +257,20 @@ def used_in(session: Session, request: JobRequest) -> list[dict[str, Any]]:
     return [_used(session, campaign, use) for use, campaigns_ in named.items() for campaign in campaigns_]
 
 
-def _version(row: JobRow, content: VersionContent, used: list[dict[str, Any]]) -> NewVersion:
+def _version(row: JobRow, content: VersionContent, used: Sequence[UsedRecord]) -> NewVersion:
     request, kind = JobRequest.of(row.request), kind_of(row.kind)
     fields = {key: value for key, value in asdict(content).items() if key != "limits"}
     return NewVersion(
         **fields,
         limits=content.limits.model_dump(mode="json"),
-        campaigns=used,
+        campaigns=[asdict(one) for one in used],
         parent_id=request.options.get(kind.version_option) if kind.version_option else None,
         code_version=code_version(),
         name=row.name,
     )
 
 
-def _used(session: Session, campaign_id: str, use: str) -> dict[str, Any]:
+def _used(session: Session, campaign_id: str, use: str) -> UsedRecord:
     campaign, uploads = campaigns.get(session, campaign_id), campaigns.uploads_of(session, campaign_id)
-    return {
-        "id": campaign.id,
-        "name": campaign.name,
-        "role": campaign.role,
-        "use": use,
-        "rows": sum(upload.rows for upload in uploads),
-        "sha256": [upload.sha256 for upload in uploads],
-    }
+    rows, hashes = sum(upload.rows for upload in uploads), [upload.sha256 for upload in uploads]
+    return UsedRecord(campaign.id, campaign.name, campaign.role, use, rows, hashes)

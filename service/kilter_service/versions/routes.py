@@ -7,9 +7,10 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Depends, Query, Response
 
 from kilter_service.auth.access import Admin
-from kilter_service.campaigns.reading import CSV, PARQUET
+from kilter_service.campaigns.reading import CSV, JSON, PARQUET
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import Change, Tombstone
+from kilter_service.contract.residuals import ResidualRows
 from kilter_service.contract.units import MAX_NAMED
 from kilter_service.contract.versions import (
     ActivatedVersion,
@@ -112,21 +113,27 @@ def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
 @router.get(
     "/versions/{version}/residuals",
     response_class=Response,
-    responses={200: {"content": {CSV: FILE, PARQUET: FILE}, "description": "One line per row"}},
+    responses={
+        200: {
+            "model": ResidualRows,
+            "content": {CSV: FILE, PARQUET: FILE},
+            "description": "One line per row, or columns",
+        }
+    },
     dependencies=[Depends(reading_turn)],
 )
 def residuals(
     version: str,
     database: DatabaseOfApp,
     campaign: Annotated[list[str] | None, Query(max_length=MAX_NAMED)] = None,
-    format: Literal["csv", "parquet"] = "csv",  # noqa: A002 (the name of the export's parameter)
+    format: Literal["csv", "parquet", "json"] = "csv",  # noqa: A002 (the name of the export's parameter)
 ) -> Response:
     """Download what a version leaves of every row, of all campaigns it was made from or of those named.
 
     Each line has the campaign and the row in it, the error measured minus predicted, its length in standard deviations,
     half the 95 % interval that expects it, whether the row was set aside, and whether it was held out of the fit.
     """
-    media = {"csv": CSV, "parquet": PARQUET}[format]
+    media = {"csv": CSV, "parquet": PARQUET, "json": JSON}[format]
     content = service.residuals(database, version, campaign or [], media)
     headers = {"Content-Disposition": f'attachment; filename="{version}-residuals.{format}"'}
     return Response(content, media_type=media, headers=headers)

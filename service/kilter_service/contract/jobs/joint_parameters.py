@@ -33,7 +33,7 @@ class Reading(Asked):
 
 
 class JointParametersOptions(Asked):
-    """Readings to evaluate, or a joint to propose configurations for; neither, with campaigns of link-side encoders."""
+    """Readings to evaluate, or a joint to propose configurations for; neither, with campaigns of readings or encoders."""
 
     readings: Annotated[list[Reading], Field(max_length=100_000)] = Field(
         [], description="Readings of an inclinometer."

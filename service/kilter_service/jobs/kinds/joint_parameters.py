@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions as Options
@@ -41,7 +44,16 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
         progress(0.1, "choosing configurations")
         return JobOutput({"joint": options.propose, **_proposed(job.robot, options)})
     progress(0.1, "fitting joints")
-    return _by_encoders(job) if job.campaigns else _by_inclinometers(job.robot, options)
+    return _measured(job)
+
+
+def _measured(job: JobInput) -> JobOutput:
+    """Measure by what there is: readings given, or campaigns with inclinometers or link-side encoders."""
+    if not job.campaigns:
+        return _by_inclinometers(job.robot, _log(job.robot, job.options))
+    if not any(rows.tilt is not None for rows in job.campaigns.values()):
+        return _by_encoders(job)
+    return _by_inclinometers(job.robot, _log_of_campaigns(job))
 
 
 def foresee(job: JobInput, found: Foresight) -> None:
@@ -56,16 +68,37 @@ def foresee(job: JobInput, found: Foresight) -> None:
             return
         if not job.campaigns:
             found.rows = len(options.readings)
-        measured = _by_encoders(job) if job.campaigns else _by_inclinometers(job.robot, options)
+        measured = _measured(job)
         told = measured.result["parameters"]
         found.missing += [Lack(p["name"], p["reason"], REMEDY) for p in told if "reason" in p]
         found.missing += [Lack(w.get("joint", w["code"]), w["message"], REMEDY) for w in measured.result["warnings"]]
 
 
-def _by_inclinometers(robot: Robot, options: Options) -> JobOutput:
+def _log_of_campaigns(job: JobInput) -> Log:
+    """Readings of all campaigns, mountings numbered apart."""
+    from kilter_core.inclinometers import Log
+    from kilter_core.observations import Observations
+    from kilter_service.campaigns.store import numbered
+
+    encoders = [name for name, rows in job.campaigns.items() if rows.link_q is not None or rows.tilt is None]
+    if encoders:
+        raise OptionError(
+            f"Campaign {encoders[0]} holds link-side encoders or no inclinometer, others hold inclinometers: make two jobs.",
+            option="campaigns",
+        )
+    if job.validation is not None:
+        raise OptionError("Readings of inclinometers are not held out: leave validation out.", option="validation")
+    parts = [
+        rows if rows.session is not None else replace(rows, session=np.zeros(len(rows), dtype=np.int64))
+        for rows in job.campaigns.values()
+    ]
+    return Log.of(Observations.concatenate(numbered(parts)), to_rad(job.options.resolution_deg))
+
+
+def _by_inclinometers(robot: Robot, log: Log) -> JobOutput:
     from kilter_core.inclinometers import as_calibration, joint_parameters, weightless_joints
 
-    found, warnings = joint_parameters(robot, _log(robot, options))
+    found, warnings = joint_parameters(robot, log)
     warnings += [_at_the_tool(robot.joints[j].name) for j in weightless_joints(robot)]
     result = {"measured_by": "inclinometer", "parameters": [_row(p) for p in found], "warnings": warnings}
     return JobOutput(result, _content(as_calibration(robot, found), found, result))
@@ -138,8 +171,6 @@ def _joint(robot: Robot, name: str) -> int:
 
 
 def _log(robot: Robot, options: Options) -> Log:
-    import numpy as np
-
     from kilter_core.inclinometers import Log
 
     for number, reading in enumerate(options.readings):
