@@ -23,7 +23,7 @@ from service.page_query import PageOfList
 from service.routing import GuardedRoute
 from service.slots import reading_turn
 from service.state import DatabaseOfApp, SettingsOfApp
-from service.versions import activation, keeping, service
+from service.versions import activation, differences, keeping, service
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 
@@ -105,8 +105,8 @@ def preview(version: str, database: DatabaseOfApp, settings: SettingsOfApp) -> V
 
 @router.get("/versions/{a}/diff/{b}", dependencies=[Depends(reading_turn)])
 def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
-    """Compare two versions of one robot."""
-    return service.diff(database, a, b)
+    """Compare two versions of one robot, or one with `nominal`: the robot as drawn, the effects at zero."""
+    return differences.diff(database, a, b)
 
 
 @router.get(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from service.contract.fits import Covariance, Metrics, NullDirection, Parameter, Remark
@@ -31,7 +32,7 @@ def version(record: VersionRecord) -> Version:
         robot_sha256=record.robot_sha256,
         campaigns=as_written(list[UsedCampaign], record.campaigns),
         limits=limits,
-        parameters=as_written(list[Parameter], report.get("parameters") or []),
+        parameters=as_written(list[Parameter], [_with_change(row) for row in report.get("parameters") or []]),
         null_directions=as_written(list[NullDirection], report.get("null_directions") or []),
         noise_mm=report.get("noise_mm"),
         warnings=as_written(list[Remark], report.get("warnings") or []),
@@ -39,6 +40,17 @@ def version(record: VersionRecord) -> Version:
         details=as_written(Details, {key: value for key, value in report.items() if key not in OF_ITS_OWN}),
         covariance=as_written(Covariance, record.covariance),
     )
+
+
+def _with_change(row: dict[str, Any]) -> dict[str, Any]:
+    """Say the change of a parameter that was stored without it."""
+    value, nominal = row.get("value"), row.get("nominal")
+    if "change" in row or value is None or nominal is None:
+        return row
+    change = value - nominal
+    frame, _, axis = str(row.get("name")).partition("_")
+    turns = frame in ("base", "tool") and axis in ("rx", "ry", "rz")
+    return {**row, "change": math.remainder(change, 360.0) if turns else change}
 
 
 def summary(record: VersionRecord) -> VersionSummary:

@@ -16,6 +16,7 @@ Sent = Callable[[int, int], None]
 
 PIECE = 1 << 18
 UPLOAD_TIMEOUT_S = 600.0
+NOMINAL = "nominal"  # in a comparison: the robot as drawn
 
 
 class Robots:
@@ -187,8 +188,9 @@ class Versions(Kept):
         return self._connection.post(address("robots", robot, "rollback"))
 
     def diff(self, first: str, second: str, robot: str | None = None) -> Document:
-        """Compare two versions."""
-        return self._connection.get(self._address(first, robot, "diff", self.id_of(second, robot)))
+        """Compare two versions; ``nominal`` stands for the robot as drawn."""
+        first, second = (one if one == NOMINAL else self.id_of(one, robot) for one in (first, second))
+        return self._connection.get(address("versions", first, "diff", second))
 
     def residuals(
         self, version: str, campaigns: Sequence[str] = (), form: str = "csv", robot: str | None = None
