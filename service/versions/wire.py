@@ -19,6 +19,7 @@ from service.contract.written import as_written
 from service.versions.objections import objections_of
 from service.versions.records import ActivationRecord, VersionRecord
 
+READ_OUT = ("effects", "metrics")  # of a summary, what no field of the record holds
 OF_ITS_OWN = ("parameters", "null_directions", "noise_mm", "warnings", "metrics")  # parts of a report with fields
 
 
@@ -59,30 +60,13 @@ def summary(record: VersionRecord) -> VersionSummary:
 
 
 def _told(record: VersionRecord) -> dict[str, Any]:
-    return {
-        "id": record.id,
-        "robot": record.robot,
-        "active": record.active,
-        "parent_id": record.parent_id,
-        "job_id": record.job_id,
-        "created_at": record.created_at,
-        "code_version": record.code_version,
-        "effects": [effect["id"] for effect in record.calibration["effects"]],
-        "metrics": as_written(Metrics, record.report.get("metrics") or {}),
-        "name": record.name,
-        "notes": record.notes,
-        "retired_at": record.retired_at,
-    }
+    """What a list tells: the record's own fields, and what is read out of its documents."""
+    own = {name: getattr(record, name) for name in VersionSummary.model_fields if name not in READ_OUT}
+    effects = [effect["id"] for effect in record.calibration["effects"]]
+    return own | {"effects": effects, "metrics": as_written(Metrics, record.report.get("metrics") or {})}
 
 
 def activation(record: ActivationRecord) -> Activation:
     """Say what an entry of the log tells."""
-    return Activation(
-        version_id=record.version_id,
-        action=record.action,
-        actor=record.actor,
-        at=record.at,
-        forced=record.forced,
-        reason=record.reason,
-        objections=as_written(list[Objection], record.objections),
-    )
+    own = {name: getattr(record, name) for name in Activation.model_fields if name != "objections"}
+    return Activation(**own, objections=as_written(list[Objection], record.objections))
