@@ -199,4 +199,6 @@ def test_a_default_load_from_the_command_line(kilter: Kilter, capsys: Capture) -
     add = ("robot", "add", "--preset", "ur10", "--name", name)
     found = document(capsys, *add, "--payload-kg", 1.2, "--payload-com-mm", "0,0,60")
     assert found["document"]["load"] == {"payload_kg": 1.2, "payload_com_mm": [0.0, 0.0, 60.0]}
+    assert run(["robot", "show", name]) == 0
+    assert "default load: 1.2 kg at (0, 0, 60) mm in the tool frame" in capsys.readouterr().out
     assert "--payload-kg beside it" in document(capsys, *add, "--payload-com-mm", "0,0,60", code=2)["detail"]
