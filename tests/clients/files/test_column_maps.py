@@ -83,13 +83,13 @@ def test_markers_directions_and_units_that_become_others(tmp_path: Path) -> None
 
 
 def test_the_place_of_a_load_in_another_unit(tmp_path: Path) -> None:
-    column_map = '''[columns]
+    column_map = """[columns]
 q1_deg = { from = "A1", unit = "deg" }
 payload_kg = { from = "m", unit = "g" }
 payload_com_x_mm = { from = "cx", unit = "m" }
 payload_com_y_mm = { from = "cy", unit = "m" }
 payload_com_z_mm = { from = "cz", unit = "m" }
-'''
+"""
     (row,) = mapped(tmp_path, "A1,m,cx,cy,cz\n1,2500,0.08,-0.05,0.15\n", column_map)
     assert row["payload_kg"] == pytest.approx(2.5)
     assert [row[f"payload_com_{axis}_mm"] for axis in "xyz"] == pytest.approx([80.0, -50.0, 150.0])
