@@ -9,10 +9,10 @@ from typing import Any
 
 import pyarrow as pa
 import pytest
-from kilter_client import Kilter
-from kilter_client.cli import run
 from pyarrow import parquet
 
+from kilter_client import Kilter
+from kilter_client.cli import run
 from tests.clients.answered import document
 
 Write = Callable[..., Path]

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.errors import ApiError
-from numpy.typing import NDArray
-
 from tests.clients.answered import document
 from tests.clients.loaded_arm import SOFT, described, measured, poses, table, tools
 

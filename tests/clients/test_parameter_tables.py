@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.cli.digits import decimals, ends, estimate

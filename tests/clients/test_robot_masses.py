@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pinocchio
 import pytest
-from kilter_client.errors import FileError
-from kilter_client.robots import Described, read_robot
 from numpy.typing import NDArray
 from openpyxl import Workbook
 
-from core.moments import joint_loads
-from core.robots import preset_document, robot_from_document
-from service.exporters.registry import export
+from kilter_client.errors import FileError
+from kilter_core.moments import joint_loads
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_files.robots import Described, read_robot
+from kilter_service.exporters.registry import export
 from tests.service.exporters.test_exporters import ERRORS, TILTS, calibrated
 
 Floats = NDArray[np.float64]

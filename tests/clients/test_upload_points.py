@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kilter_client import FileError, Kilter
-from kilter_client.files.joint_log import read_joint_log
-from kilter_client.files.points import prepare_points
 from nptdms import ChannelObject, TdmsWriter
 
+from kilter_client import FileError, Kilter
+from kilter_files.joint_log import read_joint_log
+from kilter_files.points import prepare_points
 from tests.clients.answered import document
 from tests.clients.files.test_joint_logs import RAPID, write_bag
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.compensate import correct
-from core.conversions import robot_document
-from core.correction import CorrectionOptions, compile_program
-from core.effects.axial_compliance import AxialCompliance
-from core.errors import RobotError
-from core.model import Calibration, RobotModel
-from core.observations import Observations
-from core.robot import Payload, Robot
-from core.robots import preset_document, robot_from_document
-from core.robots.resolved import resolved_document, robot_from_resolved
+from kilter_core.compensate import correct
+from kilter_core.conversions import robot_document
+from kilter_core.correction import CorrectionOptions, compile_program
+from kilter_core.effects.axial_compliance import AxialCompliance
+from kilter_core.errors import RobotError
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.observations import Observations
+from kilter_core.robot import Payload, Robot
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.robots.resolved import resolved_document, robot_from_resolved
 
 LOAD = {"payload_kg": 4.0, "payload_com_mm": [10.0, -20.0, 90.0]}
 STATED = Payload(4.0, (0.01, -0.02, 0.09))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     import httpx
 
-    from kilter_client.files import Prepared
+    from kilter_files import Prepared
 
 CORRECT_TIMEOUT_S = 600.0
 

@@ -64,7 +64,7 @@ def joint_parameters(
         resolution_deg=resolution_deg,
     )
     if readings is not None:
-        from kilter_client.files.readings import read_readings
+        from kilter_files.readings import read_readings
 
         chosen["readings"] = read_readings(readings)
 

@@ -1,0 +1,69 @@
+"""What can be done with versions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from kilter_service.contract.previews import VersionPreview
+from kilter_service.contract.versions import ActivationList, Version, VersionList
+from kilter_service.db import Database, Session
+from kilter_service.exporters.exportable import Exportable
+from kilter_service.exporters.registry import Exported, export
+from kilter_service.paging import Page, in_time
+from kilter_service.robots import store as robots
+from kilter_service.versions import store, wire
+from kilter_service.versions.store import ActiveVersion
+
+
+def active_calibrations(session: Session) -> dict[str, ActiveVersion]:
+    """Return the active version of every robot that has one, by robot name."""
+    found = {name: store.active_version(session, name) for name in store.robots_with_active(session)}
+    return {name: version for name, version in found.items() if version is not None}
+
+
+def listed(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
+    """List the versions of a robot; ``with_retired`` those that are out of use too."""
+    with database.reading() as session:
+        found = store.of_robot(session, robots.get(session, robot).id, page, with_retired)
+    shown, cursor = page.cut(found, lambda version: in_time(version.created_at, version.id))
+    return VersionList(versions=[wire.summary(version) for version in shown], next=cursor)
+
+
+def get(database: Database, version_id: str) -> Version:
+    """Return a version."""
+    with database.reading() as session:
+        return wire.version(store.get(session, version_id))
+
+
+def activations(database: Database, robot: str, page: Page) -> ActivationList:
+    """Return who activated which version of a robot, and when."""
+    with database.reading() as session:
+        found = store.activations(session, robots.get(session, robot).id, page)
+    shown, cursor = page.cut(found, lambda entry: (str(entry.id),))
+    return ActivationList(activations=[wire.activation(entry) for entry in shown], next=cursor)
+
+
+def exported(database: Database, version_id: str, format_name: str) -> Exported:
+    """Return a version as a file of another tool's format."""
+    with database.reading() as session:
+        record = store.get(session, version_id)
+        robot = robots.get(session, record.robot)
+    return export(format_name, Exportable(robot, wire.version(record), record.calibration))
+
+
+def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:
+    """Say how a version would correct, without activating it."""
+    from kilter_service.versions.preview import (
+        preview as looked_at,  # compiled kernels: not at the start of the API process
+    )
+
+    return looked_at(database, version_id, temperature_c)
+
+
+def residuals(database: Database, version_id: str, campaigns: Sequence[str], media: str) -> bytes:
+    """Return what a version leaves of every row of campaigns, as a file."""
+    from kilter_service.versions.residuals import (
+        residuals as table,  # compiled kernels: not at the start of the API process
+    )
+
+    return table(database, version_id, campaigns, media)
