@@ -115,7 +115,8 @@ def test_from_measurements_to_a_version(robot: str, command: Command, write_camp
     assert job["options"] == {"level": 1, "loss": "huber"}
     first = job["result"]["version_id"]
     text = command(*identify, "--level", "2", "--fix", "alpha_*,a_3", "--fix", "d_5", "--seed", "3")
-    for word in ("registration only", "validation (20)", "p95 mm", "sigma", "not identifiable", "cannot be told from"):
+    words = ("registration only", "validation (20)", "p95 mm", "nominal", "not identifiable", "cannot be told from")
+    for word in words:
         assert word in text
     _versions(robot, first, command, tmp_path)
     _correct(robot, command, tmp_path)

@@ -13,6 +13,7 @@ from pyarrow import parquet
 
 from kilter_client import Kilter
 from kilter_client.cli import run
+from tests.clients.answered import document
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]
@@ -31,15 +32,6 @@ ROWS: dict[str, list[float]] = {
 def csv_of(columns: dict[str, list[Any]]) -> str:
     lines = [",".join("" if v is None else repr(v) for v in row) for row in zip(*columns.values(), strict=True)]
     return "\n".join([",".join(columns), *lines]) + "\n"
-
-
-def document(capsys: Capture, *arguments: object, code: int = 0) -> dict[str, Any]:
-    capsys.readouterr()
-    found = run([*map(str, arguments), "--json"])
-    out = capsys.readouterr().out
-    assert found == code, out
-    answer: dict[str, Any] = json.loads(out)
-    return answer
 
 
 @pytest.mark.parametrize("kind", ["csv", "json", "parquet"])

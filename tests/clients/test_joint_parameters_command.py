@@ -68,6 +68,17 @@ def test_a_proposal_is_filled_in_and_gives_the_joint(shell: Shell, tmp_path: Pat
     )
 
 
+def test_payloads_of_a_proposal_hang_where_they_were_said_to(shell: Shell, tmp_path: Path) -> None:
+    shell.text("robot", "add", "--preset", "katana450-chapter5", "--name", "off-the-tool")
+    asked, filled = tmp_path / "asked.csv", tmp_path / "filled.csv"
+    plan = ("--propose", "j3", "--count", 12, "--payload-kg", 0.5, "--payload-com-mm", "10,0,40")
+    result = shell.json("joint-parameters", "off-the-tool", *plan, "-o", asked)["result"]
+    assert {tuple(one["payload_com_mm"]) for one in result["configurations"]} == {(10.0, 0.0, 40.0)}
+    filled.write_text(asked.read_text().replace(",0,\n", ",0,0.1\n"))
+    job = shell.json("joint-parameters", "off-the-tool", "--readings", filled)
+    assert [reading["payload_com_mm"] for reading in job["options"]["readings"]] == 12 * [[10.0, 0.0, 40.0]]
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.errors import ApiError
+from tests.clients.answered import document
 from tests.clients.loaded_arm import SOFT, described, measured, poses, table, tools
 
 Floats = NDArray[np.float64]
@@ -23,15 +24,6 @@ Capture = pytest.CaptureFixture[str]
 
 LOAD, OFF = 6.0, (80.0, -50.0, 150.0)
 NO_LOAD = (0.0, 0.0, 0.0)
-
-
-def said(capsys: Capture, *arguments: object, code: int = 0) -> dict[str, Any]:
-    capsys.readouterr()
-    found = run([*map(str, arguments), "--json"])
-    out, err = capsys.readouterr()
-    assert found == code, out + err
-    answer: dict[str, Any] = json.loads(out)
-    return answer
 
 
 def added(kilter: Kilter, **more: Any) -> str:
@@ -78,9 +70,9 @@ def test_a_load_off_the_tool_point_in_conditions_and_in_columns(
     bare = write(tmp_path / "bare.csv", measured(q, LOAD, OFF))
     whole = write(tmp_path / "whole.csv", measured(q, LOAD, OFF, payload_kg=np.full(80, LOAD), **at))
     upload = ("upload", robot)
-    stated = said(capsys, *upload, bare, "--name", "stated", "--payload-kg", LOAD, "--payload-com-mm", "80,-50,150")
-    columns = said(capsys, *upload, whole, "--name", "columns")
-    point = said(capsys, *upload, bare, "--name", "point", "--payload-kg", LOAD)
+    stated = document(capsys, *upload, bare, "--name", "stated", "--payload-kg", LOAD, "--payload-com-mm", "80,-50,150")
+    columns = document(capsys, *upload, whole, "--name", "columns")
+    point = document(capsys, *upload, bare, "--name", "point", "--payload-kg", LOAD)
     found = [fit(kilter, robot, [one["campaign_id"]]) for one in (stated, columns, point)]
     for result in found[:2]:
         assert softness(result) == pytest.approx(SOFT[1:], rel=0.01)
@@ -115,7 +107,7 @@ def test_the_default_load_counts_where_none_is_stated_and_the_answers_say_so(
     version = kilter.versions.get(result["version_id"])
     assert "default_load_used" in {one["code"] for one in version["warnings"]}
     kilter.versions.activate(result["version_id"])
-    written = said(capsys, "correct", robot, path, "-o", tmp_path / "out.csv")
+    written = document(capsys, "correct", robot, path, "-o", tmp_path / "out.csv")
     assert "default load was taken, 6 kg at (80, -50, 150) mm" in written["notes"][0]
     assert_there(tmp_path / "out.csv", poses(20, 9), LOAD, OFF)
     job = kilter.jobs.run("evaluate", robot, [campaign], options={"version": result["version_id"]})
@@ -143,14 +135,14 @@ def test_what_a_path_states_goes_before_the_default_load(
     kilter.versions.activate(result["version_id"])
     other, at = 3.0, (-40.0, 100.0, 60.0)
     load = ("--payload-kg", other, "--payload-com-mm", "-40,100,60")
-    written = said(capsys, "correct", robot, path, "-o", tmp_path / "asked.csv", *load)
+    written = document(capsys, "correct", robot, path, "-o", tmp_path / "asked.csv", *load)
     assert written["notes"] == []
     assert_there(tmp_path / "asked.csv", poses(20, 9), other, at)
     centre = dict(zip((f"payload_com_{k}_mm" for k in "xyz"), np.tile(at, (20, 1)).T, strict=True))
     columns = write(tmp_path / "columns.csv", table(poses(20, 9), payload_kg=np.full(20, other), **centre))
-    said(capsys, "correct", robot, columns, "-o", tmp_path / "columns-out.csv")
+    document(capsys, "correct", robot, columns, "-o", tmp_path / "columns-out.csv")
     assert_there(tmp_path / "columns-out.csv", poses(20, 9), other, at)
-    twice = said(capsys, "correct", robot, columns, "-o", tmp_path / "x.csv", *load, code=1)
+    twice = document(capsys, "correct", robot, columns, "-o", tmp_path / "x.csv", *load, code=1)
     assert "give one of them" in twice["detail"]
 
 
@@ -161,14 +153,14 @@ def test_a_path_without_any_load_is_told_what_that_means(
     campaign = kilter.campaigns.add(robot, "c", conditions={"payload_kg": LOAD, "payload_com_mm": list(OFF)})["id"]
     kilter.campaigns.upload(campaign, write(tmp_path / "c.csv", measured(poses(80, 5), LOAD, OFF)))
     kilter.versions.activate(fit(kilter, robot, [campaign])["version_id"])
-    written = said(capsys, "correct", robot, path, "-o", tmp_path / "out.csv")
+    written = document(capsys, "correct", robot, path, "-o", tmp_path / "out.csv")
     remark = "axial_compliance follows the load and was corrected as with nothing on the tool"
     assert remark in written["notes"][0]
     assert run(["correct", robot, str(path), "-o", str(tmp_path / "out.csv")]) == 0
     assert f"Note: The path states no payload and the robot has no default load: {remark}" in capsys.readouterr().err
     assert_there(tmp_path / "out.csv", poses(20, 9), 0.0, NO_LOAD)
-    assert said(capsys, "correct", robot, path, "-o", tmp_path / "out.csv", "--payload-kg", 0)["notes"] == []
-    place = said(capsys, "correct", robot, path, "-o", tmp_path / "x.csv", "--payload-com-mm", "0,0,60", code=1)
+    assert document(capsys, "correct", robot, path, "-o", tmp_path / "out.csv", "--payload-kg", 0)["notes"] == []
+    place = document(capsys, "correct", robot, path, "-o", tmp_path / "x.csv", "--payload-com-mm", "0,0,60", code=1)
     assert "give payload_kg beside it" in place["detail"]
 
 
@@ -186,12 +178,12 @@ def test_a_place_without_a_mass_is_refused(kilter: Kilter, tmp_path: Path) -> No
 def test_plans_carry_the_loads_where_they_hang(kilter: Kilter, capsys: Capture) -> None:
     robot = default(kilter)
     asked = ("plan", robot, "--purpose", "identify", "--effects", "axial_compliance", "--count", 6)
-    stated = said(capsys, *asked, "--payload-kg", "0,3", "--payload-com-mm", "0,10,60")["result"]
+    stated = document(capsys, *asked, "--payload-kg", "0,3", "--payload-com-mm", "0,10,60")["result"]
     assert {tuple(pose["payload_com_mm"]) for pose in stated["poses"]} == {(0.0, 10.0, 60.0)}
     head, first = stated["csv"].splitlines()[:2]
     assert head.endswith("payload_kg,payload_com_x_mm,payload_com_y_mm,payload_com_z_mm")
     assert first.endswith(",0,10,60")
-    silent = said(capsys, *asked)["result"]
+    silent = document(capsys, *asked)["result"]
     assert {(pose["payload_kg"], *pose["payload_com_mm"]) for pose in silent["poses"]} == {(LOAD, *OFF)}
 
 
@@ -205,6 +197,8 @@ def test_a_default_load_that_cannot_be_is_refused(kilter: Kilter) -> None:
 def test_a_default_load_from_the_command_line(kilter: Kilter, capsys: Capture) -> None:
     name = f"arm-{uuid.uuid4().hex[:8]}"
     add = ("robot", "add", "--preset", "ur10", "--name", name)
-    found = said(capsys, *add, "--payload-kg", 1.2, "--payload-com-mm", "0,0,60")
+    found = document(capsys, *add, "--payload-kg", 1.2, "--payload-com-mm", "0,0,60")
     assert found["document"]["load"] == {"payload_kg": 1.2, "payload_com_mm": [0.0, 0.0, 60.0]}
-    assert "--payload-kg beside it" in said(capsys, *add, "--payload-com-mm", "0,0,60", code=2)["detail"]
+    assert run(["robot", "show", name]) == 0
+    assert "default load: 1.2 kg at (0, 0, 60) mm in the tool frame" in capsys.readouterr().out
+    assert "--payload-kg beside it" in document(capsys, *add, "--payload-com-mm", "0,0,60", code=2)["detail"]

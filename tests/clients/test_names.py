@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,19 +12,11 @@ import pytest
 from kilter_client import FileError, Kilter, UsageError, prepare
 from kilter_client.cli import run
 from kilter_files.robots.plain_name import checked_name, plain_name
+from tests.clients.answered import document
 from tests.core.test_circle_points import circles, horizontal
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]
-
-
-def document(capsys: Capture, *arguments: object, code: int = 0) -> dict[str, Any]:
-    capsys.readouterr()
-    found = run([*map(str, arguments), "--json"])
-    out = capsys.readouterr().out
-    assert found == code, out
-    answer: dict[str, Any] = json.loads(out)
-    return answer
 
 
 @pytest.mark.parametrize(

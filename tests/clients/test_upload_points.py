@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 
 from kilter_client import FileError, Kilter
-from kilter_client.cli import run
 from kilter_files.joint_log import read_joint_log
 from kilter_files.points import prepare_points
+from tests.clients.answered import document
 from tests.clients.files.test_joint_logs import RAPID, write_bag
 
 Write = Callable[..., Path]
@@ -48,15 +46,6 @@ def split(measured: Path, folder: Path, dialect: str) -> tuple[Path, Path]:
     rows = np.stack([table[name] for name in names], axis=1)
     np.savetxt(joints, rows, delimiter=",", header=",".join(names), comments="", fmt="%.9f")
     return export, joints
-
-
-def document(capsys: Capture, *arguments: object, code: int = 0) -> dict[str, Any]:
-    capsys.readouterr()
-    found = run([*map(str, arguments), "--json"])
-    out = capsys.readouterr().out
-    assert found == code, out
-    answer: dict[str, Any] = json.loads(out)
-    return answer
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)

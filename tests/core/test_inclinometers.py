@@ -29,8 +29,9 @@ def arm() -> Arm:
 def readings(log: Log, true: Arm) -> np.ndarray:
     """What an ideal inclinometer shows: eq. 5.16 to 5.19 with the moments of Pinocchio, load sign."""
     out = np.empty(len(log.joint))
-    for i, (q, j, axis, m) in enumerate(zip(log.q, log.joint, log.axis, log.payload_kg, strict=True)):
-        eta = -true.reactions(q, payload=(float(m), np.zeros(3)))[1][j, 3:]
+    com = np.zeros((len(out), 3)) if log.payload_com is None else log.payload_com
+    for i, (q, j, axis, m, at) in enumerate(zip(log.q, log.joint, log.axis, log.payload_kg, com, strict=True)):
+        eta = -true.reactions(q, payload=(float(m), at))[1][j, 3:]
         gamma = math.pi / 2 * abs(eta[0]) / (abs(eta[0]) + abs(eta[1]))
         t = math.tan(C)
         parts = [np.sign(eta[0]) * t * math.sin(gamma), np.sign(eta[1]) * t * math.cos(gamma)]
@@ -39,15 +40,26 @@ def readings(log: Log, true: Arm) -> np.ndarray:
     return out + 0.01 * (1 + log.axis)
 
 
-def planned(joint: int, count: int = 12) -> tuple[Arm, Log]:
+def planned(joint: int, count: int = 12, com: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[Arm, Log]:
     true = arm()
-    poses = inclinometer_poses(robot_from_document(true.document()), joint, count, (0.0, 2.0))
+    poses = inclinometer_poses(robot_from_document(true.document()), joint, count, (0.0, 2.0), payload_com=com)
     log = Log(
         q=np.array([p.q for p in poses]), joint=np.array([p.joint for p in poses]),
         axis=np.array([p.axis for p in poses]), reading=np.zeros(count),
         payload_kg=np.array([p.payload_kg for p in poses]), series=np.zeros(count, dtype=np.int64),
+        payload_com=np.tile(com, (count, 1)),
     )  # fmt: skip
     return true, replace(log, reading=readings(log, true))
+
+
+def test_a_payload_off_the_tool_point_is_weighed_where_it_hangs() -> None:
+    true, log = planned(2, com=(0.2, -0.1, 0.25))
+    robot = robot_from_document(true.document())
+    right, _ = joint_parameters(robot, log)
+    assert [p.value for p in right] == [pytest.approx(value, rel=1e-3) for value in (C, B, 1.0 / K)]
+    wrong, _ = joint_parameters(robot, replace(log, payload_com=None))
+    assert wrong[2].value is not None
+    assert abs(wrong[2].value * K - 1.0) > 0.02
 
 
 def test_the_planned_readings_give_the_three_parameters_within_their_sigmas() -> None:

@@ -85,7 +85,9 @@ def wire_scale(robot: Robot) -> Floats:
 
 
 def _row(p: Proposal, k: int, names: tuple[str, str], scale: Floats) -> dict[str, Any]:
-    return {
+    com = None if p.rows.payload_kg is None or p.rows.payload_com is None else p.rows.payload_com[k]
+    place = {} if com is None else {"payload_com_mm": [round(float(v) * 1e3, 3) for v in com]}
+    return place | {
         "kind": p.kind, "change": p.change or None,
         "q_deg": [round(float(v), 3) for v in p.rows.q[k] * scale],
         "payload_kg": None if p.rows.payload_kg is None else float(p.rows.payload_kg[k]),

@@ -85,13 +85,15 @@ def plan_separation(
 
 
 def imagined(begin: Calibration, options: GapOptions) -> Observations:
-    """Random poses as a first campaign would measure them: both directions, no load, in one hour."""
+    """Random poses as a first campaign would measure them: both directions, the default load or none, in one hour."""
     rng = np.random.default_rng(options.seed)
     q = Region.of(begin).draw(IMAGINED_POSES, rng)
     rows = Observations(
-        q, direction=rng.choice([-1.0, 1.0], q.shape), payload_kg=np.zeros(len(q)),
+        q, direction=rng.choice([-1.0, 1.0], q.shape),
         temperature_c=20.0 + np.linspace(0.0, 1.0, len(q)), t=np.linspace(0.0, IMAGINED_S, len(q)),
     )  # fmt: skip
+    load = begin.robot.load
+    rows = replace(rows, payload_kg=np.zeros(len(q))) if load is None else rows.carrying(load.mass, load.com)
     noise = (options.noise_mm or IMAGINED_NOISE_MM) * 1e-3
     return replace(rows, position=begin.predict(rows).position + noise * rng.standard_normal((len(q), 3)))
 

@@ -27,12 +27,13 @@ WIRE = {
     "rad/(N m)": ("deg/(N m)", 180.0 / math.pi),
     "m/N": ("mm/N", 1e3),
 }
+_TURNS = frozenset(f"{frame}_{axis}" for frame in ("base", "tool") for axis in ("rx", "ry", "rz"))
 LARGE = 0.01  # share of the workspace left after the fit that is worth a warning
 STILL_RAD = 1e-6  # a joint whose readings stay within this never moved
 
 
 def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | None = None) -> list[dict[str, Any]]:
-    """Every free parameter as {name, value, nominal, unit, sigma, identifiable, plausible} in mm and degrees.
+    """Every free parameter as {name, value, nominal, change, unit, sigma, identifiable, plausible} in mm and degrees.
 
     Base and tool are given as x, y, z and rx, ry, rz of the whole frame (URDF order Rz Ry Rx); their sigmas are those
     of small increments along the frame's own axes. ``intervals`` add lower and upper.
@@ -63,12 +64,19 @@ def rows_of(
             "name": name,
             "value": values[name] * scale,
             "nominal": nominal[name] * scale,
+            "change": _change(name, values[name] - nominal[name]) * scale,
             "unit": unit,
             "sigma": float(spread) * scale,
             "identifiable": bool(seen),
             "plausible": parameter.plausible(values[name]),
         })  # fmt: skip
     return rows
+
+
+def _change(name: str, change: float) -> float:
+    """What a value differs from nominal; turns of base and tool the short way round."""
+    turns = name in _TURNS
+    return math.remainder(change, 2.0 * math.pi) if turns else change
 
 
 def null_rows(directions: Sequence[NullDirection]) -> list[dict[str, Any]]:

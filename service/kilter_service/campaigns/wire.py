@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from kilter_service.campaigns.records import CampaignRecord, UploadRecord
-from kilter_service.contract.campaigns import Campaign, Conditions, Role, Upload, Uploaded
+from kilter_service.contract.campaigns import Campaign, Conditions, Role, StoredFile, Upload, Uploaded
 
 
 def campaign(record: CampaignRecord, robot: str, uploads: Sequence[UploadRecord]) -> Campaign:
@@ -29,21 +30,12 @@ def campaign(record: CampaignRecord, robot: str, uploads: Sequence[UploadRecord]
 
 def uploaded(campaign_id: str, record: UploadRecord, total: int, *, new: bool) -> Uploaded:
     """Say what an upload became."""
-    return Uploaded(
-        campaign_id=campaign_id,
-        sha256=record.sha256,
-        rows=record.rows,
-        columns=record.columns,
-        total_rows=total,
-        new=new,
-    )
+    return Uploaded(campaign_id=campaign_id, total_rows=total, new=new, **_file(record))
 
 
 def _upload(record: UploadRecord) -> Upload:
-    return Upload(
-        sha256=record.sha256,
-        rows=record.rows,
-        columns=record.columns,
-        media_type=record.media_type,
-        created_at=record.created_at,
-    )
+    return Upload(media_type=record.media_type, created_at=record.created_at, **_file(record))
+
+
+def _file(record: UploadRecord) -> dict[str, Any]:
+    return {name: getattr(record, name) for name in StoredFile.model_fields}

@@ -53,12 +53,17 @@ class NewCampaign(_Campaign):
     )
 
 
-class Upload(Strict):
-    """A stored file of observations."""
+class StoredFile(Strict):
+    """A file of observations."""
 
     sha256: str = Field(description=SHA256)
     rows: int = Field(description="Rows of the file.")
     columns: list[str] = Field(description="Columns of the file, in its order.")
+
+
+class Upload(StoredFile):
+    """A stored file of observations."""
+
     media_type: str = Field(description="Media type it was sent as.")
     created_at: datetime = Field(description="When it was stored.")
 
@@ -88,12 +93,9 @@ class CampaignList(Listed):
     campaigns: list[Campaign] = Field(description="Campaigns, oldest first.")
 
 
-class Uploaded(Strict):
+class Uploaded(StoredFile):
     """What an upload became; ``new`` is false when the same bytes were there already."""
 
     campaign_id: str = Field(description="Campaign it went to.")
-    sha256: str = Field(description=SHA256)
-    rows: int = Field(description="Rows of the file.")
-    columns: list[str] = Field(description="Columns of the file, in its order.")
     total_rows: int = Field(description="Rows the campaign has now.")
     new: bool = Field(description="False when the same bytes were there already.")

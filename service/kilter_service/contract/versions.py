@@ -171,13 +171,15 @@ class ParameterChange(Strict):
     a: float | None = Field(description="Value in version a.")
     b: float | None = Field(description="Value in version b.")
     change: float | None = Field(description="b minus a.")
+    sigma_a: float | None = Field(None, description="Standard deviation in version a; null: not known, or nominal.")
+    sigma_b: float | None = Field(None, description="Standard deviation in version b; null: not known, or nominal.")
 
 
 class VersionDiff(Strict):
-    """What differs from version a to version b."""
+    """What differs from version a to version b; either may be `nominal`, the robot as drawn."""
 
-    a: str = Field(description="Id of version a.")
-    b: str = Field(description="Id of version b.")
+    a: str = Field(description="Id of version a, or `nominal`.")
+    b: str = Field(description="Id of version b, or `nominal`.")
     effects_added: list[str] = Field(description="Ids of effects that only b has.")
     effects_removed: list[str] = Field(description="Ids of effects that only a has.")
     parameters: list[ParameterChange] = Field(description="All parameters of both, and how they differ.")

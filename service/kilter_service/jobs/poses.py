@@ -52,8 +52,8 @@ def poses_of(
 
 
 def _centre(rows: Observations, k: int) -> tuple[float, float, float] | None:
-    """Where the load of a row hangs; None at the tool point, and where no load is asked for."""
-    if rows.payload_kg is None or rows.payload_com is None or not np.any(rows.payload_com):
+    """Where the load of a row hangs; None where nobody said, and where no load is asked for."""
+    if rows.payload_kg is None or rows.payload_com is None:
         return None
     x, y, z = rows.payload_com[k].tolist()
     return x, y, z

@@ -20,6 +20,7 @@ Table = type[CampaignRow] | type[VersionRow] | type[JobRow]
 TABLES: Mapping[Kind, Table] = {"campaign": CampaignRow, "version": VersionRow, "job": JobRow}
 PREFIXES: Mapping[Kind, str] = {"campaign": "cmp_", "version": "ver_", "job": "job_"}
 LATEST = "latest"
+NOMINAL = "nominal"  # of versions: the robot as drawn, which a comparison may name
 
 
 class Found(NamedTuple):
@@ -104,10 +105,12 @@ def check_form(kind: Kind, name: str) -> None:
         ServiceError: it looks like an id.
 
     """
-    if name.strip() == LATEST or name.strip().startswith(tuple(PREFIXES.values())) or name != name.strip():
+    reserved = (LATEST,) if kind == "campaign" else (LATEST, NOMINAL)  # a job names the version that it makes
+    if name.strip() in reserved or name.strip().startswith(tuple(PREFIXES.values())) or name != name.strip():
         what = "begins or ends with a space" if name != name.strip() else "looks like an id"
+        words = " or ".join(map(repr, reserved))
         raise ServiceError(
-            f"The name {name!r} of a {kind} {what}: give one that is not {LATEST!r}, does not begin with "
+            f"The name {name!r} of a {kind} {what}: give one that is not {words}, does not begin with "
             f"{', '.join(PREFIXES.values())}, and has no space around it.",
             code="name_invalid",
             name=name,

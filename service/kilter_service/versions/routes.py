@@ -24,7 +24,7 @@ from kilter_service.page_query import PageOfList
 from kilter_service.routing import GuardedRoute
 from kilter_service.slots import reading_turn
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
-from kilter_service.versions import activation, keeping, service
+from kilter_service.versions import activation, differences, keeping, service
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 
@@ -106,8 +106,8 @@ def preview(version: str, database: DatabaseOfApp, settings: SettingsOfApp) -> V
 
 @router.get("/versions/{a}/diff/{b}", dependencies=[Depends(reading_turn)])
 def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
-    """Compare two versions of one robot."""
-    return service.diff(database, a, b)
+    """Compare two versions of one robot, or one with `nominal`: the robot as drawn, the effects at zero."""
+    return differences.diff(database, a, b)
 
 
 @router.get(

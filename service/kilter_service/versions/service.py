@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from kilter_service.contract.previews import VersionPreview
-from kilter_service.contract.versions import ActivationList, ParameterChange, Version, VersionDiff, VersionList
+from kilter_service.contract.versions import ActivationList, Version, VersionList
 from kilter_service.db import Database, Session
-from kilter_service.errors import ServiceError
 from kilter_service.exporters.exportable import Exportable
 from kilter_service.exporters.registry import Exported, export
 from kilter_service.paging import Page, in_time
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
 from kilter_service.versions.store import ActiveVersion
-from kilter_service.versions.values import Value, wire_values
 
 
 def active_calibrations(session: Session) -> dict[str, ActiveVersion]:
@@ -43,43 +41,6 @@ def activations(database: Database, robot: str, page: Page) -> ActivationList:
         found = store.activations(session, robots.get(session, robot).id, page)
     shown, cursor = page.cut(found, lambda entry: (str(entry.id),))
     return ActivationList(activations=[wire.activation(entry) for entry in shown], next=cursor)
-
-
-def diff(database: Database, a: str, b: str) -> VersionDiff:
-    """Compare two versions of one robot.
-
-    Raises:
-        ServiceError: they are of different robots.
-
-    """
-    with database.reading() as session:
-        first, second = (wire.summary(store.get(session, version)) for version in (a, b))
-        if first.robot != second.robot:
-            raise ServiceError(
-                f"Version {a} is of robot {first.robot!r}, {b} of {second.robot!r}: compare versions of one robot.",
-                code="option_invalid",
-            )
-        values_a, values_b = (wire_values(store.calibration(session, version)) for version in (a, b))
-    names = [*values_a, *(name for name in values_b if name not in values_a)]
-    return VersionDiff(
-        a=a,
-        b=b,
-        effects_added=[effect for effect in second.effects if effect not in first.effects],
-        effects_removed=[effect for effect in first.effects if effect not in second.effects],
-        parameters=[_change(name, values_a.get(name), values_b.get(name)) for name in names],
-        metrics_a=first.metrics,
-        metrics_b=second.metrics,
-    )
-
-
-def _change(name: str, a: Value | None, b: Value | None) -> ParameterChange:
-    return ParameterChange(
-        name=name,
-        unit=(a or b or Value(0.0, "")).unit,
-        a=a.value if a else None,
-        b=b.value if b else None,
-        change=b.value - a.value if a and b else None,
-    )
 
 
 def exported(database: Database, version_id: str, format_name: str) -> Exported:

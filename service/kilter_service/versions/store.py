@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import and_, func, or_, select
@@ -134,27 +134,11 @@ def _row(session: Session, version_id: str) -> VersionRow:
 
 def _record(session: Session, row: VersionRow) -> VersionRecord:
     last = active_entry(session, row.robot_id)
-    return VersionRecord(
-        id=row.id,
-        robot_id=row.robot_id,
-        robot=robots.by_id(session, row.robot_id).name,
-        active=last is not None and last.version_id == row.id,
-        parent_id=row.parent_id,
-        job_id=row.job_id,
-        created_at=row.created_at,
-        code_version=row.code_version,
-        sha256=row.sha256,
-        calibration=row.calibration,
-        report=row.report,
-        covariance=row.covariance,
-        campaigns=row.campaigns,
-        limits=row.limits,
-        hash_scheme=row.hash_scheme,
-        robot_sha256=row.robot_sha256,
-        name=row.name,
-        notes=row.notes,
-        retired_at=row.retired_at,
-    )
+    told = {
+        field.name: getattr(row, field.name) for field in fields(VersionRecord) if field.name not in ("robot", "active")
+    }
+    active = last is not None and last.version_id == row.id
+    return VersionRecord(robot=robots.by_id(session, row.robot_id).name, active=active, **told)
 
 
 def usable(session: Session, version_id: str) -> VersionRecord:

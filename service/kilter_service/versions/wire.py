@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Literal
 
 from kilter_service.contract.fits import Covariance, Metrics, NullDirection, Parameter, Remark
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+READ_OUT = ("effects", "metrics")  # of a summary, what no field of the record holds
 OF_ITS_OWN = ("parameters", "null_directions", "noise_mm", "warnings", "metrics")  # parts of a report with fields
 
 
@@ -43,7 +45,7 @@ def version(record: VersionRecord) -> Version:
         robot_sha256=record.robot_sha256,
         campaigns=as_written(list[UsedCampaign], record.campaigns),
         limits=limits,
-        parameters=as_written(list[Parameter], report.get("parameters") or []),
+        parameters=as_written(list[Parameter], [_with_change(row) for row in report.get("parameters") or []]),
         null_directions=as_written(list[NullDirection], report.get("null_directions") or []),
         noise_mm=report.get("noise_mm"),
         warnings=as_written(list[Remark], report.get("warnings") or []),
@@ -53,39 +55,33 @@ def version(record: VersionRecord) -> Version:
     )
 
 
+def _with_change(row: dict[str, Any]) -> dict[str, Any]:
+    """Say the change of a parameter that was stored without it."""
+    value, nominal = row.get("value"), row.get("nominal")
+    if "change" in row or value is None or nominal is None:
+        return row
+    change = value - nominal
+    frame, _, axis = str(row.get("name")).partition("_")
+    turns = frame in ("base", "tool") and axis in ("rx", "ry", "rz")
+    return {**row, "change": math.remainder(change, 360.0) if turns else change}
+
+
 def summary(record: VersionRecord) -> VersionSummary:
     """Say what lists tell of a version."""
     return VersionSummary(**_told(record))
 
 
 def _told(record: VersionRecord) -> dict[str, Any]:
-    return {
-        "id": record.id,
-        "robot": record.robot,
-        "active": record.active,
-        "parent_id": record.parent_id,
-        "job_id": record.job_id,
-        "created_at": record.created_at,
-        "code_version": record.code_version,
-        "effects": [effect["id"] for effect in record.calibration["effects"]],
-        "metrics": as_written(Metrics, record.report.get("metrics") or {}),
-        "name": record.name,
-        "notes": record.notes,
-        "retired_at": record.retired_at,
-    }
+    """What a list tells: the record's own fields, and what is read out of its documents."""
+    own = {name: getattr(record, name) for name in VersionSummary.model_fields if name not in READ_OUT}
+    effects = [effect["id"] for effect in record.calibration["effects"]]
+    return own | {"effects": effects, "metrics": as_written(Metrics, record.report.get("metrics") or {})}
 
 
 def activation(record: ActivationRecord) -> Activation:
     """Say what an entry of the log tells."""
-    return Activation(
-        version_id=record.version_id,
-        action=record.action,
-        actor=record.actor,
-        at=record.at,
-        forced=record.forced,
-        reason=record.reason,
-        objections=as_written(list[Objection], record.objections),
-    )
+    own = {name: getattr(record, name) for name in Activation.model_fields if name != "objections"}
+    return Activation(**own, objections=as_written(list[Objection], record.objections))
 
 
 def rival(difference: Difference, errors: Floats) -> Rival:

@@ -83,6 +83,19 @@ def test_markers_directions_and_units_that_become_others(tmp_path: Path) -> None
     assert (row["m1x_mm"], row["m2z_mm"]) == (1000, 6000)
 
 
+def test_the_place_of_a_load_in_another_unit(tmp_path: Path) -> None:
+    column_map = """[columns]
+q1_deg = { from = "A1", unit = "deg" }
+payload_kg = { from = "m", unit = "g" }
+payload_com_x_mm = { from = "cx", unit = "m" }
+payload_com_y_mm = { from = "cy", unit = "m" }
+payload_com_z_mm = { from = "cz", unit = "m" }
+"""
+    (row,) = mapped(tmp_path, "A1,m,cx,cy,cz\n1,2500,0.08,-0.05,0.15\n", column_map)
+    assert row["payload_kg"] == pytest.approx(2.5)
+    assert [row[f"payload_com_{axis}_mm"] for axis in "xyz"] == pytest.approx([80.0, -50.0, 150.0])
+
+
 def test_a_pattern_takes_columns_of_a_matrix(tmp_path: Path) -> None:
     savemat(tmp_path / "log.mat", {"log": {"q": [[1.0, 2.0], [3.0, 4.0]]}, "p": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]})
     text = '[columns]\nq* = { from = "log.q(:,*)", unit = "rad" }\nx_mm = { from = "p[:,0]", unit = "mm" }\n'

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -19,20 +18,12 @@ from kilter_client.cli import run
 from kilter_files.draft import draft
 from kilter_files.summary import columns_of
 from kilter_files.table_shape import shape_of
+from tests.clients.answered import document
 from tests.clients.files.labs import LABS, Measured, write_lab
 from tests.clients.files.test_fuzz import EDITS, edited
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]
-
-
-def document(capsys: Capture, *arguments: object, code: int = 0) -> dict[str, Any]:
-    capsys.readouterr()
-    found = run([*map(str, arguments), "--json"])
-    out = capsys.readouterr().out
-    assert found == code, out
-    answer: dict[str, Any] = json.loads(out)
-    return answer
 
 
 def fill(text: str, name: str) -> str:

@@ -210,6 +210,9 @@ def test_inclinometers_become_readings(lifter: str, tmp_path: Path, capsys: pyte
     extra = np.array([r["reading_deg"] for r in readings])
     wanted = test.play(q)
     assert np.abs((extra - extra.mean()) - (wanted - wanted.mean())).max() < 0.004
+    load = ("--payload-kg", 2, "--payload-com-mm", "0,-10,60")
+    told(capsys, "tilt-join", "lifter", test.after, test.log, "--joint", lifter, "-o", out, *load)
+    assert {(r["payload_kg"], *r["payload_com_mm"]) for r in read_readings(out)} == {(2.0, 0.0, -10.0, 60.0)}
     ask = ["joint-parameters", "lifter", "--readings", out]
     assert run([*map(str, ask), "--json"]) in (0, 1)
     capsys.readouterr()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -18,15 +17,10 @@ import pytest
 from kilter_client import ConflictError, Kilter, ObservationError, ServerUnreachableError
 from kilter_client.cli import run
 from kilter_client.parts import parts, send_whole
+from tests.clients.answered import document
 from tests.clients.files.simulated import arm, stops, wander, write_log, write_n3d
 
 POSES = np.random.default_rng(1).uniform(-60, 60, (6, 3))
-
-
-def document(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -> dict[str, Any]:
-    assert run([*map(str, arguments), "--json"]) == code
-    found: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return found
 
 
 def test_inspect_shows_markers_gaps_and_units(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:

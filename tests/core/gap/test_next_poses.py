@@ -10,10 +10,11 @@ from kilter_core.gap import find_gap, plan_separation
 from kilter_core.gap.candidates import with_testable
 from kilter_core.gap.next_poses import Proposal, _Question, rows_of, separate
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.plan import undecided
+from kilter_core.gap.plan import imagined, undecided
 from kilter_core.gap.prepare import Workshop
 from kilter_core.gap.testability import testability as judged
 from kilter_core.model import Calibration
+from kilter_core.robot import Payload
 from tests.core.gap.simulated import campaign, katana
 
 
@@ -121,3 +122,24 @@ def test_a_slide_is_given_in_mm():
     first = rows_of([proposal], ("a", "b"), slide)[0]["q_deg"]
     assert first[0] == pytest.approx(1e3 * rows.q[0, 0], abs=1e-3)
     assert first[1] == pytest.approx(np.degrees(rows.q[0, 1]), abs=1e-3)
+
+
+def test_loads_that_hang_off_the_tool_point_are_asked_for_where_they_hung():
+    robot = katana()
+    rows = campaign(robot, seed=1, poses=40, loads=(0.5, 2.0))
+    place = np.where(rows.payload_kg[:, None] > 1.0, [0.01, 0.0, 0.04], [0.0, 0.02, 0.0])
+    p = Workshop(Calibration.nominal(robot), replace(rows, payload_com=place), GapOptions(), lambda f, s: None).run()
+    by = {c.label: c for c in with_testable(p.library, judged(p.world, p.library).able)}
+    target, rival = by["axial_compliance j2"], by["link_bending j2"]
+    proposals = separate(p.world, p.visits.observations, target, [rival], (), np.array([1e-4]), 8, 0)
+    said = {(row["payload_kg"], *row["payload_com_mm"]) for row in rows_of(proposals, ("a", "b"), robot)}
+    assert said
+    assert said <= {(0.5, 0.0, 20.0, 0.0), (2.0, 10.0, 0.0, 40.0)}
+
+
+def test_a_plan_without_campaigns_carries_the_default_load():
+    robot = replace(katana(), load=Payload(0.5, (0.0, 0.0, 0.04)))
+    rows = imagined(Calibration.nominal(robot), GapOptions())
+    assert np.unique(rows.payload_kg).tolist() == [0.5]
+    assert np.unique(rows.payload_com, axis=0).tolist() == [[0.0, 0.0, 0.04]]
+    assert imagined(Calibration.nominal(katana()), GapOptions()).payload_com is None

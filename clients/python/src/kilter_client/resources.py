@@ -168,7 +168,7 @@ class Versions(Kept):
         return self._run(robots.do(robot, "rollback"))
 
     def diff(self, first: str, second: str, robot: str | None = None) -> Document:
-        """Compare two versions."""
+        """Compare two versions; ``nominal`` stands for the robot as drawn."""
         return self._run(versions.diff(first, second, robot))
 
     def residuals(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,11 +104,19 @@ def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
         Pose(
             q=np.array(row["q_deg"]) / scale,
             payload_kg=row["payload_kg"],
+            payload_com=_metres(row.get("payload_com_mm")),
             direction=None if row["direction"] is None else tuple(row["direction"]),
         )
         for row in poses
     ]
     return str(document_of(job.robot, made)["csv"]) if made else None
+
+
+def _metres(place_mm: Sequence[float] | None) -> tuple[float, float, float] | None:
+    if place_mm is None:
+        return None
+    x, y, z = (1e-3 * value for value in place_mm)
+    return x, y, z
 
 
 def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Observations | None]:

@@ -220,6 +220,7 @@ def _row(p: JointParameter) -> dict[str, Any]:
         "name": p.name, "unit": p.unit.replace("rad", "deg"), "readings": p.readings, "identifiable": p.value is not None,
         "value": None if p.value is None else p.value * scale, "sigma": None if p.sigma is None else p.sigma * scale,
     }  # fmt: skip
+    row |= {"nominal": 0.0, "change": row["value"]}  # a joint as drawn has neither play nor compliance
     if p.reason is not None:
         row["reason"] = p.reason
     if p.name.startswith("compliance") and p.value:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from kilter_files import Prepared
 
 LONG_TIMEOUT_S = 600.0
+NOMINAL = "nominal"  # in a comparison: the robot as drawn
 
 
 def listed(robot: str, retired: bool = False) -> Steps[list[Document]]:
@@ -47,10 +48,10 @@ def activations(robot: str) -> Steps[list[Document]]:
 
 
 def diff(first: str, second: str, robot: str | None = None) -> Steps[Document]:
-    """Compare two versions."""
-    other = yield from id_of("version", second, robot)
-    path = yield from place("version", first, robot, "diff", other)
-    return (yield from get(path))
+    """Compare two versions; ``nominal`` stands for the robot as drawn."""
+    one = first if first == NOMINAL else (yield from id_of("version", first, robot))
+    other = second if second == NOMINAL else (yield from id_of("version", second, robot))
+    return (yield from get(address("versions", one, "diff", other)))
 
 
 def residuals(version: str, campaigns: Sequence[str], form: str, robot: str | None) -> Steps[bytes]:

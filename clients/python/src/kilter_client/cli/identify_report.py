@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from kilter_client.cli.digits import decimals, ends, estimate
 from kilter_client.cli.load_model_report import show_load_model
 from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
 
+NOMINAL_DIGITS = 7  # the robot as drawn is exact
 MANY_WEIGHTS = 12  # learned weights from which a line stands for all of them
 LEARNED = "residual_"
 INDICES = ("O1", "O2", "O3", "O4", "O5")
@@ -17,15 +19,13 @@ MOST_ROWS = 10
 
 
 def show_parameters(parameters: list[Mapping[str, Any]]) -> None:
-    """Print parameters with their sigmas, and their intervals where there are any."""
+    """Print parameters: nominal, value, change and 95 % interval, with the digits that their sigma allows."""
     if not parameters:
         return
-    bounded = any(p.get("lower") is not None for p in parameters)
     weights = [p for p in parameters if str(p["name"]).startswith(LEARNED)]
     folded = weights if len(weights) > MANY_WEIGHTS else []
-    rows = [_row(p, bounded) for p in parameters if p not in folded]
-    ends = ("from", "to") if bounded else ()
-    show_rows(("parameter", "value", "sigma", *ends, "unit", ""), rows)
+    rows = [_row(p) for p in parameters if p not in folded]
+    show_rows(("parameter", "nominal", "value", "change", "95 %", "unit", ""), rows)
     if folded:
         say(f"and {len(folded)} learned weights, {folded[0]['name']} to {folded[-1]['name']}: no physics; see --json")
 
@@ -52,7 +52,7 @@ def _lines(result: Mapping[str, Any]) -> Iterator[str]:
         yield f"method {method['name']}" + (f": {more}" if more else "")
     yield from _set_aside(result.get("set_aside") or [])
     if result.get("intervals"):
-        yield f"from and to: 95 % intervals by {result['intervals']}"
+        yield f"95 % intervals by {result['intervals']}"
     learned = result.get("learned") or {}
     if learned.get("p_value") is not None:
         yield (
@@ -98,10 +98,14 @@ def _influence(rows: list[Mapping[str, Any]]) -> None:
         say(f"and {len(rows) - MOST_INFLUENCES} of less influence; see --json")
 
 
-def _row(p: Mapping[str, Any], bounded: bool) -> tuple[str, ...]:
-    ends = (number(p.get("lower"), 6), number(p.get("upper"), 6)) if bounded else ()
-    value = "-" if p["value"] is None else number(p["value"], 7)
-    return str(p["name"]), value, number(p.get("sigma"), 2), *ends, str(p.get("unit", "")), _remark(p)
+def _row(p: Mapping[str, Any]) -> tuple[str, ...]:
+    value, sigma = p.get("value"), p.get("sigma")
+    places = decimals(sigma)
+    shown = "-" if value is None else estimate(value, places)
+    interval = ends(value, sigma, p.get("lower"), p.get("upper"))
+    nominal = number(p.get("nominal"), NOMINAL_DIGITS)
+    change = estimate(p.get("change"), places)
+    return str(p["name"]), nominal, shown, change, interval, str(p.get("unit") or ""), _remark(p)
 
 
 def _remark(p: Mapping[str, Any]) -> str:

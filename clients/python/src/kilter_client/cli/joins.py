@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli.arguments import File, Json, Robot
+from kilter_client.cli.arguments import File, Json, PayloadCentre, Robot, three
 from kilter_client.cli.inspect import check_numpy
 from kilter_client.cli.match import joints_of
 from kilter_client.cli.output import emit, say
@@ -75,6 +75,7 @@ def tilt_join(
     shortest: Annotated[float, typer.Option(help="Shortest rest, s.")] = 0.3,
     settle: Annotated[float, typer.Option(help="Left out at the beginning of a rest, s.")] = 0.1,
     payload_kg: Annotated[float, typer.Option(help="Payload of all readings.", min=0.0)] = 0.0,
+    payload_com_mm: PayloadCentre = None,
     series: Annotated[int, typer.Option(help="Number of this mounting of the inclinometers.")] = 0,
     joints_map: Map = None,
     as_json: Json = False,
@@ -90,9 +91,11 @@ def tilt_join(
         raise UsageError(f"--joint {joint}: the robot has {', '.join(names)}.")
     options = TiltOptions(names.index(joint) + 1, axis, by, channel, unit, RestOptions(None, shortest, settle))
     columns, report = join_tilts(file, before, read_joint_log(joints, joints_map), names, options)
-    head = ["joint", "axis", *columns, "payload_kg", "series"]
+    centre = three("--payload-com-mm", payload_com_mm) or []
+    place = [f"payload_com_{k}_mm" for k in "xyz"] if centre else []
+    head = ["joint", "axis", *columns, "payload_kg", *place, "series"]
     rows = [
-        ",".join([joint, axis, *map(_digits, row), f"{payload_kg:g}", str(series)])
+        ",".join([joint, axis, *map(_digits, row), *(f"{value:g}" for value in (payload_kg, *centre)), str(series)])
         for row in zip(*columns.values(), strict=True)
     ]
     write(output, ("\n".join([",".join(head), *rows]) + "\n").encode())

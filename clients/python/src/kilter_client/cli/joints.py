@@ -93,6 +93,6 @@ def _refuse_two_ways(ways: dict[str, object]) -> None:
     given = [name for name, there in ways.items() if there]
     if len(given) != 1:
         raise UsageError(
-            "Give one of --readings FILE (inclinometer), --campaign ID (link-side encoders) and --propose JOINT, "
+            "Give one of --readings FILE (inclinometer), --campaign ID (encoders, inclinometers) and --propose JOINT, "
             f"not {' and '.join(given) or 'none'}."
         )

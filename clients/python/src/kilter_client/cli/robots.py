@@ -119,6 +119,10 @@ def _show(document: dict[str, Any]) -> None:
     ]
     show_rows(("", "joint", "kind", "limits", "gear ratio"), rows)
     say(f"parameters: {', '.join(document.get('parameters', ())) or 'none'}")
+    load = (document.get("document") or {}).get("load")
+    if load:
+        centre = ", ".join(f"{value:g}" for value in load.get("payload_com_mm") or (0, 0, 0))
+        say(f"default load: {load['payload_kg']:g} kg at ({centre}) mm in the tool frame")
     if document.get("remarks"):
         say(f"remarks: {document['remarks']}")
     for remark in document.get("notes", ()):

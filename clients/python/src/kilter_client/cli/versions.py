@@ -8,11 +8,13 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
+from kilter_client.calls.versions import NOMINAL
 from kilter_client.cli import keeping
 from kilter_client.cli.activation_report import show_activations, show_active
 from kilter_client.cli.arguments import Json, Retired, Robot, VersionId
+from kilter_client.cli.digits import decimals, estimate
 from kilter_client.cli.output import emit, say
-from kilter_client.cli.references import OfRobot, resolved, resolved_all
+from kilter_client.cli.references import OfRobot, resolved
 from kilter_client.cli.results import show_version
 from kilter_client.cli.tables import number, show_rows
 from kilter_client.errors import FileError, UsageError
@@ -81,14 +83,14 @@ def activations(robot: Robot, as_json: Json = False) -> None:
 
 
 def diff(
-    first: Annotated[str, typer.Argument(help="A version: id, name or `latest`.", show_default=False)],
-    second: Annotated[str, typer.Argument(help="Another.", show_default=False)],
+    first: Annotated[str, typer.Argument(help="A version: id, name, `latest`, or `nominal`.", show_default=False)],
+    second: Annotated[str, typer.Argument(help="Another; `nominal` is the robot as drawn.", show_default=False)],
     robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:
-    """Compare the parameters of two versions."""
+    """Compare the parameters of two versions, or of a version and the robot as drawn."""
     with Kilter() as kilter:
-        both = resolved_all(kilter, "version", (first, second), robot, as_json)
+        both = [one if one == NOMINAL else resolved(kilter, "version", one, robot, as_json) for one in (first, second)]
         document = kilter.versions.diff(*both)
     emit(document, as_json, _show_diff)
 
@@ -156,8 +158,16 @@ def _show_diff(document: dict[str, Any]) -> None:
     for word in ("added", "removed"):
         if document[f"effects_{word}"]:
             say(f"effects {word}: {', '.join(document[f'effects_{word}'])}")
-    rows = [
-        (p["name"], number(p["a"], 7), number(p["b"], 7), number(p["change"]), p["unit"])
-        for p in document["parameters"]
+    sides = [NOMINAL if document[key] == NOMINAL else word for key, word in (("a", "first"), ("b", "second"))]
+    rows = [_compared(p) for p in document["parameters"]]
+    show_rows(("parameter", *sides, "change", "unit"), rows)
+
+
+def _compared(p: dict[str, Any]) -> tuple[str, ...]:
+    """A row of a comparison; the change has the digits that the less certain of both allows."""
+    values = [
+        number(p[key], 7) if p.get(f"sigma_{key}") is None else estimate(p[key], decimals(p[f"sigma_{key}"]))
+        for key in ("a", "b")
     ]
-    show_rows(("parameter", "first", "second", "change", "unit"), rows)
+    known = [sigma for sigma in (p.get("sigma_a"), p.get("sigma_b")) if sigma is not None]
+    return p["name"], *values, estimate(p["change"], decimals(max(known)) if known else None), p["unit"]

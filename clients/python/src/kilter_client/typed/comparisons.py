@@ -22,18 +22,22 @@ class ParameterChange(Record):
     """b minus a."""
     name: str
     """Name of the parameter; base and tool are whole frames, `base_x` ... `tool_rz`."""
+    sigma_a: float | None
+    """Standard deviation in version a; None: not known, or nominal."""
+    sigma_b: float | None
+    """Standard deviation in version b; None: not known, or nominal."""
     unit: str
     """Unit of the numbers."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class VersionDiff(ShownDiff, Record):
-    """What differs from version a to version b."""
+    """What differs from version a to version b; either may be `nominal`, the robot as drawn."""
 
     a: str
-    """Id of version a."""
+    """Id of version a, or `nominal`."""
     b: str
-    """Id of version b."""
+    """Id of version b, or `nominal`."""
     effects_added: tuple[str, ...]
     """Ids of effects that only b has."""
     effects_removed: tuple[str, ...]

@@ -62,6 +62,8 @@ class Metrics(ShownMetrics, Record):
 class Parameter(ShownParameter, Record):
     """A parameter that was identified, in the unit it is read in."""
 
+    change: float | None
+    """Value minus nominal; turns of base and tool the short way round."""
     identifiable: bool | None
     """Whether the data could see it."""
     interval_from: str | None
@@ -71,7 +73,7 @@ class Parameter(ShownParameter, Record):
     name: str
     """Name of the parameter."""
     nominal: float | None
-    """What the robot as drawn has for it."""
+    """What the robot as drawn has for it; 0 for what it does not have."""
     plausible: bool | None
     """Whether the value is within what is usual."""
     readings: int | None

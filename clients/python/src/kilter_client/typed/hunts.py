@@ -151,6 +151,8 @@ class NextPose(Record):
     """How much more is known after it, as a factor."""
     kind: str | None
     """`new`, or what is done again."""
+    payload_com_mm: tuple[float, ...]
+    """Its centre in the tool frame, mm; None: the tool point."""
     payload_kg: float | None
     """Load to carry, kg; None: any."""
     q_deg: tuple[float, ...]

@@ -106,7 +106,7 @@ class IdentifyOptions(TypedDict, total=False):
 
 
 class JointParametersOptions(TypedDict, total=False):
-    """Readings to evaluate, or a joint to propose configurations for; neither, with campaigns of link-side encoders."""
+    """Readings to evaluate, or a joint to propose configurations for; neither, with campaigns of readings or encoders."""
 
     count: int
     """Configurations to propose, 4 to 200."""

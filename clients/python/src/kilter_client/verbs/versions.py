@@ -85,7 +85,7 @@ def preview(version: Thing, *, robot: str | None = None) -> Steps[VersionPreview
 
 
 def diff(first: Thing, second: Thing, *, robot: str | None = None) -> Steps[VersionDiff]:
-    """Compare two versions, parameter by parameter.
+    """Compare two versions, parameter by parameter; ``"nominal"`` in the place of one is the robot as drawn.
 
     Raises:
         NotFoundError: there is no such version.
