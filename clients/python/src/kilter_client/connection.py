@@ -51,13 +51,10 @@ class Connection:
         if not self._place.by_file:
             return
         try:
-            self._place = locate()
+            self.url = locate().url  # its token is that of its data folder, as before
         except ServerUnreachableError:  # it has not said yet where it is
             return
-        self.url = self._place.url
         self._client.base_url = self.url
-        if self._place.token:
-            self._client.headers["Authorization"] = f"Bearer {self._place.token}"
 
     def request(self, method: str, path: str, content: Content = None, **arguments: Any) -> httpx.Response:
         """Send a request and return its answer; one that the server is too busy for is sent again after a while.

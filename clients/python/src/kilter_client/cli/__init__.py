@@ -55,7 +55,11 @@ def first(
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    sys.exit(run(given))
+    try:
+        code = run(given)
+    except KeyboardInterrupt:  # while an answer or a refusal was being printed
+        code = CODE
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str]) -> int:
