@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-HEAVY = ("httpx", "rich", "numpy", "scipy", "pyarrow", "zenoh", "anyio", "ssl")
+from kilter_client.cli.catalogue import ENTRIES
+
+HEAVY = ("httpx", "rich", "numpy", "scipy", "pyarrow", "zenoh", "anyio", "ssl", "pydantic", "click", "pygments")
 
 
 def loaded(code: str) -> set[str]:
@@ -22,6 +26,7 @@ def loaded(code: str) -> set[str]:
     [
         "import kilter_client",
         "import kilter_client.stream",
+        "from kilter_client.cli import run; assert run(['--help']) == 0",
         "from kilter_client.cli import run; assert run(['identify', '--help']) == 0",
     ],
 )
@@ -39,3 +44,48 @@ folder = pathlib.Path(tempfile.mkdtemp())
 prepare(folder / "lab.csv", column_map=folder / "map.toml")
 """
     assert loaded(code) == set()
+
+
+def test_the_help_imports_no_command() -> None:
+    script = """
+import sys
+from kilter_client.cli import run
+run(['--help'])
+print(*[name for name in sys.modules if name.startswith('kilter_client.cli.')])
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    found = {name.rpartition(".")[2] for name in done.stdout.splitlines()[-1].split()}
+    assert not found & {entry.module for entry in ENTRIES.values()}
+
+
+@pytest.mark.parametrize("command", [["versions", "ROBOT"], ["jobs"], ["upload", "ROBOT", "FILE"]])
+def test_a_command_loads_what_it_needs(robot: str, write_campaign: Callable[..., Path], command: list[str]) -> None:
+    given = [{"ROBOT": robot, "FILE": str(write_campaign())}.get(word, word) for word in command]
+    needed = {"httpx", "anyio", "ssl"}
+    assert loaded(f"from kilter_client.cli import run; assert run({given!r}) == 0") <= needed
+
+
+def test_values_of_commands_are_looked_at_as_typer_does(tmp_path: Path) -> None:
+    """What quick_start lets through without pydantic is refused in the same cases."""
+    (tmp_path / "file.csv").write_text("")
+    script = f"""
+from kilter_client.cli import run
+for given in (
+    ["upload", "arm", "{tmp_path}/nowhere.csv"], ["upload", "arm", "{tmp_path}"],
+    ["upload", "arm", "{tmp_path}/file.csv", "--role", "x"], ["jobs", "list", "--limit", "x"],
+    ["identify", "arm", "--level", "4"], ["upload", "arm"],
+):
+    assert run(given) == 2
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    words = (
+        "does not exist",
+        "is a directory",
+        "is not one of 'train'",
+        "valid integer",
+        "less than or equal to 3",
+        "FILE",
+    )
+    lines = done.stderr.splitlines()
+    assert len(lines) == len(words)
+    assert all(word in line for word, line in zip(words, lines, strict=True)), lines

@@ -95,3 +95,21 @@ def test_examples_run(page: Path, server: LocalServer, tmp_path: Path, request: 
         if example.data:
             link_measurements(tmp_path, request, example.data)
         run(example, tmp_path, server, printed)
+
+
+MOST_COMMANDS = 12
+
+
+def test_the_way_in_is_short_and_copies_no_id() -> None:
+    """From a DH table and a lab's own CSV over identify, gap, activate and correct to an export."""
+    page = examples(DOCS / "how-to" / "from-your-files.md")
+    commands = [line for example in page for line in example.source.splitlines() if line.strip()]
+    assert len(commands) <= MOST_COMMANDS
+    assert all(line.startswith("kilter ") for line in commands)
+    assert not [line for line in commands if IDENTIFIER.search(line) or PLACEHOLDER.search(line)]
+    verbs = [line.split()[1] for line in commands]
+    wanted = iter(("robot", "inspect", "upload", "identify", "gap", "activate", "correct", "export"))
+    step = next(wanted)
+    for verb in verbs:
+        step = next(wanted, "") if verb == step else step
+    assert step == "", f"{step} does not come in its order"

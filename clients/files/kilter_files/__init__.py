@@ -7,7 +7,6 @@ from pathlib import Path
 from shlex import quote
 
 from kilter_files.errors import FileError
-from kilter_files.source import endings
 from kilter_files.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
 
 __all__ = ["DEVICES", "Prepared", "prepare"]
@@ -72,6 +71,8 @@ def prepare(
         )
     if joined is not None:
         raise FileError(f"{joined}: a second file needs a column map with a table [join] (--map).", file=str(joined))
+    from kilter_files.source import endings
+
     if endings().get(path.suffix.lower()) == "xlsx":
         from kilter_files.mapped import read_contract
 

@@ -11,6 +11,7 @@ import typer
 from kilter_client.cli.groups import FirstLevel
 from kilter_client.cli.interrupt import CODE, UNKNOWN, InterruptedCommandError
 from kilter_client.cli.output import report_error, report_usage
+from kilter_client.cli.quick_start import with_quick_values, without_httpx_command
 from kilter_client.errors import KilterError, UsageError
 
 app = typer.Typer(
@@ -54,12 +55,18 @@ def first(
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    sys.exit(run(given))
+    try:
+        code = run(given)
+    except KeyboardInterrupt:  # while an answer or a refusal was being printed
+        code = CODE
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code."""
     as_json = "--json" in arguments
+    without_httpx_command()
+    with_quick_values()
     try:
         code = app(args=list(arguments), prog_name="kilter", standalone_mode=False)
     except UsageError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,8 +25,10 @@ from kilter_client.cli.tables import show_rows
 from kilter_client.errors import ApiError, ConflictError, KilterError, ObservationError, UsageError
 from kilter_client.naming import same
 from kilter_files import DEVICES, Prepared, prepare
+from kilter_files.table import CSV_TYPE
 from kilter_files.tracker_header import PRESETS
 
+A_MARKER = re.compile(rb"m[1-9]\d?[xyz]_")
 SHOWN = 8  # lines of refused rows that are named in the sentence
 Role = Literal["train", "validation", "confirmation"]
 PresetName = Annotated[
@@ -204,7 +207,10 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
 
 
 def _looked_at(file: Path, prepared: Prepared, unchecked: bool) -> Prepared:
-    """Look for knocked markers, where numpy is there to do so."""
+    """Look for knocked markers, where there are markers, and numpy to do so."""
+    header = prepared.content.split(b"\n", 1)[0]
+    if prepared.content_type == CSV_TYPE and not A_MARKER.search(header):
+        return prepared  # numpy would be loaded for nothing
     try:
         from kilter_files.uploaded_markers import refuse_knocked_rows
     except ImportError:

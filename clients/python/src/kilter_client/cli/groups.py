@@ -64,7 +64,8 @@ def _commands_of(module: str) -> Mapping[str, Any]:
     app = typer.Typer(rich_markup_mode=None)
     app.callback()(_nothing)  # with one command alone typer would make no group
     import_module(f"kilter_client.cli.{module}").register(app)
-    return typer.main.get_command(app).commands  # type: ignore[attr-defined,no-any-return]
+    found: Any = typer.main.get_command(app)
+    return dict(found.commands)
 
 
 def _nothing() -> None:

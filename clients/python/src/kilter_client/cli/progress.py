@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 @contextmanager
 def upload_bar(name: str, as_json: bool) -> Iterator[Callable[[int, int], None]]:
     """Show the bytes sent."""
-    with _bar(as_json) as bar:
+    if not _watched(as_json):
+        yield lambda sent, total: None
+        return
+    with _bar() as bar:
         task = bar.add_task(f"sending {name}", total=None)
         yield lambda sent, total: bar.update(task, completed=sent, total=total)
 
@@ -25,20 +28,30 @@ def upload_bar(name: str, as_json: bool) -> Iterator[Callable[[int, int], None]]
 @contextmanager
 def job_bar(name: str, as_json: bool) -> Iterator[Callable[[float, str], None]]:
     """Show the fraction and the stage of a job; where nobody watches a bar, say once that the server is away."""
-    said: set[str] = set()
-    with _bar(as_json) as bar:
+    if not _watched(as_json):
+        yield _said_once(name, as_json)
+        return
+    with _bar() as bar:
         task = bar.add_task(name, total=1.0)
-
-        def show(fraction: float, stage: str) -> None:
-            bar.update(task, completed=fraction, description=f"{name}: {stage}")
-            if bar.disable and stage == AWAY and stage not in said:
-                said.add(stage)
-                note(f"{name}: {stage}", as_json)
-
-        yield show
+        yield lambda fraction, stage: bar.update(task, completed=fraction, description=f"{name}: {stage}")
 
 
-def _bar(as_json: bool) -> Progress:
+def _said_once(name: str, as_json: bool) -> Callable[[float, str], None]:
+    said: set[str] = set()
+
+    def say(_: float, stage: str) -> None:
+        if stage == AWAY and stage not in said:
+            said.add(stage)
+            note(f"{name}: {stage}", as_json)
+
+    return say
+
+
+def _watched(as_json: bool) -> bool:
+    return not as_json and sys.stderr.isatty()
+
+
+def _bar() -> Progress:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -49,5 +62,4 @@ def _bar(as_json: bool) -> Progress:
         TimeElapsedColumn(),
         console=Console(stderr=True),
         transient=True,
-        disable=as_json or not sys.stderr.isatty(),
     )
