@@ -182,10 +182,19 @@ def answers() -> set[str]:
     waiting, found = names_in(text), set[str]()
     while waiting:
         name = waiting.pop()
-        if name not in found and not name.endswith(("Robot", "Options")) and name not in ("Folds", "Problem"):
+        if name not in found and not is_document(name):
             found.add(name)
             waiting |= names_in(json.dumps(INTERFACE["components"]["schemas"][name]))
     return {name for name in found if not name.endswith("List")}
+
+
+def is_document(name: str) -> bool:
+    """What stays as it came: robots, options, and figures, of which Plotly knows the fields."""
+    return (
+        name.endswith(("Robot", "Options", "Figures"))
+        or (name.endswith("Figure") and name != "Figure")
+        or name in ("Bars", "Folds", "Heatmap", "Layout", "Problem", "Scatter", "Scatter3d")
+    )
 
 
 def names_in(text: str) -> set[str]:

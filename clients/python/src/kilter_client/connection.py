@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from kilter_client.errors import KilterError, ServerUnreachableError
-from kilter_client.locate import Place
-from kilter_client.steps import Answer, Events, Follow, Pause, Request, Step, Steps, refuse
+from kilter_client.locate import Place, locate
+from kilter_client.steps import Answer, Events, Follow, LookAgain, Pause, Request, Step, Steps, refuse
 
 if TYPE_CHECKING:
     import httpx
@@ -28,8 +28,13 @@ class Connection:
     ) -> None:
         import httpx  # 0.2 s: not when the package is imported
 
-        self.url, self._reword = place.url, reword
+        self._place, self._reword = place, reword
         self._client = httpx.Client(transport=transport, **_settings(place))
+
+    @property
+    def url(self) -> str:
+        """The server's address."""
+        return self._place.url
 
     def close(self) -> None:
         """Close the connections."""
@@ -66,6 +71,9 @@ class Connection:
         if isinstance(step, Pause):
             time.sleep(step.seconds)
             return None
+        if isinstance(step, LookAgain):
+            self._place = found_again(self._place, self._client)
+            return None
         with reaching(self.url):
             if isinstance(step, Request):
                 return self._sent(step)
@@ -95,8 +103,13 @@ class AsyncConnection:
     ) -> None:
         import httpx
 
-        self.url, self._reword = place.url, reword
+        self._place, self._reword = place, reword
         self._client = httpx.AsyncClient(transport=transport, **_settings(place))
+
+    @property
+    def url(self) -> str:
+        """The server's address."""
+        return self._place.url
 
     async def close(self) -> None:
         """Close the connections."""
@@ -129,6 +142,9 @@ class AsyncConnection:
 
             await asyncio.sleep(step.seconds)
             return None
+        if isinstance(step, LookAgain):
+            self._place = found_again(self._place, self._client)
+            return None
         with reaching(self.url):
             return await (self._sent(step) if isinstance(step, Request) else self._followed(step))
 
@@ -153,6 +169,20 @@ _EVENTS: Mapping[str, Any] = {"headers": {"Accept": "text/event-stream"}, "timeo
 def _settings(place: Place) -> dict[str, Any]:
     headers = {"Authorization": f"Bearer {place.token}"} if place.token else {}
     return {"base_url": place.url, "headers": headers}
+
+
+def found_again(place: Place, client: httpx.Client | httpx.AsyncClient) -> Place:
+    """Return where the server is now that told its address in its data folder; started again it may have another."""
+    if not place.by_file:
+        return place
+    try:
+        found = locate()
+    except ServerUnreachableError:  # it has not said yet where it is
+        return place
+    client.base_url = found.url
+    if found.token:
+        client.headers["Authorization"] = f"Bearer {found.token}"
+    return found
 
 
 def _arguments(step: Request) -> dict[str, Any]:

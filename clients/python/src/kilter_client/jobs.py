@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kilter_client.calls import jobs
-from kilter_client.calls.jobs import Progress, succeeded
+from kilter_client.calls.jobs import AWAY, PATIENCE_S, Progress, succeeded
 from kilter_client.connection import Connection
 from kilter_client.steps import Document, event_data
 
-__all__ = ["Jobs", "Progress", "Validation", "event_data", "succeeded"]
+__all__ = ["AWAY", "PATIENCE_S", "Jobs", "Progress", "Validation", "event_data", "succeeded"]
 
 Validation = Sequence[str] | float | Mapping[str, int] | None
 
@@ -40,6 +40,20 @@ class Jobs:
         body = jobs.asked(kind, robot, campaigns, validation, options, confirmation, name)
         return self._run(jobs.submit(robot, body))
 
+    def check(
+        self,
+        kind: str,
+        robot: str,
+        campaigns: Sequence[str] = (),
+        validation: Validation = None,
+        options: Mapping[str, Any] | None = None,
+        confirmation: Sequence[str] = (),
+        name: str = "",
+    ) -> Document:
+        """Say what such a job would do, at once: nothing is stored, nothing queued."""
+        body = jobs.asked(kind, robot, campaigns, validation, options, confirmation, name)
+        return self._run(jobs.check(robot, body))
+
     def list(self, robot: str | None = None, limit: int = 100) -> list[Document]:
         """Return the newest jobs, of one robot or of all."""
         return self._run(jobs.listed(robot, limit))
@@ -59,15 +73,16 @@ class Jobs:
         timeout_s: float | None = None,
         robot: str | None = None,
     ) -> Document:
-        """Follow a job to its end and return its document with the result.
+        """Follow a job to its end and return its document with the result, through a restart of the server too.
 
         Raises:
             JobFailedError: it failed; the document is the exception's ``job``.
             JobCancelledError: it was cancelled.
             JobTimeoutError: it goes on after ``timeout_s``.
+            ServerUnreachableError: the server gave no answer for two minutes; the job is stored there.
 
         """
-        return self._run(jobs.wait(job, progress, timeout_s, robot))
+        return self._run(jobs.wait(job, progress, timeout_s, robot, PATIENCE_S))
 
     def run(
         self,

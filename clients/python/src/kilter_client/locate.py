@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from ipaddress import ip_address
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -17,10 +17,14 @@ TOKEN_FILE = "token"
 
 @dataclass(frozen=True)
 class Place:
-    """A server's address, and the token to send with every request (None: send none)."""
+    """A server's address, and the token to send with every request (None: send none).
+
+    ``by_file`` says that a server on this machine told its address in its data folder; started again it may have another.
+    """
 
     url: str
     token: str | None
+    by_file: bool = field(default=False, compare=False)
 
 
 def data_folder() -> Path:
@@ -35,12 +39,13 @@ def locate(url: str | None = None, token: str | None = None) -> Place:
         ServerUnreachableError: nothing says where the server is.
 
     """
-    found = (url or os.environ.get("KILTER_URL") or _running_server()).rstrip("/")
+    told = url or os.environ.get("KILTER_URL")
+    found = (told or _running_server()).rstrip("/")
     secret = token or os.environ.get("KILTER_TOKEN")
     # The token file belongs to a server on this machine: it must not travel to another one.
     if secret is None and _is_this_machine(found):
         secret = _token_of(data_folder())
-    return Place(found, secret)
+    return Place(found, secret, by_file=not told)
 
 
 def _running_server() -> str:

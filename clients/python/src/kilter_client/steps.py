@@ -66,6 +66,11 @@ class Pause:
 
 
 @dataclass(frozen=True)
+class LookAgain:
+    """Go on with the server that runs on this machine now, if the one before was found there."""
+
+
+@dataclass(frozen=True)
 class Follow:
     """Follow a stream of events; ``told`` is given the document of each and answers whether that was enough."""
 
@@ -73,7 +78,7 @@ class Follow:
     told: Callable[[Document], bool]
 
 
-Step = Request | Pause | Follow
+Step = Request | Pause | Follow | LookAgain
 Steps: TypeAlias = Generator[Step, Any, T]
 
 

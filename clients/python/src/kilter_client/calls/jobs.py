@@ -16,14 +16,17 @@ from kilter_client.errors import (
     NotFoundError,
     ServerUnreachableError,
 )
-from kilter_client.steps import Document, Follow, Pause, Steps, address, get, post
+from kilter_client.steps import Document, Follow, LookAgain, Pause, Request, Steps, address, get, post, read
 
 Progress = Callable[[float, str], None]
 
 FINISHED = ("succeeded", "failed", "cancelled")
 POLL_S = (0.1, 0.2, 0.5, 1.0)
-# How often in a row a wait may find no server before it gives up: a restart takes some seconds.
-MAX_SILENCES = 10
+# How long a wait goes on without an answer: a server that is started again is ready within seconds, on a busy machine
+# that compiles its kernels within a minute or two.
+PATIENCE_S = 120.0
+LOOK_TIMEOUT_S = 10.0
+AWAY = f"the server does not answer, waiting up to {PATIENCE_S:.0f} s for it"
 
 
 def asked(
@@ -67,7 +70,19 @@ def cancel(job: str, robot: str | None = None) -> Steps[Document]:
     return (yield from post(address("jobs", found, "cancel")))
 
 
-def wait(job: str, progress: Progress | None, timeout_s: float | None, robot: str | None = None) -> Steps[Document]:
+def check(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
+    """Say what a job would do; nothing is stored, nothing queued."""
+    request = yield from resolved_request(robot, body)
+    return (yield from post("/v1/jobs/check", request))
+
+
+def wait(
+    job: str,
+    progress: Progress | None,
+    timeout_s: float | None,
+    robot: str | None = None,
+    patience_s: float = PATIENCE_S,
+) -> Steps[Document]:
     """Follow a job to its end and return its document: by its events; when they break or are refused, by looking."""
     found = yield from id_of("job", job, robot)
     watch = _Watch(found, progress, timeout_s)
@@ -77,7 +92,7 @@ def wait(job: str, progress: Progress | None, timeout_s: float | None, robot: st
         if isinstance(error, NotFoundError | NotAuthorisedError):
             raise
     if watch.last.get("state") not in FINISHED:
-        yield from _looked_at(found, watch)
+        yield from _looked_at(found, watch, patience_s)
     return succeeded(watch.last if "result" in watch.last else (yield from one(found)))
 
 
@@ -98,28 +113,43 @@ class _Watch:
             return True
         if self._deadline is not None and time.monotonic() > self._deadline:
             raise JobTimeoutError(
-                f"Job {self._job_id} is still {document.get('state')} after {self._timeout_s:g} s.",
+                f"Job {self._job_id} is still {document.get('state', 'without an answer')} after {self._timeout_s:g} s.",
                 job_id=self._job_id,
             )
         return False
 
 
-def _looked_at(job_id: str, watch: _Watch) -> Steps[None]:
-    """Look at the job's document until it has ended."""
-    looks, silences = 0, 0
+def _looked_at(job_id: str, watch: _Watch, patience_s: float) -> Steps[None]:
+    """Look at the job's document until it has ended, through a restart of the server too."""
+    looks, heard = 0, time.monotonic()
     while True:
         try:
-            job = yield from get(address("jobs", job_id))
-        except ServerUnreachableError:
-            silences += 1
-            if silences >= MAX_SILENCES:
-                raise
-        else:
-            silences = 0
+            job = yield from read(Request("GET", address("jobs", job_id), timeout_s=LOOK_TIMEOUT_S))
+            heard = time.monotonic()
             if watch.told(job):
                 return
+        except (ServerUnreachableError, ApiError) as error:
+            if not _may_pass(error):
+                raise
+            if time.monotonic() - heard > patience_s:
+                raise _gone(job_id, patience_s) from error
+            yield LookAgain()
+            watch.told({**watch.last, "progress": {"fraction": progress_of(watch.last)[0], "stage": AWAY}})
         yield Pause(POLL_S[min(looks, len(POLL_S) - 1)])
         looks += 1
+
+
+def _may_pass(error: ServerUnreachableError | ApiError) -> bool:
+    """Whether an error is one of a server that starts, stops or is busy, so that asking again may help."""
+    return isinstance(error, ServerUnreachableError) or (error.status or 0) >= 500
+
+
+def _gone(job_id: str, patience_s: float) -> ServerUnreachableError:
+    return ServerUnreachableError(
+        f"The server has not answered for {patience_s:.0f} s. Job {job_id} is stored there and goes on when the server is "
+        f"back: `kilter jobs watch {job_id}` follows it.",
+        job_id=job_id,
+    )
 
 
 def succeeded(job: Document) -> Document:

@@ -72,16 +72,25 @@ def export(version: str, form: str, robot: str | None = None) -> Steps[bytes]:
     return answer.content
 
 
-def correct(robot: str, trajectory: Prepared, version: str | None, form: str | None) -> Steps[Answer]:
+def correct(
+    robot: str,
+    trajectory: Prepared,
+    version: str | None,
+    form: str | None,
+    payload_kg: float | None = None,
+    payload_com_mm: Sequence[float] | None = None,
+) -> Steps[Answer]:
     """Correct a trajectory."""
     chosen = None if not version else (yield from id_of("version", version, robot))
     accepted = "*/*" if form else trajectory.content_type
+    centre = None if payload_com_mm is None else ",".join(repr(float(one)) for one in payload_com_mm)
+    wanted = {"version": chosen, "format": form, "payload_kg": payload_kg, "payload_com_mm": centre}
     request = Request(
         "POST",
         address("robots", robot, "correct"),
         content=trajectory.content,
         headers={"Content-Type": trajectory.content_type, "Accept": accepted},
-        params={name: value for name, value in (("version", chosen), ("format", form)) if value},
+        params={name: value for name, value in wanted.items() if value is not None},
         timeout_s=LONG_TIMEOUT_S,
     )
     return (yield from answer_of(request))

@@ -19,9 +19,13 @@ if TYPE_CHECKING:
 
 
 class Corrected(bytes):
-    """A corrected trajectory, as bytes of a file; ``left_out`` are effects of the version that it does not cover."""
+    """A corrected trajectory, as bytes of a file.
+
+    ``left_out`` are effects of the version that it does not cover, ``notes`` what else the server says of it.
+    """
 
     left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     media_type: str = CSV_TYPE
 
     @property

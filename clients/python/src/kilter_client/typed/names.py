@@ -112,3 +112,4 @@ JOBS = {
     "joint_parameters": "JointParametersJob",
     "plan": "PlanJob",
 }
+CHECKS: dict[str, str] = {}

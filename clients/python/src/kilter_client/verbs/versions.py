@@ -134,6 +134,8 @@ def correct(
     columns: Sequence[str] | None = None,
     version: Thing | None = None,
     form: str | None = None,
+    payload_kg: float | None = None,
+    payload_com_mm: Sequence[float] | None = None,
 ) -> Steps[Corrected]:
     """Correct a trajectory with the active version, or with ``version``.
 
@@ -145,6 +147,8 @@ def correct(
         columns: names of the columns of an array of two dimensions, with units.
         version: another version than the active one.
         form: another format than the one sent.
+        payload_kg: mass on the tool along the whole path, kg; where a version follows loads.
+        payload_com_mm: its centre in the tool frame, mm.
 
     Raises:
         ConflictError: the robot has no active version.
@@ -155,8 +159,10 @@ def correct(
     from kilter_client.results.corrected import Corrected
 
     chosen = None if not version else reference("version", version)
-    answer = yield from calls.correct(reference("robot", robot), rows_of(trajectory, columns), chosen, form)
+    rows = rows_of(trajectory, columns)
+    answer = yield from calls.correct(reference("robot", robot), rows, chosen, form, payload_kg, payload_com_mm)
     corrected = Corrected(answer.content)
     corrected.media_type = answer.headers.get("content-type", "").partition(";")[0]
     corrected.left_out = tuple(filter(None, answer.headers.get("kilter-not-corrected", "").split(", ")))
+    corrected.notes = tuple(filter(None, answer.headers.get("kilter-notes", "").split(" | ")))
     return corrected
