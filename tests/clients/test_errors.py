@@ -162,8 +162,7 @@ def test_a_busy_server_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
         return httpx.Response(201, json={"id": "upl_1", "rows": 1})
 
     assert (
-        client(busy_twice).campaigns.upload("cmp_0123456789abcdef", Prepared(b"q1_deg,x_mm\n1,2\n", "text/csv"))["rows"]
-        == 1
+        client(busy_twice).campaigns.upload("cmp_" + "1" * 16, Prepared(b"q1_deg,x_mm\n1,2\n", "text/csv"))["rows"] == 1
     )
     assert len(set(bodies)) == 1
     assert waits == [2.0, 2.0]

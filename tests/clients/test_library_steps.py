@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 from kilter_client import AsyncKilter, Kilter, PayloadError, ServerUnreachableError
-from kilter_client import jobs as waiting
+from kilter_client.calls import jobs as waiting
 from kilter_client.calls.jobs import AWAY
 from kilter_client.steps import Pause, Request, answer_of
 from kilter_client.wording import in_words

@@ -28,13 +28,8 @@ class Connection:
     ) -> None:
         import httpx  # 0.2 s: not when the package is imported
 
-        self._place, self._reword = place, reword
+        self.url, self._place, self._reword = place.url, place, reword
         self._client = httpx.Client(transport=transport, **_settings(place))
-
-    @property
-    def url(self) -> str:
-        """The server's address."""
-        return self._place.url
 
     def close(self) -> None:
         """Close the connections."""
@@ -72,7 +67,7 @@ class Connection:
             time.sleep(step.seconds)
             return None
         if isinstance(step, LookAgain):
-            self._place = found_again(self._place, self._client)
+            self.url, self._place = _moved(self._client, self._place)
             return None
         with reaching(self.url):
             if isinstance(step, Request):
@@ -103,13 +98,8 @@ class AsyncConnection:
     ) -> None:
         import httpx
 
-        self._place, self._reword = place, reword
+        self.url, self._place, self._reword = place.url, place, reword
         self._client = httpx.AsyncClient(transport=transport, **_settings(place))
-
-    @property
-    def url(self) -> str:
-        """The server's address."""
-        return self._place.url
 
     async def close(self) -> None:
         """Close the connections."""
@@ -143,7 +133,7 @@ class AsyncConnection:
             await asyncio.sleep(step.seconds)
             return None
         if isinstance(step, LookAgain):
-            self._place = found_again(self._place, self._client)
+            self.url, self._place = _moved(self._client, self._place)
             return None
         with reaching(self.url):
             return await (self._sent(step) if isinstance(step, Request) else self._followed(step))
@@ -171,18 +161,17 @@ def _settings(place: Place) -> dict[str, Any]:
     return {"base_url": place.url, "headers": headers}
 
 
-def found_again(place: Place, client: httpx.Client | httpx.AsyncClient) -> Place:
-    """Return where the server is now that told its address in its data folder; started again it may have another."""
+def _moved(client: httpx.Client | httpx.AsyncClient, place: Place) -> tuple[str, Place]:
+    """Let a client go on with the server that runs on this machine now, if it was found by its file there."""
     if not place.by_file:
-        return place
+        return place.url, place
     try:
-        found = locate()
+        place = locate()
     except ServerUnreachableError:  # it has not said yet where it is
-        return place
-    client.base_url = found.url
-    if found.token:
-        client.headers["Authorization"] = f"Bearer {found.token}"
-    return found
+        return place.url, place
+    client.base_url = place.url
+    client.headers.update(_settings(place)["headers"])
+    return place.url, place
 
 
 def _arguments(step: Request) -> dict[str, Any]:

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kilter_client.calls import jobs
-from kilter_client.calls.jobs import AWAY, PATIENCE_S, Progress, succeeded
+from kilter_client.calls.jobs import Progress, succeeded
 from kilter_client.connection import Connection
 from kilter_client.steps import Document, event_data
 
-__all__ = ["AWAY", "PATIENCE_S", "Jobs", "Progress", "Validation", "event_data", "succeeded"]
+__all__ = ["Jobs", "Progress", "Validation", "event_data", "succeeded"]
 
 Validation = Sequence[str] | float | Mapping[str, int] | None
 
@@ -50,7 +50,11 @@ class Jobs:
         confirmation: Sequence[str] = (),
         name: str = "",
     ) -> Document:
-        """Say what such a job would do, at once: nothing is stored, nothing queued."""
+        """Say what such a job would do, at once: nothing is stored, nothing queued.
+
+        The document has ``would_run`` and ``problems``, what is used and held out, ``missing``, ``duration_s``; of
+        ``identify`` also ``identifiability``, of ``gap`` ``testability``.
+        """
         body = jobs.asked(kind, robot, campaigns, validation, options, confirmation, name)
         return self._run(jobs.check(robot, body))
 
@@ -82,7 +86,7 @@ class Jobs:
             ServerUnreachableError: the server gave no answer for two minutes; the job is stored there.
 
         """
-        return self._run(jobs.wait(job, progress, timeout_s, robot, PATIENCE_S))
+        return self._run(jobs.wait(job, progress, timeout_s, robot))
 
     def run(
         self,

@@ -67,7 +67,7 @@ class Pause:
 
 @dataclass(frozen=True)
 class LookAgain:
-    """Go on with the server that runs on this machine now, if the one before was found there."""
+    """Go on with the server that runs on this machine now, where it was found by its file there."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Follow:
     told: Callable[[Document], bool]
 
 
-Step = Request | Pause | Follow | LookAgain
+Step = Request | Pause | LookAgain | Follow
 Steps: TypeAlias = Generator[Step, Any, T]
 
 

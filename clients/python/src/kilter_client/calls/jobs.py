@@ -51,6 +51,12 @@ def submit(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
     return (yield from post("/v1/jobs", request))
 
 
+def check(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
+    """Ask what a job would do; nothing is stored, nothing queued."""
+    request = yield from resolved_request(robot, body)
+    return (yield from post("/v1/jobs/check", request))
+
+
 def listed(robot: str | None = None, limit: int = 100) -> Steps[list[Document]]:
     """Return the newest jobs."""
     wanted: Document = {"limit": limit} | ({"robot": robot} if robot else {})
@@ -70,19 +76,7 @@ def cancel(job: str, robot: str | None = None) -> Steps[Document]:
     return (yield from post(address("jobs", found, "cancel")))
 
 
-def check(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
-    """Say what a job would do; nothing is stored, nothing queued."""
-    request = yield from resolved_request(robot, body)
-    return (yield from post("/v1/jobs/check", request))
-
-
-def wait(
-    job: str,
-    progress: Progress | None,
-    timeout_s: float | None,
-    robot: str | None = None,
-    patience_s: float = PATIENCE_S,
-) -> Steps[Document]:
+def wait(job: str, progress: Progress | None, timeout_s: float | None, robot: str | None = None) -> Steps[Document]:
     """Follow a job to its end and return its document: by its events; when they break or are refused, by looking."""
     found = yield from id_of("job", job, robot)
     watch = _Watch(found, progress, timeout_s)
@@ -92,7 +86,7 @@ def wait(
         if isinstance(error, NotFoundError | NotAuthorisedError):
             raise
     if watch.last.get("state") not in FINISHED:
-        yield from _looked_at(found, watch, patience_s)
+        yield from _looked_at(found, watch)
     return succeeded(watch.last if "result" in watch.last else (yield from one(found)))
 
 
@@ -111,30 +105,39 @@ class _Watch:
             self._progress(*progress_of(document))
         if document.get("state") in FINISHED:
             return True
-        if self._deadline is not None and time.monotonic() > self._deadline:
-            raise JobTimeoutError(
-                f"Job {self._job_id} is still {document.get('state', 'without an answer')} after {self._timeout_s:g} s.",
-                job_id=self._job_id,
-            )
+        self._in_time(str(document.get("state")))
         return False
 
+    def away(self) -> None:
+        """Take that there was no answer."""
+        if self._progress is not None:
+            self._progress(progress_of(self.last)[0], AWAY)
+        self._in_time("without an answer")
 
-def _looked_at(job_id: str, watch: _Watch, patience_s: float) -> Steps[None]:
-    """Look at the job's document until it has ended, through a restart of the server too."""
+    def _in_time(self, state: str) -> None:
+        if self._deadline is not None and time.monotonic() > self._deadline:
+            raise JobTimeoutError(
+                f"Job {self._job_id} is still {state} after {self._timeout_s:g} s.", job_id=self._job_id
+            )
+
+
+def _looked_at(job_id: str, watch: _Watch) -> Steps[None]:
+    """Look at the job's document until it has ended, through a restart of the server within ``PATIENCE_S``."""
     looks, heard = 0, time.monotonic()
     while True:
         try:
             job = yield from read(Request("GET", address("jobs", job_id), timeout_s=LOOK_TIMEOUT_S))
-            heard = time.monotonic()
-            if watch.told(job):
-                return
         except (ServerUnreachableError, ApiError) as error:
             if not _may_pass(error):
                 raise
-            if time.monotonic() - heard > patience_s:
-                raise _gone(job_id, patience_s) from error
+            if time.monotonic() - heard > PATIENCE_S:
+                raise _gone(job_id) from error
             yield LookAgain()
-            watch.told({**watch.last, "progress": {"fraction": progress_of(watch.last)[0], "stage": AWAY}})
+            watch.away()
+        else:
+            heard = time.monotonic()
+            if watch.told(job):
+                return
         yield Pause(POLL_S[min(looks, len(POLL_S) - 1)])
         looks += 1
 
@@ -144,10 +147,10 @@ def _may_pass(error: ServerUnreachableError | ApiError) -> bool:
     return isinstance(error, ServerUnreachableError) or (error.status or 0) >= 500
 
 
-def _gone(job_id: str, patience_s: float) -> ServerUnreachableError:
+def _gone(job_id: str) -> ServerUnreachableError:
     return ServerUnreachableError(
-        f"The server has not answered for {patience_s:.0f} s. Job {job_id} is stored there and goes on when the server is "
-        f"back: `kilter jobs watch {job_id}` follows it.",
+        f"The server has not answered for {PATIENCE_S:.0f} s. Job {job_id} is stored there and goes on when it is back: "
+        f"`kilter jobs watch {job_id}` follows it.",
         job_id=job_id,
     )
 

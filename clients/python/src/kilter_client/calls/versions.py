@@ -82,9 +82,13 @@ def correct(
 ) -> Steps[Answer]:
     """Correct a trajectory."""
     chosen = None if not version else (yield from id_of("version", version, robot))
+    wanted = {
+        "version": chosen,
+        "format": form or None,
+        "payload_kg": payload_kg,
+        "payload_com_mm": None if payload_com_mm is None else ",".join(f"{float(value)!r}" for value in payload_com_mm),
+    }
     accepted = "*/*" if form else trajectory.content_type
-    centre = None if payload_com_mm is None else ",".join(repr(float(one)) for one in payload_com_mm)
-    wanted = {"version": chosen, "format": form, "payload_kg": payload_kg, "payload_com_mm": centre}
     request = Request(
         "POST",
         address("robots", robot, "correct"),

@@ -147,7 +147,7 @@ def correct(
         columns: names of the columns of an array of two dimensions, with units.
         version: another version than the active one.
         form: another format than the one sent.
-        payload_kg: mass on the tool along the whole path, kg; where a version follows loads.
+        payload_kg: what hangs on the tool along the whole path, kg.
         payload_com_mm: its centre in the tool frame, mm.
 
     Raises:
@@ -159,8 +159,9 @@ def correct(
     from kilter_client.results.corrected import Corrected
 
     chosen = None if not version else reference("version", version)
-    rows = rows_of(trajectory, columns)
-    answer = yield from calls.correct(reference("robot", robot), rows, chosen, form, payload_kg, payload_com_mm)
+    answer = yield from calls.correct(
+        reference("robot", robot), rows_of(trajectory, columns), chosen, form, payload_kg, payload_com_mm
+    )
     corrected = Corrected(answer.content)
     corrected.media_type = answer.headers.get("content-type", "").partition(";")[0]
     corrected.left_out = tuple(filter(None, answer.headers.get("kilter-not-corrected", "").split(", ")))
