@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import fields
@@ -192,3 +193,7 @@ def _cell(text: str) -> str:
 
 def _words(text: str) -> str:
     return text.replace("``", "`")
+
+
+if __name__ == "__main__":
+    print(json.dumps({"library.md": library_page(), "library-types.md": types_page()}))
