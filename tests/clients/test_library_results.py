@@ -177,24 +177,19 @@ def test_what_a_missing_package_is_for(monkeypatch: pytest.MonkeyPatch, ask: str
 
 
 def answers() -> set[str]:
-    """Schemas that answers of the interface are made of, by the snapshot; robots and options stay documents."""
+    """Schemas that answers of the interface are made of; robots and options stay documents, a figure is a ``Figure``."""
     text = json.dumps([m["responses"] for path in INTERFACE["paths"].values() for m in path.values()])
     waiting, found = names_in(text), set[str]()
     while waiting:
         name = waiting.pop()
-        if name not in found and not is_document(name):
+        if (
+            name not in found
+            and not name.endswith(("Robot", "Options", "Figures"))
+            and name not in ("Folds", "Problem")
+        ):
             found.add(name)
             waiting |= names_in(json.dumps(INTERFACE["components"]["schemas"][name]))
     return {name for name in found if not name.endswith("List")}
-
-
-def is_document(name: str) -> bool:
-    """What stays as it came: robots, options, and figures, of which Plotly knows the fields."""
-    return (
-        name.endswith(("Robot", "Options", "Figures"))
-        or (name.endswith("Figure") and name != "Figure")
-        or name in ("Bars", "Folds", "Heatmap", "Layout", "Problem", "Scatter", "Scatter3d")
-    )
 
 
 def names_in(text: str) -> set[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -42,18 +41,6 @@ def test_a_load_goes_with_the_trajectory_and_notes_come_back() -> None:
     assert (done.notes, done.left_out) == (("one", "two"), ("drift", "settling"))
     assert dict(asked[0].params) == {"payload_kg": "0.5", "payload_com_mm": "1.0,2.5,0.0"}
     assert dict(asked[1].params) == {"payload_kg": "0.0"}
-
-
-def test_a_check_asks_what_a_job_would_do() -> None:
-    def answer(request: httpx.Request) -> httpx.Response:
-        body = json.loads(request.content)
-        return httpx.Response(200, json={"kind": body["kind"], "path": request.url.path, "asked": body})
-
-    with client(answer) as k:
-        told = k.check("identify", "arm", "cmp_" + "1" * 16, validation=0.3, level=2)
-    assert told["path"] == "/v1/jobs/check"
-    assert told["asked"]["options"] == {"level": 2}
-    assert told["asked"]["validation"] == 0.3
 
 
 def nobody(request: httpx.Request) -> httpx.Response:

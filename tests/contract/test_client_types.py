@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -47,15 +46,11 @@ def interface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             noise_mm=or_null({"type": "number", "x-unit": "mm"}),
             by_name={"type": "object", "additionalProperties": of("Part")},
         ),
-        "IdentifyFigures": schema(errors=or_null(of("BarFigure"))),
-        "BarFigure": schema(layout=or_null(of("Layout"))),
-        "Figure": schema(
-            layout=or_null(of("Layout")), data={"type": "array", "items": {"oneOf": [of("Bars"), of("Lines")]}}
-        ),
+        "IdentifyFigures": schema(errors=or_null(of("Figure"))),
+        "Figure": schema(data={"type": "array", "items": {"oneOf": [of("Bars"), of("Lines")]}}),
         "Part": schema(**{"class": {"type": "string", "description": "Its class."}, "document": {"type": "object"}}),
-        "IdentifyCheck": schema(would_run={"type": "boolean"}, part=of("Part")),
     }
-    paths = {"/v1/jobs/{job}": {"get": by_kind("IdentifyJob")}, "/v1/jobs/check": {"post": by_kind("IdentifyCheck")}}
+    paths = {"/v1/jobs/{job}": {"get": by_kind("IdentifyJob")}}
     monkeypatch.setattr(client_types, "MODULES", {"fits": ("Figure",)})
     file = tmp_path / "openapi.json"
     file.write_text(json.dumps({"components": {"schemas": schemas}, "paths": paths}))
@@ -81,17 +76,7 @@ def test_what_the_types_of_an_interface_are(interface: Path) -> None:
     ):
         assert f"{line}\n" in jobs, line
     assert "data: tuple[Mapping[str, Any], ...]\n" in made["fits"]
-    assert not re.search("BarFigure|IdentifyFigures|Layout", "".join(made.values()))
-    assert "from kilter_client.typed.jobs import Part\n" in made["checks"]
-    assert "'identify': 'IdentifyCheck'" in made["names"]
+    assert "IdentifyFigures" not in "".join(made.values())
+    assert "'identify': 'IdentifyJob'" in made["names"]
     assert "level: Literal[1, 2] | None\n" in made["options"]
     assert "free: Sequence[str]\n" in made["options"]
-
-
-def test_an_interface_without_checks_has_no_module_for_them(interface: Path) -> None:
-    document = json.loads(interface.read_text())
-    del document["paths"]["/v1/jobs/check"]
-    interface.write_text(json.dumps(document))
-    made = client_modules(interface)
-    assert "checks" not in made
-    assert "CHECKS: dict[str, str] = {\n}" in made["names"]

@@ -33,7 +33,7 @@ MODULES: Mapping[str, Sequence[str]] = {
     "plans": ("PlanResult",),
     "server": ("Health", "ResolvedReference", "JobSummary"),
 }
-JOB, CHECK = ("/v1/jobs/{job}", "get"), ("/v1/jobs/check", "post")
+JOB = "/v1/jobs/{job}"
 # What is written by hand for a type: how it is shown, and what can be made of it.
 SHOWN: Mapping[str, tuple[str, str]] = {
     "ActivatedVersion": ("ShownActivated", "shown_jobs"),
@@ -61,25 +61,21 @@ def client_modules(snapshot: Path) -> dict[str, str]:
     """Return the text of each module of ``kilter_client.typed``."""
     interface = json.loads(snapshot.read_text(encoding="utf-8"))
     schemas = interface["components"]["schemas"]
-    jobs, checks = _by_kind(interface, *JOB), _by_kind(interface, *CHECK)
+    jobs = _kinds_of_job(interface)
     held: dict[str, str] = {}
     texts = {}
-    for module, roots in {**MODULES, "jobs": [*jobs.values()], "checks": [*checks.values()]}.items():
+    for module, roots in {**MODULES, "jobs": [*jobs.values()]}.items():
         own = _needed(schemas, roots, held)
-        if not own:
-            continue
         held |= dict.fromkeys(own, module)
         texts[module] = _module(module, schemas, own, held)
     texts["options"] = _options(schemas, [f"{name.removesuffix('Job')}Options" for name in jobs.values()])
-    texts["names"] = _names(held, jobs, checks)
+    texts["names"] = _names(held, jobs)
     return texts
 
 
-def _by_kind(interface: Schema, path: str, method: str) -> dict[str, str]:
-    """Schema of the answer of a route for each kind of job."""
-    if path not in interface["paths"]:
-        return {}
-    answer = interface["paths"][path][method]["responses"]["200"]["content"]["application/json"]["schema"]
+def _kinds_of_job(interface: Schema) -> dict[str, str]:
+    """Schema of the job of each kind."""
+    answer = interface["paths"][JOB]["get"]["responses"]["200"]["content"]["application/json"]["schema"]
     found = answer["discriminator"]["mapping"]
     return {kind: name.removeprefix(REFERENCE) for kind, name in sorted(found.items())}
 
@@ -111,7 +107,10 @@ def _named(types: Mapping[str, str]) -> set[str]:
 
 
 def _type(schema: Schema) -> str:
-    """Type of a field. Lists and objects are empty instead of null; robots and options stay documents."""
+    """Type of a field. Lists and objects are empty instead of null; robots and options stay documents.
+
+    Every figure is one type to the library: a document of Plotly that can be drawn and saved, under its name.
+    """
     variants = schema.get("anyOf")
     if variants:
         kinds = list(dict.fromkeys(_type(one) for one in variants))
@@ -120,7 +119,10 @@ def _type(schema: Schema) -> str:
             holds[0] if len(holds) == 1 and holds[0].startswith(("Records", "tuple", "Mapping")) else " | ".join(kinds)
         )
     if "$ref" in schema:
-        return _of_name(schema["$ref"].removeprefix(REFERENCE))
+        name = schema["$ref"].removeprefix(REFERENCE)
+        if name.endswith("Figures"):
+            return "Mapping[str, Figure]"
+        return "Mapping[str, Any]" if name.endswith("Options") or name == "Folds" else str(name)
     if "const" in schema or "enum" in schema:
         return "str" if schema.get("type") == "string" else PLAIN[schema["type"]]
     if schema.get("type") == "array":
@@ -129,15 +131,6 @@ def _type(schema: Schema) -> str:
         inner = schema.get("additionalProperties")
         return f"Mapping[str, {_type(inner) if isinstance(inner, Mapping) and inner else 'Any'}]"
     return PLAIN[schema["type"]]
-
-
-def _of_name(name: str) -> str:
-    """Type of a schema that has a name: figures are one kind, of which Plotly knows the rest."""
-    if name.endswith("Figures"):
-        return "Mapping[str, Figure]"
-    if name.endswith("Figure"):
-        return "Figure"
-    return "Mapping[str, Any]" if name.endswith("Options") or name in ("Folds", "Layout") else name
 
 
 def _array(schema: Schema) -> str:
@@ -223,9 +216,8 @@ def _given(schema: Schema) -> str:
     return "Mapping[str, Any]" if schema.get("type") == "object" else PLAIN[schema["type"]]
 
 
-def _names(held: Mapping[str, str], jobs: Mapping[str, str], checks: Mapping[str, str]) -> str:
+def _names(held: Mapping[str, str], jobs: Mapping[str, str]) -> str:
     lines = [HEAD.format("In which module each type is"), "MODULE_OF = {"]
     lines += [f"    {name!r}: {module!r}," for name, module in sorted(held.items())]
     lines += ["}", "JOBS = {", *(f"    {kind!r}: {name!r}," for kind, name in jobs.items()), "}"]
-    lines += ["CHECKS: dict[str, str] = {", *(f"    {kind!r}: {name!r}," for kind, name in checks.items()), "}"]
     return "\n".join([*lines, ""])

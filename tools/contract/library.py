@@ -24,7 +24,6 @@ GROUPS = {
         "evaluate",
         "plan",
         "joint_parameters",
-        "check",
         "submit",
         "job",
         "jobs",

@@ -63,7 +63,6 @@ class AsyncKilter:
     evaluate = awaited(computed.evaluate)
     plan = awaited(computed.plan)
     joint_parameters = awaited(computed.joint_parameters)
-    check = awaited(computed.check)
     submit = awaited(computed.submit)
     job = awaited(computed.job)
     wait = awaited(computed.wait)

@@ -77,7 +77,6 @@ class Kilter:
     evaluate = waiting(jobs.evaluate)
     plan = waiting(jobs.plan)
     joint_parameters = waiting(jobs.joint_parameters)
-    check = waiting(jobs.check)
     submit = waiting(jobs.submit)
     job = waiting(jobs.job)
     wait = waiting(jobs.wait)

@@ -112,4 +112,3 @@ JOBS = {
     "joint_parameters": "JointParametersJob",
     "plan": "PlanJob",
 }
-CHECKS: dict[str, str] = {}

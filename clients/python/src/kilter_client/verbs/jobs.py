@@ -12,7 +12,6 @@ from kilter_client.calls import jobs as calls
 from kilter_client.progress import Watching, watched
 from kilter_client.results.record import Record, Records
 from kilter_client.steps import Document, Steps
-from kilter_client.typed.names import CHECKS, JOBS, MODULE_OF
 from kilter_client.verbs.things import Thing, reference, references
 
 if TYPE_CHECKING:
@@ -162,28 +161,6 @@ def joint_parameters(
     return cast("JointParametersResult", (yield from _run(asked, progress, timeout_s)))
 
 
-def check(
-    kind: str,
-    robot: Thing,
-    campaigns: Thing | Sequence[Thing] = (),
-    *,
-    validation: HeldOut = None,
-    confirmation: Thing | Sequence[Thing] = (),
-    name: str = "",
-    **options: Any,
-) -> Steps[Record]:
-    """Say what a job would do, at once: what is used and held out, what is missing, and how many seconds it would take.
-
-    Nothing is stored, nothing queued. The rest is as in ``submit``.
-
-    Raises:
-        OptionError: an option that does not exist or does not fit; NotFoundError: the server is too old for it.
-
-    """
-    asked = _asked(kind, robot, campaigns, options, validation, name, confirmation)
-    return _typed(CHECKS, (yield from calls.check(str(asked["robot"]), asked)))
-
-
 def submit(
     kind: str,
     robot: Thing,
@@ -294,12 +271,10 @@ def _waited(
 
 
 def _read(document: Document) -> Record:
-    return _typed(JOBS, document)
+    """Read a job by its kind; one of a kind that this release does not know keeps its document."""
+    from kilter_client.typed.names import JOBS, MODULE_OF
 
-
-def _typed(kinds: Mapping[str, str], document: Document) -> Record:
-    """Read a document by the kind of its job; one of a kind that this release does not know keeps its document."""
-    name = kinds.get(str(document.get("kind")))
+    name = JOBS.get(str(document.get("kind")))
     if name is None:
         return Record.read(document)
     found: Record = getattr(import_module(f"kilter_client.typed.{MODULE_OF[name]}"), name).read(document)
