@@ -18,7 +18,18 @@ MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n
 GROUPS = {
     "Robots": ("add_robot", "check_robot", "convert_robot", "find_robot", "find_frame", "robot", "robots"),
     "Measurements": ("upload", "campaign", "campaigns"),
-    "Jobs": ("identify", "gap", "evaluate", "plan", "joint_parameters", "submit", "job", "jobs", "wait", "cancel"),
+    "Jobs": (
+        "identify",
+        "gap",
+        "evaluate",
+        "plan",
+        "joint_parameters",
+        "submit",
+        "job",
+        "jobs",
+        "wait",
+        "cancel",
+    ),
     "Versions": (
         "version",
         "versions",
