@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -50,11 +51,11 @@ def tables() -> dict[Path, str]:
 
 
 def library() -> dict[Path, str]:
-    """Return the reference of the Python library as it should be."""
-    from tools.contract.library import library_page, types_page  # imports the types, which must stand
-
-    texts = {"docs/reference/library.md": library_page(), "docs/reference/library-types.md": types_page()}
-    return {REPOSITORY / name: text for name, text in texts.items()}
+    """Return the reference of the Python library as it should be; a process of its own sees the types just written."""
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.contract.library"], capture_output=True, text=True, check=True, cwd=REPOSITORY
+    )
+    return {REPOSITORY / "docs/reference" / name: text for name, text in json.loads(done.stdout).items()}
 
 
 def stale(files: Mapping[Path, str], check: bool) -> bool:

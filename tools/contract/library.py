@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import fields
@@ -57,6 +58,16 @@ BEHAVIOUR = {
     "Corrected trajectories": (corrected.Corrected,),
 }
 SECTION = re.compile(r"^(Args|Raises):\n", re.MULTILINE)
+# What the signatures mean by these.
+GIVEN = {
+    "Thing": "a robot, campaign, version or job: its name, its id or the beginning of it, `latest`, or the result that made "
+    "it. Names and `latest` of campaigns, versions and jobs need `robot=` where no robot is named.",
+    "Data": "rows: a path, columns by name, a structured array, a pandas frame, or an array of two dimensions with "
+    "`columns=`. Names are the [columns of a measurement](columns.md), with their unit.",
+    "HeldOut": 'a share of the poses (`0.3`), a campaign or several, `{"folds": 5}`, or None: nothing is held out.',
+    "Watching": "True: a bar where somebody watches; False: none; or a function of the fraction done and the stage.",
+    "Records": "a list of results, also by name, and a table.",
+}
 WIDEST = 100
 
 
@@ -67,13 +78,11 @@ def library_page() -> str:
         "A [lab script](../how-to/lab-script.md) shows it at work; the fields of every result are in its "
         "[types](library-types.md), exceptions in [errors](errors.md).\n"
     )
+    lines += [f"- `{name}`: {words}" for name, words in GIVEN.items()]
+    lines.append("")
     lines.append(
-        "Wherever a robot, campaign, version or job is meant, give its name, its id or the beginning of it, `latest`, "
-        "or the result that made it; names and `latest` of versions and jobs need `robot=` where no robot is named.\n"
-    )
-    lines.append(
-        "`**options` are the [options of the job](job-options.md) by name. `progress` is True for a bar where somebody "
-        "watches, False, or a function of the fraction done and the stage. `timeout_s` ends the waiting, not the job.\n"
+        "`**options` are the [options of the job](job-options.md) by name. `timeout_s` ends the waiting after so many "
+        "seconds, not the job.\n"
     )
     lines.append("## Connecting\n")
     for function in (kilter.connect, kilter.connect_async):
@@ -184,3 +193,7 @@ def _cell(text: str) -> str:
 
 def _words(text: str) -> str:
     return text.replace("``", "`")
+
+
+if __name__ == "__main__":
+    print(json.dumps({"library.md": library_page(), "library-types.md": types_page()}))

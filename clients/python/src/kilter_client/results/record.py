@@ -165,5 +165,5 @@ def _reading(hint: Any) -> Convert:
         return lambda value: tuple(map(each, value or ()))
     if origin is not None and issubclass(origin, Mapping):
         each = _reading(get_args(hint)[1])
-        return lambda value: {key: each(one) for key, one in (value or {}).items()}
+        return lambda value: {key: each(one) for key, one in (value or {}).items() if one is not None}
     return lambda value: value

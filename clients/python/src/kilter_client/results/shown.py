@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
-from kilter_client.errors import MissingPackageError
+from kilter_client.errors import MissingPackageError, UsageError
 from kilter_client.results.tables import Tabular
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Asking:
         """Return what the version leaves of every row, in mm: of these campaigns, or of all its own.
 
         Raises:
-            UsageError: the result came from an ``AsyncKilter``: ``await k.residuals(result)``.
+            UsageError: it made no version, or came from an ``AsyncKilter``: ``await k.residuals(result)``.
 
         """
         from kilter_client.calls import versions
@@ -88,6 +88,8 @@ class Asking:
 
         record = cast("Record", self)
         version = record.get("version_id") or record.get("id")
+        if not version:
+            raise UsageError("This result made no version, so it leaves no residuals.")
         call = versions.residuals(str(version), campaigns, "csv", None)
         return Rows(record._asked(call, "await k.residuals(result)"))
 

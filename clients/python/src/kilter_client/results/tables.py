@@ -17,7 +17,7 @@ REMEDY = "pip install 'kilter-client[notebook]'. to_dict() needs nothing."
 
 
 class Tabular:
-    """Something with columns."""
+    """Columns, as lists, numpy arrays or a pandas frame; a table in a notebook."""
 
     def to_dict(self) -> dict[str, list[Any]]:
         """Return the columns by name."""

@@ -1,0 +1,82 @@
+"""The types of the Python client follow the interface, also where it changes its shape."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tools.contract import client_types
+from tools.contract.client_types import client_modules
+
+
+def schema(**properties: Any) -> dict[str, Any]:
+    return {"type": "object", "description": "What it is; null: nothing.", "properties": properties}
+
+
+def of(name: str, **more: Any) -> dict[str, Any]:
+    return {"$ref": f"#/components/schemas/{name}", **more}
+
+
+def or_null(one: dict[str, Any]) -> dict[str, Any]:
+    return {"anyOf": [one, {"type": "null"}], "description": "Of it; null: none."}
+
+
+def by_kind(name: str) -> dict[str, Any]:
+    answer = {"discriminator": {"mapping": {"identify": f"#/components/schemas/{name}"}}}
+    return {"responses": {"200": {"content": {"application/json": {"schema": answer}}}}}
+
+
+@pytest.fixture
+def interface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    schemas = {
+        "IdentifyJob": schema(
+            id={"type": "string"}, result=or_null(of("IdentifyResult")), options=of("IdentifyOptions")
+        ),
+        "IdentifyOptions": schema(
+            level=or_null({"enum": [1, 2], "type": "integer"}),
+            free={"type": "array", "items": {"type": "string"}},
+        ),
+        "IdentifyResult": schema(
+            figures=or_null(of("IdentifyFigures")),
+            parts=or_null({"type": "array", "items": of("Part")}),
+            q_deg=or_null({"type": "array", "items": {"type": "number"}}),
+            noise_mm=or_null({"type": "number", "x-unit": "mm"}),
+            by_name={"type": "object", "additionalProperties": of("Part")},
+        ),
+        "IdentifyFigures": schema(errors=or_null(of("Figure"))),
+        "Figure": schema(data={"type": "array", "items": {"oneOf": [of("Bars"), of("Lines")]}}),
+        "Part": schema(**{"class": {"type": "string", "description": "Its class."}, "document": {"type": "object"}}),
+    }
+    paths = {"/v1/jobs/{job}": {"get": by_kind("IdentifyJob")}}
+    monkeypatch.setattr(client_types, "MODULES", {"fits": ("Figure",)})
+    file = tmp_path / "openapi.json"
+    file.write_text(json.dumps({"components": {"schemas": schemas}, "paths": paths}))
+    return file
+
+
+def test_what_the_types_of_an_interface_are(interface: Path) -> None:
+    made = client_modules(interface)
+    jobs = made["jobs"]
+    for line in (
+        "figures: Mapping[str, Figure]",
+        "parts: Records[Part]",
+        "q_deg: tuple[float, ...]",
+        "noise_mm: float | None",
+        "by_name: Mapping[str, Part]",
+        "class_: str",
+        "posted: Mapping[str, Any]",
+        "RENAMED: ClassVar[Mapping[str, str]] = {'class_': 'class', 'posted': 'document'}",
+        "result: IdentifyResult | None",
+        "options: Mapping[str, Any]",
+        "from kilter_client.typed.fits import Figure",
+        '"""What it is; None: nothing."""',
+    ):
+        assert f"{line}\n" in jobs, line
+    assert "data: tuple[Mapping[str, Any], ...]\n" in made["fits"]
+    assert "IdentifyFigures" not in "".join(made.values())
+    assert "'identify': 'IdentifyJob'" in made["names"]
+    assert "level: Literal[1, 2] | None\n" in made["options"]
+    assert "free: Sequence[str]\n" in made["options"]
