@@ -28,7 +28,8 @@ def xyz_rpy_from_pose(T: Floats) -> tuple[Floats, Floats]:
     # Near pitch 90 degrees yaw is rounding noise; what is taken off as yaw comes back as roll.
     rest = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
     roll = float(np.arctan2(-rest[1, 2], rest[1, 1]))
-    return T[:3, 3].copy(), np.array([roll, float(np.arctan2(-rest[2, 0], rest[0, 0])), yaw])
+    rpy = np.array([roll, float(np.arctan2(-rest[2, 0], rest[0, 0])), yaw])
+    return T[:3, 3] + 0.0, rpy + 0.0  # no zero has a sign, which people would be shown
 
 
 def aligned(R: Floats, z: Floats) -> Floats:

@@ -65,3 +65,8 @@ def test_the_derivative_of_the_logarithm_is_pinocchio_s(size: float) -> None:
     w = size * axis / np.linalg.norm(axis, axis=1, keepdims=True)
     expected = [pin.Jlog3(pin.exp3(row)) for row in w]
     np.testing.assert_allclose(right_jacobian_inverse(w), expected, atol=1e-9)
+
+
+def test_angles_of_no_turn_have_no_sign() -> None:
+    for angle in transforms.xyz_rpy_from_pose(np.diag([1.0, 1.0, 1.0, 1.0]))[1]:
+        assert np.copysign(1.0, angle) == 1.0

@@ -162,8 +162,9 @@ def _reason(c: Candidate, judged: Testability, world: World, rows: Observations,
     if not np.isfinite(judged.smallest[worst]):
         return f"{p.name} would show at no size: the geometric parameters absorb it, or nothing measured moves with it."
     unit, scale = WIRE.get(p.unit, (p.unit, 1.0))
+    size = f"{judged.smallest[worst] * scale:.3g} {unit}".removesuffix(" 1")
     return (
-        f"Only {p.name} above {judged.smallest[worst] * scale:.3g} {unit} would show, more than the plausible "
+        f"Only {p.name} above {size} would show, more than the plausible "
         f"{max(abs(p.lower), abs(p.upper)) * scale:.3g}."
     )
 
