@@ -68,5 +68,5 @@ def test_the_derivative_of_the_logarithm_is_pinocchio_s(size: float) -> None:
 
 
 def test_angles_of_no_turn_have_no_sign() -> None:
-    for angle in transforms.xyz_rpy_from_pose(np.diag([1.0, 1.0, 1.0, 1.0]))[1]:
+    for angle in xyz_rpy_from_pose(np.diag([1.0, 1.0, 1.0, 1.0]))[1]:
         assert np.copysign(1.0, angle) == 1.0

@@ -1,0 +1,28 @@
+"""What the API process makes at its start lasts as long as itself, and is not looked through for garbage."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+PROGRAM = """
+import gc
+from kilter_service.serving import lasting
+collected = []
+gc.callbacks.append(lambda phase, info: collected.append(phase))
+try:
+    with lasting():
+        assert not gc.isenabled()
+        import kilter_service.app
+        raise OSError("as a taken port would")
+except OSError:
+    pass
+assert gc.isenabled(), "the collector stays off"
+assert gc.get_freeze_count() > 100_000, gc.get_freeze_count()
+assert not collected, len(collected)
+"""
+
+
+def test_nothing_is_collected_while_the_application_is_imported() -> None:
+    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
