@@ -27,16 +27,21 @@ ERRORS = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "orientation_deg")
 
 
 class ShownParameter:
-    """A parameter, and by how much it differs from the drawing."""
+    """A parameter; ``change`` is its value minus nominal, in its unit, None where one of them is not there."""
 
     ALSO: ClassVar[Sequence[str]] = ("change",)
     nominal: float | None
     value: float | None
 
-    @property
-    def change(self) -> float | None:
-        """Value minus nominal, in the parameter's unit; None where one of them is not there."""
-        return None if self.value is None or self.nominal is None else self.value - self.nominal
+    if TYPE_CHECKING:
+        change: float | None
+    else:
+
+        def __getattr__(self, name: str) -> float | None:
+            """Return the change where the interface does not say it."""
+            if name != "change":
+                raise AttributeError(f"a parameter has no {name!r}")
+            return None if self.value is None or self.nominal is None else self.value - self.nominal
 
 
 class ShownMetrics(Tabular):
