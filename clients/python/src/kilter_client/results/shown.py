@@ -33,15 +33,14 @@ class ShownParameter:
     nominal: float | None
     value: float | None
 
-    if TYPE_CHECKING:
-        change: float | None
-    else:
+    change: float | None
 
-        def __getattr__(self, name: str) -> float | None:
-            """Return the change where the interface does not say it."""
-            if name != "change":
-                raise AttributeError(f"a parameter has no {name!r}")
-            return None if self.value is None or self.nominal is None else self.value - self.nominal
+    def __post_init__(self) -> None:
+        """Find the change where the answer does not say it."""
+        told = getattr(self, "change", None)
+        if told is None and self.value is not None and self.nominal is not None:
+            told = self.value - self.nominal
+        object.__setattr__(self, "change", told)
 
 
 class ShownMetrics(Tabular):
