@@ -10,6 +10,7 @@ from typing import Any
 
 import httpx
 import pytest
+
 from kilter_client import AsyncKilter, JobTimeoutError, Kilter, NotFoundError, UsageError, connect_async
 
 Write = Callable[..., Path]

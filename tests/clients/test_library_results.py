@@ -11,9 +11,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, get_type_hints
 
-import kilter_client
 import numpy as np
 import pytest
+
+import kilter_client
 from kilter_client import MissingPackageError
 from kilter_client.results.corrected import Corrected
 from kilter_client.results.record import Record, Records

@@ -9,6 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
+
 from kilter_client import AsyncKilter, Kilter, PayloadError, ServerUnreachableError
 from kilter_client.calls import jobs as waiting
 from kilter_client.calls.jobs import AWAY

@@ -6,8 +6,9 @@ import inspect
 import re
 from pathlib import Path
 
-import kilter
 import pytest
+
+import kilter
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 VERBS = sorted(

@@ -26,7 +26,7 @@ from kilter_client.errors import (
     TooFewPosesError,
     UsageError,
 )
-from kilter_client.files import Prepared, prepare
+from kilter_files import Prepared, prepare
 
 if TYPE_CHECKING:
     from kilter_client.async_client import AsyncKilter, connect_async

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from kilter_client.errors import UsageError
-from kilter_client.files import prepare
-from kilter_client.files.table import CSV_TYPE, WHOLE_NUMBERS, Prepared
+from kilter_files import prepare
+from kilter_files.table import CSV_TYPE, WHOLE_NUMBERS, Prepared
 
 # A path, what `prepare` made, columns by name, a structured array, a 2-D array with `columns`, or a pandas frame.
 Data: TypeAlias = "str | PathLike[str] | Prepared | Mapping[str, Any] | Any"

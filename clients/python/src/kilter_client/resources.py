@@ -12,7 +12,7 @@ from kilter_client.references import Kept
 from kilter_client.steps import Document, Sent
 
 if TYPE_CHECKING:
-    from kilter_client.files import Prepared
+    from kilter_files import Prepared
 
 
 class Robots:
@@ -133,7 +133,7 @@ class Campaigns(Kept):
 
         ``sent`` is told the bytes sent and their total.
         """
-        from kilter_client.files import prepare
+        from kilter_files import prepare
 
         file = prepare(data) if isinstance(data, str | Path) else data
         return self._run(campaigns.upload(campaign, file, sent, robot))

@@ -10,7 +10,7 @@ from kilter_client.calls.robots import also
 from kilter_client.steps import Document, Request, Sent, Steps, address, answer_of, get, post, read
 
 if TYPE_CHECKING:
-    from kilter_client.files import Prepared
+    from kilter_files import Prepared
 
 UPLOAD_TIMEOUT_S = 600.0
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from kilter_client.steps import Document, Request, Steps, address, answer_of, get, patch, post, read
 
 if TYPE_CHECKING:
-    from kilter_client.files import Prepared
+    from kilter_files import Prepared
 
 
 def add(document: Mapping[str, Any]) -> Steps[Document]:

@@ -11,7 +11,7 @@ from kilter_client.calls.robots import also
 from kilter_client.steps import Answer, Document, Request, Steps, address, answer_of, get, post
 
 if TYPE_CHECKING:
-    from kilter_client.files import Prepared
+    from kilter_files import Prepared
 
 LONG_TIMEOUT_S = 600.0
 

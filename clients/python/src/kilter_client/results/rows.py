@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError
-from kilter_client.files.names import did_you_mean
 from kilter_client.results.tables import Tabular, array_of, numpy_for
+from kilter_files.names import did_you_mean
 
 if TYPE_CHECKING:
     import numpy as np

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from kilter_client.calls import campaigns as calls
 from kilter_client.errors import ApiError, ObservationError, UsageError
-from kilter_client.files.naming import same
 from kilter_client.given import Data, name_of, rows_of
+from kilter_client.naming import same
 from kilter_client.progress import Watching, watched
 from kilter_client.results.record import Records
 from kilter_client.steps import Document, Sent, Steps
 from kilter_client.verbs.things import Thing, reference
 
 if TYPE_CHECKING:
-    from kilter_client.files import Prepared
     from kilter_client.typed.campaigns import Campaign, Uploaded
+    from kilter_files import Prepared
 
 MOST_LINES = 8  # of a file that are named in a refusal
 

@@ -160,7 +160,7 @@ def _document(
         return {"name": name or preset, "convention": "preset", "preset": preset}
     if isinstance(source, Mapping):
         return {**source, "name": name} if name else source
-    from kilter_client.robots.read import Described, read_robot
+    from kilter_files.robots.read import Described, read_robot
 
     described = Described(
         name, given.base_link, given.tip_link, given.convention, given.model, given.turned, given.follows
