@@ -69,6 +69,10 @@ def client_modules(snapshot: Path) -> dict[str, str]:
         own = _needed(schemas, roots, held)
         held |= dict.fromkeys(own, module)
         texts[module] = _module(module, schemas, own, held)
+    others = _needed(schemas, _answers(interface), held)
+    if others:
+        held |= dict.fromkeys(others, "others")
+        texts["others"] = _module("others", schemas, others, held)
     texts["options"] = _options(schemas, [f"{name.removesuffix('Job')}Options" for name in jobs.values()])
     texts["names"] = _names(held, jobs)
     return texts
@@ -79,6 +83,16 @@ def _kinds_of_job(interface: Schema) -> dict[str, str]:
     answer = interface["paths"][JOB]["get"]["responses"]["200"]["content"]["application/json"]["schema"]
     found = answer["discriminator"]["mapping"]
     return {kind: name.removeprefix(REFERENCE) for kind, name in sorted(found.items())}
+
+
+def _answers(interface: Schema) -> list[str]:
+    """Schemas that routes answer with; lists are read item by item, and robots stay documents."""
+    answers = [
+        answer for path in interface["paths"].values() for one in path.values() for answer in one["responses"].items()
+    ]
+    text = json.dumps([answer for status, answer in answers if status.startswith("2")])
+    found = sorted(set(re.findall(rf'"{REFERENCE}(\w+)"', text)))
+    return [name for name in found if not name.endswith(("List", "Robot"))]
 
 
 def _needed(schemas: Schema, roots: Sequence[str], held: Mapping[str, str]) -> list[str]:

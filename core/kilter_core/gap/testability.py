@@ -164,8 +164,7 @@ def _reason(c: Candidate, judged: Testability, world: World, rows: Observations,
     unit, scale = WIRE.get(p.unit, (p.unit, 1.0))
     size = f"{judged.smallest[worst] * scale:.3g} {unit}".removesuffix(" 1")
     return (
-        f"Only {p.name} above {size} would show, more than the plausible "
-        f"{max(abs(p.lower), abs(p.upper)) * scale:.3g}."
+        f"Only {p.name} above {size} would show, more than the plausible {max(abs(p.lower), abs(p.upper)) * scale:.3g}."
     )
 
 

@@ -27,16 +27,20 @@ ERRORS = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "orientation_deg")
 
 
 class ShownParameter:
-    """A parameter, and by how much it differs from the drawing."""
+    """A parameter; ``change`` is its value minus nominal, in its unit, None where one of them is not there."""
 
     ALSO: ClassVar[Sequence[str]] = ("change",)
     nominal: float | None
     value: float | None
 
-    @property
-    def change(self) -> float | None:
-        """Value minus nominal, in the parameter's unit; None where one of them is not there."""
-        return None if self.value is None or self.nominal is None else self.value - self.nominal
+    change: float | None
+
+    def __post_init__(self) -> None:
+        """Find the change where the answer does not say it."""
+        told = getattr(self, "change", None)
+        if told is None and self.value is not None and self.nominal is not None:
+            told = self.value - self.nominal
+        object.__setattr__(self, "change", told)
 
 
 class ShownMetrics(Tabular):

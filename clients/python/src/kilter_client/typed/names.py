@@ -100,6 +100,7 @@ MODULE_OF = {
     "Remark": "fits",
     "RepeatDrift": "hunt_numbers",
     "Replication": "hunts",
+    "ResidualRows": "others",
     "ResolvedReference": "server",
     "Rival": "versions",
     "RobotCheck": "robots",

@@ -1,0 +1,37 @@
+"""What the server answers about others, made from the interface by `make contract`: change it there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_client.results.record import Record
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ResidualRows(Record):
+    """What a version leaves of rows, measured minus predicted, as columns; every one has a value for each row."""
+
+    campaign: tuple[str, ...]
+    """Id of the row's campaign."""
+    dx_mm: tuple[float | None, ...]
+    """Error along x, mm, the mean of the markers; None: nothing was seen."""
+    dy_mm: tuple[float | None, ...]
+    """Error along y, mm."""
+    dz_mm: tuple[float | None, ...]
+    """Error along z, mm."""
+    held_out: tuple[bool, ...]
+    """Whether the row was held out of the fit."""
+    residual_sigma: tuple[float | None, ...]
+    """Length of what is left in standard deviations of a coordinate; turns count with it."""
+    row: tuple[int, ...]
+    """Number of the row in its campaign, from 1."""
+    set_aside: tuple[bool, ...]
+    """Whether the identification let go of the row."""
+    turn_deg: tuple[float | None, ...]
+    """Error of the orientation, degrees; None: it was not measured."""
+    u95_x_mm: tuple[float | None, ...]
+    """Half width of the 95 % interval that expects the error along x, mm."""
+    u95_y_mm: tuple[float | None, ...]
+    """Half width of the 95 % interval along y, mm."""
+    u95_z_mm: tuple[float | None, ...]
+    """Half width of the 95 % interval along z, mm."""
