@@ -18,7 +18,6 @@ MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n
 GROUPS = {
     "Robots": ("add_robot", "check_robot", "convert_robot", "find_robot", "find_frame", "robot", "robots"),
     "Measurements": ("upload", "campaign", "campaigns"),
-<<<<<<< HEAD
     "Jobs": (
         "identify",
         "gap",
@@ -32,9 +31,6 @@ GROUPS = {
         "wait",
         "cancel",
     ),
-=======
-    "Jobs": ("identify", "gap", "evaluate", "plan", "joint_parameters", "submit", "job", "jobs", "wait", "cancel"),
->>>>>>> wlib-r
     "Versions": (
         "version",
         "versions",
