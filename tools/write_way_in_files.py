@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from kilter_client.robots.table import read_table
 from numpy.typing import NDArray
 
-from core.design.iso9283 import iso_poses
-from core.effects import make_effect
-from core.robots import robot_from_document
-from core.twin import Twin
+from kilter_core.design.iso9283 import iso_poses
+from kilter_core.effects import make_effect
+from kilter_core.robots import robot_from_document
+from kilter_core.twin import Twin
+from kilter_files.robots.table import read_table
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "tutorial"
 ARM, MEASURED, PATH = FOLDER / "own-arm.csv", FOLDER / "own-measurements.csv", FOLDER / "own-path.csv"

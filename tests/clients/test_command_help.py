@@ -12,14 +12,14 @@ from typing import Any
 
 import pytest
 import typer
+
 from kilter_client.cli import run
 from kilter_client.cli.catalogue import CATALOGUE, ENTRIES
-
-from core.effects import EFFECTS
-from core.identify.methods import ESTIMATORS
-from core.robots import preset_names
-from service.campaigns import columns as contract
-from service.exporters.registry import FORMATS as EXPORTS
+from kilter_core.effects import EFFECTS
+from kilter_core.identify.methods import ESTIMATORS
+from kilter_core.robots import preset_names
+from kilter_service.campaigns import columns as contract
+from kilter_service.exporters.registry import FORMATS as EXPORTS
 
 Capture = pytest.CaptureFixture[str]
 

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from kilter_client import Kilter
-from kilter_client.cli import run
 from numpy.typing import NDArray
 from pyarrow import parquet
+
+from kilter_client import Kilter
+from kilter_client.cli import run
 
 Capture = pytest.CaptureFixture[str]
 Write = Callable[..., Path]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
 from kilter_client.cli.catalogue import ENTRIES
 
 HEAVY = ("httpx", "rich", "numpy", "scipy", "pyarrow", "zenoh", "anyio", "ssl", "pydantic", "click", "pygments")

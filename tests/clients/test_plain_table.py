@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from kilter_client.cli.plain_table import table
 
 HEAD = ("effect", "what")

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+
 from kilter_client import Kilter, ServerUnreachableError
 from kilter_client import jobs as waiting
 
@@ -27,7 +28,7 @@ def server_in(data: Path) -> Iterator[subprocess.Popen[bytes]]:
     environment |= {"KILTER_DATA": str(data), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
     with (data / "log").open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "service", "serve"],
+            [sys.executable, "-m", "kilter_service", "serve"],
             env=environment,
             stdout=log,
             stderr=log,

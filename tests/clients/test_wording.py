@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.cli.wording import ROUTES, in_words, parameters_of

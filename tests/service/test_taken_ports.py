@@ -27,7 +27,7 @@ def ended(tmp_path: Path, command: str, **settings: str) -> str:
     environment = plain | {"KILTER_DATA": str(tmp_path / "data"), "KILTER_PORT": "0"}
     environment |= {"KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"} | settings
     done = subprocess.run(
-        [sys.executable, "-m", "service", command], cwd=REPOSITORY, env=environment, capture_output=True, text=True,
+        [sys.executable, "-m", "kilter_service", command], cwd=REPOSITORY, env=environment, capture_output=True, text=True,
         timeout=200,
     )  # fmt: skip
     assert done.returncode == 2, done.stderr

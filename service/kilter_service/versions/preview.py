@@ -1,0 +1,99 @@
+"""How a version would correct where the robot is driven, before it is activated."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.observations import Observations
+from kilter_service.campaigns import store as campaigns
+from kilter_service.contract.previews import JointPreview, VersionPreview
+from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.correction.follow import Corrected, corrected
+from kilter_service.correction.wire import options_of
+from kilter_service.corrector.frames import Status
+from kilter_service.db import Database
+from kilter_service.versions import store
+from kilter_service.versions.records import VersionRecord
+
+if TYPE_CHECKING:
+    from kilter_core.robot import Robot
+
+Floats = NDArray[np.float64]
+
+MOST_POSES = 2000
+DRAWN_POSES = 500
+FREE_TURN_RAD, FREE_SHIFT_M = math.pi, 0.5  # of a joint without limits
+WIDEST = CorrectionLimits(max_joint_deg=30.0, max_position_mm=200.0)
+
+
+def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:
+    """Correct the poses that the robot was driven to, else poses drawn within its limits; nothing is stored.
+
+    Raises:
+        ServiceError: no such version.
+
+    """
+    with database.reading() as session:
+        record = store.get(session, version_id)
+        calibration = store.calibration(session, version_id)
+        driven = campaigns.driven(session, record.robot_id, calibration.robot, MOST_POSES)
+    q = drawn(calibration.robot) if driven is None else driven[:MOST_POSES]
+    rows = Observations(q=q)
+    wide = corrected(calibration, rows, options_of(WIDEST, temperature_c))
+    narrow = corrected(calibration, rows, options_of(CorrectionLimits(**record.limits), temperature_c))
+    return _said(record, calibration.robot, rows.q, wide, narrow, temperature_c, driven is not None)
+
+
+def drawn(robot: Robot) -> Floats:
+    """Poses (N, n), rad or m, all over the limits; the same every time."""
+    free = np.array([FREE_SHIFT_M if joint.kind == "prismatic" else FREE_TURN_RAD for joint in robot.joints])
+    low, high = np.maximum(robot.limits[:, 0], -free), np.minimum(robot.limits[:, 1], free)
+    outside = low > high  # limits that lie beyond a turn
+    low, high = np.where(outside, robot.limits[:, 0], low), np.where(outside, robot.limits[:, 1], high)
+    return np.random.default_rng(0).uniform(low, high, (DRAWN_POSES, len(free)))
+
+
+def _said(
+    record: VersionRecord,
+    robot: Robot,
+    q: Floats,
+    wide: Corrected,
+    narrow: Corrected,
+    temperature_c: float | None,
+    driven: bool,
+) -> VersionPreview:
+    good = wide.status == Status.OK
+    taken = narrow.status == Status.OK
+    moved = np.linalg.norm(wide.error_removed, axis=1) * 1e3
+    scale = np.array([1e3 if joint.kind == "prismatic" else 180.0 / math.pi for joint in robot.joints])
+    change = np.abs(wide.q - q)[good] * scale
+    worst = int(np.nanargmax(moved)) if good.any() else None
+    return VersionPreview(
+        version_id=record.id,
+        within="campaigns" if driven else "limits",
+        poses=len(q),
+        corrected=int(taken.sum()),
+        refused=dict(Counter(Status(int(code)).name for code in narrow.status[~taken].tolist())),
+        mean_mm=float(moved[taken].mean()) if taken.any() else None,
+        largest_mm=None if worst is None else float(moved[worst]),
+        largest_at=None if worst is None else [round(float(v), 4) for v in q[worst] * scale],
+        joints=_joints(robot, change.max(axis=0).tolist() if good.any() else None),
+        unsupported_effects=list(narrow.not_corrected),
+        temperature_c=temperature_c,
+    )
+
+
+def _joints(robot: Robot, largest: list[float] | None) -> list[JointPreview]:
+    out = []
+    for k, joint in enumerate(robot.joints):
+        size = None if largest is None else largest[k]
+        slides = joint.kind == "prismatic"
+        out.append(
+            JointPreview(joint=joint.name, largest_deg=None if slides else size, largest_mm=size if slides else None)
+        )
+    return out
