@@ -134,14 +134,20 @@ def upload(
         "notes": notes,
         "numbered": name is None,
     }
+    done = _stored(robot, campaign, wanted, file, prepared, as_json)
+    emit(_report(prepared, done), as_json, _show_upload)
+
+
+def _stored(
+    robot: str, campaign: str | None, wanted: dict[str, Any], file: Path, prepared: Prepared, as_json: bool
+) -> dict[str, Any]:
+    """Send the rows to the campaign that is named or has them already, else to a new one."""
     with Kilter() as kilter:
         target = _target(kilter, robot, campaign, wanted, prepared.sha256, as_json)
-        if target is not None:
-            with on_interrupt(partial(_added, kilter, target, prepared.sha256)):
-                done = _send(kilter, target, file, prepared, as_json)
-        else:
-            done = _send_anew(kilter, robot, wanted, file, prepared, as_json)
-    emit(_report(prepared, done), as_json, _show_upload)
+        if target is None:
+            return _send_anew(kilter, robot, wanted, file, prepared, as_json)
+        with on_interrupt(partial(_added, kilter, target, prepared.sha256)):
+            return _send(kilter, target, file, prepared, as_json)
 
 
 def _conditions(
