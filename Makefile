@@ -21,7 +21,7 @@ $(READY): pyproject.toml clients/python/pyproject.toml constraints.txt tools/mak
 	sh tools/make_environment.sh "$(PYTHON)"
 	touch $@
 
-$(KERNELS): $(READY) $(wildcard core/kernels/*.py) service/corrector/short_way.py
+$(KERNELS): $(READY) $(wildcard core/kilter_core/kernels/*.py) service/kilter_service/corrector/short_way.py
 	$(BIN)/python -m tools.compile_kernels
 	touch $@
 

@@ -26,10 +26,10 @@ import numpy as np
 READ = """
 import json, sys, time
 from pathlib import Path
-from kilter_client.files.recordings import open_recording
-from kilter_client.files.dwells import RestOptions, find_dwells
-from kilter_client.files.matching import marker_columns
-from kilter_client.files.parts import parts
+from kilter_files.recordings import open_recording
+from kilter_files.dwells import RestOptions, find_dwells
+from kilter_files.matching import marker_columns
+from kilter_client.parts import parts
 start, busy = time.perf_counter(), time.process_time()
 recording = open_recording(Path(sys.argv[1]))
 frames = sum(len(block) for block in recording.blocks())
@@ -82,7 +82,6 @@ def write_csv(path: Path, points: np.ndarray, repeats: int) -> None:
 def send(frames: int) -> int:
     """Send a recording whole through the command, and say how much memory client and server took."""
     from kilter_client import Kilter
-
     from tests.clients.files.simulated import arm, wander, write_log, write_n3d
     from tests.clients.files.test_sending import start_server, three_joints
 

@@ -28,7 +28,7 @@ def _seconds(data: str) -> float:
     environment = plain | {"KILTER_DATA": data, "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
     began = time.perf_counter()
     with subprocess.Popen(
-        [sys.executable, "-m", "service", "serve"],
+        [sys.executable, "-m", "kilter_service", "serve"],
         env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
     ) as server:  # fmt: skip
         assert server.stdout is not None

@@ -29,17 +29,17 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from core.correction import CorrectionOptions, CorrectionProgram, Track, compile_program
-from core.effects import make_effect
-from core.model import Calibration, RobotModel
-from core.robots import robot_from_document
-from service.corrector import frames
-from service.corrector.active import Active, version_number
-from service.corrector.frames import Flag
-from service.corrector.loop import ask_for_real_time
-from service.corrector.process import Corrector
-from service.corrector.session import config, open_listening
-from service.settings import Settings
+from kilter_core.correction import CorrectionOptions, CorrectionProgram, Track, compile_program
+from kilter_core.effects import make_effect
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.robots import robot_from_document
+from kilter_service.corrector import frames
+from kilter_service.corrector.active import Active, version_number
+from kilter_service.corrector.frames import Flag
+from kilter_service.corrector.loop import ask_for_real_time
+from kilter_service.corrector.process import Corrector
+from kilter_service.corrector.session import config, open_listening
+from kilter_service.settings import Settings
 
 ROBOT, SITE = "ur10", "bench"
 STREAMS = f"kilter/@v1/{SITE}/{ROBOT}/stream"

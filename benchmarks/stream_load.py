@@ -22,15 +22,15 @@ from pathlib import Path
 
 import numpy as np
 import zenoh
-from kilter_client.stream import CorrectedStream
 
 from benchmarks.stream import POSTURE, ROBOT, SITE, Fixed, Line, calibration, path, running
-from core.correction import CorrectionOptions, compile_program
-from service.corrector import frames
-from service.corrector.active import Active, version_number
-from service.corrector.process import Corrector
-from service.corrector.queries import encode_trajectory
-from service.corrector.session import config
+from kilter_client.stream import CorrectedStream
+from kilter_core.correction import CorrectionOptions, compile_program
+from kilter_service.corrector import frames
+from kilter_service.corrector.active import Active, version_number
+from kilter_service.corrector.process import Corrector
+from kilter_service.corrector.queries import encode_trajectory
+from kilter_service.corrector.session import config
 
 GROWTH_MB = 5.0
 TICK = os.sysconf("SC_CLK_TCK")

@@ -16,12 +16,12 @@ import numpy as np
 import zenoh
 
 from benchmarks.stream import POSTURE, ROBOT, SITE, beside_an_echo, calibration
-from core.correction import CorrectionOptions, Track, compile_program
-from service.corrector import frames
-from service.corrector.active import Active, version_number
-from service.corrector.keys import RobotKeys
-from service.corrector.queries import encode_trajectory
-from service.corrector.session import open_listening
+from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_service.corrector import frames
+from kilter_service.corrector.active import Active, version_number
+from kilter_service.corrector.keys import RobotKeys
+from kilter_service.corrector.queries import encode_trajectory
+from kilter_service.corrector.session import open_listening
 
 POINTS, JOINTS = 10_000, 6
 ECHO = "bench/echo"

@@ -6,9 +6,9 @@ from typing import Literal
 
 from alembic import context
 
-from service.db.database import open_engine
-from service.db.tables import Instant, Row
-from service.settings import Settings
+from kilter_service.db.database import open_engine
+from kilter_service.db.tables import Instant, Row
+from kilter_service.settings import Settings
 
 
 def render(kind: str, item: object, _autogen: object) -> str | Literal[False]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 
-from core.correction import warm_up
-from core.design.iso9283 import iso_poses
-from core.identify import IdentifyOptions, identify
-from core.twin import thesis_katana
-from service.corrector import short_way
+from kilter_core.correction import warm_up
+from kilter_core.design.iso9283 import iso_poses
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.twin import thesis_katana
+from kilter_service.corrector import short_way
 
 POSES = 30
 

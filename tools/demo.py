@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from kilter_client import Kilter
-from kilter_client.stream import Setpoint, Statistics, corrected
 from numpy.typing import NDArray
 
-from core.design.iso9283 import iso_poses
-from core.observations import Observations
-from core.twin import Twin, thesis_katana
+from kilter_client import Kilter
+from kilter_client.stream import Setpoint, Statistics, corrected
+from kilter_core.design.iso9283 import iso_poses
+from kilter_core.observations import Observations
+from kilter_core.twin import Twin, thesis_katana
 from tools import demo_path
 from tools.local_server import LocalServer, local_server
 

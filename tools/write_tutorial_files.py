@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from core.design.iso9283 import iso_poses
-from core.twin import thesis_katana
+from kilter_core.design.iso9283 import iso_poses
+from kilter_core.twin import thesis_katana
 from tools import demo, demo_path
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "tutorial"

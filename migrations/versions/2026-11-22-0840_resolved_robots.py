@@ -48,8 +48,8 @@ def upgrade() -> None:
 
 
 def _resolve(connection: sa.Connection, robot_id: int, name: str, posted: dict[str, Any]) -> None:
-    from core.errors import CoreError
-    from service.robots.resolved import resolve, source_sha256
+    from kilter_core.errors import CoreError
+    from kilter_service.robots.resolved import resolve, source_sha256
 
     mine = ROBOTS.c.id == robot_id
     connection.execute(sa.update(ROBOTS).where(mine).values(source_sha256=source_sha256(posted)))

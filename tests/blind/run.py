@@ -15,8 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from core.errors import CoreError
-from core.gap import GapOptions, find_gap
+from kilter_core.errors import CoreError
+from kilter_core.gap import GapOptions, find_gap
 from tests.blind.generator import Campaign, Case, cases, generate
 from tests.blind.page import PAGE, write_page
 from tests.blind.score import figures

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("core.gap")
+pytest.importorskip("kilter_core.gap")
 
 from tests.blind.bounds import Figure
 from tests.blind.claims import STRONG, right, sure

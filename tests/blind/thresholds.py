@@ -45,7 +45,7 @@ class Gate:
     def value(self, factor: float = 1.0) -> float:
         """The threshold, changed by a factor."""
         module, _, name = self.constant.rpartition(".")
-        own = float(getattr(importlib.import_module(f"core.gap.{module}"), name))
+        own = float(getattr(importlib.import_module(f"kilter_core.gap.{module}"), name))
         return 1.0 - (1.0 - own) * factor if self.complement else own * factor
 
     def passes(self, number: float, factor: float) -> bool:
@@ -78,7 +78,7 @@ def known(constants: Iterable[str]) -> list[str]:
 def _has(constant: str) -> bool:
     module, _, name = constant.rpartition(".")
     try:
-        return hasattr(importlib.import_module(f"core.gap.{module}"), name)
+        return hasattr(importlib.import_module(f"kilter_core.gap.{module}"), name)
     except ModuleNotFoundError:
         return False
 
@@ -169,8 +169,10 @@ def gate_table(records: Sequence[Record]) -> str:
 def patched(constant: str, factor: float, case: Case) -> dict[str, Any]:
     """Run a case with one constant of the finder changed, in every module that took it by name."""
     module, _, name = constant.rpartition(".")
-    before = getattr(importlib.import_module(f"core.gap.{module}"), name)
-    holders = [m for key, m in sys.modules.items() if key.startswith("core.gap") and getattr(m, name, None) is before]
+    before = getattr(importlib.import_module(f"kilter_core.gap.{module}"), name)
+    holders = [
+        m for key, m in sys.modules.items() if key.startswith("kilter_core.gap") and getattr(m, name, None) is before
+    ]
     for holder in holders:
         setattr(holder, name, type(before)(before * factor))
     try:
@@ -187,7 +189,7 @@ def search_table(constants: Sequence[str], n: int, seed: int, processes: int, fo
     rows = ["| steers the search | its value | at half | as it is | at double |", "|---|---|---|---|---|"]
     for constant in constants:
         module, _, name = constant.rpartition(".")
-        value = getattr(importlib.import_module(f"core.gap.{module}"), name)
+        value = getattr(importlib.import_module(f"kilter_core.gap.{module}"), name)
         half, double = (_scored(partial(patched, constant, f), wanted, folder / f"{constant}-{f:g}.jsonl", processes)
                         for f in (0.5, 2.0))  # fmt: skip
         rows.append(f"| `{constant}` | {value:g} | {half} | {plain} | {double} |")

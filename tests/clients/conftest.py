@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from kilter_client import Kilter
 
 READY_S = 120
@@ -25,7 +26,7 @@ def server_data(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     environment |= {"KILTER_DATA": str(data), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
     with (data / "log").open("wb") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "service", "serve"],
+            [sys.executable, "-m", "kilter_service", "serve"],
             env=environment,
             stdout=log,
             stderr=log,
@@ -79,8 +80,8 @@ WriteCampaign = Callable[..., Path]
 @pytest.fixture
 def write_campaign(tmp_path: Path) -> WriteCampaign:
     """Writer of simulated measurements in contract columns."""
-    from core.robots import preset_document, robot_from_document
-    from core.twin import Twin
+    from kilter_core.robots import preset_document, robot_from_document
+    from kilter_core.twin import Twin
 
     def write(poses: int = 40, name: str = "measured.csv", seed: int = 1) -> Path:
         robot = robot_from_document(preset_document("katana450-chapter4"))

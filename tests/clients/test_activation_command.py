@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.cli.results import show_job, show_version

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kilter_client import Kilter
-from kilter_client.cli import run
 from numpy.typing import NDArray
 
+from kilter_client import Kilter
+from kilter_client.cli import run
 from tests.core.campaigns import joints
 from tests.core.identify.test_constraints import lengths, sockets
 from tests.core.identify.test_relative import campaign

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 
 import pytest
+
 from kilter_client import Kilter
 from kilter_client.cli import run
-
 from tests.clients.conftest import WriteCampaign
 
 

@@ -13,9 +13,10 @@ from typing import Any
 import pyarrow as pa
 import pytest
 import typer
+from pyarrow import parquet
+
 from kilter_client import Kilter
 from kilter_client.cli import app, run
-from pyarrow import parquet
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]

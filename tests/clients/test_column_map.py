@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kilter_client import FileError, prepare
-from kilter_client.files import Prepared
-from kilter_client.files.column_map import read_map
 from scipy.io import savemat
+
+from kilter_client import FileError, prepare
+from kilter_files import Prepared
+from kilter_files.column_map import read_map
 
 LAB = """time;joint a;joint b;X;Y;Z;rx;ry;rz;state
 0;10;90;1,0;0,5;0,25;0;0;90;ok

@@ -9,9 +9,10 @@ from typing import Any
 
 import pyarrow as pa
 import pytest
+from pyarrow import parquet
+
 from kilter_client import Kilter
 from kilter_client.cli import run
-from pyarrow import parquet
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]

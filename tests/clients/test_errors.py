@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 import httpx
-import kilter_client
 import pytest
+
+import kilter_client
 from kilter_client import (
     ApiError,
     CalibrationError,
@@ -131,8 +132,7 @@ def test_names_are_quoted_in_addresses() -> None:
 
 def test_codes_of_the_service_have_their_class() -> None:
     from kilter_client.errors import BY_CODE, from_problem
-
-    from service.errors import PROBLEMS
+    from kilter_service.errors import PROBLEMS
 
     assert set(BY_CODE) <= set(PROBLEMS)
     for code, (status, _) in PROBLEMS.items():

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kilter_client import FileError
-from kilter_client.files.cell_numbers import parse_number
-from kilter_client.files.orientation import from_euler
-from kilter_client.files.source_text import Layout, read_text
-from kilter_client.files.units import converter, unit_of
 from scipy.spatial.transform import Rotation
+
+from kilter_client import FileError
+from kilter_files.cell_numbers import parse_number
+from kilter_files.orientation import from_euler
+from kilter_files.source_text import Layout, read_text
+from kilter_files.units import converter, unit_of
 
 
 def write(folder: Path, text: str, name: str = "file.csv") -> Path:
@@ -128,7 +129,7 @@ def test_a_length_is_no_angle() -> None:
 
 
 def test_contract_columns_agree_with_the_service() -> None:
-    from service.campaigns.columns import read_columns
+    from kilter_service.campaigns.columns import read_columns
 
     kinds = ["revolute", "prismatic"]
     tail = ["q1_rad", "q2_mm"]

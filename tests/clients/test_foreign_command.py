@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from kilter_client import Kilter
 from kilter_client.cli import run
 

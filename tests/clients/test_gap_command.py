@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from kilter_client import FileError, Kilter, plots
 from kilter_client.cli import run
-
 from tests.blind.generator import Case, Hidden, Options, generate
 
 EFFECTS = "backlash,friction_windup,eccentricity,encoder_scale,thermal_growth"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from kilter_client.cli import run
 from kilter_client.cli.results import show_result
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from kilter_client.cli.results import show_result
 
 

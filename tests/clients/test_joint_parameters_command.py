@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from kilter_client.cli import run
 from kilter_client.errors import FileError
-from kilter_client.files.readings import read_readings
+from kilter_files.readings import read_readings
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "clients/python/examples"
 HEAD = "joint,axis,q1_deg,q2_deg,payload_kg,series,reading_deg\n"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+
 from kilter_client import (
     ConflictError,
     JobCancelledError,

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from kilter_client import FileError, Kilter, UsageError, prepare
 from kilter_client.cli import run
-from kilter_client.robots.plain_name import checked_name, plain_name
-
+from kilter_files.robots.plain_name import checked_name, plain_name
 from tests.core.test_circle_points import circles, horizontal
 
 Write = Callable[..., Path]

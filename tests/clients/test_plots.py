@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from kilter_client import plots
 from kilter_client.cli.arm_figure import arm_figure, save_arm
 from kilter_client.errors import FileError, MissingPackageError

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kilter_client import FileError, prepare
-from kilter_client.files import Prepared
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
+
+from kilter_client import FileError, prepare
+from kilter_files import Prepared
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "clients/python/examples"
 

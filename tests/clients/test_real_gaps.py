@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from kilter_client.cli import run
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "clients/python/examples"

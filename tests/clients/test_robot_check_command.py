@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import typer
+
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.cli.drawing import drawing

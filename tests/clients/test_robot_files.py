@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kilter_client.errors import FileError, KilterError, MissingPackageError, UsageError
-from kilter_client.robots import Described, read_robot
 from numpy.typing import NDArray
 from openpyxl import Workbook
 
-from core.conversions import screws_of_chain
-from core.robots import preset_document, robot_from_document
+from kilter_client.errors import FileError, KilterError, MissingPackageError, UsageError
+from kilter_core.conversions import screws_of_chain
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_files.robots import Described, read_robot
 from tests.service.exporters.test_exporters import ERRORS, TILTS, calibrated, joints, poses_of
 
 Floats = NDArray[np.float64]
@@ -69,7 +69,7 @@ def test_a_workbook_is_the_same_table(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("form", "errors"), [("dh-csv", ERRORS), ("mdh-csv", ERRORS | TILTS)])
 def test_exported_tables_come_back_to_the_same_poses(tmp_path: Path, form: str, errors: dict[str, float]) -> None:
-    from service.exporters.registry import export
+    from kilter_service.exporters.registry import export
 
     file, calibration = calibrated(errors, tool={"z_mm": 100.0, "rx_deg": 20.0})
     path = write(tmp_path / "table.csv", export(form, file).text)
@@ -79,7 +79,7 @@ def test_exported_tables_come_back_to_the_same_poses(tmp_path: Path, form: str, 
 
 
 def test_an_exported_ur_calibration_comes_back_to_the_same_poses(tmp_path: Path) -> None:
-    from service.exporters.registry import export
+    from kilter_service.exporters.registry import export
 
     errors = {name: value for name, value in ERRORS.items() if not name.startswith("tool")} | TILTS
     file, calibration = calibrated(errors)

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kilter_client import FileError, Kilter
-from kilter_client.cli import run
-from kilter_client.files.joint_log import read_joint_log
-from kilter_client.files.points import prepare_points
 from nptdms import ChannelObject, TdmsWriter
 
+from kilter_client import FileError, Kilter
+from kilter_client.cli import run
+from kilter_files.joint_log import read_joint_log
+from kilter_files.points import prepare_points
 from tests.clients.files.test_joint_logs import RAPID, write_bag
 
 Write = Callable[..., Path]

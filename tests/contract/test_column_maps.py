@@ -6,11 +6,12 @@ import re
 from pathlib import Path
 
 import pytest
-from kilter_client.files.column_map import read_map
-from kilter_client.files.map_columns import TIMESTAMP
-from kilter_client.files.section import Section
-from kilter_client.files.source import FORMATS
-from kilter_client.files.units import SIZES
+
+from kilter_files.column_map import read_map
+from kilter_files.map_columns import TIMESTAMP
+from kilter_files.section import Section
+from kilter_files.source import FORMATS
+from kilter_files.units import SIZES
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs/reference/column-maps.md").read_text(encoding="utf-8")

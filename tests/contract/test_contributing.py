@@ -26,9 +26,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.effects.base import Batch, Effect, Floats, Local
-from core.parameters import Parameter
-from core.robot import Robot
+from kilter_core.effects.base import Batch, Effect, Floats, Local
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -50,15 +50,15 @@ class ToyWobble(Effect):
 '''
 USE_EFFECT = """
 import numpy as np
-from core.effects import make_effect
-from core.gap.candidates import library_of
-from core.identify import IdentifyOptions, identify
-from core.model import Calibration
-from core.observations import Observations
-from core.robots import preset_document, robot_from_document
+from kilter_core.effects import make_effect
+from kilter_core.gap.candidates import library_of
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.robots import preset_document, robot_from_document
 from tests.contract.test_docs import test_every_effect_is_documented
-from service.jobs.registry import kind_of
-from service.jobs.refusals import read_options
+from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.refusals import read_options
 
 test_every_effect_is_documented()
 kind_of("identify").check(read_options("identify", {"effects": [{"id": "toy_wobble", "joints": [2]}]}))
@@ -82,11 +82,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from core.identify.estimate import Progress, estimate
-from core.identify.least_squares import Fit
-from core.identify.options import IdentifyOptions
-from core.measurement import Measurement
-from core.model import Calibration
+from kilter_core.identify.estimate import Progress, estimate
+from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration
 
 
 def toy_twice(
@@ -99,12 +99,12 @@ def toy_twice(
 '''
 USE_METHOD = """
 import numpy as np
-from core.identify import IdentifyOptions, identify
-from core.model import Calibration
-from core.observations import Observations
-from core.robots import preset_document, robot_from_document
-from service.jobs.registry import kind_of
-from service.jobs.refusals import read_options
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.refusals import read_options
 
 kind_of("identify").check(read_options("identify", {"method": "toy_twice", "loss": "tukey", "intervals": "profile"}))
 robot = robot_from_document(preset_document("panda"))
@@ -121,7 +121,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kilter_client.files.table import Table
+from kilter_files.table import Table
 
 
 def read_toy(path: Path) -> Table:
@@ -132,7 +132,7 @@ def read_toy(path: Path) -> Table:
 '''
 USE_READER = """
 import pathlib, tempfile
-from kilter_client.files import prepare
+from kilter_files import prepare
 from kilter_client.cli import run
 
 file = pathlib.Path(tempfile.mkdtemp()) / "rows.toy"
@@ -146,8 +146,8 @@ KIND = '''"""Job kind ``count``: how many rows there are."""
 
 from __future__ import annotations
 
-from service.contract.jobs.count import CountOptions
-from service.jobs.kind import JobInput, JobKind, JobOutput, Progress
+from kilter_service.contract.jobs.count import CountOptions
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 
 
 def check(options: CountOptions) -> None:
@@ -170,7 +170,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from service.contract.units import Asked, Stored
+from kilter_service.contract.units import Asked, Stored
 
 
 class CountOptions(Asked):
@@ -184,7 +184,7 @@ class CountResult(Stored):
 
     rows: dict[str, int] | None = Field(None, description="Rows, by campaign.")
 '''
-IMPORT = "from service.contract.jobs.count import CountOptions, CountResult\n"
+IMPORT = "from kilter_service.contract.jobs.count import CountOptions, CountResult\n"
 NEW_JOB = '''class NewCountJob(_NewJob):
     """Count the rows of campaigns."""
 
@@ -204,12 +204,12 @@ COUNT_JOB = '''class CountJob(_Job):
 '''
 USE_KIND = """
 import numpy as np
-from core.observations import Observations
-from core.robots import preset_document, robot_from_document
+from kilter_core.observations import Observations
+from kilter_core.robots import preset_document, robot_from_document
 from pydantic import TypeAdapter
-from service.contract.jobs.job import NewJob
-from service.jobs.kind import JobInput
-from service.jobs.registry import kind_of
+from kilter_service.contract.jobs.job import NewJob
+from kilter_service.jobs.kind import JobInput
+from kilter_service.jobs.registry import kind_of
 
 kind = kind_of("count")
 asked = TypeAdapter(NewJob).validate_python({"kind": "count", "robot": "arm", "options": {"every": 2}})
@@ -223,7 +223,7 @@ EXPORT = '''"""Export as a list of names, one a line."""
 
 from __future__ import annotations
 
-from service.exporters.exportable import Exportable, Written
+from kilter_service.exporters.exportable import Exportable, Written
 
 
 def names_txt(version: Exportable) -> Written:
@@ -232,9 +232,9 @@ def names_txt(version: Exportable) -> Written:
 '''
 USE_EXPORT = """
 from types import SimpleNamespace
-from core.model import Calibration
-from core.robots import preset_document, robot_from_document
-from service.exporters.registry import FORMATS, export
+from kilter_core.model import Calibration
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_service.exporters.registry import FORMATS, export
 
 about = SimpleNamespace(robot="arm", id="ver_1")
 nominal = Calibration.nominal(robot_from_document(preset_document("panda")))
@@ -252,13 +252,13 @@ def lined(path: str, *lines: tuple[str, str]) -> str:
     return text
 
 
-METHODS, EFFECTS = "core/identify/methods.py", "core/effects/registry.py"
-FILES = "clients/python/src/kilter_client/files/__init__.py"
-KINDS, FORMATS = "service/jobs/registry.py", "service/exporters/registry.py"
-JOBS = "service/contract/jobs/job.py"
+METHODS, EFFECTS = "core/kilter_core/identify/methods.py", "core/kilter_core/effects/registry.py"
+FILES = "clients/files/kilter_files/__init__.py"
+KINDS, FORMATS = "service/kilter_service/jobs/registry.py", "service/kilter_service/exporters/registry.py"
+JOBS = "service/kilter_service/contract/jobs/job.py"
 PAGE, ROW = "docs/reference/effects.md", "| `toy_wobble` | a test | dq = w sin 3q | `toy_wobble`, deg | |\n"
 LOADER = """def _toy(path: Path) -> Table:
-    from kilter_client.files.toy import read_toy
+    from kilter_files.toy import read_toy
 
     return read_toy(path)
 
@@ -266,33 +266,33 @@ LOADER = """def _toy(path: Path) -> Table:
 """
 ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
     "effect": (3, {
-        "core/effects/toy_wobble.py": EFFECT,
-        EFFECTS: lined(EFFECTS, ("from core.effects.tracking_lag", "from core.effects.toy_wobble import ToyWobble\n"),
+        "core/kilter_core/effects/toy_wobble.py": EFFECT,
+        EFFECTS: lined(EFFECTS, ("from kilter_core.effects.tracking_lag", "from kilter_core.effects.toy_wobble import ToyWobble\n"),
                        ("    UnknownSmoothCurve,\n", "    ToyWobble,\n")),
         PAGE: lined(PAGE, ("| `encoder_scale` |", ROW)),
     }, USE_EFFECT),
     "method": (2, {
-        "core/identify/toy_twice.py": METHOD,
-        METHODS: lined(METHODS, ("from core.measurement import", "from core.identify.toy_twice import toy_twice\n"),
+        "core/kilter_core/identify/toy_twice.py": METHOD,
+        METHODS: lined(METHODS, ("from kilter_core.measurement import", "from kilter_core.identify.toy_twice import toy_twice\n"),
                        ('    "kalman": Method', '    "toy_twice": Method(toy_twice, minimum=True, lets_rows_go=True),\n')),
     }, USE_METHOD),
     "reader": (2, {
-        "clients/python/src/kilter_client/files/toy.py": READER,
+        "clients/files/kilter_files/toy.py": READER,
         FILES: lined(FILES, ("# device name -> reader", LOADER),
                      ('    "inclinometer": _incl', '    "toy": _toy,\n')),
     }, USE_READER),
     "kind of job": (4, {
-        "service/contract/jobs/count.py": KIND_OPTIONS,
-        JOBS: lined(JOBS, ("from service.contract.jobs.evaluate", IMPORT),
+        "service/kilter_service/contract/jobs/count.py": KIND_OPTIONS,
+        JOBS: lined(JOBS, ("from kilter_service.contract.jobs.evaluate", IMPORT),
                     ("class NewPlanJob", NEW_JOB), ("class PlanJob", COUNT_JOB))
         .replace("NewIdentifyJob |", "NewIdentifyJob | NewCountJob |")
         .replace("[IdentifyJob |", "[IdentifyJob | CountJob |"),
-        "service/jobs/kinds/count.py": KIND,
-        KINDS: lined(KINDS, ("from service.jobs.kinds.evaluate", "from service.jobs.kinds.count import COUNT\n"))
+        "service/kilter_service/jobs/kinds/count.py": KIND,
+        KINDS: lined(KINDS, ("from kilter_service.jobs.kinds.evaluate", "from kilter_service.jobs.kinds.count import COUNT\n"))
         .replace("(IDENTIFY, GAP,", "(IDENTIFY, COUNT, GAP,"),
     }, USE_KIND),
     "export": (2, {
-        "service/exporters/names_txt.py": EXPORT,
+        "service/kilter_service/exporters/names_txt.py": EXPORT,
         FORMATS: lined(FORMATS, ('    "matlab": Format', '    "names": Format("names_txt.names_txt", "text/plain", "txt"),\n')),
     }, USE_EXPORT),
 }  # fmt: skip

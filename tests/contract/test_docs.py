@@ -117,7 +117,7 @@ def test_the_guide_names_what_there_is() -> None:
 
 
 def test_every_setting_is_documented() -> None:
-    from service.settings import Settings
+    from kilter_service.settings import Settings
 
     page = text_of("reference/settings.md")
     missing = [name for name in Settings.model_fields if f"| `KILTER_{name.upper()}` |" not in page]
@@ -127,7 +127,7 @@ def test_every_setting_is_documented() -> None:
 
 
 def test_default_port_is_documented() -> None:
-    from service.settings import Settings
+    from kilter_service.settings import Settings
 
     port = Settings.model_fields["port"].default
     assert f"| `KILTER_PORT` | `{port}` |" in text_of("reference/settings.md")
@@ -135,8 +135,8 @@ def test_default_port_is_documented() -> None:
 
 
 def test_every_route_is_documented(tmp_path: Path) -> None:
-    from service.app import create_app
-    from service.settings import Settings
+    from kilter_service.app import create_app
+    from kilter_service.settings import Settings
 
     paths = create_app(Settings(data=tmp_path)).openapi()["paths"]
     routes = {f"{method.upper()} {path}" for path, methods in paths.items() for method in methods}
@@ -148,14 +148,14 @@ def test_every_route_is_documented(tmp_path: Path) -> None:
 
 
 def test_every_effect_is_documented() -> None:
-    from core.effects import EFFECTS
+    from kilter_core.effects import EFFECTS
 
     documented = set(re.findall(r"^\| `(\w+)` \|", text_of("reference/effects.md"), re.MULTILINE))
     assert documented == set(EFFECTS)
 
 
 def test_every_error_code_is_documented() -> None:
-    from service.errors import PROBLEMS
+    from kilter_service.errors import PROBLEMS
 
     page = text_of("reference/errors.md")
     documented = {code: int(status) for code, status in re.findall(r"^\| `(\w+)` \| (\d{3}) \|", page, re.MULTILINE)}
@@ -172,7 +172,7 @@ def test_every_error_of_the_client_is_documented() -> None:
 
 
 def test_statuses_and_flags_of_the_stream_are_documented() -> None:
-    from service.corrector.frames import Flag, Status
+    from kilter_service.corrector.frames import Flag, Status
 
     page = text_of("reference/stream.md")
     statuses = re.findall(r"^\| `(\w+)` \| (\d+) \|", page, re.MULTILINE)
@@ -182,7 +182,7 @@ def test_statuses_and_flags_of_the_stream_are_documented() -> None:
 
 
 def test_every_preset_is_documented() -> None:
-    from core.robots import preset_names
+    from kilter_core.robots import preset_names
 
     page = text_of("reference/robots.md")
     assert not [name for name in preset_names() if f"`{name}`" not in page]

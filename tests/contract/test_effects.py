@@ -1,4 +1,4 @@
-"""Every effect of the registry keeps the contract of ``core.effects.base.Effect``, on two arms."""
+"""Every effect of the registry keeps the contract of ``kilter_core.effects.base.Effect``, on two arms."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.effects import BASE, EFFECTS, TOOL, Batch, Effect, Local, effect_from_document, make_effect
-from core.errors import ObservationError, OptionError
-from core.identify import IdentifyOptions, identify
-from core.model import Prediction, RobotModel
-from core.observations import Observations
-from core.robot import Robot
-from core.robots import preset_document, robot_from_document
-from core.transforms import rotation_log
+from kilter_core.effects import BASE, EFFECTS, TOOL, Batch, Effect, Local, effect_from_document, make_effect
+from kilter_core.errors import ObservationError, OptionError
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.model import Prediction, RobotModel
+from kilter_core.observations import Observations
+from kilter_core.robot import Robot
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.transforms import rotation_log
 
 Floats = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from service.contract.figures import Figure, GapFigures, IdentifyFigures
-from service.jobs import pictures
-from service.jobs.arrow_pictures import _from_three_sides, _in_space, _sides, _space
-from service.jobs.drawing import signed
-from service.jobs.parameter_pictures import changes
+from kilter_service.contract.figures import Figure, GapFigures, IdentifyFigures
+from kilter_service.jobs import pictures
+from kilter_service.jobs.arrow_pictures import _from_three_sides, _in_space, _sides, _space
+from kilter_service.jobs.drawing import signed
+from kilter_service.jobs.parameter_pictures import changes
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -78,7 +78,7 @@ def test_a_figure_of_another_kind_is_refused() -> None:
 
 def test_every_figure_that_an_identification_draws_has_its_field() -> None:
     text = "".join(
-        (REPOSITORY / f"service/jobs/{name}.py").read_text(encoding="utf-8")
+        (REPOSITORY / f"service/kilter_service/jobs/{name}.py").read_text(encoding="utf-8")
         for name in ("identify_pictures", "arrow_pictures", "worst_rows")
     )
     for name in IdentifyFigures.model_fields:

@@ -23,8 +23,8 @@ def shown(value: object) -> str | None:
 def constants() -> dict[str, str]:
     """Numbers in capitals of the gap finder's modules."""
     found = {}
-    for path in sorted((REPOSITORY / "core/gap").glob("[a-z]*.py")):
-        module = importlib.import_module(f"core.gap.{path.stem}")
+    for path in sorted((REPOSITORY / "core/kilter_core/gap").glob("[a-z]*.py")):
+        module = importlib.import_module(f"kilter_core.gap.{path.stem}")
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
             for target in targets:

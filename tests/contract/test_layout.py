@@ -57,14 +57,14 @@ def test_core_imports_only_numpy_scipy_and_numba() -> None:
 def test_the_contract_knows_pydantic_and_itself_only() -> None:
     allowed = {"pydantic", "pydantic_core", *sys.stdlib_module_names}
     strange = []
-    for path in modules("service/contract"):
+    for path in modules("service/kilter_service/contract"):
         for node in ast.walk(ast.parse(path.read_text())):
             named = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             named += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
             strange += [
                 f"{path.relative_to(REPOSITORY)}: {name}"
                 for name in named
-                if name.partition(".")[0] not in allowed and not name.startswith("service.contract")
+                if name.partition(".")[0] not in allowed and not name.startswith("kilter_service.contract")
             ]
     assert not strange
 
@@ -75,7 +75,7 @@ def test_only_kernels_and_the_short_way_are_compiled() -> None:
         for path in modules("core", "service")
         if "numba" in imported_packages(path) and path.parent != KERNELS
     ]
-    assert outside == ["service/corrector/short_way.py"]  # docs/decisions/0010
+    assert outside == ["service/kilter_service/corrector/short_way.py"]  # docs/decisions/0010
 
 
 def test_modules_are_short_and_say_what_they_are_for() -> None:

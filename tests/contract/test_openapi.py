@@ -7,8 +7,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-from service.app import create_app
-from service.settings import Settings
+from kilter_service.app import create_app
+from kilter_service.settings import Settings
 
 SNAPSHOT = Path(__file__).with_name("openapi.json")
 PROMISED = {

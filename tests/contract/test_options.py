@@ -11,16 +11,16 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-import core.gap
-import core.identify
-from core.effects import EFFECTS, effect_from_document
-from core.gap.wanted import wanted
-from service.contract.effects import AnyEffect
-from service.contract.jobs.gap import GapOptions
-from service.contract.jobs.identify import IdentifyOptions
-from service.contract.jobs.job import NewJob
-from service.jobs.refusals import refusal, without_kind
-from service.jobs.registry import KINDS
+import kilter_core.gap
+import kilter_core.identify
+from kilter_core.effects import EFFECTS, effect_from_document
+from kilter_core.gap.wanted import wanted
+from kilter_service.contract.effects import AnyEffect
+from kilter_service.contract.jobs.gap import GapOptions
+from kilter_service.contract.jobs.identify import IdentifyOptions
+from kilter_service.contract.jobs.job import NewJob
+from kilter_service.jobs.refusals import refusal, without_kind
+from kilter_service.jobs.registry import KINDS
 
 NEW_JOB: TypeAdapter[Any] = TypeAdapter(NewJob)
 EFFECT: TypeAdapter[Any] = TypeAdapter(AnyEffect)
@@ -35,7 +35,7 @@ def test_the_contract_of_effects_is_up_to_date() -> None:
 
 @pytest.mark.parametrize(
     ("contract", "options"),
-    [(IdentifyOptions, core.identify.IdentifyOptions), (GapOptions, core.gap.GapOptions)],
+    [(IdentifyOptions, kilter_core.identify.IdentifyOptions), (GapOptions, kilter_core.gap.GapOptions)],
 )
 def test_names_and_defaults_are_those_of_the_core(contract: Any, options: Any) -> None:
     own = dataclasses.asdict(options())

@@ -15,26 +15,29 @@ FACTORS = {1e3, 1e-3, 180.0}
 TABLES = {"MM", "DEG", "WIRE"}  # factors and tables of factors by name
 # What reads and writes files of mm and degrees, and the robot document, which people write in them.
 AT_THE_EDGE = (
-    "service/**/wire.py", "service/wire.py", "service/importers/*.py", "service/exporters/*.py", "service/contract/columns.py",
-    "service/campaigns/assemble.py", "service/campaigns/joint_limits.py", "service/campaigns/rules.py",
-    "service/versions/values.py", "core/robots/*.py", "core/conversions/*.py",
+    "service/kilter_service/**/wire.py", "service/kilter_service/wire.py", "service/kilter_service/importers/*.py", "service/kilter_service/exporters/*.py", "service/kilter_service/contract/columns.py",
+    "service/kilter_service/campaigns/assemble.py", "service/kilter_service/campaigns/joint_limits.py", "service/kilter_service/campaigns/rules.py",
+    "service/kilter_service/versions/values.py", "core/kilter_core/robots/*.py", "core/kilter_core/conversions/*.py",
 )  # fmt: skip
 # Times of the stream, in nanoseconds and microseconds.
-NO_LENGTHS = ("service/corrector/short_way.py",)
+NO_LENGTHS = ("service/kilter_service/corrector/short_way.py",)
 # Where the core still speaks mm and degrees: options and reports whose names are promised, sentences' numbers, and the
 # simulated arm's data. Number of lines; only ever fewer.
 STILL = {
-    "core/circle_points.py": 1, "core/evaluate.py": 1, "core/gap/figures.py": 1, "core/gap/foreign_links.py": 1,
-    "core/gap/matters.py": 4, "core/gap/plan.py": 1, "core/gap/prepare.py": 1, "core/gap/replication.py": 1,
-    "core/gap/report.py": 1, "core/gap/run.py": 1, "core/gap/testability.py": 2, "core/gap/where.py": 1,
-    "core/identify/check.py": 2, "core/identify/estimate.py": 3, "core/identify/global_search.py": 3,
-    "core/identify/influence.py": 2, "core/identify/learned.py": 1, "core/identify/mix_ups.py": 1,
-    "core/identify/noise.py": 2, "core/identify/plausibility.py": 1, "core/identify/predictive.py": 2,
-    "core/identify/report.py": 5, "core/identify/run.py": 6, "core/identify/seeing.py": 1, "core/identify/setups.py": 1,
-    "core/identify/turn_mix_ups.py": 1, "core/identify/worse.py": 1, "core/iso9283.py": 2, "core/load_model.py": 3,
-    "core/metrics.py": 3, "core/twin.py": 4, "service/versions/store.py": 2,
+    "core/kilter_core/circle_points.py": 1, "core/kilter_core/evaluate.py": 1, "core/kilter_core/gap/figures.py": 1, "core/kilter_core/gap/foreign_links.py": 1,
+    "core/kilter_core/gap/matters.py": 4, "core/kilter_core/gap/plan.py": 1, "core/kilter_core/gap/prepare.py": 1, "core/kilter_core/gap/replication.py": 1,
+    "core/kilter_core/gap/report.py": 1, "core/kilter_core/gap/run.py": 1, "core/kilter_core/gap/testability.py": 2, "core/kilter_core/gap/where.py": 1,
+    "core/kilter_core/identify/check.py": 2, "core/kilter_core/identify/estimate.py": 3, "core/kilter_core/identify/global_search.py": 3,
+    "core/kilter_core/identify/influence.py": 2, "core/kilter_core/identify/learned.py": 1, "core/kilter_core/identify/mix_ups.py": 1,
+    "core/kilter_core/identify/noise.py": 2, "core/kilter_core/identify/plausibility.py": 1, "core/kilter_core/identify/predictive.py": 2,
+    "core/kilter_core/identify/report.py": 5, "core/kilter_core/identify/run.py": 6, "core/kilter_core/identify/seeing.py": 1, "core/kilter_core/identify/setups.py": 1,
+    "core/kilter_core/identify/turn_mix_ups.py": 1, "core/kilter_core/identify/worse.py": 1, "core/kilter_core/iso9283.py": 2, "core/kilter_core/load_model.py": 3,
+    "core/kilter_core/metrics.py": 3, "core/kilter_core/twin.py": 4, "service/kilter_service/versions/store.py": 2,
 }  # fmt: skip
-SHARES = ("core/design/iso9283.py", "core/gap/variogram.py")  # a thousandth of something, no millimetre
+SHARES = (
+    "core/kilter_core/design/iso9283.py",
+    "core/kilter_core/gap/variogram.py",
+)  # a thousandth of something, no millimetre
 
 
 def constant(node: ast.AST) -> bool:

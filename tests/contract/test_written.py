@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from service.contract.fits import Metrics, NullDirection, Parameter, Remark
-from service.contract.versions import Details
-from service.contract.written import as_written
+from kilter_service.contract.fits import Metrics, NullDirection, Parameter, Remark
+from kilter_service.contract.versions import Details
+from kilter_service.contract.written import as_written
 
 
 def test_only_what_was_written_is_shown() -> None:

@@ -9,7 +9,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from core.observations import Observations
+from kilter_core.observations import Observations
 from tests.core.truth import Arm
 
 Floats = NDArray[np.float64]

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow.csv
-from kilter_client.files import prepare
 from pyarrow import BufferReader
 
-from core.observations import Observations
-from core.robot import Robot
-from core.robots import preset_document, robot_from_document
-from service.campaigns.assemble import observations
-from service.campaigns.columns import read_columns
+from kilter_core.observations import Observations
+from kilter_core.robot import Robot
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_files import prepare
+from kilter_service.campaigns.assemble import observations
+from kilter_service.campaigns.columns import read_columns
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "clients/python/examples"
 UR10 = "ipa-ur10-lasertracker"
@@ -55,6 +55,6 @@ def _document(folder: Path, name: str) -> dict[str, Any]:
 
 
 def _understood(posted: dict[str, Any]) -> dict[str, Any]:
-    from service.robots.documents import core_document
+    from kilter_service.robots.documents import core_document
 
     return core_document(posted).document

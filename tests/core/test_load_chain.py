@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from core.correction import CorrectionOptions, compile_program
-from core.effects import make_effect
-from core.errors import OptionError
-from core.load_chain import LoadChain
-from core.model import Calibration, RobotModel
-from core.observations import Observations
-from core.robots import preset_document, robot_from_document
+from kilter_core.correction import CorrectionOptions, compile_program
+from kilter_core.effects import make_effect
+from kilter_core.errors import OptionError
+from kilter_core.load_chain import LoadChain
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.observations import Observations
+from kilter_core.robots import preset_document, robot_from_document
 from tests.core.truth import Arm, small_pose, some_arm, with_bodies
 
 READERS = ("axial_compliance", "radial_compliance", "base_compliance", "load_error", "payload_error")

@@ -8,15 +8,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from core.correction import CorrectionOptions, compile_program
-from core.effects import EFFECTS as KNOWN
-from core.effects import make_effect
-from core.load_slopes import LoadSlopes, with_masses, with_payload
-from core.model import Calibration, RobotModel
-from core.moments import axial_loads, loads_of
-from core.observations import Observations
-from core.robot import Robot
-from core.robots import preset_document, robot_from_document
+from kilter_core.correction import CorrectionOptions, compile_program
+from kilter_core.effects import EFFECTS as KNOWN
+from kilter_core.effects import make_effect
+from kilter_core.load_slopes import LoadSlopes, with_masses, with_payload
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.moments import axial_loads, loads_of
+from kilter_core.observations import Observations
+from kilter_core.robot import Robot
+from kilter_core.robots import preset_document, robot_from_document
 from tests.core.truth import Arm, some_arm, with_bodies
 
 KATANA = robot_from_document(preset_document("katana450-chapter5"))

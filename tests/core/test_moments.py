@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.effects import make_effect
-from core.load_slopes import payload_sensitivity
-from core.model import Calibration
-from core.moments import axial_loads, joint_loads
-from core.observations import Observations
-from core.robot import Robot
-from core.robots import preset_document, robot_from_document
+from kilter_core.effects import make_effect
+from kilter_core.load_slopes import payload_sensitivity
+from kilter_core.model import Calibration
+from kilter_core.moments import axial_loads, joint_loads
+from kilter_core.observations import Observations
+from kilter_core.robot import Robot
+from kilter_core.robots import preset_document, robot_from_document
 from tests.core.truth import UR10_ROWS, Arm, Body, Step, some_arm, ur10, with_bodies
 
 KINDS = {

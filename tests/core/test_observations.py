@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.errors import ObservationError
-from core.observations import Observations
+from kilter_core.errors import ObservationError
+from kilter_core.observations import Observations
 
 
 def rows(count: int = 6, **columns: np.ndarray) -> Observations:

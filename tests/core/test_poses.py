@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.identify.holdout import fold_splits, split
-from core.observations import Observations
-from core.poses import numbered_poses, numbered_rows, rounded_poses
+from kilter_core.identify.holdout import fold_splits, split
+from kilter_core.observations import Observations
+from kilter_core.poses import numbered_poses, numbered_rows, rounded_poses
 
 Floats = NDArray[np.float64]
 

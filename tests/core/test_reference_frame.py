@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.errors import ObservationError
-from core.reference_frame import frame_of_features, frame_of_points
+from kilter_core.errors import ObservationError
+from kilter_core.reference_frame import frame_of_features, frame_of_points
 from tests.core.truth import some_pose
 
 KNOWN = np.array([[0, 0, 0], [0.4, 0, 0], [0, 0.3, 0], [0.1, 0.1, 0.2]])

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.transforms import (
+from kilter_core.transforms import (
     inverse,
     nearest_rotation,
     pose_from_xyz_rpy,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.design.iso9283 import iso_poses
-from core.identify import IdentifyOptions, identify
-from core.twin import Twin, thesis_katana
+from kilter_core.design.iso9283 import iso_poses
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.twin import Twin, thesis_katana
 
 NOISE = 1e-5
 CONVENTIONAL = IdentifyOptions(level=2)

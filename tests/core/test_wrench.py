@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.identify import IdentifyOptions, identify
-from core.observations import Observations
-from core.robots import robot_from_document
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.observations import Observations
+from kilter_core.robots import robot_from_document
 from tests.core.campaigns import joints
 from tests.core.truth import ur10
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.correction import CorrectionOptions, compile_program
-from core.effects import make_effect
-from core.model import Calibration, RobotModel
-from core.robots import robot_from_document
-from service.corrector.active import Active, version_number
-from service.corrector.process import Corrector
-from service.corrector.specs import Rules
-from service.settings import Settings
+from kilter_core.correction import CorrectionOptions, compile_program
+from kilter_core.effects import make_effect
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.robots import robot_from_document
+from kilter_service.corrector.active import Active, version_number
+from kilter_service.corrector.process import Corrector
+from kilter_service.corrector.specs import Rules
+from kilter_service.settings import Settings
 from tests.corrector.live import open_stream
 
 EFFECTS = ("clearance_tilt", "backlash_load", "axial_compliance", "backlash")

@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 import zenoh
-from kilter_client.stream import CorrectedStream
 
-from service.corrector import frames
-from service.corrector.process import Corrector
-from service.corrector.session import config
+from kilter_client.stream import CorrectedStream
+from kilter_service.corrector import frames
+from kilter_service.corrector.process import Corrector
+from kilter_service.corrector.session import config
 
 ROBOT = "katana450-chapter4"
 ROOT = f"kilter/@v1/test/{ROBOT}"

@@ -9,8 +9,8 @@ import struct
 from typing import Any
 
 import pytest
-from kilter_client.stream import CorrectedStream, StreamError
 
+from kilter_client.stream import CorrectedStream, StreamError
 from tests.corrector import forger
 
 Q = (0.1, 0.6, 0.4, 0.3, 0.2)

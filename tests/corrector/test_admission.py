@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from core.model import Calibration
-from service.corrector import frames
-from service.corrector.active import Active
-from service.corrector.frames import Answer, Flag, Status
-from service.corrector.stream import Stream
+from kilter_core.model import Calibration
+from kilter_service.corrector import frames
+from kilter_service.corrector.active import Active
+from kilter_service.corrector.frames import Answer, Flag, Status
+from kilter_service.corrector.stream import Stream
 
 Q = (0.1, 0.6, 0.4, 0.3, 0.2)
 MS = 1_000_000

@@ -16,13 +16,13 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import zenoh
-from kilter_client.stream import CorrectedStream
 
-from service.corrector import frames
-from service.corrector.active import Active
-from service.corrector.frames import Flag
-from service.corrector.process import Corrector
-from service.corrector.session import config
+from kilter_client.stream import CorrectedStream
+from kilter_service.corrector import frames
+from kilter_service.corrector.active import Active
+from kilter_service.corrector.frames import Flag
+from kilter_service.corrector.process import Corrector
+from kilter_service.corrector.session import config
 from tests.corrector import forger
 from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.corrector import frames
-from service.corrector.frames import Status
+from kilter_service.corrector import frames
+from kilter_service.corrector.frames import Status
 from tests.corrector import forger
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "c" / "controller.c"

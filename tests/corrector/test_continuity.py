@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from core.correction import CorrectionOptions, Track, compile_program
-from core.model import Calibration
+from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_core.model import Calibration
 
 DT = 0.002
 RATE = math.radians(0.5)

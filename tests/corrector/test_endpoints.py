@@ -13,12 +13,12 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from service.corrector.endpoints import is_local
-from service.corrector.process import Corrector
-from service.corrector.session import config
-from service.errors import ServiceError
-from service.ros2 import process as ros2
-from service.settings import Settings
+from kilter_service.corrector.endpoints import is_local
+from kilter_service.corrector.process import Corrector
+from kilter_service.corrector.session import config
+from kilter_service.errors import ServiceError
+from kilter_service.ros2 import process as ros2
+from kilter_service.settings import Settings
 from tests.corrector.live import ROOT, Q, open_stream, until
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -40,7 +40,7 @@ def test_beyond_this_machine_it_asks_for_a_configuration(tmp_path: Path, command
     environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
     environment |= {"KILTER_DATA": str(tmp_path), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/0.0.0.0:0"}
     done = subprocess.run(
-        [sys.executable, "-m", "service", command], cwd=REPOSITORY, env=environment, capture_output=True, text=True,
+        [sys.executable, "-m", "kilter_service", command], cwd=REPOSITORY, env=environment, capture_output=True, text=True,
         timeout=60, check=False,
     )  # fmt: skip
     assert done.returncode == 2
@@ -65,7 +65,7 @@ def test_a_port_that_is_taken_is_said_in_one_sentence(tmp_path: Path) -> None:
         environment |= {"KILTER_DATA": str(tmp_path), "KILTER_ZENOH_LISTEN": endpoint}
         (tmp_path / "corrector.json").write_text("of another")
         done = subprocess.run(
-            [sys.executable, "-m", "service", "corrector"], cwd=REPOSITORY, env=environment, capture_output=True,
+            [sys.executable, "-m", "kilter_service", "corrector"], cwd=REPOSITORY, env=environment, capture_output=True,
             text=True, timeout=120, check=False,
         )  # fmt: skip
     assert done.returncode == 2

@@ -17,22 +17,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zenoh
-from kilter_client.stream import CorrectedStream
 
-from core.model import Calibration
-from service.contract.versions import ActivationWish
-from service.corrector import frames
-from service.corrector.active import Active
-from service.corrector.frames import Flag, Status
-from service.corrector.process import Corrector
-from service.corrector.session import config
-from service.db import Database, revision
-from service.db.tables import JobRow
-from service.robots import service as robots
-from service.robots.wire import DOCUMENT
-from service.settings import DATABASE_FILE, Settings
-from service.versions import activation, store
-from service.versions.store import NewVersion
+from kilter_client.stream import CorrectedStream
+from kilter_core.model import Calibration
+from kilter_service.contract.versions import ActivationWish
+from kilter_service.corrector import frames
+from kilter_service.corrector.active import Active
+from kilter_service.corrector.frames import Flag, Status
+from kilter_service.corrector.process import Corrector
+from kilter_service.corrector.session import config
+from kilter_service.db import Database, revision
+from kilter_service.db.tables import JobRow
+from kilter_service.robots import service as robots
+from kilter_service.robots.wire import DOCUMENT
+from kilter_service.settings import DATABASE_FILE, Settings
+from kilter_service.versions import activation, store
+from kilter_service.versions.store import NewVersion
 from tests.corrector.live import ROBOT, ROOT, Line, Q, open_stream, point, until
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -226,7 +226,7 @@ def router() -> Iterator[Callable[[], str]]:
     endpoint = ["tcp/127.0.0.1:0"]
     script = (
         "import sys, zenoh\n"
-        "from service.corrector.session import config, with_free_port\n"
+        "from kilter_service.corrector.session import config, with_free_port\n"
         "endpoint = with_free_port(sys.argv[1])\n"
         "made = config(endpoint)\n"
         "made.insert_json5('mode', '\"router\"')\n"
@@ -293,7 +293,7 @@ def test_sigterm_during_the_start_leaves_nothing_behind(tmp_path: Path, ready: i
     environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
     environment |= {"KILTER_DATA": str(tmp_path), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
     with subprocess.Popen(
-        [sys.executable, "-m", "service", "serve"], cwd=REPOSITORY, env=environment, stderr=subprocess.DEVNULL
+        [sys.executable, "-m", "kilter_service", "serve"], cwd=REPOSITORY, env=environment, stderr=subprocess.DEVNULL
     ) as server:
         until(lambda: len(descendants(server.pid)) >= ready, 60)
         started = descendants(server.pid)
@@ -330,7 +330,7 @@ def test_the_stream_outlives_the_api_and_the_database(tmp_path: Path, katana: Ca
     settings = Settings(data=tmp_path, site="kilter")
     store_active(settings, katana)
     with subprocess.Popen(
-        [sys.executable, "-m", "service", "serve"],
+        [sys.executable, "-m", "kilter_service", "serve"],
         cwd=REPOSITORY, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
     ) as server:  # fmt: skip
         try:

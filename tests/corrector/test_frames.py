@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kilter_client import frames as client
 
-from service.corrector import frames
-from service.corrector.frames import Flag, Kind, Status
+from kilter_client import frames as client
+from kilter_service.corrector import frames
+from kilter_service.corrector.frames import Flag, Kind, Status
 
 POINT = bytes.fromhex(
     "4b4c5431"  # KLT1

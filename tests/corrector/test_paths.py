@@ -15,12 +15,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from core.correction import CorrectionOptions, Track, compile_program
-from core.identify import IdentifyOptions, identify
-from core.model import Calibration, RobotModel
-from core.observations import Observations
-from core.robots import preset_document, robot_from_document
-from core.twin import thesis_katana
+from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.observations import Observations
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.twin import thesis_katana
 from tests.core.campaigns import joints, table_errors
 from tests.core.effects.by_hand import inserted
 from tests.core.truth import Arm, Body, Step, small_pose, some_arm, ur10

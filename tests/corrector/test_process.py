@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zenoh
-from kilter_client.stream import CorrectedStream, Statistics, StreamError, corrected
 
-from core.correction import Track, compile_program
-from core.model import Calibration
-from service.corrector import frames
-from service.corrector.process import Corrector
-from service.corrector.queries import encode_trajectory
-from service.corrector.session import config
+from kilter_client.stream import CorrectedStream, Statistics, StreamError, corrected
+from kilter_core.correction import Track, compile_program
+from kilter_core.model import Calibration
+from kilter_service.corrector import frames
+from kilter_service.corrector.process import Corrector
+from kilter_service.corrector.queries import encode_trajectory
+from kilter_service.corrector.session import config
 from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
 
 

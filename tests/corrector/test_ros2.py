@@ -22,14 +22,14 @@ import zenoh
 from pydantic import ValidationError
 from rosbags.typesys import Stores, get_typestore
 
-from core.correction import Track, compile_program
-from core.model import Calibration
-from service.corrector.session import config, with_free_port
-from service.db import Database, revision
-from service.errors import ServiceError
-from service.ros2 import names
-from service.ros2.process import follow, run
-from service.settings import Settings
+from kilter_core.correction import Track, compile_program
+from kilter_core.model import Calibration
+from kilter_service.corrector.session import config, with_free_port
+from kilter_service.db import Database, revision
+from kilter_service.errors import ServiceError
+from kilter_service.ros2 import names
+from kilter_service.ros2.process import follow, run
+from kilter_service.settings import Settings
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STATE, TRAJECTORY = "sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory"
@@ -303,7 +303,7 @@ def test_the_command_runs_on_a_new_database_and_stops_when_told(router: str, ros
 
     status = f"kilter/@v1/cmd/{ROBOT}/stream/ros2_joint_state/status"
     ros.session.declare_subscriber(status, zenoh.handlers.Callback(take, indirect=False))
-    command = [sys.executable, "-m", "service", "ros2"]
+    command = [sys.executable, "-m", "kilter_service", "ros2"]
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as process:
         try:
             ros.publish(key("/arm/wanted", STATE), STATE, state(Q))

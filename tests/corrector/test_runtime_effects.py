@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.correction import CorrectionOptions, CorrectionProgram, Track, compile_program
-from core.effects import EFFECTS, make_effect
-from core.model import Calibration, RobotModel
-from core.observations import Observations
-from core.robots import robot_from_document
+from kilter_core.correction import CorrectionOptions, CorrectionProgram, Track, compile_program
+from kilter_core.effects import EFFECTS, make_effect
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.observations import Observations
+from kilter_core.robots import robot_from_document
 
 TEMPERATURE_C = 31.0
 DAMPED, RESIDUAL = 0x0800, 0x1000

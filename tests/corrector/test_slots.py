@@ -8,10 +8,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from service.corrector.frames import Flag, Status
-from service.corrector.process import Corrector
-from service.corrector.specs import Rules
-from service.settings import Settings
+from kilter_service.corrector.frames import Flag, Status
+from kilter_service.corrector.process import Corrector
+from kilter_service.corrector.specs import Rules
+from kilter_service.settings import Settings
 from tests.corrector.forger import HEADER
 from tests.corrector.live import ROOT, Line, open_stream, point, until
 

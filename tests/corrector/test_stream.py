@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.correction import Track, compile_program
-from core.model import Calibration
-from service.corrector import frames
-from service.corrector.active import Active
-from service.corrector.frames import Answer, Flag, Kind, Status
-from service.corrector.specs import Rules
-from service.corrector.stream import Stream
+from kilter_core.correction import Track, compile_program
+from kilter_core.model import Calibration
+from kilter_service.corrector import frames
+from kilter_service.corrector.active import Active
+from kilter_service.corrector.frames import Answer, Flag, Kind, Status
+from kilter_service.corrector.specs import Rules
+from kilter_service.corrector.stream import Stream
 
 Q = [0.1, 0.6, 0.4, 0.3, 0.2]
 MS = 1_000_000

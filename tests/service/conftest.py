@@ -22,11 +22,11 @@ import uvicorn
 from fastapi import FastAPI
 from sqlalchemy import create_engine, make_url, text
 
-from service.app import create_app
-from service.auth.token import admin_token
-from service.db import Database, revision
-from service.db.tables import HeartbeatRow
-from service.settings import DATABASE_FILE, Settings
+from kilter_service.app import create_app
+from kilter_service.auth.token import admin_token
+from kilter_service.db import Database, revision
+from kilter_service.db.tables import HeartbeatRow
+from kilter_service.settings import DATABASE_FILE, Settings
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 Serve = Callable[[FastAPI], httpx.Client]
@@ -153,7 +153,9 @@ class WorkerProcess:
     def start(self) -> None:
         """Start it and wait until it says that it is alive."""
         environment = {**os.environ, **self._settings.environment()}
-        self.process = subprocess.Popen([sys.executable, "-m", "service", "worker"], env=environment, cwd=REPOSITORY)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "kilter_service", "worker"], env=environment, cwd=REPOSITORY
+        )
         wait_for(lambda: self._beats() or self.process is None or self.process.poll() is not None)
         assert self._beats()
 
@@ -202,7 +204,7 @@ class Katana:
 
     def columns(self, rows: int, seed: int = 0, noise_m: float = 1e-5) -> dict[str, list[float]]:
         """Measure random poses."""
-        from core.twin import thesis_katana
+        from kilter_core.twin import thesis_katana
 
         twin = thesis_katana()
         limits = twin.robot.limits

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.db import Database
-from service.jobs import store
+from kilter_service.db import Database
+from kilter_service.jobs import store
 
 
 def same_as_stored(database: Database, job: dict[str, Any]) -> None:

@@ -12,17 +12,17 @@ import pytest
 from numpy.typing import NDArray
 from sqlalchemy import update
 
-from core.identify.holdout import split
-from core.poses import rounded_poses
-from service.contract.jobs.identify import IdentifyOptions
-from service.contract.jobs.job import NewIdentifyJob
-from service.db import Database
-from service.db.tables import JobRow, VersionRow
-from service.jobs import store as jobs
-from service.jobs.runner import Runner
-from service.robots import store as robots
-from service.versions import activation, guard, store
-from service.versions.store import NewVersion
+from kilter_core.identify.holdout import split
+from kilter_core.poses import rounded_poses
+from kilter_service.contract.jobs.identify import IdentifyOptions
+from kilter_service.contract.jobs.job import NewIdentifyJob
+from kilter_service.db import Database
+from kilter_service.db.tables import JobRow, VersionRow
+from kilter_service.jobs import store as jobs
+from kilter_service.jobs.runner import Runner
+from kilter_service.robots import store as robots
+from kilter_service.versions import activation, guard, store
+from kilter_service.versions.store import NewVersion
 from tests.core.campaigns import table_errors
 from tests.core.truth import Arm, some_pose, ur10
 

@@ -6,9 +6,9 @@ import threading
 
 import pytest
 
-from core.errors import CancelledError
-from service.jobs.attended import attended
-from service.jobs.kind import Progress
+from kilter_core.errors import CancelledError
+from kilter_service.jobs.attended import attended
+from kilter_service.jobs.kind import Progress
 
 
 def test_the_result_and_the_error_come_through() -> None:

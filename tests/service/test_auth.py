@@ -7,11 +7,11 @@ import httpx
 import pytest
 from fastapi import APIRouter, Depends, FastAPI
 
-from service import problems
-from service.auth.access import Admin, reader
-from service.auth.token import admin_token, check_binding
-from service.errors import ServiceError
-from service.settings import Settings
+from kilter_service import problems
+from kilter_service.auth.access import Admin, reader
+from kilter_service.auth.token import admin_token, check_binding
+from kilter_service.errors import ServiceError
+from kilter_service.settings import Settings
 
 Serve = Callable[[FastAPI], httpx.Client]
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 from scipy.spatial.transform import Rotation
 
-from core.model import Calibration
-from core.observations import Observations
-from service.campaigns import store
-from service.db import Database
-from service.robots import store as robots
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_service.campaigns import store
+from kilter_service.db import Database
+from kilter_service.robots import store as robots
 
 Columns = dict[str, list[Any]]
 CSV = {"content-type": "text/csv"}

@@ -12,8 +12,8 @@ import httpx
 import pytest
 from sqlalchemy import make_url, text
 
-from service.jobs.engine_clock import keep_time
-from service.settings import Settings
+from kilter_service.jobs.engine_clock import keep_time
+from kilter_service.settings import Settings
 
 OLD, NEW = "strftime('%s','now')", "unixepoch('subsec')"
 

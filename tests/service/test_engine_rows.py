@@ -15,7 +15,7 @@ import httpx
 import pytest
 from sqlalchemy import Connection, Engine, create_engine, inspect, make_url, text
 
-from service.settings import Settings
+from kilter_service.settings import Settings
 
 Until = Callable[..., None]
 FINAL = ("succeeded", "failed", "cancelled")
@@ -156,7 +156,7 @@ def test_the_api_reads_no_pickle_either(
     with engine_database(settings) as connection:
         fill_all(connection, job, bomb(mark), "py_pickle")
     assert client.post(f"/v1/jobs/{job}/cancel").json()["state"] == "cancelled"
-    from service.jobs.queue import JobQueue
+    from kilter_service.jobs.queue import JobQueue
 
     queue = JobQueue(settings)
     found = queue.row(job)

@@ -8,9 +8,9 @@ import pytest
 from fastapi import FastAPI
 from pydantic import BaseModel
 
-from core.errors import NotConvergedError, TooFewPosesError
-from service import problems
-from service.errors import PROBLEMS
+from kilter_core.errors import NotConvergedError, TooFewPosesError
+from kilter_service import problems
+from kilter_service.errors import PROBLEMS
 
 
 class Payload(BaseModel):
@@ -75,7 +75,7 @@ def test_what_the_framework_refuses_is_a_problem_too(client: httpx.Client, metho
 
 
 def test_every_code_of_core_is_in_the_table() -> None:
-    from core import errors as core_errors
+    from kilter_core import errors as core_errors
 
     codes = {
         c.default_code

@@ -16,21 +16,21 @@ import httpx
 import numpy as np
 import pinocchio as pin
 import pytest
-from kilter_client.robots import Described, read_robot
-from kilter_client.stream import CorrectedStream
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from core.model import Calibration
-from core.observations import Observations
-from core.robots import robot_from_document
-from service.corrector.database_source import DatabaseSource
-from service.corrector.process import Corrector
-from service.db import Database
-from service.importers.urdf import chain_document
-from service.robots.documents import core_document
-from service.settings import Settings
+from kilter_client.stream import CorrectedStream
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.robots import robot_from_document
+from kilter_files.robots import Described, read_robot
+from kilter_service.corrector.database_source import DatabaseSource
+from kilter_service.corrector.process import Corrector
+from kilter_service.db import Database
+from kilter_service.importers.urdf import chain_document
+from kilter_service.robots.documents import core_document
+from kilter_service.settings import Settings
 from tests.core.soft_arm import NOISE_M, TOOL, Scene, scene
 from tests.core.truth import Arm
 

@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import pytest
 
-from service.db import Database
+from kilter_service.db import Database
 from tests.blind.generator import Case, Hidden, Options, generate
 from tests.service.stored_results import same_as_stored
 

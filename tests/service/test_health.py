@@ -6,11 +6,11 @@ import os
 import httpx
 import pytest
 
-from service.app import create_app
-from service.db import Database
-from service.errors import ServiceError
-from service.health import store
-from service.settings import Settings
+from kilter_service.app import create_app
+from kilter_service.db import Database
+from kilter_service.errors import ServiceError
+from kilter_service.health import store
+from kilter_service.settings import Settings
 
 
 def test_live_says_the_version(client: httpx.Client) -> None:

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.identify.row_errors import RowErrors
-from core.observations import Observations
-from core.robots import robot_from_document
-from service.contract.jobs.identify import IdentifyOptions
-from service.jobs.arrow_pictures import LONGEST, MOST_ARROWS, arrows, magnification
-from service.jobs.drawing import LONGEST as LONGEST_LABEL
-from service.jobs.drawing import apart, lying, short, signed
-from service.jobs.kind import JobInput
-from service.jobs.kinds.identify import run
-from service.jobs.parameter_pictures import MOST_PARAMETERS, changes
-from service.jobs.worst_rows import WORST
+from kilter_core.identify.row_errors import RowErrors
+from kilter_core.observations import Observations
+from kilter_core.robots import robot_from_document
+from kilter_service.contract.jobs.identify import IdentifyOptions
+from kilter_service.jobs.arrow_pictures import LONGEST, MOST_ARROWS, arrows, magnification
+from kilter_service.jobs.drawing import LONGEST as LONGEST_LABEL
+from kilter_service.jobs.drawing import apart, lying, short, signed
+from kilter_service.jobs.kind import JobInput
+from kilter_service.jobs.kinds.identify import run
+from kilter_service.jobs.parameter_pictures import MOST_PARAMETERS, changes
+from kilter_service.jobs.worst_rows import WORST
 from tests.core.campaigns import joints, measured
 from tests.core.truth import Arm, some_arm, some_pose, ur10, with_hidden_errors
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from service.db import Database
-from service.db.tables import JobRow
+from kilter_service.db import Database
+from kilter_service.db.tables import JobRow
 
 Floats = NDArray[np.float64]
 Until = Callable[..., None]
@@ -241,7 +241,7 @@ def test_a_refusal_is_that_of_the_job(client: httpx.Client, arm: Callable[..., s
 def test_a_big_campaign_is_thinned_and_that_is_said(
     client: httpx.Client, arm: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.jobs.checking.MOST_ROWS", 40)
+    monkeypatch.setattr("kilter_service.jobs.checking.MOST_ROWS", 40)
     told = check(client, "identify", [arm(columns(poses(70), repeats=0))])
     assert told["would_run"]
     assert told["rows"] == 35

@@ -9,8 +9,8 @@ from typing import Any
 import httpx
 import pytest
 
-from service.db import Database
-from service.versions import store as versions
+from kilter_service.db import Database
+from kilter_service.versions import store as versions
 from tests.service.stored_results import same_as_stored
 
 Until = Callable[..., None]

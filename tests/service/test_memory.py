@@ -9,7 +9,7 @@ import pytest
 
 SCRATCH = """
 import numpy as np
-from service.jobs.runner import give_back
+from kilter_service.jobs.runner import give_back
 
 def resident():
     with open("/proc/self/status") as status:

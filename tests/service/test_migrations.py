@@ -9,9 +9,9 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import inspect, text
 
-from service.db import Database, revision
-from service.db.tables import Row
-from service.versions import store
+from kilter_service.db import Database, revision
+from kilter_service.db.tables import Row
+from kilter_service.versions import store
 
 
 def test_the_head_written_down_is_the_one_alembic_finds(database: Database) -> None:

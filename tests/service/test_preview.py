@@ -8,9 +8,9 @@ import httpx
 import numpy as np
 import pytest
 
-from core.model import Calibration
-from core.observations import Observations
-from service.db import Database
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_service.db import Database
 from tests.service.test_versions import Versions, thesis_katana
 
 

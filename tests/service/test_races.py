@@ -14,17 +14,17 @@ import pytest
 from sqlalchemy import create_engine, make_url, text
 from sqlalchemy.exc import DBAPIError
 
-from core.model import Calibration
-from core.robots import robot_from_document
-from service.campaigns import service as uploads
-from service.db import Database
-from service.db.tables import JobRow
-from service.robots import store as robots
-from service.robots.documents import core_document
-from service.robots.resolved import resolve
-from service.settings import Settings
-from service.versions import store
-from service.versions.store import NewVersion
+from kilter_core.model import Calibration
+from kilter_core.robots import robot_from_document
+from kilter_service.campaigns import service as uploads
+from kilter_service.db import Database
+from kilter_service.db.tables import JobRow
+from kilter_service.robots import store as robots
+from kilter_service.robots.documents import core_document
+from kilter_service.robots.resolved import resolve
+from kilter_service.settings import Settings
+from kilter_service.versions import store
+from kilter_service.versions.store import NewVersion
 from tests.service.postgresql import programs, running_postgresql
 
 THREADS = 24

@@ -7,12 +7,12 @@ from typing import Any
 import httpx
 import pytest
 
-from core.twin import thesis_katana
-from service.db import Database
-from service.db.tables import CampaignRow, JobRow, VersionRow
-from service.versions import store
-from service.versions.store import NewVersion
-from service.versions.unseen import Archive
+from kilter_core.twin import thesis_katana
+from kilter_service.db import Database
+from kilter_service.db.tables import CampaignRow, JobRow, VersionRow
+from kilter_service.versions import store
+from kilter_service.versions.store import NewVersion
+from kilter_service.versions.unseen import Archive
 
 ROBOT = {"name": "katana", "convention": "preset", "preset": "katana450-chapter5"}
 OTHER = {**ROBOT, "name": "other"}

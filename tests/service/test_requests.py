@@ -15,14 +15,14 @@ from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service import app as application
-from service import bodies
-from service.app import create_app
-from service.auth.token import admin_token
-from service.db import Database
-from service.frames import service as frames
-from service.routing import GuardedRoute
-from service.settings import Settings
+from kilter_service import app as application
+from kilter_service import bodies
+from kilter_service.app import create_app
+from kilter_service.auth.token import admin_token
+from kilter_service.db import Database
+from kilter_service.frames import service as frames
+from kilter_service.routing import GuardedRoute
+from kilter_service.settings import Settings
 
 Serve = Callable[[FastAPI], httpx.Client]
 # Reads are what the contract calls so; each of them only looks up what is stored.
@@ -258,11 +258,11 @@ class Recorder:
 def test_nothing_is_parsed_or_computed_on_the_event_loop(
     settings: Settings, database: Database, serve: Serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from service.campaigns import reading
-    from service.campaigns import service as campaigns
-    from service.correction import service as correction
-    from service.robots import check, circles, convert
-    from service.robots import service as robots
+    from kilter_service.campaigns import reading
+    from kilter_service.campaigns import service as campaigns
+    from kilter_service.correction import service as correction
+    from kilter_service.robots import check, circles, convert
+    from kilter_service.robots import service as robots
 
     loops: set[int] = set()
     seen: dict[str, set[int]] = {}

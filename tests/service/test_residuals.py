@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from core.observations import Observations
-from service.contract.residuals import ResidualRows
-from service.db import Database
-from service.versions import store
+from kilter_core.observations import Observations
+from kilter_service.contract.residuals import ResidualRows
+from kilter_service.db import Database
+from kilter_service.versions import store
 
 Until = Callable[..., None]
 OFF_MM = 0.5

@@ -15,21 +15,21 @@ import pytest
 from alembic import command
 from sqlalchemy import text
 
-import core.robots
-from core.effects import make_effect
-from core.model import Calibration, RobotModel
-from core.observations import Observations
-from core.robots import preset_document, robot_from_document
-from service.app import create_app
-from service.auth.token import admin_token
-from service.corrector.active import version_number
-from service.corrector.database_source import DatabaseSource
-from service.db import Database, revision
-from service.db.tables import JobRow
-from service.robots.documents import core_document
-from service.settings import Settings
-from service.versions import store
-from service.versions.store import NewVersion
+import kilter_core.robots
+from kilter_core.effects import make_effect
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.observations import Observations
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_service.app import create_app
+from kilter_service.auth.token import admin_token
+from kilter_service.corrector.active import version_number
+from kilter_service.corrector.database_source import DatabaseSource
+from kilter_service.db import Database, revision
+from kilter_service.db.tables import JobRow
+from kilter_service.robots.documents import core_document
+from kilter_service.settings import Settings
+from kilter_service.versions import store
+from kilter_service.versions.store import NewVersion
 
 URDF = """<robot name="r"><link name="base"/><link name="upper"><inertial><origin xyz="0.1 0 0.01"/><mass value="2.5"/>
 <inertia ixx="0.1" iyy="0.2" izz="0.3" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="tip"/><link name="hand"/>
@@ -56,7 +56,7 @@ def canonical(document: Any) -> str:
 def edited_presets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Let the presets be those of a later release, in which every length is another, once it is called."""
     folder = tmp_path / "presets"
-    shutil.copytree(Path(core.robots.__file__).parent, folder)
+    shutil.copytree(Path(kilter_core.robots.__file__).parent, folder)
 
     def edit() -> None:
         for file in folder.glob("*.json"):
@@ -67,7 +67,7 @@ def edited_presets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
                         part[key] *= 1.01
             file.write_text(json.dumps(document))
         before = preset_document("katana450-chapter5")
-        monkeypatch.setattr("core.robots.presets.files", lambda _: folder)
+        monkeypatch.setattr("kilter_core.robots.presets.files", lambda _: folder)
         assert preset_document("katana450-chapter5") != before
 
     return edit

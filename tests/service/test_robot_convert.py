@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.moments import axial_loads, joint_loads
-from core.robots import preset_document, robot_from_document
-from service.robots.convert import convert as converted
-from service.robots.documents import core_document
-from service.robots.wire import DOCUMENT
+from kilter_core.moments import axial_loads, joint_loads
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_service.robots.convert import convert as converted
+from kilter_service.robots.documents import core_document
+from kilter_service.robots.wire import DOCUMENT
 from tests.core.conversions.test_documents import poses
 from tests.core.truth import some_arm, ur10, with_bodies
 

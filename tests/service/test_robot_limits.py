@@ -12,11 +12,11 @@ import httpx
 import numpy as np
 import pytest
 
-from core.circle_points import _alone
-from core.errors import RobotError
-from core.reference_frame import frame_of_features
-from service.importers import xml_text
-from service.importers.urdf import chain_document
+from kilter_core.circle_points import _alone
+from kilter_core.errors import RobotError
+from kilter_core.reference_frame import frame_of_features
+from kilter_service.importers import xml_text
+from kilter_service.importers.urdf import chain_document
 
 pytestmark = pytest.mark.timeout(60)  # only a backstop: a URDF of 3000 joints was never answered
 

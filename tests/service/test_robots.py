@@ -5,8 +5,8 @@ from typing import Any
 import httpx
 import pytest
 
-from service.db import Database
-from service.db.tables import CampaignRow
+from kilter_service.db import Database
+from kilter_service.db.tables import CampaignRow
 
 TWO_LINKS: dict[str, Any] = {
     "name": "arm",

@@ -15,7 +15,7 @@ from typing import Any
 import httpx
 import pytest
 
-from service.settings import Settings
+from kilter_service.settings import Settings
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 Until = Callable[..., None]
@@ -44,7 +44,7 @@ class Server:
 
     def __init__(self, settings: Settings) -> None:
         environment = {**os.environ, **settings.environment()}
-        command = [sys.executable, "-m", "service", "serve"]
+        command = [sys.executable, "-m", "kilter_service", "serve"]
         self.process = subprocess.Popen(command, env=environment, cwd=REPOSITORY, stdout=subprocess.PIPE)
         watch = threading.Timer(90, self.process.kill)
         watch.start()
@@ -89,7 +89,7 @@ def test_serve_is_ready_survives_kill_9_of_its_processes_and_stops_clean(
     assert httpx.get(f"{url}/v1/health/live", timeout=30).status_code == 200
 
     second = subprocess.run(
-        [sys.executable, "-m", "service", "serve"],
+        [sys.executable, "-m", "kilter_service", "serve"],
         env={**os.environ, **settings.environment()}, cwd=REPOSITORY, capture_output=True, text=True, timeout=60,
     )  # fmt: skip
     assert second.returncode == 1
@@ -104,7 +104,7 @@ def test_serve_is_ready_survives_kill_9_of_its_processes_and_stops_clean(
 
 def test_processes_end_when_the_supervisor_is_killed(settings: Settings, until: Until) -> None:
     environment = {**os.environ, **settings.environment()}
-    supervisor = subprocess.Popen([sys.executable, "-m", "service", "serve"], env=environment, cwd=REPOSITORY)
+    supervisor = subprocess.Popen([sys.executable, "-m", "kilter_service", "serve"], env=environment, cwd=REPOSITORY)
     try:
         until(lambda: set(children(supervisor.pid)) == {"api", "worker", "corrector"})
         left = children(supervisor.pid)
@@ -116,7 +116,7 @@ def test_processes_end_when_the_supervisor_is_killed(settings: Settings, until: 
 
 def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "service", *arguments],
+        [sys.executable, "-m", "kilter_service", *arguments],
         env={**os.environ, **environment}, cwd=REPOSITORY, capture_output=True, text=True, timeout=60,
     )  # fmt: skip
 

@@ -7,13 +7,13 @@ import sys
 
 PROGRAM = """
 import gc
-from service.serving import lasting
+from kilter_service.serving import lasting
 collected = []
 gc.callbacks.append(lambda phase, info: collected.append(phase))
 try:
     with lasting():
         assert not gc.isenabled()
-        import service.app
+        import kilter_service.app
         raise OSError("as a taken port would")
 except OSError:
     pass

@@ -14,22 +14,22 @@ import pytest
 import yaml
 from pyarrow import parquet
 
-from core.compensate import CorrectOptions, correct
-from core.correction import CorrectionOptions, Track, compile_program
-from core.effects import make_effect
-from core.model import Calibration
-from core.observations import Observations
-from core.twin import Twin, thesis_katana
-from service.correction.follow import last_motion
-from service.corrector.active import Active
-from service.corrector.frames import Answer, Flag, decode_answer, encode_setpoints
-from service.corrector.queries import correct_trajectory, decode_trajectory, encode_trajectory
-from service.corrector.stream import Stream
-from service.db import Database
-from service.db.tables import JobRow, VersionRow
-from service.versions import store
-from service.versions.service import active_calibrations
-from service.versions.store import NewVersion
+from kilter_core.compensate import CorrectOptions, correct
+from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_core.effects import make_effect
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.twin import Twin, thesis_katana
+from kilter_service.correction.follow import last_motion
+from kilter_service.corrector.active import Active
+from kilter_service.corrector.frames import Answer, Flag, decode_answer, encode_setpoints
+from kilter_service.corrector.queries import correct_trajectory, decode_trajectory, encode_trajectory
+from kilter_service.corrector.stream import Stream
+from kilter_service.db import Database
+from kilter_service.db.tables import JobRow, VersionRow
+from kilter_service.versions import store
+from kilter_service.versions.service import active_calibrations
+from kilter_service.versions.store import NewVersion
 
 
 @dataclass

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.identify.influence import influence_of
-from core.model import Calibration, RobotModel
-from core.observations import Observations
+from kilter_core.identify.influence import influence_of
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.observations import Observations
 from tools.thesis import arms, combining
 from tools.thesis import experiments as done
 from tools.thesis.drawing import table

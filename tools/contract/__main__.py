@@ -19,8 +19,8 @@ MATLAB = ("identify", "gap", "evaluate", "plan")
 def modules() -> dict[Path, str]:
     """Return the contract's own modules as they should be."""
     texts = {
-        "service/contract/effects.py": formatted(effects_module()),
-        "service/contract/methods.py": formatted(methods_module()),
+        "service/kilter_service/contract/effects.py": formatted(effects_module()),
+        "service/kilter_service/contract/methods.py": formatted(methods_module()),
     }
     return {REPOSITORY / name: text for name, text in texts.items()}
 

@@ -1,4 +1,4 @@
-"""`service/contract/effects.py` from the core's effects: the API process must say what they are without numpy."""
+"""`service/kilter_service/contract/effects.py` from the core's effects: the API process must say what they are without numpy."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import Field, fields
 from typing import Any
 
-from core.effects import EFFECTS, Effect
+from kilter_core.effects import EFFECTS, Effect
 
-HEAD = '''"""The effects and their options, made from core/effects by `make contract`: change them there."""
+HEAD = '''"""The effects and their options, made from core/kilter_core/effects by `make contract`: change them there."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from service.contract.units import Asked, JointNumber, unit
+from kilter_service.contract.units import Asked, JointNumber, unit
 
 
 class _AtJoints(Asked):

@@ -1,10 +1,10 @@
-"""`service/contract/methods.py` from the core's methods: the API process must say what they are without numpy."""
+"""`service/kilter_service/contract/methods.py` from the core's methods: the API process must say what they are without numpy."""
 
 from __future__ import annotations
 
-from core.identify.methods import ESTIMATORS
+from kilter_core.identify.methods import ESTIMATORS
 
-HEAD = '''"""The methods of an identification, made from core/identify/methods.py by `make contract`: change them there."""
+HEAD = '''"""The methods of an identification, made from core/kilter_core/identify/methods.py by `make contract`: change them there."""
 
 from __future__ import annotations
 

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any
 
-from core.effects import EFFECTS
-from service.contract.words import allowed
-from service.jobs.registry import KINDS
+from kilter_core.effects import EFFECTS
+from kilter_service.contract.words import allowed
+from kilter_service.jobs.registry import KINDS
 
 MARK = re.compile(r"(<!-- make contract: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 

@@ -8,14 +8,14 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from kilter_client import FileError
-from kilter_client.files.arm import Arm, arm_of
-from kilter_client.files.clock_checks import Checks
-from kilter_client.files.frames_by_time import match_frames
-from kilter_client.files.joint_log import JointLog
-from kilter_client.files.matching import frame_rows, match_dwells
-from kilter_client.files.recording import Block, Recording
 
+from kilter_client import FileError
+from kilter_files.arm import Arm, arm_of
+from kilter_files.clock_checks import Checks
+from kilter_files.frames_by_time import match_frames
+from kilter_files.joint_log import JointLog
+from kilter_files.matching import frame_rows, match_dwells
+from kilter_files.recording import Block, Recording
 from tests.clients.files.campaign_generator import Jump, Knock, Made, Plan, document, make, schedule, turn_of
 
 SIZES_S = (0.1, 0.15, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.1, 4.0, 5.0, 6.2, 9.3, 10.0)
@@ -46,8 +46,8 @@ class Verdict:
 @cache
 def model(arm: str) -> Arm:
     """The nominal arm as the service resolves it."""
-    from service.robots.check import check
-    from service.robots.wire import DOCUMENT
+    from kilter_service.robots.check import check
+    from kilter_service.robots.wire import DOCUMENT
 
     return arm_of(check(DOCUMENT.validate_python(document(arm, arm))).model_dump(mode="json"))
 

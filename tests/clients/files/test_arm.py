@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from kilter_client.files.arm import Arm, arm_of
-from kilter_client.files.registration import calibrated, register
 
-from core.conversions import arm_screws
-from core.model import Calibration
-from core.robots import preset_document, preset_names, robot_from_document
-from service.robots.check import check
-from service.robots.convert import convert
-from service.robots.wire import DOCUMENT
+from kilter_core.conversions import arm_screws
+from kilter_core.model import Calibration
+from kilter_core.robots import preset_document, preset_names, robot_from_document
+from kilter_files.arm import Arm, arm_of
+from kilter_files.registration import calibrated, register
+from kilter_service.robots.check import check
+from kilter_service.robots.convert import convert
+from kilter_service.robots.wire import DOCUMENT
 
 SLIDING = {
     "name": "gantry", "convention": "chain",

@@ -13,12 +13,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from hypothesis import HealthCheck, given, settings
-from kilter_client import FileError, Kilter, KilterError, prepare
-from kilter_client.cli import run
-from kilter_client.files.points import prepare_points
 from pyarrow import parquet
 from scipy.io import savemat
 
+from kilter_client import FileError, Kilter, KilterError, prepare
+from kilter_client.cli import run
+from kilter_files.points import prepare_points
 from tests.clients.files.simulated import arm, stops, wander, write_csv, write_log, write_n3d
 from tests.clients.files.test_fuzz import EDITS, TRACKER, edited
 from tests.clients.files.test_recordings import c3d_bytes
@@ -203,7 +203,7 @@ def seed_of(folder: Path, kind: str) -> bytes:
 
 @pytest.mark.parametrize("kind", ["mat", "parquet", "tdms", "csv", "long", "points"])
 def test_damaged_files_of_every_other_importer(tmp_path: Path, kind: str) -> None:
-    from kilter_client.files.recordings import open_recording
+    from kilter_files.recordings import open_recording
 
     seed = seed_of(tmp_path, kind)
     path, column_map = tmp_path / f"damaged.{'csv' if kind in ('long', 'points') else kind}", tmp_path / "map.toml"

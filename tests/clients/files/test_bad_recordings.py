@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kilter_client import FileError
-from kilter_client.files.recordings import open_recording
 
+from kilter_client import FileError
+from kilter_files.recordings import open_recording
 from tests.clients.files.simulated import write_csv, write_n3d
 from tests.clients.files.test_recordings import c3d_bytes
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
 from kilter_client.cli import run
 from kilter_client.errors import FileError
-from kilter_client.files import prepare
-from kilter_client.files.ballbar import analysed, read_ballbar
+from kilter_files import prepare
+from kilter_files.ballbar import analysed, read_ballbar
 
 ANGLES = np.arange(0.0, 361.0, 2.0)
 

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from kilter_client import FileError, MissingPackageError, prepare
-from kilter_client.files import source
-from kilter_client.files.source import Format
-from kilter_client.files.source_text import Layout, TextSource
 from openpyxl import Workbook
 from scipy.io import savemat
+
+from kilter_client import FileError, MissingPackageError, prepare
+from kilter_files import source
+from kilter_files.source import Format
+from kilter_files.source_text import Layout, TextSource
 
 POINT = """
 x_mm = { from = "x", unit = "mm" }

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+
 from kilter_client import FileError, Kilter, prepare
 from kilter_client.cli import run
-from kilter_client.files.draft import draft
-from kilter_client.files.summary import columns_of
-from kilter_client.files.table_shape import shape_of
-
+from kilter_files.draft import draft
+from kilter_files.summary import columns_of
+from kilter_files.table_shape import shape_of
 from tests.clients.files.labs import LABS, Measured, write_lab
 from tests.clients.files.test_fuzz import EDITS, edited
 

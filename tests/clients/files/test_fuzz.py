@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kilter_client import FileError
-from kilter_client.files.inspection import inspect
 
+from kilter_client import FileError
+from kilter_files.inspection import inspect
 from tests.clients.files.simulated import write_csv, write_n3d
 from tests.clients.files.test_recordings import c3d_bytes
 from tests.clients.files.test_rig import write_tdms

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kilter_client import Kilter
-from kilter_client.cli import run
 from numpy.typing import NDArray
 
+from kilter_client import Kilter
+from kilter_client.cli import run
 from tests.clients.files.simulated import stops
 from tests.core.campaigns import held, table_errors
 from tests.core.truth import ur10
@@ -202,7 +202,7 @@ def test_inclinometers_become_readings(lifter: str, tmp_path: Path, capsys: pyte
     found = told(capsys, "tilt-join", "lifter", test.after, test.log, "--joint", lifter, "-o", out)
     assert found["rows"] >= 11
     assert found["clock"]["offset_s"] == pytest.approx(3.2, abs=0.02)
-    from kilter_client.files.readings import read_readings
+    from kilter_files.readings import read_readings
 
     readings = read_readings(out)
     assert {(r["joint"], r["axis"]) for r in readings} == {(lifter, "z")}

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kilter_client import FileError, prepare
-from kilter_client.cli import run
-from kilter_client.files import targets
-from kilter_client.files.inspection import inspect
-from kilter_client.files.joint_bag import read_bag
-from kilter_client.files.joint_log import LogHints, read_joint_log
-from kilter_client.files.targets import Dialect, Targets, read_targets
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from kilter_client import FileError, prepare
+from kilter_client.cli import run
+from kilter_files import targets
+from kilter_files.inspection import inspect
+from kilter_files.joint_bag import read_bag
+from kilter_files.joint_log import LogHints, read_joint_log
+from kilter_files.targets import Dialect, Targets, read_targets
 from tests.clients.files.simulated import arm, wander, write_n3d
 from tests.clients.files.test_fuzz import EDITS, edited
 

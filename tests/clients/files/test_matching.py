@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kilter_client import FileError
-from kilter_client.files.clocks import match_clocks
-from kilter_client.files.dwells import RestOptions, find_dwells, thin
-from kilter_client.files.joint_log import read_joint_log
-from kilter_client.files.matching import frame_rows, match_dwells
-from kilter_client.files.recordings import open_recording
 
+from kilter_client import FileError
+from kilter_files.clocks import match_clocks
+from kilter_files.dwells import RestOptions, find_dwells, thin
+from kilter_files.joint_log import read_joint_log
+from kilter_files.matching import frame_rows, match_dwells
+from kilter_files.recordings import open_recording
 from tests.clients.files.simulated import arm, stops, wander, write_csv, write_log, write_n3d
 
 POSES = np.random.default_rng(1).uniform(-60, 60, (14, 3))

@@ -9,10 +9,10 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 import pytest
-from kilter_client import FileError
-from kilter_client.files.gaps import without_gaps
-from kilter_client.files.recordings import open_recording
 
+from kilter_client import FileError
+from kilter_files.gaps import without_gaps
+from kilter_files.recordings import open_recording
 from tests.clients.files.simulated import write_csv, write_n3d
 
 

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kilter_client import FileError
-from kilter_client.files.inclinometer import read_inclinometer
-from kilter_client.files.tdms import Calibration, channels, read_channel
 from nptdms import ChannelObject, TdmsFile, TdmsWriter
+
+from kilter_client import FileError
+from kilter_files.inclinometer import read_inclinometer
+from kilter_files.tdms import Calibration, channels, read_channel
 
 
 def write_tdms(path: Path, volts: np.ndarray, step: float = 0.001) -> Path:

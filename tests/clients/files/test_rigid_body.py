@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kilter_client import FileError
-from kilter_client.cli import run
-from kilter_client.files.clock_checks import Checks
-from kilter_client.files.cut_recording import without
-from kilter_client.files.inspection import inspect
-from kilter_client.files.joint_log import read_joint_log
-from kilter_client.files.matching import frame_rows, match_dwells
-from kilter_client.files.recordings import open_recording
-from kilter_client.files.rigid_body import Body, find_body, poses, tool_as_markers
-from kilter_client.files.turns import quaternions_of
 from scipy.spatial.transform import Rotation
 
+from kilter_client import FileError
+from kilter_client.cli import run
+from kilter_files.clock_checks import Checks
+from kilter_files.cut_recording import without
+from kilter_files.inspection import inspect
+from kilter_files.joint_log import read_joint_log
+from kilter_files.matching import frame_rows, match_dwells
+from kilter_files.recordings import open_recording
+from kilter_files.rigid_body import Body, find_body, poses, tool_as_markers
+from kilter_files.turns import quaternions_of
 from tests.clients.files.simulated import BODY, arm, stops, write_csv, write_log, write_n3d
 
 POSES = np.random.default_rng(1).uniform(-60, 60, (8, 3))
@@ -179,8 +179,8 @@ def test_damaged_long_tables(tmp_path: Path, edit: dict[str, str], words: str) -
 
 
 def test_frames_as_poses_and_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from kilter_client.files.clocks import match_clocks
-    from kilter_client.files.dwells import thin
+    from kilter_files.clocks import match_clocks
+    from kilter_files.dwells import thin
 
     recording = recorded(tmp_path / "a.n3d")
     log_t = np.arange(-1, 18, 1 / 125)

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from kilter_client.parts import parts, send_whole
+
 from kilter_client import ConflictError, Kilter, ObservationError, ServerUnreachableError
 from kilter_client.cli import run
-from kilter_client.files.parts import parts, send_whole
-
 from tests.clients.files.simulated import arm, stops, wander, write_log, write_n3d
 
 POSES = np.random.default_rng(1).uniform(-60, 60, (6, 3))
@@ -148,7 +148,7 @@ def test_a_killed_client_leaves_nothing_to_see(kilter: Kilter, server: Path) -> 
     """The client dies by SIGKILL in the middle; what it began is finished by the next."""
     robot = three_joints(kilter, "killed-robot")
     code = (
-        "import os, signal\nfrom kilter_client import Kilter\nfrom kilter_client.files.parts import parts, send_whole\n"
+        "import os, signal\nfrom kilter_client import Kilter\nfrom kilter_client.parts import parts, send_whole\n"
         "from tests.clients.files.test_sending import WANTED, blocks\n"
         "def stop(rows, there, seen=[]):\n    seen.append(rows)\n    len(seen) == 3 and os.kill(os.getpid(), signal.SIGKILL)\n"
         f"send_whole(Kilter(), {robot!r}, WANTED, lambda: parts(blocks(), 200), stop)\n"
@@ -199,7 +199,7 @@ def start_server(data: Path) -> subprocess.Popen[bytes]:
     environment = os.environ | {"KILTER_DATA": str(data), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
     with (data / "log").open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "service", "serve"], env=environment, stdout=log, stderr=log,
+            [sys.executable, "-m", "kilter_service", "serve"], env=environment, stdout=log, stderr=log,
             stdin=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
     deadline = time.monotonic() + 120

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from kilter_client import FileError, Kilter
 from kilter_client.cli import run
-from kilter_client.files import prepare
-from kilter_client.files.clock_checks import Checks
-from kilter_client.files.joint_log import JointLog
-from kilter_client.files.matching import match_dwells
-from kilter_client.files.uploaded_markers import refuse_knocked_rows
-
+from kilter_files import prepare
+from kilter_files.clock_checks import Checks
+from kilter_files.joint_log import JointLog
+from kilter_files.matching import match_dwells
+from kilter_files.uploaded_markers import refuse_knocked_rows
 from tests.clients.files.campaign_generator import (
     Jump,
     Knock,

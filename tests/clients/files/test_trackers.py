@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kilter_client import FileError
-from kilter_client.files.inspection import Hints, inspect
-from kilter_client.files.tracker_text import read_tracker
 from openpyxl import Workbook
 from scipy.spatial.transform import Rotation
+
+from kilter_client import FileError
+from kilter_files.inspection import Hints, inspect
+from kilter_files.tracker_text import read_tracker
 
 EXPORTS = [
     ("spatialanalyzer", "// SA 2023\n// Units: mm\nA, G1, P1, 1.5, 2.5, 3.5\nA, G1, P2, 4, 5, 6\n", "utf-8",
@@ -91,7 +92,7 @@ def test_rows_without_a_measurement_are_left_out_and_named(tmp_path: Path) -> No
 
 
 def test_ipa_by_the_leica_preset_agrees_with_its_own_importer(shared_data: Path) -> None:
-    from kilter_client.files.ipa_lasertracker import read_ipa_lasertracker
+    from kilter_files.ipa_lasertracker import read_ipa_lasertracker
 
     path = shared_data / "ipa-ur10-lasertracker/Series_B/measurements_joint_configurations.csv"
     got, wanted = read_tracker(path, "leica"), read_ipa_lasertracker(path)

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kilter_client.sheet.layout import Sheet, sheet_for
 from numpy.typing import NDArray
 from PIL import Image
+
+from kilter_files.sheet.layout import Sheet, sheet_for
 
 sys.path.insert(0, str(Path(__file__).parent))
 

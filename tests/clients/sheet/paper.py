@@ -13,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pypdfium2
-from kilter_client.sheet.drawing import to_pdf
-from kilter_client.sheet.layout import PAGES_MM, Sheet
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 from scipy.ndimage import gaussian_filter, map_coordinates
+
+from kilter_files.sheet.drawing import to_pdf
+from kilter_files.sheet.layout import PAGES_MM, Sheet
 
 Floats = NDArray[np.float64]
 Along = Callable[[Floats], Floats]

@@ -16,17 +16,18 @@ import pypdfium2
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kilter_client.cli import run
-from kilter_client.errors import FileError
-from kilter_client.sheet import picture
-from kilter_client.sheet.drawing import to_pdf
-from kilter_client.sheet.layout import sheet_for
-from kilter_client.sheet.reading import Options, read_sheet
-from kilter_client.sheet.shapes import aruco
 from numpy.typing import NDArray
 from paper import View, drawn, save, seen, wobble
 from PIL import Image
 from reportlab.pdfgen.canvas import Canvas
+
+from kilter_client.cli import run
+from kilter_client.errors import FileError
+from kilter_files.sheet import picture
+from kilter_files.sheet.drawing import to_pdf
+from kilter_files.sheet.layout import sheet_for
+from kilter_files.sheet.reading import Options, read_sheet
+from kilter_files.sheet.shapes import aruco
 
 Paper = tuple[NDArray[np.float64], float]
 DPI = 160.0

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kilter_client import Kilter
-from kilter_client.cli import run
 from numpy.typing import NDArray
 
+from kilter_client import Kilter
+from kilter_client.cli import run
 from tests.core.campaigns import table_errors
 from tests.core.drawing import Drawing, drawn
 from tests.core.truth import small_pose, ur10

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kilter_client import Kilter
-from kilter_client.cli import run
-from kilter_client.errors import FileError
-from kilter_client.files.rig import register
-from kilter_client.sheet.layout import sheet_for
 from numpy.typing import NDArray
 from paper import View, drawn, save, seen
 
+from kilter_client import Kilter
+from kilter_client.cli import run
+from kilter_client.errors import FileError
+from kilter_files.rig import register
+from kilter_files.sheet.layout import sheet_for
 from tests.core.campaigns import table_errors
 from tests.core.drawing import Drawing
 from tests.core.drawing import drawn as draw

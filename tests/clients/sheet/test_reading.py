@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kilter_client.cli import run
-from kilter_client.sheet.layout import Sheet, sheet_for
-from kilter_client.sheet.reading import Options, SheetReading, read_sheet
 from numpy.typing import NDArray
 from paper import Along, Pencil, View, drawn, drift, save, seen, wobble
 from PIL import Image
+
+from kilter_client.cli import run
+from kilter_files.sheet.layout import Sheet, sheet_for
+from kilter_files.sheet.reading import Options, SheetReading, read_sheet
 
 Paper = tuple[NDArray[np.float64], float]
 

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kilter_client import Kilter
-from kilter_client.cli import run
-from kilter_client.errors import FileError
-from kilter_client.files.height import Heights, read_calibration, read_heights
-from kilter_client.files.joint_log import JointLog
-from kilter_client.files.rig import Circle, Frame, JoinOptions, join, register
-from kilter_client.sheet.layout import sheet_for
 from nptdms import ChannelObject, TdmsWriter
 from numpy.typing import NDArray
 from paper import View, drawn, save, seen
 
-from core.evaluate import evaluate
-from core.identify import IdentifyOptions, identify
-from core.inverse import reach
-from core.observations import Observations
-from core.twin import thesis_katana
+from kilter_client import Kilter
+from kilter_client.cli import run
+from kilter_client.errors import FileError
+from kilter_core.evaluate import evaluate
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.inverse import reach
+from kilter_core.observations import Observations
+from kilter_core.twin import thesis_katana
+from kilter_files.height import Heights, read_calibration, read_heights
+from kilter_files.joint_log import JointLog
+from kilter_files.rig import Circle, Frame, JoinOptions, join, register
+from kilter_files.sheet.layout import sheet_for
 
 Floats = NDArray[np.float64]
 

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pypdfium2
 import pytest
+from scipy.ndimage import center_of_mass, label
+
 from kilter_client.cli import run
 from kilter_client.errors import UsageError
-from kilter_client.sheet.drawing import save_sheet, to_pdf, to_svg
-from kilter_client.sheet.layout import PAGES_MM, Sheet, largest_radius, sheet_for
-from scipy.ndimage import center_of_mass, label
+from kilter_files.sheet.drawing import save_sheet, to_pdf, to_svg
+from kilter_files.sheet.layout import PAGES_MM, Sheet, largest_radius, sheet_for
 
 SVG = "{http://www.w3.org/2000/svg}"
 

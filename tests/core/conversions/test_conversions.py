@@ -12,16 +12,16 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from core.chain import Axis, Chain, Element
-from core.conventions import Row
-from core.conversions import Screws, flange_screws, joint_frames, link_table, screws_of_chain
-from core.conversions.closest import closest_table
-from core.errors import RobotError
-from core.model import Calibration
-from core.observations import Observations
-from core.robots import preset_document, robot_from_document
-from core.transforms import xyz_rpy_from_pose
-from core.twin import Twin, thesis_katana
+from kilter_core.chain import Axis, Chain, Element
+from kilter_core.conventions import Row
+from kilter_core.conversions import Screws, flange_screws, joint_frames, link_table, screws_of_chain
+from kilter_core.conversions.closest import closest_table
+from kilter_core.errors import RobotError
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.transforms import xyz_rpy_from_pose
+from kilter_core.twin import Twin, thesis_katana
 
 Floats = NDArray[np.float64]
 

@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from core.conversions import robot_document
-from core.conversions.screws import screws_of_chain
-from core.errors import OptionError, RobotError
-from core.identify import IdentifyOptions, identify
-from core.model import RobotModel
-from core.moments import axial_loads, joint_loads
-from core.observations import Observations
-from core.robots import preset_document, robot_from_document
+from kilter_core.conversions import robot_document
+from kilter_core.conversions.screws import screws_of_chain
+from kilter_core.errors import OptionError, RobotError
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.model import RobotModel
+from kilter_core.moments import axial_loads, joint_loads
+from kilter_core.observations import Observations
+from kilter_core.robots import preset_document, robot_from_document
 from tests.core.campaigns import joints, measured
 from tests.core.truth import Arm, Step, some_arm, some_pose, ur10, with_bodies, with_hidden_errors
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.design.iso9283 import Cube, five_poses, iso_poses, largest_cube
-from core.errors import RobotError
-from core.robots import preset_document, robot_from_document
+from kilter_core.design.iso9283 import Cube, five_poses, iso_poses, largest_cube
+from kilter_core.errors import RobotError
+from kilter_core.robots import preset_document, robot_from_document
 from tests.core.truth import Arm, Step, ur10
 
 # The Katana of eq. 4.2 to 4.5 with the attachment of table 5.1, in its nominal base.

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from core.effects import make_effect
-from core.errors import ObservationError, OptionError
-from core.identify import IdentifyOptions, identify
-from core.model import RobotModel
-from core.observations import Observations
+from kilter_core.effects import make_effect
+from kilter_core.errors import ObservationError, OptionError
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.model import RobotModel
+from kilter_core.observations import Observations
 from tests.core.effects.by_hand import effect_on, inserted, one_joint, robot_of, tool_with
 from tests.core.truth import some_arm, some_pose
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.errors import OptionError
-from core.observations import Observations
+from kilter_core.errors import OptionError
+from kilter_core.observations import Observations
 from tests.core.effects.by_hand import G, effect_on, one_joint, tool_with
 from tests.core.truth import Arm, Body, Step
 

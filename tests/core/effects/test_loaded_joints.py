@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from core.effects import Effect
-from core.observations import Observations
+from kilter_core.effects import Effect
+from kilter_core.observations import Observations
 from tests.core.effects.by_hand import G, effect_on, inserted, one_joint, tool_with
 from tests.core.truth import Arm, some_arm, with_bodies
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from core.effects import make_effect
-from core.errors import OptionError
-from core.model import RobotModel
-from core.observations import Observations
+from kilter_core.effects import make_effect
+from kilter_core.errors import OptionError
+from kilter_core.model import RobotModel
+from kilter_core.observations import Observations
 from tests.core.effects.by_hand import G, effect_on, inserted, one_joint, robot_of, tool_with
 from tests.core.truth import Arm, Step, some_arm
 

@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.gap import GapOptions, find_gap
-from core.gap.aliases import aliases_of
-from core.gap.cancelling import cancelling_members
-from core.gap.candidates import library_of, with_testable
-from core.gap.hunt import Hunt, hunt
-from core.gap.prepare import Prepared, Workshop
-from core.gap.report import effect_row
-from core.gap.scan import Scorer
-from core.gap.testability import testability as judged
-from core.gap.world import refit
-from core.model import Calibration
-from core.observations import Observations
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.aliases import aliases_of
+from kilter_core.gap.cancelling import cancelling_members
+from kilter_core.gap.candidates import library_of, with_testable
+from kilter_core.gap.hunt import Hunt, hunt
+from kilter_core.gap.prepare import Prepared, Workshop
+from kilter_core.gap.report import effect_row
+from kilter_core.gap.scan import Scorer
+from kilter_core.gap.testability import testability as judged
+from kilter_core.gap.world import refit
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana
 from tests.core.gap.test_smooth import measured
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.gap import GapOptions, find_gap
-from core.gap.noise import repeat_noise
-from core.gap.visits import visits_of
-from core.observations import Observations
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.noise import repeat_noise
+from kilter_core.gap.visits import visits_of
+from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana
 
 NOISE = 17e-6

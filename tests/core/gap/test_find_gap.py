@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.errors import CancelledError, NotConvergedError, ObservationError, OptionError, TooFewPosesError
-from core.gap import GapOptions, find_gap, prepare
-from core.gap.options import GapOptions as Options
-from core.model import Calibration
-from core.observations import Observations
+from kilter_core.errors import CancelledError, NotConvergedError, ObservationError, OptionError, TooFewPosesError
+from kilter_core.gap import GapOptions, find_gap, prepare
+from kilter_core.gap.options import GapOptions as Options
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana
 
 QUICK = GapOptions(resamples=20, permutations=5, bootstraps=499, next_poses=3)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.gap import GapOptions, find_gap
-from core.model import Calibration
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.model import Calibration
 from tests.core.off_zero import NOISE_M, soft_elbow
 
 JOINTS, TRUTH = (1, 2), (4e-6, 6e-6)

@@ -7,11 +7,11 @@ import sys
 
 import numpy as np
 
-from core.gap.recent import Recent
+from kilter_core.gap.recent import Recent
 
 HUNT = """
 import resource
-from core.gap import GapOptions, find_gap
+from kilter_core.gap import GapOptions, find_gap
 from tests.blind.generator import Case, Hidden, Options, generate
 from tests.blind.to_core import observations_of, robot_of
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.gap import GapOptions, find_gap
-from core.gap.control import by_blocks
-from core.gap.tails import tail
-from core.gap.trajectory import blocks, correlation_length, hold_out, is_trajectory, segments, windows_of
-from core.observations import Observations
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.control import by_blocks
+from kilter_core.gap.tails import tail
+from kilter_core.gap.trajectory import blocks, correlation_length, hold_out, is_trajectory, segments, windows_of
+from kilter_core.observations import Observations
 from tests.core.gap.simulated import katana
 
 EFFECTS = ("backlash", "axial_compliance", "eccentricity", "encoder_scale", "link_bending", "unknown_joint_curve")

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.gap import GapOptions, find_gap
-from core.gap.masses import blur_of
-from core.gap.source import ToolSource
-from core.measurement import Measurement
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.masses import blur_of
+from kilter_core.gap.source import ToolSource
+from kilter_core.measurement import Measurement
 from tests.core.gap.simulated import campaign, katana
 
 QUICK = GapOptions(

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.errors import OptionError
-from core.gap import find_gap, plan_separation
-from core.gap.candidates import with_testable
-from core.gap.next_poses import Proposal, _Question, rows_of, separate
-from core.gap.options import GapOptions
-from core.gap.plan import undecided
-from core.gap.prepare import Workshop
-from core.gap.testability import testability as judged
-from core.model import Calibration
+from kilter_core.errors import OptionError
+from kilter_core.gap import find_gap, plan_separation
+from kilter_core.gap.candidates import with_testable
+from kilter_core.gap.next_poses import Proposal, _Question, rows_of, separate
+from kilter_core.gap.options import GapOptions
+from kilter_core.gap.plan import undecided
+from kilter_core.gap.prepare import Workshop
+from kilter_core.gap.testability import testability as judged
+from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
 

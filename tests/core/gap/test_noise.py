@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.gap.noise import repeat_noise, spikes
-from core.gap.visits import visits_of
-from core.observations import Observations
+from kilter_core.gap.noise import repeat_noise, spikes
+from kilter_core.gap.visits import visits_of
+from kilter_core.observations import Observations
 
 
 def repeated(rng, poses=200, visits=2, repeats=3, within=1e-5, between=2e-5, angle=0.0):

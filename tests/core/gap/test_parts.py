@@ -7,11 +7,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from core.gap import source
-from core.gap.options import GapOptions
-from core.gap.prepare import Workshop
-from core.gap.world import world_at
-from core.model import Calibration
+from kilter_core.gap import source
+from kilter_core.gap.options import GapOptions
+from kilter_core.gap.prepare import Workshop
+from kilter_core.gap.world import world_at
+from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
 # Linear in the loads: slopes of others are differences over a width that follows the rows at hand.

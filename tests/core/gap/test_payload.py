@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.gap import GapOptions, find_gap
-from core.gap.report import GapReport
-from core.observations import Observations
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.report import GapReport
+from kilter_core.observations import Observations
 from tests.core.gap.simulated import Hidden, campaign, katana
 
 QUICK = GapOptions(

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.effects import make_effect
-from core.gap import GapOptions, find_gap
-from core.gap.select import Selector
-from core.model import RobotModel
+from kilter_core.effects import make_effect
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.select import Selector
+from kilter_core.model import RobotModel
 from tests.blind.generator import cases, generate
 from tests.blind.to_core import observations_of, robot_of
 from tests.core.gap.simulated import campaign, katana

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.gap.candidates import with_testable
-from core.gap.hunt import Hunt
-from core.gap.options import GapOptions
-from core.gap.prepare import Workshop
-from core.gap.scan import Scorer, null_of
-from core.gap.select import Selector
-from core.gap.stability import inclusion, reweighted
-from core.gap.testability import testability as judged
-from core.model import Calibration
+from kilter_core.gap.candidates import with_testable
+from kilter_core.gap.hunt import Hunt
+from kilter_core.gap.options import GapOptions
+from kilter_core.gap.prepare import Workshop
+from kilter_core.gap.scan import Scorer, null_of
+from kilter_core.gap.select import Selector
+from kilter_core.gap.stability import inclusion, reweighted
+from kilter_core.gap.testability import testability as judged
+from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
 OPTIONS = GapOptions(effects=("eccentricity", "encoder_scale", "backlash", "axial_compliance"))

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from core.gap.candidates import with_testable
-from core.gap.gram import Gram
-from core.gap.hunt import hunt
-from core.gap.likeness import correlation, correlations
-from core.gap.options import GapOptions
-from core.gap.prepare import Workshop
-from core.gap.scan import Scorer, null_of, residual_given
-from core.gap.select import Selector
-from core.gap.tails import tail
-from core.gap.testability import testability as judged
-from core.gap.world import fitted, refit
-from core.model import Calibration
+from kilter_core.gap.candidates import with_testable
+from kilter_core.gap.gram import Gram
+from kilter_core.gap.hunt import hunt
+from kilter_core.gap.likeness import correlation, correlations
+from kilter_core.gap.options import GapOptions
+from kilter_core.gap.prepare import Workshop
+from kilter_core.gap.scan import Scorer, null_of, residual_given
+from kilter_core.gap.select import Selector
+from kilter_core.gap.tails import tail
+from kilter_core.gap.testability import testability as judged
+from kilter_core.gap.world import fitted, refit
+from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from core.errors import OptionError
-from core.gap import GapOptions
-from core.gap.candidates import library_of
+from kilter_core.errors import OptionError
+from kilter_core.gap import GapOptions
+from kilter_core.gap.candidates import library_of
 from tests.core.gap.simulated import campaign, katana
 
 ROWS = campaign(katana(), seed=2)

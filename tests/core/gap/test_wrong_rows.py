@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.gap import GapOptions, find_gap
-from core.gap.prepare import Workshop
-from core.gap.renewal import renewed
-from core.gap.world import refit
-from core.model import Calibration
+from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.prepare import Workshop
+from kilter_core.gap.renewal import renewed
+from kilter_core.gap.world import refit
+from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
 ROBOT = katana()

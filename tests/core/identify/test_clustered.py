@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.identify import IdentifyOptions, identify
-from core.identify.clustered import clustered
-from core.observations import Observations
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.identify.clustered import clustered
+from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured
 from tests.core.identify.test_identify import FIXED, fixed_frames
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.errors import OptionError, TooFewPosesError
-from core.identify.holdout import fold_splits, split
-from core.observations import Observations
+from kilter_core.errors import OptionError, TooFewPosesError
+from kilter_core.identify.holdout import fold_splits, split
+from kilter_core.observations import Observations
 
 POSE_IDS = st.lists(st.integers(0, 40), min_size=2, max_size=80).filter(lambda ids: len(set(ids)) >= 2)
 SEEDS = st.integers(0, 2**32 - 1)

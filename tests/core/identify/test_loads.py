@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.identify import IdentifyOptions, identify
-from core.identify.estimate import estimate
-from core.identify.loads import reloaded
-from core.measurement import Measurement
-from core.model import Calibration
-from core.observations import Observations
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.identify.estimate import estimate
+from kilter_core.identify.loads import reloaded
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
 from tests.core.off_zero import ZEROS_DEG, soft_elbow
 
 COMPLIANCE = ((1, 2), (4e-6, 6e-6))  # rad/(N m)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.identify.noise import Repeats, repeat_sigma
-from core.observations import Observations
+from kilter_core.identify.noise import Repeats, repeat_sigma
+from kilter_core.observations import Observations
 
 Ints = NDArray[np.int64]
 

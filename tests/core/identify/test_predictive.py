@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.evaluate import evaluate
-from core.identify import Identification, IdentifyOptions, identify
-from core.identify.predictive import Predictive, acting
-from core.measurement import Measurement
-from core.observations import Observations
+from kilter_core.evaluate import evaluate
+from kilter_core.identify import Identification, IdentifyOptions, identify
+from kilter_core.identify.predictive import Predictive, acting
+from kilter_core.measurement import Measurement
+from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured
 from tests.core.identify.test_identify import somewhere
 from tests.core.truth import Arm

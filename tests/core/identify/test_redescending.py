@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.errors import OptionError
-from core.identify import IdentifyOptions, identify
-from core.observations import Observations
+from kilter_core.errors import OptionError
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured
 from tests.core.identify.test_identify import somewhere
 from tests.core.truth import Arm

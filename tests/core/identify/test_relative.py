@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.errors import OptionError, TooFewPosesError
-from core.identify import Folds, IdentifyOptions, identify
-from core.model import RobotModel
-from core.observations import Observations
-from core.relative import Distances
-from core.robots import robot_from_document
-from core.twin import thesis_katana
+from kilter_core.errors import OptionError, TooFewPosesError
+from kilter_core.identify import Folds, IdentifyOptions, identify
+from kilter_core.model import RobotModel
+from kilter_core.observations import Observations
+from kilter_core.relative import Distances
+from kilter_core.robots import robot_from_document
+from kilter_core.twin import thesis_katana
 from tests.core.campaigns import MARKERS, joints, measured, table_errors
 from tests.core.truth import some_pose, ur10
 
@@ -43,7 +43,7 @@ def test_distances_alone_calibrate_an_arm_as_well_as_positions(see: str) -> None
     assert block["identified"]["rms_mm"] == pytest.approx(NOISE * np.sqrt(2.0) * 1e3, rel=0.15)
     assert relative.noise_m == pytest.approx(NOISE, rel=0.15)
     # And the identified arm, put where it fits, predicts positions it never saw as well as the absolute one.
-    from core.evaluate import evaluate
+    from kilter_core.evaluate import evaluate
 
     there = [evaluate(found.calibration, held, ("base",))["identified"]["rms_mm"] for found in (relative, absolute)]
     assert there[0] < 1.1 * there[1]

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.chain import Axis
-from core.errors import OptionError, RobotError
-from core.robots import preset_document, robot_from_document
+from kilter_core.chain import Axis
+from kilter_core.errors import OptionError, RobotError
+from kilter_core.robots import preset_document, robot_from_document
 
 CHAIN: dict[str, Any] = {
     "convention": "chain",

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.conversions import robot_document
-from core.model import Calibration
-from core.observations import Observations
-from core.robot import Robot
-from core.robots import preset_document, preset_names, robot_from_document
-from core.robots.resolved import resolved_document, robot_from_resolved
+from kilter_core.conversions import robot_document
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.robot import Robot
+from kilter_core.robots import preset_document, preset_names, robot_from_document
+from kilter_core.robots.resolved import resolved_document, robot_from_resolved
 
 LIFT: dict[str, Any] = {
     "name": "lift",

@@ -17,21 +17,21 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from core.conversions.closest import arm_poses
-from core.errors import RobotError
-from core.model import Calibration
-from core.moments import joint_loads
-from core.observations import Observations
-from core.robots import preset_document, robot_from_document
-from core.transforms import pose_from_xyz_rpy
-from core.twin import Twin, thesis_katana
-from service.contract.versions import CorrectionLimits, Version
-from service.errors import ServiceError
-from service.exporters.exportable import Exportable
-from service.exporters.registry import Exported, export
-from service.importers.urdf import chain_document
-from service.robots.resolved import resolve
-from service.robots.store import StoredRobot
+from kilter_core.conversions.closest import arm_poses
+from kilter_core.errors import RobotError
+from kilter_core.model import Calibration
+from kilter_core.moments import joint_loads
+from kilter_core.observations import Observations
+from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.transforms import pose_from_xyz_rpy
+from kilter_core.twin import Twin, thesis_katana
+from kilter_service.contract.versions import CorrectionLimits, Version
+from kilter_service.errors import ServiceError
+from kilter_service.exporters.exportable import Exportable
+from kilter_service.exporters.registry import Exported, export
+from kilter_service.importers.urdf import chain_document
+from kilter_service.robots.resolved import resolve
+from kilter_service.robots.store import StoredRobot
 
 Floats = NDArray[np.float64]
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kilter_client.robots import Described, read_robot
 
-from core.model import Calibration
-from core.robots import robot_from_document
-from service.exporters.registry import export
-from service.importers.urdf import chain_document
-from service.robots.documents import core_document
+from kilter_core.model import Calibration
+from kilter_core.robots import robot_from_document
+from kilter_files.robots import Described, read_robot
+from kilter_service.exporters.registry import export
+from kilter_service.importers.urdf import chain_document
+from kilter_service.robots.documents import core_document
 from tests.service.exporters.test_exporters import calibrated, joints, poses_of
 
 NAMES = [

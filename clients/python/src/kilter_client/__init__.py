@@ -23,7 +23,7 @@ from kilter_client.errors import (
     TooFewPosesError,
     UsageError,
 )
-from kilter_client.files import Prepared, prepare
+from kilter_files import Prepared, prepare
 
 __all__ = [
     "ApiError",

@@ -14,7 +14,7 @@ from kilter_client.resources import Campaigns, Robots, Versions
 if TYPE_CHECKING:
     import httpx
 
-    from kilter_client.files import Prepared
+    from kilter_files import Prepared
 
 CORRECT_TIMEOUT_S = 600.0
 

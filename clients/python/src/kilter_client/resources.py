@@ -10,7 +10,7 @@ from kilter_client.connection import Connection, Document, address
 from kilter_client.references import Kept, id_of
 
 if TYPE_CHECKING:
-    from kilter_client.files import Prepared
+    from kilter_files import Prepared
 
 Sent = Callable[[int, int], None]
 
@@ -143,7 +143,7 @@ class Campaigns(Kept):
 
         ``sent`` is told the bytes sent and their total.
         """
-        from kilter_client.files import prepare
+        from kilter_files import prepare
 
         file = prepare(data) if isinstance(data, str | Path) else data
         headers = {"Content-Type": file.content_type, "Content-Length": str(len(file.content))}

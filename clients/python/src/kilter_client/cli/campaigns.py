@@ -20,9 +20,9 @@ from kilter_client.cli.progress import upload_bar
 from kilter_client.cli.references import resolved
 from kilter_client.cli.tables import show_rows
 from kilter_client.errors import ApiError, ObservationError, UsageError
-from kilter_client.files import DEVICES, Prepared, prepare
-from kilter_client.files.naming import same
-from kilter_client.files.tracker_header import PRESETS
+from kilter_client.naming import same
+from kilter_files import DEVICES, Prepared, prepare
+from kilter_files.tracker_header import PRESETS
 
 SHOWN = 8  # lines of refused rows that are named in the sentence
 Role = Literal["train", "validation", "confirmation"]
@@ -170,10 +170,10 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
     if preset not in PRESETS:
         raise UsageError(f"--preset {preset}: is none of {', '.join(PRESETS)}.")
     check_numpy()
-    from kilter_client.files.inspection import is_contract
-    from kilter_client.files.joint_bag import is_bag
-    from kilter_client.files.joint_log import LogHints, read_joint_log
-    from kilter_client.files.points import prepare_points
+    from kilter_files.inspection import is_contract
+    from kilter_files.joint_bag import is_bag
+    from kilter_files.joint_log import LogHints, read_joint_log
+    from kilter_files.points import prepare_points
 
     if points == _Points(None, None, None) and is_contract(file):
         return prepare(file)
@@ -188,7 +188,7 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
 def _looked_at(file: Path, prepared: Prepared, unchecked: bool) -> Prepared:
     """Look for knocked markers, where numpy is there to do so."""
     try:
-        from kilter_client.files.uploaded_markers import refuse_knocked_rows
+        from kilter_files.uploaded_markers import refuse_knocked_rows
     except ImportError:
         return prepared
     found = refuse_knocked_rows(file, prepared, unchecked)

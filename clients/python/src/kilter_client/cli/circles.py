@@ -15,9 +15,9 @@ from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.tables import show_rows
 from kilter_client.cli.versions import write
 from kilter_client.errors import FileError
-from kilter_client.files import prepare
-from kilter_client.robots.plain_name import checked_name, plain_name
-from kilter_client.robots.text import read_text
+from kilter_files import prepare
+from kilter_files.robots.plain_name import checked_name, plain_name
+from kilter_files.robots.text import read_text
 
 FEATURES = ("plane", "line", "origin")
 MEASURED, KNOWN = ("x_mm", "y_mm", "z_mm"), ("known_x_mm", "known_y_mm", "known_z_mm")

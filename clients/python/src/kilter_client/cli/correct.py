@@ -16,8 +16,8 @@ from kilter_client.cli.arguments import File, Json, Robot
 from kilter_client.cli.output import emit, note, say
 from kilter_client.cli.versions import write
 from kilter_client.errors import UsageError
-from kilter_client.files import prepare
-from kilter_client.files.table import CSV_TYPE, JSON_TYPE
+from kilter_files import prepare
+from kilter_files.table import CSV_TYPE, JSON_TYPE
 
 
 def register(app: typer.Typer) -> None:

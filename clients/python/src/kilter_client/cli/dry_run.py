@@ -9,7 +9,7 @@ from kilter_client import Kilter
 from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
 from kilter_client.errors import KilterError
-from kilter_client.files import Prepared
+from kilter_files import Prepared
 
 Document = dict[str, Any]
 
@@ -18,8 +18,8 @@ LOAD_UNITS = {"kg": "kg", "n": "N", "nm": "N m"}
 
 def what_it_holds(robot: str, prepared: Prepared, conditions: Mapping[str, Any]) -> Document:
     """Return ranges, poses, repeats, loads, directions, and what rules left out or would refuse."""
-    from kilter_client.files.refusals import refusals
-    from kilter_client.files.summary import columns_of, summary
+    from kilter_files.refusals import refusals
+    from kilter_files.summary import columns_of, summary
 
     joints, unchecked = _joints(robot)
     found = summary(prepared, conditions)

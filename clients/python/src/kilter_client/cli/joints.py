@@ -55,7 +55,7 @@ def joint_parameters(
         option, propose=propose, count=count, payloads_kg=payload_kg or None, seed=seed, resolution_deg=resolution_deg
     )
     if readings is not None:
-        from kilter_client.files.readings import read_readings
+        from kilter_files.readings import read_readings
 
         chosen["readings"] = read_readings(readings)
 

@@ -17,11 +17,11 @@ from kilter_client.cli.progress import upload_bar
 from kilter_client.errors import UsageError
 
 if TYPE_CHECKING:
-    from kilter_client.files.clock_checks import Checks
-    from kilter_client.files.joint_log import JointLog
-    from kilter_client.files.recording import Recording
-    from kilter_client.files.rigid_body import Body
-    from kilter_client.files.table import Table
+    from kilter_files.clock_checks import Checks
+    from kilter_files.joint_log import JointLog
+    from kilter_files.recording import Recording
+    from kilter_files.rigid_body import Body
+    from kilter_files.table import Table
 
 By = Literal["order", "time", "frames"]
 How = Annotated[By, typer.Option(help="One row per dwell, in order or by time; or a row of every frame, by time.")]
@@ -83,11 +83,11 @@ def match(
     check_numpy()
     if by == "frames" and out is not None:
         raise UsageError("--out writes dwells; every frame is sent with --robot, in parts.")
-    from kilter_client.files.dwells import RestOptions
-    from kilter_client.files.joint_bag import is_bag
-    from kilter_client.files.joint_log import LogHints, read_joint_log
-    from kilter_client.files.recordings import open_recording
-    from kilter_client.files.rigid_body import find_body, tool_as_markers
+    from kilter_files.dwells import RestOptions
+    from kilter_files.joint_bag import is_bag
+    from kilter_files.joint_log import LogHints, read_joint_log
+    from kilter_files.recordings import open_recording
+    from kilter_files.rigid_body import find_body, tool_as_markers
 
     hints = LogHints(
         topic, arguments.split_names([joint_order or ""]), joints_of(robot or model) if is_bag(joints) else ()
@@ -126,8 +126,8 @@ def _dwells(
     found: Recording, log: JointLog, body: Body | None, by: str, options: Any, out: Path | None, robot: str | None,
     wanted: dict[str, Any], as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    from kilter_client.files.matching import match_dwells
-    from kilter_client.files.table import Prepared, Table
+    from kilter_files.matching import match_dwells
+    from kilter_files.table import Prepared, Table
 
     matched = match_dwells(found, log, by, options[0], body, options[1])
     _tell(matched.report, as_json)
@@ -145,9 +145,9 @@ def _frames(
     found: Recording, log: JointLog, body: Body | None, checks: Checks, robot: str | None, wanted: dict[str, Any],
     as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    from kilter_client.files.frames_by_time import match_frames
-    from kilter_client.files.matching import clock_report, frame_rows
-    from kilter_client.files.parts import parts
+    from kilter_client.parts import parts
+    from kilter_files.frames_by_time import match_frames
+    from kilter_files.matching import clock_report, frame_rows
 
     pieces, warnings = match_frames(found, log, checks)
     report = {"clock": clock_report(pieces, found.duration_s), "warnings": [*found.warnings, *log.warnings, *warnings]}
@@ -158,7 +158,7 @@ def _frames(
 
 
 def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, Any], as_json: bool) -> dict[str, Any]:
-    from kilter_client.files.parts import send_whole
+    from kilter_client.parts import send_whole
 
     done = {"rows": 0}
     with Kilter() as kilter, upload_bar(wanted["name"], as_json) as bar:

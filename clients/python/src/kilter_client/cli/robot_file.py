@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client.errors import UsageError
-from kilter_client.robots import Described, read_robot
-from kilter_client.robots.plain_name import checked_name, plain_name
+from kilter_files.robots import Described, read_robot
+from kilter_files.robots.plain_name import checked_name, plain_name
 
 ROBOT_FILE = "robot.json, .urdf, a DH table (.csv, .xlsx), a UR calibration (.yaml), or a KNI .cfg."
 

@@ -1,0 +1,107 @@
+"""Files of measurements, made ready for upload."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from shlex import quote
+
+from kilter_files.errors import FileError
+from kilter_files.source import endings
+from kilter_files.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepared, Table
+
+__all__ = ["DEVICES", "Prepared", "prepare"]
+
+
+def _ipa_lasertracker(path: Path) -> Table:
+    from kilter_files.ipa_lasertracker import read_ipa_lasertracker
+
+    return read_ipa_lasertracker(path)
+
+
+def _ballbar(path: Path) -> Table:
+    from kilter_files.ballbar import ballbar_table
+
+    return ballbar_table(path)
+
+
+def _inclinometer(path: Path) -> Table:
+    raise FileError(
+        f"{path}: an inclinometer measures joints, not tool positions, so it makes no campaign. See what it holds with "
+        "`kilter inspect`, and send readings with `kilter joint-parameters ROBOT --readings FILE`.",
+        file=str(path),
+    )
+
+
+# device name -> reader of its files; any other device's files must be contract columns or come with a map
+DEVICES: Mapping[str, Callable[[Path], Table]] = {
+    "ballbar": _ballbar,
+    "inclinometer": _inclinometer,
+    "ipa-lasertracker": _ipa_lasertracker,
+}
+
+TYPES = {".csv": CSV_TYPE, ".parquet": PARQUET_TYPE, ".json": JSON_TYPE}
+
+
+def prepare(
+    path: Path | str,
+    device: str | None = None,
+    column_map: Path | str | None = None,
+    joined: Path | str | None = None,
+) -> Prepared:
+    """Read a file for upload: through its map, else through the device's importer, else byte for byte as it is.
+
+    ``joined`` is the second file of a map with a table [join]. A workbook of contract columns needs no map.
+
+    Raises:
+        FileError: the file, or the map, is not what it should be; the message names place and remedy.
+        MissingPackageError: the format needs the extra ``files``.
+
+    """
+    path = Path(path)
+    if column_map is not None:
+        from kilter_files.column_map import read_map
+        from kilter_files.mapped import read_mapped
+
+        return Prepared.from_table(
+            read_mapped(path, read_map(Path(column_map)), None if joined is None else Path(joined))
+        )
+    if joined is not None:
+        raise FileError(f"{joined}: a second file needs a column map with a table [join] (--map).", file=str(joined))
+    if endings().get(path.suffix.lower()) == "xlsx":
+        from kilter_files.mapped import read_contract
+
+        return Prepared.from_table(read_contract(path))
+    if device is not None and device in DEVICES and not _is_joined(path):
+        return Prepared.from_table(DEVICES[device](path))
+    return as_it_is(path)
+
+
+def _is_joined(path: Path) -> bool:
+    """Tell whether a device's log was joined with the joint log already: all of its columns are the contract's."""
+    from kilter_files.units import unit_of
+
+    if path.suffix.lower() != ".csv":
+        return False
+    try:
+        with path.open(encoding="utf-8") as stream:
+            names = stream.readline(65_536).strip().split(",")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return all(unit_of(name) is not None for name in names)
+
+
+def as_it_is(path: Path) -> Prepared:
+    """Read a file that already has contract columns; its bytes, and so its content hash, stay what they are."""
+    kind = TYPES.get(path.suffix.lower())
+    if kind is None:
+        raise FileError(
+            f"{path}: the ending {path.suffix!r} is none of {', '.join((*TYPES, '.xlsx'))}. Bring it in with a column map "
+            f"(--map columns.toml; a first one: `kilter inspect {quote(str(path))} --draft columns.toml`) or name its device "
+            f"({', '.join(DEVICES)}).",
+            file=str(path),
+        )
+    try:
+        return Prepared(path.read_bytes(), kind, notes=("contract columns, sent as they are",))
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror or error}.", file=str(path)) from error

@@ -1,0 +1,101 @@
+"""Joints as controllers count them: turned round, or measured against the horizontal instead of the link before."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from kilter_files.errors import UsageError
+from kilter_files.names import did_you_mean
+
+Item = dict[str, Any]
+
+PARALLEL = math.sin(math.radians(1.0))
+
+
+def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> Item:
+    """Return the document as a chain in which ``turned`` joints count backwards and each "j3=j2" is uncoupled.
+
+    "j3=j2" is for arms whose third joint is read against the horizontal (FANUC, parallelogram arms): when j2 moves,
+    the forearm keeps its direction in space, so j3's axis is turned back by j2.
+
+    Raises:
+        UsageError: a joint that is not there, or a document of another convention than chain, dh and mdh.
+
+    """
+    if document["convention"] in ("dh", "mdh"):
+        document = _as_chain(document)
+    if document["convention"] != "chain":
+        raise UsageError("--turned and --follows need a table or a chain; in a URDF, axis and mimic say the same.")
+    elements = [dict(element) for element in document["elements"]]
+    for name in turned:
+        for element in _of(elements, name):
+            element["ratio"] = -float(element.get("ratio", 1.0))
+    for pair in follows:
+        follower, _, leader = pair.partition("=")
+        _uncouple(elements, follower.strip(), leader.strip())
+    return {**document, "elements": elements}
+
+
+def _of(elements: list[Item], name: str) -> list[Item]:
+    found = [element for element in elements if element.get("joint") == name]
+    if not found:
+        known = list(dict.fromkeys(str(element["joint"]) for element in elements if element.get("joint")))
+        raise UsageError(f"There is no joint {name!r}{did_you_mean(name, known)}. There are: {', '.join(known)}.")
+    return found
+
+
+def _uncouple(elements: list[Item], follower: str, leader: str) -> None:
+    """Turn the follower's axis back by the leader; their axes must be parallel."""
+    first, second = _of(elements, leader)[0], _of(elements, follower)[0]
+    start, end = elements.index(first), elements.index(second)
+    between = elements[start + 1 : end]
+    turns = [e for e in between if str(e["axis"]).startswith("R") and (e.get("joint") or e.get("value"))]
+    flat = first["axis"] == second["axis"] and all(
+        abs(math.remainder(float(e.get("value") or 0.0), 180.0)) < 1.0 and not e.get("joint") for e in turns
+    )
+    if start >= end or not flat:
+        raise UsageError(
+            f"--follows {follower}={leader}: the axis of {follower} must come after and be parallel to {leader}'s."
+        )
+    halves = sum(1 for e in turns if e["axis"] != first["axis"] and abs(float(e["value"])) > 90.0)
+    ratio = -float(first.get("ratio", 1.0)) * (-1.0) ** halves
+    elements.insert(end, {"joint": leader, "axis": second["axis"], "ratio": ratio, "fixed": True})
+
+
+def _as_chain(document: Item) -> Item:
+    if document.get("links"):
+        raise UsageError(
+            "--turned and --follows make a chain of the table, in which links have other frames: leave links out."
+        )
+    dh = document["convention"] == "dh"
+    names = [joint["name"] for joint in document["joints"]]
+    elements: list[Item] = []
+    for number, (name, row) in enumerate(zip(names, document["rows"], strict=True), 1):
+        inner = number < len(names) if dh else number > 1
+        joint, link = _joint(name, number, row, dh), _link(number, row, dh, inner)
+        elements += [*joint, *link] if dh else [*link, *joint]
+    kept = {key: value for key, value in document.items() if key not in ("rows", "convention", "links")}
+    return {**kept, "convention": "chain", "elements": elements}
+
+
+def _joint(name: str, number: int, row: Item, dh: bool) -> list[Item]:
+    prismatic = row.get("type") == "prismatic"
+    theta, d = row.get("theta_offset_deg") or 0.0, row.get("d_mm", 0.0)
+    turn = {"axis": "Rz", "name": f"theta_offset_{number}", "value": theta}
+    shift = {"axis": "Tz", "name": f"d_{number}", "value": d or 0.0}
+    (shift if prismatic else turn)["joint"] = name
+    steps = [shift, turn] if dh else [turn, shift]
+    return steps if d is not None else [turn]
+
+
+def _link(number: int, row: Item, dh: bool, inner: bool) -> list[Item]:
+    alpha = float(row.get("alpha_deg") or 0.0)
+    turn = {"axis": "Rx", "name": f"alpha_{number}", "value": alpha}
+    shift = {"axis": "Tx", "name": f"a_{number}", "value": row.get("a_mm", 0.0)}
+    # As the server does for tables: parallel axes need Hayati's small turn to stay identifiable.
+    parallel = inner and abs(math.sin(math.radians(alpha))) < PARALLEL
+    beta = row.get("beta_deg")
+    tilt = [{"axis": "Ry", "name": f"beta_{number}", "value": beta or 0.0}] if beta is not None or parallel else []
+    return [shift, turn, *tilt] if dh else [turn, *tilt, shift]

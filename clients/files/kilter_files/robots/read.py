@@ -1,0 +1,107 @@
+"""Any robot file as a robot document, by its ending."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kilter_files.errors import FileError, UsageError
+from kilter_files.robots.text import read_text
+
+URDF = (".urdf", ".xml")
+TABLES = (".csv", ".tsv", ".txt", ".xlsx")
+UR = (".yaml", ".yml")
+KATANA = (".cfg",)
+NEEDED = {
+    "convention": (TABLES, "--convention belongs to a table (.csv, .xlsx)."),
+    "model": (UR, "--model belongs to the calibration YAML of Universal Robots."),
+    "base_link": (URDF, "--base-link belongs to a .urdf file."),
+    "tip_link": (URDF, "--tip-link belongs to a .urdf file."),
+}
+
+
+@dataclass(frozen=True)
+class Described:
+    """What the file does not say itself: the robot's name, the links of a URDF, a table's convention, a UR's model.
+
+    ``turned`` are joints whose controller counts the other way; ``follows`` are pairs "j3=j2" of joints of which the
+    first is read against the horizontal, not against the link before.
+    """
+
+    name: str | None = None
+    base_link: str | None = None
+    tip_link: str | None = None
+    convention: str | None = None
+    model: str | None = None
+    turned: Sequence[str] = ()
+    follows: Sequence[str] = ()
+
+
+def read_robot(path: Path, described: Described) -> dict[str, Any]:
+    """Return the robot document of a file.
+
+    Raises:
+        FileError: the file is not what it should be; the message names place and remedy.
+        UsageError: something is missing that the file does not say, or does not belong to it.
+        MissingPackageError: the format needs the extra ``files``.
+
+    """
+    ending = path.suffix.lower()
+    for field, (endings, message) in NEEDED.items():
+        if getattr(described, field) and ending not in endings:
+            raise UsageError(message)
+    document = _read(path, ending, described)
+    if described.turned or described.follows:
+        from kilter_files.robots.coupling import coupled
+
+        document = coupled(document, described.turned, described.follows)
+    return {**document, "name": described.name} if described.name else document
+
+
+def _read(path: Path, ending: str, described: Described) -> dict[str, Any]:
+    if ending in URDF:
+        return _urdf(path, described)
+    if ending in TABLES:
+        from kilter_files.robots.table import read_table
+
+        return read_table(path, described.convention, _name(path, described))
+    if ending in UR:
+        from kilter_files.robots.universal import read_universal
+
+        return read_universal(path, described.model, _name(path, described))
+    if ending in KATANA:
+        from kilter_files.robots.katana import read_katana
+
+        return read_katana(path, _name(path, described))
+    return _json(path)
+
+
+def _name(path: Path, described: Described) -> str:
+    if not described.name:
+        raise UsageError(f"{path.name} does not name the robot: give it a name with --name.")
+    return described.name
+
+
+def _urdf(path: Path, described: Described) -> dict[str, Any]:
+    if not (described.name and described.base_link and described.tip_link):
+        raise UsageError("A URDF needs --name, --base-link and --tip-link: it may hold a bigger tree than the arm.")
+    return {
+        "name": described.name,
+        "convention": "urdf",
+        "urdf": read_text(path),
+        "base_link": described.base_link,
+        "tip_link": described.tip_link,
+    }
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(read_text(path))
+    except ValueError as error:
+        raise FileError(f"{path}: is no JSON ({error}).", file=str(path)) from error
+    if not isinstance(document, dict):
+        raise FileError(f"{path}: is no JSON object. Describe one robot, see the robots reference.", file=str(path))
+    return document

@@ -1,0 +1,183 @@
+"""DH and MDH tables, one row per joint, from CSV and XLSX."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+from kilter_files.errors import FileError, UsageError
+from kilter_files.names import did_you_mean
+from kilter_files.robots.sheet import Sheet
+from kilter_files.robots.text import read_text
+
+# quantity -> its spellings in tables
+QUANTITIES = {
+    "theta_offset": ("theta_offset", "theta", "offset"),
+    "d": ("d",),
+    "a": ("a", "r"),
+    "alpha": ("alpha",),
+    "beta": ("beta",),
+    "lower": ("lower", "min"),
+    "upper": ("upper", "max"),
+}
+LENGTHS = {"mm": 1.0, "m": 1e3}
+ANGLES = {"deg": 1.0, "rad": 180.0 / math.pi}
+TEXTS = ("joint", "type")
+KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic", "": "revolute"}
+
+
+def read_table(path: Path, convention: str | None, name: str) -> dict[str, Any]:
+    """Return the robot document of a table with columns such as ``theta_offset_deg, d_mm, a_mm, alpha_deg``.
+
+    Raises:
+        FileError: an unknown column, one without a unit, or a cell that is no number; the message names it.
+        UsageError: neither the file nor ``convention`` says whether it is DH or MDH.
+        MissingPackageError: XLSX without openpyxl.
+
+    """
+    if path.suffix.lower() == ".xlsx":
+        from kilter_files.robots.workbook import read_workbook
+
+        sheet = read_workbook(path)
+    else:
+        sheet = _read_csv(path)
+    return _document(sheet, _convention(sheet, convention), name)
+
+
+def _read_csv(path: Path) -> Sheet:
+    lines = [(number, line) for number, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
+    comments = [line.lstrip("# ") for _, line in lines if line.startswith("#")]
+    data = [(number, line) for number, line in lines if not line.startswith("#")]
+    if not data:
+        raise FileError(f"{path}: has no rows.", file=str(path))
+    delimiter = max(";\t,", key=data[0][1].count)
+    cells = [
+        (number, [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]) for number, line in data
+    ]
+    return Sheet(path, cells[0][1], cells[1:], comments, "," if delimiter != "," else ".")
+
+
+def _convention(sheet: Sheet, given: str | None) -> str:
+    said = next((m[1] for c in sheet.comments if (m := re.match(r"kilter (dh|mdh) table", c))), None)
+    if given and said and given != said:
+        raise UsageError(f"{sheet.path.name} says that it is a {said} table, not {given}.")
+    found = given or said
+    if found is None:
+        raise UsageError(
+            f"{sheet.path.name}: is this a dh or an mdh (Craig) table? They have the same columns and another geometry: "
+            "give --convention dh or --convention mdh."
+        )
+    if found not in ("dh", "mdh"):
+        raise UsageError(f"--convention is {found!r}: give dh or mdh.")
+    return found
+
+
+def _document(sheet: Sheet, convention: str, name: str) -> dict[str, Any]:
+    columns = _columns(sheet, convention)
+    if not sheet.rows:
+        raise FileError(f"{sheet.path}: has no rows below its header.", file=str(sheet.path))
+    rows, joints = [], []
+    for number, (line, cells) in enumerate(sheet.rows, 1):
+        if len(cells) != len(sheet.names):
+            message = f"{len(cells)} cells where the header has {len(sheet.names)}."
+            raise FileError(f"{sheet.path}, line {line}: {message}", file=str(sheet.path), line=line)
+        row, joint = _row(sheet, columns, line, cells)
+        rows.append(row)
+        joints.append({"name": joint.pop("name", None) or f"j{number}", **joint})
+    frames = {key: frame for key in ("base", "tool") if (frame := _frame(sheet, key))}
+    return {"name": name, "convention": convention, "joints": joints, "rows": rows, **frames}
+
+
+def _columns(sheet: Sheet, convention: str) -> list[tuple[str, str]]:
+    """Return (quantity, unit) of every column; unit "" for texts."""
+    spellings = {spelling: quantity for quantity, names in QUANTITIES.items() for spelling in names}
+    out = []
+    for name in sheet.names:
+        plain = name.strip().lower().replace(" ", "_")
+        quantity, _, unit = plain.rpartition("_")
+        if plain in TEXTS:
+            out.append((plain, ""))
+        elif spellings.get(quantity) and unit in (*LENGTHS, *ANGLES):
+            out.append((spellings[quantity], unit))
+        else:
+            raise _unknown(sheet, name, plain in spellings)
+    if convention == "dh" and any(quantity == "beta" for quantity, _ in out):
+        raise FileError(
+            f"{sheet.path}: a dh table has no beta; take --convention mdh.", file=str(sheet.path), column="beta"
+        )
+    return out
+
+
+def _unknown(sheet: Sheet, name: str, lacks_unit: bool) -> FileError:
+    known = [f"{quantity}_{'mm' if quantity in 'da' else 'deg'}" for quantity in QUANTITIES] + list(TEXTS)
+    why = "has no unit: write it as, for example, alpha_deg or a_mm" if lacks_unit else "is not known"
+    return FileError(
+        f"{sheet.path}, column {name!r} {why}{did_you_mean(name, known)}. Known are {', '.join(known)} "
+        "(also with _rad and _m).",
+        file=str(sheet.path),
+        column=name,
+    )
+
+
+def _row(
+    sheet: Sheet, columns: list[tuple[str, str]], line: int, cells: list[str]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    texts = {quantity: cell for (quantity, unit), cell in zip(columns, cells, strict=True) if not unit}
+    kind = KINDS.get(texts.get("type", "").lower())
+    if kind is None:
+        message = f"type {texts['type']!r} is neither revolute nor prismatic."
+        raise FileError(f"{sheet.path}, line {line}: {message}", file=str(sheet.path), line=line, column="type")
+    row: dict[str, Any] = {"type": kind}
+    limits: dict[str, float] = {}
+    for (quantity, unit), cell in zip(columns, cells, strict=True):
+        if not unit or (not cell and quantity not in ("d", "beta")):
+            continue
+        factor, word = _factor(sheet, quantity, unit, kind)
+        if factor is None:
+            raise FileError(
+                f"{sheet.path}, line {line}: {quantity} of a {kind} joint cannot be in {unit}.",
+                file=str(sheet.path), line=line, column=quantity,
+            )  # fmt: skip
+        value = None if not cell else _number(sheet, line, quantity, cell) * factor
+        if quantity in ("lower", "upper"):
+            limits[quantity] = value or 0.0
+        else:
+            row[f"{quantity}_{word}"] = value
+    joint: dict[str, Any] = {"name": texts.get("joint")}
+    if len(limits) == 2:
+        joint["limits_mm" if kind == "prismatic" else "limits_deg"] = [limits["lower"], limits["upper"]]
+    return row, joint
+
+
+def _factor(sheet: Sheet, quantity: str, unit: str, kind: str) -> tuple[float | None, str]:
+    """Return the factor to mm or degrees, None when the unit is of the other sort."""
+    length = quantity in ("d", "a") or (quantity in ("lower", "upper") and kind == "prismatic")
+    return (LENGTHS.get(unit), "mm") if length else (ANGLES.get(unit), "deg")
+
+
+def _number(sheet: Sheet, line: int, column: str, cell: str) -> float:
+    try:
+        value = float(cell.replace(sheet.decimal, "."))
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise FileError(
+            f"{sheet.path}, line {line}, {column}: {cell!r} is no number.",
+            file=str(sheet.path),
+            line=line,
+            column=column,
+        )
+    return value
+
+
+def _frame(sheet: Sheet, key: str) -> dict[str, float]:
+    """Return base or tool from a comment such as ``# tool x_mm=0 ... rz_deg=90``."""
+    for comment in sheet.comments:
+        word, _, rest = comment.partition(" ")
+        if word == key:
+            pairs = re.findall(r"([xyz]_mm|r[xyz]_deg)=(\S+)", rest)
+            return {name: _number(sheet, 0, f"{key} {name}", value) for name, value in pairs}
+    return {}

@@ -1,5 +1,0 @@
-"""Robot files of other tools as robot documents."""
-
-from kilter_client.robots.read import Described, read_robot
-
-__all__ = ["Described", "read_robot"]

@@ -1,6 +1,0 @@
-"""Physical error sources, one per file, each giving only local corrections; the model does the rest."""
-
-from core.effects.base import BASE, TOOL, Batch, Derivative, Effect, Local
-from core.effects.registry import EFFECTS, effect_from_document, make_effect
-
-__all__ = ["BASE", "EFFECTS", "TOOL", "Batch", "Derivative", "Effect", "Local", "effect_from_document", "make_effect"]

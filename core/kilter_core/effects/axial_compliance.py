@@ -1,0 +1,31 @@
+"""Twist of a joint about its own axis in proportion to the load moment (thesis eq. 4.15, 5.19, second term)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_core.effects.base import Batch, Effect, Floats, Local
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class AxialCompliance(Effect):
+    """dq = c ηz with c = 1/k >= 0; static or dynamic load, whichever the rows carry."""
+
+    id = "axial_compliance"
+    summary = "joint compliance about the axis, proportional to the load moment"
+    source = "thesis eq. 4.15, 5.19"
+    needs = frozenset({"moments"})
+    reads = (("axial", (0,)),)
+    signs = "positive"
+    aliases = ("link_bending", "radial_compliance", "gravity_spring", "eccentricity")
+    remedy = "repeat old poses with a second payload: geometry cancels, the load does not"
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Compliance c per joint, rad/(N m) (m/N for a prismatic joint)."""
+        return self.per_joint(robot, "compliance", "rad/(N m)", 1e-4, 0.0, 1e-2, "axial compliance c = 1/k")
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivative by c."""
+        return self.joint_angle(batch, values, batch.axial)

@@ -1,0 +1,39 @@
+"""Backlash seen from the direction of approach: the joint lags behind its motor by half the play."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from kilter_core.effects.base import Batch, Effect, Floats, Local
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class Backlash(Effect):
+    """dq = b s / 2 with s in {-1, 0, +1} the direction of the joint's last motion.
+
+    A joint that lags behind its motor has b < 0 in this convention; the sign is left to the data.
+    """
+
+    id = "backlash"
+    summary = "reversal error with the direction of the joint's last motion"
+    source = "gap-finder library; Slamani, Nubiola and Bonev 2012"
+    needs = frozenset({"direction"})
+    aliases = ("friction_windup", "backlash_load")
+    remedy = "approach the same poses from both sides with every joint: one-sided, it is an encoder offset"
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Reversal width b per joint, rad."""
+        wide = math.radians(1.0)
+        return self.per_joint(robot, "backlash", "rad", math.radians(0.1), -wide, wide, "reversal width b")
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivative by b.
+
+        Raises:
+            ObservationError: the rows have no direction.
+
+        """
+        return self.joint_angle(batch, values, self.column(batch, "direction") / 2.0)

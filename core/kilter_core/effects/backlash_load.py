@@ -1,0 +1,73 @@
+"""Backlash taken up by the load about the joint axis (thesis eq. 5.19, first term)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import (
+    SOFTENING,
+    Batch,
+    Derivative,
+    Effect,
+    Floats,
+    Local,
+    linear,
+    option,
+    soft_sign,
+    width_of,
+)
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+NO_MOMENT_NM = 1e-9  # below this the sign would be that of rounding noise
+
+
+@dataclass(frozen=True)
+class BacklashLoad(Effect):
+    """dq = b sign(ηz): the load rests the gear on one flank. ``softening_nm`` > 0 makes the sign a tanh.
+
+    It is one number, or one for each joint the effect acts on.
+    """
+
+    id = "backlash_load"
+    summary = "backlash on the side of the axial load moment"
+    source = "thesis eq. 5.19"
+    needs = frozenset({"moments"})
+    reads = (("axial", (0,)),)
+    signs = "positive"
+    aliases = ("axial_compliance", "eccentricity", "backlash")
+    remedy = "measure poses where the load on the joint has both signs, or the same poses with another payload"
+
+    softening_nm: float | tuple[float, ...] = option(0.0, SOFTENING, low=0.0)
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Backlash b per joint, rad."""
+        return self.per_joint(robot, "backlash_load", "rad", math.radians(0.1), 0.0, math.radians(1.0), "backlash b")
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivative by b."""
+        acting = enumerate(self.acting(batch.q.shape[1]))
+        return linear(batch, values, [Derivative(k, j, dq=self._side(batch, k, j)) for k, j in acting])
+
+    def softened(self, batch: Batch) -> Self:
+        """The sign as soft as it is in this batch."""
+        if batch.blur is None:
+            return self
+        acting = enumerate(self.acting(batch.q.shape[1]))
+        widths = tuple(width_of(self.softening_nm, k, j, batch, about=True) for k, j in acting)
+        return replace(self, softening_nm=widths)
+
+    def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
+        """Scatter of a sign s around its expectation, √(1 − s²), times b."""
+        acting = enumerate(self.acting(batch.q.shape[1]))
+        left = ((k, j, 1.0 - self._side(batch, k, j) ** 2) for k, j in acting if values[k] != 0.0)
+        return tuple(Derivative(k, j, dq=values[k] * np.sqrt(share)) for k, j, share in left)
+
+    def _side(self, batch: Batch, place: int, joint: int) -> Floats:
+        about = batch.axial[:, joint]
+        soft = soft_sign(about, width_of(self.softening_nm, place, joint, batch, about=True))
+        return np.where(np.abs(about) > NO_MOMENT_NM, soft, 0.0)

@@ -1,0 +1,375 @@
+"""What an effect is: configuration, parameters, and local corrections with exact derivatives. Nothing else."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import ObservationError, OptionError
+from kilter_core.load_slopes import LoadSlopes
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+Floats = NDArray[np.float64]
+
+PRISMATIC_LEVER_M = 0.1  # what the prior of a radian becomes at a prismatic joint
+_PRISMATIC_UNITS = {
+    "rad": "m", "rad/(N m)": "m/N", "rad/(N m)2": "m/N2", "rad/s": "m/s", "rad/K": "m/K",
+}  # fmt: skip
+_COLUMNS = {
+    "direction": "dir1 ... dirn",
+    "qd": "qd1_deg_s ... qdn_deg_s",
+    "t": "t_s",
+    "temperature_c": "temperature_c",
+    "payload_kg": "payload_kg",
+    "session": "session",
+}
+
+
+WRENCH = (0, 1, 2, 3, 4, 5)
+ALL_LOADS = {"axial": (0,), "wrench": WRENCH, "end_wrench": WRENCH, "base_wrench": WRENCH}  # of a batch, by component
+NOT_OF_ROWS = ("link_vectors", "blur")  # arrays of a batch that have no row for each of its rows
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The conditions of N rows as effects may read them, SI.
+
+    ``wrench (N, n, 6)`` is the load on each joint; ``axial (N, n)`` its part that works on the joint: the moment about
+    the axis of a revolute joint (N·m), the force along that of a prismatic one (N). ``end_wrench``, ``base_wrench`` and
+    ``tool_point`` are those of :class:`~kilter_core.moments.Loads`, ``link_vectors (n + 1, 3)`` those of the chain.
+    ``payload_axial (N, n, 4)`` is what one more kilogram at the payload's place adds to ``axial``, and one more kg·m of
+    first moment along each tool axis; it comes with ``payload_kg``. ``slopes`` say how the loads follow errors of the
+    masses, where the model has such errors. ``blur (n, 2)`` N·m is how uncertain the load across and about each joint is
+    where it changes its sign: a sign is then read as its expectation.
+
+    An effect declares what it reads in ``needs``: the loads as "moments", measured columns by name. ``q``,
+    ``tool_point`` and ``link_vectors`` are always there; anything not measured is None.
+    """
+
+    q: Floats
+    wrench: Floats
+    axial: Floats
+    end_wrench: Floats
+    base_wrench: Floats
+    tool_point: Floats
+    link_vectors: Floats
+    direction: Floats | None = None
+    qd: Floats | None = None
+    qdd: Floats | None = None
+    t: Floats | None = None
+    temperature_c: Floats | None = None
+    payload_kg: Floats | None = None
+    session: NDArray[np.int64] | None = None
+    payload_axial: Floats | None = None
+    setup: NDArray[np.int64] | None = None
+    slopes: LoadSlopes | None = None
+    blur: Floats | None = None
+
+    def with_loads(self, change: Floats, reads: Mapping[str, tuple[int, ...]] | None = None) -> Batch:
+        """The same rows with load errors ``change (K,)`` in the order of ``slopes``.
+
+        ``reads`` gives the components of each load that are wanted; all when None. The others stay as they were.
+        """
+        assert self.slopes is not None
+        loads: dict[str, Any] = {}
+        for name, parts in (ALL_LOADS if reads is None else reads).items():
+            loads[name] = getattr(self, name).copy()
+            for part, moved in zip(parts, self.slopes.changes(name, parts, change), strict=True):
+                here = loads[name] if name == "axial" else loads[name][..., part]
+                here += moved
+        return replace(self, **loads)
+
+    def part(self, rows: slice) -> Batch:
+        """The conditions of some of the rows, as views."""
+        own = {k: v[rows] for k, v in vars(self).items() if isinstance(v, np.ndarray) and k not in NOT_OF_ROWS}
+        return replace(self, **own, slopes=None if self.slopes is None else self.slopes.part(rows))
+
+    @property
+    def moment(self) -> Floats:
+        """Load moments (N, n, 3) in the joint frames: x and y across the axis, z about it."""
+        return self.wrench[:, :, 3:]
+
+    def __len__(self) -> int:
+        return int(self.q.shape[0])
+
+
+BASE, TOOL = -1, -2  # places of a twist besides the joints: right after the base frame, and on the tool
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """Change of one local correction by one parameter.
+
+    ``dq (N,)`` and ``xi (N, 6)`` belong to ``joint`` (``xi`` may also sit at :data:`BASE` or :data:`TOOL`);
+    ``scale (N,)`` to the measurement.
+    """
+
+    parameter: int
+    joint: int = BASE
+    dq: Floats | None = None
+    xi: Floats | None = None
+    scale: Floats | None = None
+
+
+@dataclass(frozen=True)
+class Local:
+    """Local corrections of N rows.
+
+    ``dq (N, n)`` is added to the joints; ``xi (N, n, 6)`` are small twists (v, w) in the joint frames, ``base (N, 6)``
+    in the base frame and ``tool (N, 6)`` in the tool frame; ``scale (N,)`` stretches the measured position about the
+    origin of the measurements.
+    """
+
+    dq: Floats | None = None
+    xi: Floats | None = None
+    base: Floats | None = None
+    tool: Floats | None = None
+    scale: Floats | None = None
+    derivatives: tuple[Derivative, ...] = ()
+
+
+def linear(batch: Batch, values: Floats, derivatives: Iterable[Derivative]) -> Local:
+    """Local corrections of an effect that is linear in its parameters: the sum of value times derivative."""
+    rows, n = batch.q.shape
+    derivatives = tuple(derivatives)
+    shapes = {"dq": (rows, n), "xi": (rows, n, 6), "base": (rows, 6), "tool": (rows, 6), "scale": (rows,)}
+    sums: dict[str, Floats] = {}
+
+    def total(name: str) -> Floats:
+        return sums.setdefault(name, np.zeros(shapes[name]))
+
+    for d in derivatives:
+        value = values[d.parameter]
+        at_end = {BASE: "base", TOOL: "tool"}.get(d.joint)
+        for name, amount in (("dq", d.dq), (at_end or "xi", d.xi), ("scale", d.scale)):
+            if amount is None:
+                continue
+            whole = total(name)
+            if value != 0.0:
+                here = whole[:, d.joint] if name in ("dq", "xi") else whole
+                here += value * amount
+    return Local(**sums, derivatives=derivatives)
+
+
+SOFTENING = "Half-width over which the sign of the load changes, N m, 0 or more; one for all joints, or one for each."
+
+
+def option(default: Any, text: str, **limits: Any) -> Any:
+    """Say what an option of an effect means, and what it may be: ``low``, ``above``, ``high``, or ``choices``."""
+    return field(default=default, metadata={"text": text, **limits})
+
+
+@dataclass(frozen=True)
+class Effect(ABC):
+    """One physical error source. ``joints`` are the joints it acts on, from 0; None means all it can act on.
+
+    The class says what a search for missing effects must know: ``needs`` (columns), ``stage``, ``signs`` ("positive"
+    when physics fixes the sign of the parameters), ``aliases`` (ids whose signatures come nearest), ``remedy`` (what
+    to measure so that it can be tested or told apart), ``empirical`` (a shape without a cause), ``at_joints`` (whether
+    ``joints`` choose where it acts), ``learned`` (never searched; kept only if it predicts held-out poses better),
+    ``supple`` (imitates many others, so that holding their shape says nothing), and ``nuisance`` (never searched; carried
+    beside the others with its prior). One that ``changes_loads`` moves nothing of its own: the others read the loads that
+    it leaves. ``reads`` names the loads of the batch that an effect reads and their components; what it does at a joint
+    follows that joint's loads alone.
+    """
+
+    id: ClassVar[str]
+    summary: ClassVar[str]
+    source: ClassVar[str]
+    needs: ClassVar[frozenset[str]] = frozenset()
+    stage: ClassVar[str] = (
+        "joint"  # or "base", or "measurement": an error of the instrument, never corrected on the arm
+    )
+    signs: ClassVar[str] = "any"
+    aliases: ClassVar[tuple[str, ...]] = ()
+    remedy: ClassVar[str] = ""
+    empirical: ClassVar[bool] = False
+    at_joints: ClassVar[bool] = True
+    learned: ClassVar[bool] = False
+    supple: ClassVar[bool] = False
+    nuisance: ClassVar[bool] = False
+    changes_loads: ClassVar[bool] = False
+    reads: ClassVar[tuple[tuple[str, tuple[int, ...]], ...]] = ()
+    counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents
+
+    joints: tuple[int, ...] | None = option(None, "Joints it acts on, from 1; null: all that it can act on.")
+
+    def __post_init__(self) -> None:
+        if self.joints is None:
+            return
+        if not self.at_joints:
+            raise OptionError(f"{self.id} does not act at joints: leave joints out.", effect=self.id)
+        if not self.joints or len(set(self.joints)) < len(self.joints):
+            raise OptionError(f"{self.id} needs different joints, or none named for all.", effect=self.id)
+
+    @abstractmethod
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Parameters of the effect on this robot, in the order of ``values``."""
+
+    @abstractmethod
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Local corrections and their derivatives at ``values (P,)``."""
+
+    def load_columns(self, slopes: LoadSlopes) -> tuple[int, ...]:
+        """Which load errors its parameters are, one each, of an effect that ``changes_loads``; -1 for none of these rows."""
+        return ()
+
+    def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
+        """What blurred loads leave open: independent corrections of one standard deviation each."""
+        return ()
+
+    def softened(self, batch: Batch) -> Self:
+        """The effect as it is in this batch: what a blur softens is soft without it too."""
+        return self
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Fill in what the configuration leaves open, from the robot and, where given, the rows to identify it on.
+
+        A model does this with its robot. Doing it twice changes nothing.
+
+        Raises:
+            OptionError: the effect cannot act on this robot.
+
+        """
+        return self
+
+    def acting(self, n: int) -> tuple[int, ...]:
+        """Joints the effect acts on, for an arm of n joints."""
+        return tuple(range(n)) if self.joints is None else self.joints
+
+    def missing(self, available: frozenset[str]) -> frozenset[str]:
+        """Columns the effect needs and the data do not have."""
+        return self.needs - available
+
+    def to_document(self) -> dict[str, Any]:
+        """JSON-able configuration: ``id`` and every field, joints counted from 1."""
+        shift = dict.fromkeys(self.counted, 1)
+        own = {f.name: _plain(getattr(self, f.name), shift.get(f.name, 0)) for f in fields(self)}
+        return {"id": self.id, **own}
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any]) -> Self:
+        """Build the effect from :meth:`to_document`.
+
+        Raises:
+            OptionError: a field the effect does not have, or a value it cannot take.
+
+        """
+        try:
+            shift = dict.fromkeys(cls.counted, -1)
+            return cls.made(**{k: _frozen(v, shift.get(k, 0)) for k, v in document.items() if k != "id"})
+        except (TypeError, ValueError) as error:
+            raise OptionError(f"Effect {cls.id} cannot be made of {dict(document)}: {error}", effect=cls.id) from error
+
+    @classmethod
+    def made(cls, **config: Any) -> Self:
+        """Make the effect with these options, joints from 0; an unknown one raises :class:`OptionError`."""
+        known = [f.name for f in fields(cls)]
+        for name in config:
+            if name not in known:
+                raise OptionError(f"Effect {cls.id} has no option {name!r}. It has: {', '.join(known)}.", effect=cls.id)
+        return cls(**{name: _frozen(value, 0) for name, value in config.items()})
+
+    def per_joint(
+        self,
+        robot: Robot,
+        stem: str,
+        unit: str,
+        sigma: float,
+        lower: float,
+        upper: float,
+        text: str,
+        turns: bool = False,
+    ) -> tuple[Parameter, ...]:
+        """One parameter per acting joint, named ``<stem>_<joint>``.
+
+        At a prismatic joint a unit of rad becomes one of m, unless the correction ``turns`` whatever the joint.
+        """
+        joints = self.acting(robot.n_joints)
+        self.refuse_unknown(robot, joints)
+        made = []
+        for j in joints:
+            slides = robot.joints[j].kind == "prismatic" and not turns and unit in _PRISMATIC_UNITS
+            scale = PRISMATIC_LEVER_M if slides else 1.0
+            unit_here = _PRISMATIC_UNITS[unit] if slides else unit
+            made.append(Parameter(f"{stem}_{j + 1}", unit_here, 0.0, sigma * scale, lower * scale, upper * scale, text))
+        return tuple(made)
+
+    def refuse_unknown(self, robot: Robot, joints: Iterable[int]) -> None:
+        """Raise :class:`OptionError` for a joint the robot does not have."""
+        for j in joints:
+            if not 0 <= j < robot.n_joints:
+                raise OptionError(
+                    f"Effect {self.id} names joint {j + 1}; the robot has {robot.n_joints}.", effect=self.id
+                )
+
+    def limited(self, robot: Robot, possible: Collection[int], why: str) -> Self:
+        """Act on the ``possible`` joints only.
+
+        Raises:
+            OptionError: a named joint is not among them, or there are none; the message says ``why``.
+
+        """
+        self.refuse_unknown(robot, self.joints or ())
+        refused = [j + 1 for j in self.joints or () if j not in possible]
+        if refused or not possible:
+            place = f"joint {refused[0]}" if refused else "any joint of this robot"
+            raise OptionError(f"{self.id} cannot act at {place}: {why}", effect=self.id)
+        if self.joints is not None or len(possible) == robot.n_joints:
+            return self
+        return replace(self, joints=tuple(possible))
+
+    def revolute(self, robot: Robot) -> Self:
+        """Act on revolute joints only: the effect is periodic in the angle."""
+        turning = [j for j, joint in enumerate(robot.joints) if joint.kind == "revolute"]
+        return self.limited(robot, turning, "it is periodic in an angle, and the joint slides. Name revolute joints.")
+
+    def column(self, batch: Batch, name: str) -> NDArray[Any]:
+        """Return a measured column of the batch; a missing one raises :class:`ObservationError`."""
+        found: NDArray[Any] | None = getattr(batch, name)
+        if found is None:
+            raise ObservationError(f"{self.id} needs {name}: upload {_COLUMNS[name]}.", effect=self.id, missing=[name])
+        return found
+
+    def joint_angle(self, batch: Batch, values: Floats, *signals: Floats) -> Local:
+        """Local correction ``dq_j = value * signal_j`` summed over ``signals (N, n)``; values signal by signal."""
+        acting = self.acting(batch.q.shape[1])
+        places = [(signal, j) for signal in signals for j in acting]
+        return linear(batch, values, [Derivative(k, j, dq=signal[:, j]) for k, (signal, j) in enumerate(places)])
+
+
+def soft_sign(x: Floats, width: float) -> Floats:
+    """sign(x), or tanh(x / width) when ``width`` > 0: a sign read from a noisy moment is not a step."""
+    return np.sign(x) if width <= 0.0 else np.tanh(x / width)
+
+
+# A tanh of this width, in standard deviations, rises through zero as the expectation of the sign does, erf(x / √2 σ).
+BLUR_WIDTH = math.sqrt(math.pi / 2.0)
+
+
+def width_of(softening_nm: float | tuple[float, ...], place: int, joint: int, batch: Batch, about: bool) -> float:
+    """Half-width N·m of a sign: that of the configuration (per acting joint), or of the batch's blur where it is wider."""
+    own = softening_nm[place] if isinstance(softening_nm, tuple) else softening_nm
+    return own if batch.blur is None else max(own, BLUR_WIDTH * float(batch.blur[joint, int(about)]))
+
+
+def _plain(value: Any, shift: int) -> Any:
+    """Turn tuples into lists, and count joints from ``shift``."""
+    if isinstance(value, tuple):
+        return [_plain(v, shift) for v in value]
+    return value + shift if shift and value is not None else value
+
+
+def _frozen(value: Any, shift: int) -> Any:
+    """Undo :func:`_plain`."""
+    if isinstance(value, (list, tuple)):
+        return tuple(_frozen(v, shift) for v in value)
+    return int(value) + shift if shift and value is not None else value

@@ -1,0 +1,104 @@
+"""Tilt of fixed size inside the clearance of a joint, towards the transverse load (thesis 4.10-4.14, 5.15-5.18)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import SOFTENING, Batch, Derivative, Effect, Floats, Local, option, soft_sign, width_of
+from kilter_core.errors import OptionError
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class ClearanceTilt(Effect):
+    """The joint leans by its clearance angle C about x and y of its frame.
+
+    With t = tan C and γ the share of the load about x, δα = sign(ηx) t sin γ / √(1 + (t sin γ)²) and
+    δβ = sign(ηy) t cos γ / √(1 + (t cos γ)²): L of eq. 5.17-5.18 drops out once 5.15 is corrected to r = (L/2) tan C.
+    ``share`` "thesis" is eq. 5.16, γ = (π/2)|ηx| / (|ηx| + |ηy|); "vector" is atan2(|ηx|, |ηy|), invariant when the
+    joint frame is turned about its axis. ``softening_nm`` > 0 replaces the sign by a tanh of that half-width, one
+    for all joints or one for each joint the effect acts on.
+    """
+
+    id = "clearance_tilt"
+    summary = "tilt of fixed size towards the transverse load, by joint clearance"
+    source = "thesis eq. 5.16-5.18, 5.15 corrected"
+    needs = frozenset({"moments"})
+    reads = (("wrench", (3, 4)),)
+    signs = "positive"
+    aliases = ("radial_compliance", "link_bending", "base_compliance")
+    remedy = "measure poses that turn the transverse load round the joint, or the same poses with another payload"
+
+    share: str = option(
+        "thesis",
+        "How the load is shared among x and y: `thesis` (eq. 5.16) or `vector`, whichever way the joint frame is turned.",
+        choices=("thesis", "vector"),
+    )
+    softening_nm: float | tuple[float, ...] = option(0.0, SOFTENING, low=0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.share not in ("thesis", "vector"):
+            raise OptionError(f"clearance_tilt has share {self.share!r}: give thesis or vector.", effect=self.id)
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Clearance angle C per joint, rad."""
+        return self.per_joint(
+            robot, "clearance", "rad", math.radians(0.1), 0.0, math.radians(1.0), "clearance angle C", turns=True
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Twist (0, 0, 0, δα, δβ, 0) per joint and its derivative by C."""
+        n = batch.q.shape[1]
+        xi = np.zeros((len(batch), n, 6))
+        derivatives = []
+        for k, j in enumerate(self.acting(n)):
+            across, about, _ = self._directions(batch, k, j)
+            t = math.tan(values[k])
+            dt = 1.0 + t * t
+            slope = np.zeros((len(batch), 6))
+            for column, part in ((3, across), (4, about)):
+                scale = 1.0 / np.sqrt(1.0 + (t * part) ** 2)
+                xi[:, j, column] = t * part * scale
+                slope[:, column] = dt * part * scale**3
+            derivatives.append(Derivative(k, j, xi=slope))
+        return Local(xi=xi, derivatives=tuple(derivatives))
+
+    def softened(self, batch: Batch) -> Self:
+        """The sign as soft as it is in this batch."""
+        if batch.blur is None:
+            return self
+        acting = enumerate(self.acting(batch.q.shape[1]))
+        widths = tuple(width_of(self.softening_nm, k, j, batch, about=False) for k, j in acting)
+        return replace(self, softening_nm=widths)
+
+    def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
+        """Scatter of each sign s around its expectation, √(1 − s²), times the lean."""
+        out = []
+        for k, j in enumerate(self.acting(batch.q.shape[1])):
+            if values[k] == 0.0:
+                continue
+            for column, left in zip((3, 4), self._directions(batch, k, j)[2], strict=True):
+                xi = np.zeros((len(batch), 6))
+                xi[:, column] = math.tan(values[k]) * left
+                out.append(Derivative(k, j, xi=xi))
+        return tuple(out)
+
+    def _directions(self, batch: Batch, place: int, joint: int) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
+        """Signed shares of the tilt about x and y, and how far each may be off; no load, no tilt."""
+        mx, my = batch.moment[:, joint, 0], batch.moment[:, joint, 1]
+        ax, ay = np.abs(mx), np.abs(my)
+        total = ax + ay
+        # Rounding noise must not decide where a joint without transverse load leans.
+        loaded = total > 1e-9
+        share = ax / np.where(loaded, total, 1.0)
+        gamma = share * (math.pi / 2.0) if self.share == "thesis" else np.arctan2(ax, ay)
+        width = width_of(self.softening_nm, place, joint, batch, about=False)
+        sx, sy = (np.where(loaded, soft_sign(m, width), 0.0) for m in (mx, my))
+        along, beside = np.sin(gamma), np.cos(gamma)
+        return sx * along, sy * beside, (along * np.sqrt(1.0 - sx**2), beside * np.sqrt(1.0 - sy**2))

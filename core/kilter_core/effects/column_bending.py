@@ -1,0 +1,41 @@
+"""A column or pedestal that bends with temperature: sun or a warm machine on one side of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear, option
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class ColumnBending(Effect):
+    """The base frame turns by (kx, ky, 0) (T − T0) about its origin; ``reference_c`` is T0, at which the geometry holds."""
+
+    id = "column_bending"
+    summary = "column under the arm bends with temperature"
+    source = "ISO 230-3, environmental temperature variation: a gradient across a column bends it"
+    needs = frozenset({"temperature_c"})
+    stage = "base"
+    aliases = ("thermal_drift", "zero_thermal", "thermal_growth", "drift", "settling")
+    remedy = "measure a reflector on the base cold and warm, or revisit the same poses all around cold and warm"
+    at_joints = False
+
+    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Rates kx, ky about x and y of the base frame, rad/K."""
+        return tuple(
+            Parameter(f"column_bending_{k}", "rad/K", 0.0, 1e-5, -2e-4, 2e-4, f"turn of the base about its {k}")
+            for k in "xy"
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Twist of the base and its derivatives."""
+        warmer = np.asarray(self.column(batch, "temperature_c"), dtype=np.float64) - self.reference_c
+        turns = np.zeros((2, len(batch), 6))
+        turns[0, :, 3] = turns[1, :, 4] = warmer
+        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(turns)])

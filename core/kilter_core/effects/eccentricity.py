@@ -1,0 +1,45 @@
+"""First-order error of a joint reading: an encoder disc or an output gear off its centre."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import Batch, Effect, Floats, Local
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class Eccentricity(Effect):
+    """dq = a sin q + b cos q, once per turn of the joint.
+
+    The cosine is b at q = 0 and so partly an encoder offset: separating them is the geometric fit's business.
+    """
+
+    id = "eccentricity"
+    summary = "once-per-turn error of a joint: encoder disc or output gear off centre"
+    source = "Whitney, Lozinski and Rourke 1986; Hu 2020, harmonic model of joint modules"
+    aliases = ("encoder_scale", "gravity_spring", "second_harmonic", "axial_compliance")
+    remedy = "move the joint over more than 180 degrees; repeat poses with a second payload, which it ignores"
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Act on revolute joints."""
+        return self.revolute(robot)
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Amplitudes a then b per joint, rad."""
+        sigma, wide = math.radians(0.1), math.radians(1.0)
+        return tuple(
+            p
+            for wave in ("sin", "cos")
+            for p in self.per_joint(robot, f"eccentricity_{wave}", "rad", sigma, -wide, wide, f"amplitude of {wave} q")
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivatives by a and b."""
+        return self.joint_angle(batch, values, np.sin(batch.q), np.cos(batch.q))

@@ -1,0 +1,34 @@
+"""Wind-up of the drive by its own friction, held after the joint has stopped."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from kilter_core.effects.base import Batch, Effect, Floats, Local
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class FrictionWindup(Effect):
+    """dq = k s with s the direction of the joint's last motion and |k| = friction torque over stiffness.
+
+    In position data this is the same as ``backlash`` with b = 2k: only torque can tell them apart.
+    """
+
+    id = "friction_windup"
+    summary = "wind-up of the drive by friction, on the side of the last motion"
+    source = "Seyfferth, Maghzal and Angeles 1995; Tuttle 1992, harmonic drives"
+    needs = frozenset({"direction"})
+    aliases = ("backlash", "backlash_load")
+    remedy = "the same as backlash in positions: compare motor currents, or release the joint by dither after the stop"
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Wind-up k per joint, rad."""
+        wide = math.radians(0.5)
+        return self.per_joint(robot, "windup", "rad", math.radians(0.05), -wide, wide, "wind-up k")
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivative by k."""
+        return self.joint_angle(batch, values, self.column(batch, "direction"))

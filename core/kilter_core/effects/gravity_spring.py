@@ -1,0 +1,71 @@
+"""Gravity compensator: the pull of a balancer spring bends its joint, whatever the payload."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import Batch, Effect, Floats, Local, option
+from kilter_core.errors import OptionError
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class GravitySpring(Effect):
+    """Joint compliance times the torque of a spring between two pins about the joint's axis; joint 2 unless named.
+
+    With the pins at distances a and b (``arms_m``) and the angle q + φ between them (``angle_rad`` φ), the spring is
+    s = √(a² + b² − 2ab cos(q + φ)) long and pulls with k (s − s0), s0 the ``free_length_m``. Its torque is minus the
+    slope of its energy, so dq = −w sin(q + φ) (1 − s0/s) with w = c k a b: one parameter.
+
+    Without ``arms_m`` the pins are unknown and s0 is taken as zero: dq = a sin q + b cos q, the same as eccentricity.
+    """
+
+    id = "gravity_spring"
+    summary = "torque of a balancer spring through the compliance of its joint"
+    source = "Klimchik et al. 2013, arXiv 1311.6674 and 1311.6810"
+    aliases = ("eccentricity", "encoder_scale", "axial_compliance", "second_harmonic")
+    remedy = "give the spring's pins and free length, move the joint over its whole range, add a second payload"
+
+    arms_m: tuple[float, float] | None = option(
+        None, "Distances of the spring's two pins from the axis, m; null: the effect cannot be told from eccentricity."
+    )
+    angle_rad: float = option(0.0, "Angle between the pins at q = 0, rad.")
+    free_length_m: float = option(0.0, "Length of the spring without load, m, 0 or more.", low=0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.arms_m is not None and (len(self.arms_m) != 2 or min(self.arms_m) <= 0 or len(set(self.arms_m)) == 1):
+            raise OptionError("gravity_spring needs arms_m of two different distances above 0.", effect=self.id)
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Act on joint 2, where balancers are, unless told otherwise."""
+        usual = (min(1, robot.n_joints - 1),)
+        return (self if self.joints is not None else replace(self, joints=usual)).revolute(robot)
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Amplitude w per joint; with unknown pins the amplitudes a then b of sine and cosine. All rad."""
+        sigma, wide = math.radians(0.1), math.radians(1.0)
+        if self.arms_m is not None:
+            return self.per_joint(robot, "gravity_spring", "rad", sigma, 0.0, wide, "amplitude w = c k a b")
+        return tuple(
+            p
+            for wave in ("sin", "cos")
+            for p in self.per_joint(
+                robot, f"gravity_spring_{wave}", "rad", sigma, -wide, wide, f"amplitude of {wave} q"
+            )
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivatives by the amplitudes."""
+        if self.arms_m is None:
+            return self.joint_angle(batch, values, np.sin(batch.q), np.cos(batch.q))
+        a, b = self.arms_m
+        angle = batch.q + self.angle_rad
+        length = np.sqrt(a * a + b * b - 2.0 * a * b * np.cos(angle))
+        return self.joint_angle(batch, values, -np.sin(angle) * (1.0 - self.free_length_m / length))

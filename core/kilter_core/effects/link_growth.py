@@ -1,0 +1,54 @@
+"""Growth of a single link with temperature: the one with the motor in it, or the one of plastic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import Batch, Derivative, Effect, Floats, Local, linear, option
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+SHORTEST_M = 1e-6
+
+
+@dataclass(frozen=True)
+class LinkGrowth(Effect):
+    """The link after joint i grows by α (T − T0) of its length, the others do not; ``reference_c`` is T0.
+
+    All links alike are ``thermal_growth``, which also takes the column under the first joint with it.
+    """
+
+    id = "link_growth"
+    summary = "one link grows with temperature"
+    source = "linear expansion; Yin et al. 2014: links beside motors warm up alone"
+    needs = frozenset({"temperature_c"})
+    signs = "positive"
+    aliases = ("thermal_growth", "zero_thermal", "drift")
+    remedy = "revisit the same poses cold and warm, with the link stretched out and turned back"
+
+    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Act on the links that have a length."""
+        lengths = np.linalg.norm(robot.chain.link_vectors[:-1], axis=1)
+        long = [int(j) for j in np.flatnonzero(lengths > SHORTEST_M)]
+        return self.limited(robot, long, "its link has no length. Name the joint before a long link.")
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Coefficient of expansion α per link, 1/K; steel has 12e-6, aluminium 23e-6."""
+        text = "coefficient of expansion of the link after this joint"
+        return self.per_joint(robot, "link_expansion", "1/K", 2e-5, 0.0, 1e-4, text)
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Shift of each joint's frame along its link, and the derivative."""
+        warmer = np.asarray(self.column(batch, "temperature_c"), dtype=np.float64) - self.reference_c
+        derivatives = []
+        for k, j in enumerate(self.acting(batch.q.shape[1])):
+            xi = np.zeros((len(batch), 6))
+            xi[:, :3] = warmer[:, None] * batch.link_vectors[j]
+            derivatives.append(Derivative(k, j, xi=xi))
+        return linear(batch, values, derivatives)

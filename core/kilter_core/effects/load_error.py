@@ -1,0 +1,88 @@
+"""Masses and centres of the links and of the payload that are not quite as stated: what all load effects read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import Batch, Effect, Floats, Local, option
+from kilter_core.load_slopes import NO_COLUMNS, LoadSlopes, weighed
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.robot import CENTRE_M, MASS_SHARE, Link, Robot
+
+
+@dataclass(frozen=True)
+class LoadError(Effect):
+    """The static load is linear in mass m and first moment m c of each body; the other effects read the changed loads.
+
+    Of each link with a mass: mass beyond what was stated, at the stated centre, and first moment beyond. Of the payload,
+    in rows that carry one: mass and shift of its place. ``payload_kg`` is the mean payload of the rows it is identified
+    on, which scales the prior of its mass; 0 leaves the payload as stated. Priors are those of the robot.
+    """
+
+    id = "load_error"
+    summary = "masses and centres of links and payload not as stated, seen through the effects that follow loads"
+    source = "thesis eq. 4.21, linear in mass and first moment"
+    needs = frozenset({"moments"})
+    aliases = ("payload_error",)
+    remedy = "weigh the payload, measure poses with another one, or state how well the masses are known"
+    at_joints = False
+    nuisance = True
+    changes_loads = True
+
+    payload_kg: float = option(
+        0.0, "Mean payload of the rows, kg, which scales the prior of its mass; 0: the payload is as stated.", low=0.0
+    )
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Take the mean payload from the rows."""
+        if self.payload_kg > 0.0 or rows is None or rows.payload_kg is None or not np.any(rows.payload_kg > 0.0):
+            return self
+        return replace(self, payload_kg=float(np.mean(rows.payload_kg[rows.payload_kg > 0.0])))
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Mass (kg) and first moment (kg m) of each link with a mass, then mass (kg) and place (m) of the payload."""
+        out = [p for k in weighed(robot) for p in _of_link(k + 1, robot.links[k])]
+        return (*out, *self._of_payload(robot))
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Nothing of its own."""
+        return Local()
+
+    def load_columns(self, slopes: LoadSlopes) -> tuple[int, ...]:
+        """All load errors, in their order."""
+        links = tuple(range(len(slopes) - len(slopes.payload)))
+        return links + ((slopes.payload or NO_COLUMNS) if self.payload_kg > 0.0 else ())
+
+    def _of_payload(self, robot: Robot) -> tuple[Parameter, ...]:
+        if not self.payload_kg > 0.0:
+            return ()
+        share, centre = robot.payload_sigma
+        most = 10.0 * self.payload_kg
+        mass = Parameter(
+            "load_payload_mass",
+            "kg",
+            0.0,
+            share * self.payload_kg,
+            -most,
+            most,
+            "mass of the payload beyond what was stated",
+        )
+        text = "centre of the payload beyond what was stated, along tool "
+        return (mass, *(Parameter(f"load_payload_{k}", "m", 0.0, centre, -0.3, 0.3, text + k) for k in "xyz"))
+
+
+def _of_link(number: int, link: Link) -> tuple[Parameter, ...]:
+    mass = MASS_SHARE * link.mass if link.mass_sigma is None else link.mass_sigma
+    moment = link.mass * (CENTRE_M if link.com_sigma is None else link.com_sigma)
+    text = f"mass of link {number} beyond what was stated"
+    first = f"first moment of link {number} beyond what was stated, along its "
+    return (
+        Parameter(f"link_mass_{number}", "kg", 0.0, mass, -link.mass, link.mass, text),
+        *(
+            Parameter(f"link_moment_{k}_{number}", "kg m", 0.0, moment, -link.mass, link.mass, first + k) for k in "xyz"
+        ),
+    )  # fmt: skip

@@ -1,0 +1,41 @@
+"""A joint reading that changes when the joint tilts: an encoder whose head and disc lean towards each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_core.effects.base import Batch, Effect, Floats, Local
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class ReadingTilt(Effect):
+    """dq = kx ηx + ky ηy: the joint leans in proportion to the load across it, and its encoder reads part of that as turn.
+
+    The thesis leaves open how tilting changes the readings; to first order a head at a fixed place of the joint sees
+    one component of the lean, whose direction kx and ky give.
+    """
+
+    id = "reading_tilt"
+    summary = "encoder reads the tilt of its own joint as rotation"
+    source = (
+        "thesis, future work: encoder readings affected by the tilt of the joint; first order in the load across it"
+    )
+    needs = frozenset({"moments"})
+    reads = (("wrench", (3, 4)),)
+    aliases = ("axial_compliance", "radial_compliance", "clearance_tilt", "eccentricity")
+    remedy = "put a second encoder head opposite the first: the mean of both does not see the tilt"
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Sensitivities kx, then ky per joint, rad/(N m) (m/N m for a prismatic joint)."""
+        text = "reading by the load moment about "
+        return tuple(
+            p
+            for k in "xy"
+            for p in self.per_joint(robot, f"reading_tilt_{k}", "rad/(N m)", 3e-5, -5e-3, 5e-3, text + k)
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivatives by kx and ky."""
+        return self.joint_angle(batch, values, batch.moment[:, :, 0], batch.moment[:, :, 1])

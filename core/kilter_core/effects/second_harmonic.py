@@ -1,0 +1,44 @@
+"""Second-order error of a joint reading: a coupling, an oval gear or bearing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import Batch, Effect, Floats, Local
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class SecondHarmonic(Effect):
+    """dq = a sin 2q + b cos 2q, twice per turn of the joint."""
+
+    id = "second_harmonic"
+    summary = "twice-per-turn error of a joint: coupling or ovality"
+    source = "Whitney, Lozinski and Rourke 1986; Hu 2020, harmonic model of joint modules"
+    aliases = ("eccentricity", "encoder_scale", "gravity_spring")
+    remedy = "move the joint over more than 180 degrees: on a short range it looks like the first harmonic"
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Act on revolute joints."""
+        return self.revolute(robot)
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Amplitudes a then b per joint, rad."""
+        sigma, wide = math.radians(0.05), math.radians(0.5)
+        return tuple(
+            p
+            for wave in ("sin", "cos")
+            for p in self.per_joint(
+                robot, f"second_harmonic_{wave}", "rad", sigma, -wide, wide, f"amplitude of {wave} 2q"
+            )
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivatives by a and b."""
+        return self.joint_angle(batch, values, np.sin(2.0 * batch.q), np.cos(2.0 * batch.q))

@@ -1,0 +1,71 @@
+"""Tool point that sits elsewhere in every session: markers or reflector put on anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import TOOL, Batch, Derivative, Effect, Floats, Local, linear, option
+from kilter_core.errors import OptionError
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class SessionShift(Effect):
+    """A constant translation of the tool point, in the tool frame, for each of the ``sessions`` after the first.
+
+    The first session is the reference, as is any session that is not named.
+    """
+
+    id = "session_shift"
+    summary = "markers or reflector shifted between sessions"
+    source = "marker misplacement: constant in the tool frame per session"
+    needs = frozenset({"session"})
+    stage = "measurement"
+    aliases = ("drift",)
+    remedy = "repeat some poses of the first session in every other one, with a session number in every row"
+    at_joints = False
+
+    sessions: tuple[int, ...] = option(
+        (), "Session numbers, the reference first; a session that is not named counts as the reference."
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "sessions", tuple(int(code) for code in self.sessions))
+        if len(self.sessions) == 1 or len(set(self.sessions)) < len(self.sessions):
+            raise OptionError("session_shift needs two or more different sessions.", effect=self.id)
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Take the sessions from the rows, in ascending order."""
+        if self.sessions or rows is None or rows.session is None:
+            return self
+        return replace(self, sessions=tuple(np.unique(rows.session).tolist()))
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Shift along x, y, z of the tool frame per later session, m.
+
+        Raises:
+            OptionError: no sessions are known.
+
+        """
+        if not self.sessions:
+            raise OptionError(
+                "session_shift needs sessions: upload a session in every row, or give the session numbers.",
+                effect=self.id,
+            )
+        return tuple(
+            Parameter(f"session_{code}_{k}", "m", 0.0, 1e-3, -0.01, 0.01, f"shift of the tool in session {code}, {k}")
+            for code in self.sessions[1:]
+            for k in "xyz"
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Twist of the tool and its derivatives by the shifts."""
+        session = self.column(batch, "session")
+        shifts = [axis * (session == code)[:, None] for code in self.sessions[1:] for axis in np.eye(6)[:3]]
+        return linear(batch, values, [Derivative(k, TOOL, xi=xi) for k, xi in enumerate(shifts)])

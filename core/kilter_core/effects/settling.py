@@ -1,0 +1,85 @@
+"""Exponential settling of the base or of the instrument: after start-up, after a move, after the sun comes in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear, option
+from kilter_core.errors import OptionError
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+USUAL = 0.2  # of the campaign, when no time constant is given
+SHARES = (0.07, 0.14, 0.27, 0.52)  # of the campaign: nearer ones look alike
+TWIST = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))
+
+
+@dataclass(frozen=True)
+class Settling(Effect):
+    """The base frame moves by a twist times 1 − exp(−(t − t0)/τ), in its own axes.
+
+    ``tau_s`` is τ, a fifth of the rows' time when not given; a gap job tries several. ``t0_s`` is when the base stands
+    where the geometry says; without it the first row's time, once rows are known.
+    """
+
+    id = "settling"
+    summary = "base or instrument settles exponentially"
+    source = "ISO 230-3, thermal distortion after start-up: first-order response; ISO 9283, drift"
+    needs = frozenset({"t"})
+    stage = "base"
+    aliases = ("drift", "random_walk", "zero_drift", "session_shift")
+    remedy = "revisit a reference pose often at the beginning, and let robot and instrument warm up first"
+    at_joints = False
+
+    tau_s: float | None = option(None, "Time constant, s, above 0; null: a fifth of the rows' time.", above=0.0)
+    t0_s: float | None = option(None, "When it began, s on the clock of the rows; null: the earliest row.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.tau_s is not None and not self.tau_s > 0.0:
+            raise OptionError(f"settling has tau_s {self.tau_s!r}: give a time in s above 0.", effect=self.id)
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Start at the earliest row, with a time constant in proportion to the rows' time."""
+        if rows is None or rows.t is None or not len(rows) or None not in (self.tau_s, self.t0_s):
+            return self
+        first, span = float(np.min(rows.t)), float(np.ptp(rows.t))
+        tau = self.tau_s if self.tau_s is not None else time_constants(span, (USUAL,))[0]
+        return replace(self, tau_s=tau, t0_s=first if self.t0_s is None else self.t0_s)
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """What is left to settle at t0 along x, y, z, m, and about them, rad; named with τ, for a model may have several.
+
+        Raises:
+            OptionError: no time constant, and no rows to take it from.
+
+        """
+        if self.tau_s is None:
+            raise OptionError(
+                "settling needs tau_s: give the time constant in s, or rows with t_s to take it from.", effect=self.id
+            )
+        stem = f"settling_{self.tau_s:g}s"
+        return tuple(
+            Parameter(f"{stem}_{k}", unit, 0.0, 2e-4, -5e-3, 5e-3, f"settling of the base's {k}") for k, unit in TWIST
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Twist of the base and its derivatives by the amounts."""
+        t = np.asarray(self.column(batch, "t"), dtype=np.float64)
+        if self.t0_s is None or self.tau_s is None:
+            raise OptionError(
+                "settling needs t0_s and tau_s: give when it began, and its time constant.", effect=self.id
+            )
+        settled = -np.expm1(-np.maximum(t - self.t0_s, 0.0) / self.tau_s)
+        moved = np.eye(6)[:, None, :] * settled[:, None]
+        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
+
+
+def time_constants(span_s: float, shares: tuple[float, ...] = SHARES) -> tuple[float, ...]:
+    """Time constants for rows over ``span_s``, in two digits, so that names of parameters stay short."""
+    found = (float(f"{share * span_s:.2g}") for share in shares)
+    return tuple(dict.fromkeys(tau if tau > 0.0 else 1.0 for tau in found))

@@ -1,0 +1,85 @@
+"""Sag of the tool, of a gripper or of a reflector's adapter, under what the tool carries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import Batch, Derivative, Effect, Floats, Local, linear, option
+from kilter_core.errors import OptionError
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.robot import STANDARD_GRAVITY, Robot
+
+
+@dataclass(frozen=True)
+class ToolSag(Effect):
+    """The tool moves, without turning, by s F/g across its axis: F is the weight of the payload, g standard gravity.
+
+    ``axis`` is the tool's z in the frame of the last joint, from the robot: along it the adapter is stiff. The force is
+    the one on the end of the last link, so it holds inertia and measured forces where the rows have them.
+    """
+
+    id = "tool_sag"
+    summary = "tool or adapter sags under the payload"
+    source = "Euler-Bernoulli cantilever, deflection of its end in proportion to the load"
+    needs = frozenset({"moments", "payload_kg"})
+    signs = "positive"
+    aliases = ("link_bending", "radial_compliance", "axial_compliance")
+    remedy = "measure two loads with the tool pointing sideways and down, or a reflector on the flange besides"
+    at_joints = False
+    reads = (("end_wrench", (0, 1, 2)),)
+
+    axis: tuple[float, ...] | None = option(
+        None, "The tool's z in the frame of the last joint, along which nothing sags; null: from the robot."
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.axis is not None and (len(self.axis) != 3 or not np.linalg.norm(self.axis) > 0.0):
+            raise OptionError(f"tool_sag has axis {self.axis!r}: give three numbers, not all 0.", effect=self.id)
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Find the tool's axis in the frame of the last joint."""
+        if self.axis is not None:
+            return self
+        return replace(self, axis=tuple(float(x) for x in _tool_axis(robot)))
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Sag s of the tool per kilogram, m/kg."""
+        return (Parameter("sag_per_kg", "m/kg", 0.0, 1e-4, 0.0, 2e-3, "sag of the tool per kilogram of payload"),)
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Shift behind the last joint, and its derivative by s."""
+        carried = np.asarray(self.column(batch, "payload_kg"), dtype=np.float64) > 0.0
+        xi = np.zeros((len(batch), 6))
+        xi[:, :3] = carried[:, None] * (batch.end_wrench[:, -1, :3] @ sagging(self.axis or (0.0, 0.0, 1.0)))
+        return linear(batch, values, [Derivative(0, batch.q.shape[1] - 1, xi=xi)])
+
+
+def sagging(axis: tuple[float, ...]) -> Floats:
+    """Matrix (3, 3) that makes of a force N on the tool its share across the ``axis``, in kilograms."""
+    u = np.asarray(axis, dtype=np.float64)
+    u = u / np.linalg.norm(u)
+    return np.asarray((np.eye(3) - np.outer(u, u)) / STANDARD_GRAVITY)
+
+
+def _tool_axis(robot: Robot) -> Floats:
+    """z of the tool frame (3,) in the frame of the last joint: through the constants between them."""
+    chain = robot.chain
+    turn = chain.program.joint_frame[-1].T
+    for e in chain.elements[chain.primary[-1] + 1 :]:
+        if e.axis.rotates and e.joint is None:
+            turn = turn @ _turn(e.axis % 3, e.value)
+    return np.asarray(turn @ robot.T_tool[:3, 2])
+
+
+def _turn(k: int, angle: float) -> Floats:
+    a, b = (k + 1) % 3, (k + 2) % 3
+    out = np.eye(3)
+    out[a, a] = out[b, b] = np.cos(angle)
+    out[b, a] = np.sin(angle)
+    out[a, b] = -out[b, a]
+    return out

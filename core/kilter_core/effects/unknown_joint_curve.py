@@ -1,0 +1,64 @@
+"""Empirical tier: an error curve of one joint that no known effect explains. A shape, not a cause."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import Batch, Effect, Floats, Local, option
+from kilter_core.errors import OptionError
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class UnknownJointCurve(Effect):
+    """dq = Σ a_m sin mq + b_m cos mq over the ``orders`` m, plus d sin q sin q_p when there is a ``partner`` p.
+
+    Orders 1 and 2 have physical causes with names of their own. For the product alone give no orders: ``orders=()``.
+    """
+
+    id = "unknown_joint_curve"
+    summary = "error curve of a joint without a known cause"
+    source = "empirical: cyclic orders 3 to 6, and the product of the sines of two joints"
+    aliases = ("second_harmonic", "gear_error")
+    remedy = "sweep the joint alone in small steps in both directions, and look at the curve"
+    empirical = True
+    counted = ("joints", "partner")
+
+    orders: tuple[int, ...] = option((3, 4, 5, 6), "Waves per turn; empty: only the product with the partner.")
+    partner: int | None = option(None, "Joint whose angle multiplies the curve, from 1; null: none.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.partner in (self.joints or ()):
+            raise OptionError("unknown_joint_curve needs a partner other than the joint itself.", effect=self.id)
+        if not self.orders and self.partner is None:
+            raise OptionError("unknown_joint_curve needs orders, a partner, or both.", effect=self.id)
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Act on revolute joints, the partner aside."""
+        if self.partner is None:
+            return self.revolute(robot)
+        UnknownJointCurve(joints=(self.partner,)).revolute(robot)  # the partner must exist, and turn
+        chosen = UnknownJointCurve(joints=self.joints).revolute(robot).acting(robot.n_joints)
+        return replace(self, joints=tuple(j for j in chosen if j != self.partner))
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Amplitudes a_m then b_m per joint, order by order, then d; all rad."""
+        stems = [f"curve_{wave}{m}" for m in self.orders for wave in ("sin", "cos")]
+        stems += [] if self.partner is None else [f"curve_with{self.partner + 1}"]
+        sigma, wide = math.radians(0.05), math.radians(0.5)
+        made = (self.per_joint(robot, stem, "rad", sigma, -wide, wide, "empirical amplitude") for stem in stems)
+        return tuple(p for stem in made for p in stem)
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivatives by the amplitudes."""
+        signals = [wave(m * batch.q) for m in self.orders for wave in (np.sin, np.cos)]
+        if self.partner is not None:
+            signals.append(np.sin(batch.q) * np.sin(batch.q[:, [self.partner]]))
+        return self.joint_angle(batch, values, *signals)

@@ -1,0 +1,51 @@
+"""Zero of one joint that moves with time: an encoder that warms up, a belt or a clamp that creeps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kilter_core.effects.base import Batch, Effect, Floats, Local, option
+from kilter_core.errors import OptionError
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class ZeroDrift(Effect):
+    """dq = r (t − t0) per joint.
+
+    ``t0_s`` is when the zero is that of the geometry; without it the first row's time, once rows are known. At a joint
+    whose axis stands still in the base, as the first one's does, it is one of the motions of ``drift``.
+    """
+
+    id = "zero_drift"
+    summary = "zero of a joint moves with time"
+    source = "Yin et al. 2014, joint by joint warm-up: which parameters move; ISO 9283, drift of pose characteristics"
+    needs = frozenset({"t"})
+    aliases = ("drift", "zero_thermal", "settling")
+    remedy = "revisit poses during the campaign that move this joint's zero differently from the base, in random order"
+
+    t0_s: float | None = option(None, "When the zeros were right, s on the clock of the rows; null: the earliest row.")
+
+    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+        """Start at the earliest row."""
+        if self.t0_s is not None or rows is None or rows.t is None or not len(rows):
+            return self
+        return replace(self, t0_s=float(np.min(rows.t)))
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Rate r per joint, rad/s."""
+        return self.per_joint(robot, "zero_drift", "rad/s", 1e-7, -1e-5, 1e-5, "rate of the joint's zero")
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivative by the rate."""
+        t = np.asarray(self.column(batch, "t"), dtype=np.float64)
+        if self.t0_s is None:
+            raise OptionError(
+                "zero_drift needs t0_s: give the time in s at which the zeros were right.", effect=self.id
+            )
+        return self.joint_angle(batch, values, np.broadcast_to((t - self.t0_s)[:, None], batch.q.shape))

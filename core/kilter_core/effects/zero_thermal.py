@@ -1,0 +1,34 @@
+"""Zero of one joint that moves with temperature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.effects.base import Batch, Effect, Floats, Local, option
+from kilter_core.parameters import Parameter
+from kilter_core.robot import Robot
+
+
+@dataclass(frozen=True)
+class ZeroThermal(Effect):
+    """dq = k (T − T0) per joint; ``reference_c`` is T0, at which the geometry holds."""
+
+    id = "zero_thermal"
+    summary = "zero of a joint moves with temperature"
+    source = "Yin et al. 2014, warm-up of robot joints: the zeros move first"
+    needs = frozenset({"temperature_c"})
+    aliases = ("thermal_drift", "zero_drift", "column_bending", "thermal_growth", "link_growth")
+    remedy = "revisit the same poses cold and warm, with a temperature in every row"
+
+    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Rate k per joint, rad/K."""
+        return self.per_joint(robot, "zero_thermal", "rad/K", 2e-5, -5e-4, 5e-4, "zero of the joint by temperature")
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivative by k."""
+        warmer = np.asarray(self.column(batch, "temperature_c"), dtype=np.float64) - self.reference_c
+        return self.joint_angle(batch, values, np.broadcast_to(warmer[:, None], batch.q.shape))

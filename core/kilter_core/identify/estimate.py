@@ -1,0 +1,250 @@
+"""From observations to a fit: registration as the start, weights estimated from the residuals, refusals before work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import TooFewPosesError
+from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, normal_equations, solve
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.redescending import redescend
+from kilter_core.measurement import Measurement, Residual
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.registration import register
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+START_SIGMA_M = 1e-4
+START_SIGMA_RAD = 1e-3
+SMALLEST_SIGMA_M = 1e-7  # below any instrument: keeps noise-free simulations solvable
+SMALLEST_SIGMA_RAD = 1e-7
+WEIGHT_PASSES = 8
+HOLDING_PASSES = 2  # passes after which directions are only released: one at the limit would come and go for ever
+ROUGH = 0.01  # share of the loss below which a step no longer changes weights that hold to 5 %
+UNSEEN = 0.05
+PLAIN = 1e12  # square of a singular value up to which normal equations tell UNSEEN from rounding
+
+
+def registration_only(start: Calibration, measurement: Measurement, loss: str = "linear") -> Calibration:
+    """Fit only base and tool to the measurement, the chain and the effects held: what frame fitting alone can do.
+
+    A loss that lets rows go is not for an arm whose errors are not fitted: Huber's stands in.
+    """
+    options = IdentifyOptions(
+        loss=bounded(loss), fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :]
+    )
+    fit = estimate(start, measurement, options)
+    return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+
+
+def bounded(loss: str) -> str:
+    """The loss for a model that need not be right: it lets no row go."""
+    return "huber" if loss == "tukey" else loss
+
+
+def estimate(
+    start: Calibration,
+    measurement: Measurement,
+    options: IdentifyOptions,
+    progress: Progress | None = None,
+    anchor: Floats | None = None,
+) -> Fit:
+    """Fit the options' free parameters from ``start``, with base and tool registered first.
+
+    The standard deviations of points and turns are re-estimated from the residuals until they settle, unless
+    ``noise_mm`` states the first; stated per-row sigmas are kept and a common variance is added to them. Directions the
+    poses do not see stay at ``anchor (P,)``, the start's own values when None.
+
+    Raises:
+        TooFewPosesError: fewer measured numbers than free parameters; says how many poses are needed.
+
+    """
+    if options.loss == "tukey":
+        return _redescended(estimate(start, measurement, replace(options, loss="huber"), progress, anchor))
+    problem, values = prepared(start, measurement, options, anchor=anchor)
+    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    still = problem.anchor if problem.anchor is not None else values[problem.free]
+    first = fit_at(problem, values, problem.linearised(values))
+    (point_sigma, turn_sigma), held = _promised(first, stated)
+    known: Residual | None = first.residual
+    walked, rough = 0, True
+    for step in range(WEIGHT_PASSES):
+        problem = problem.reweighted(
+            Weights(_row_sigmas(measurement, point_sigma), turn_sigma), held if len(held) else None
+        )
+        fit = solve(problem, values, _iterations(progress, step), known, ROUGH if rough else 0.0)
+        walked += fit.iterations
+        values, known = fit.values, fit.residual
+        points, turns = scatter(fit)
+        blind = _promised(fit, stated)[1]
+        if len(blind) > len(held) and step >= HOLDING_PASSES:
+            blind = held
+        settled = near(points, point_sigma) and near(turns, turn_sigma) and len(blind) == len(held)
+        if settled and not rough:
+            break
+        rough = not settled and step < WEIGHT_PASSES - 2
+        if settled:  # weights and directions stay: only the end of the walk is missing
+            continue
+        point_sigma, turn_sigma = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
+        if len(blind) != len(held):
+            values, known, held = _returned(fit, blind, still), None if len(blind) else known, blind
+    return replace(fit, iterations=walked)
+
+
+def _redescended(first: Fit) -> Fit:
+    fit, found = redescend(first)
+    left_out = int(np.count_nonzero(found.weight == 0.0))
+    report = {**first.report, "rows_left_out": left_out}
+    return replace(fit, iterations=first.iterations + fit.iterations, report=report)
+
+
+def _promised(fit: Fit, stated: float | None) -> tuple[tuple[float, float], Floats]:
+    """Sigmas of points and turns that a step with nothing held promises, and the directions blind at that scatter.
+
+    Directions are held from the start: along them base, tool and chain trade the same motion on a curved path that no
+    step follows far. What counts is the scatter that would be left without holding any: by the scatter of the fit itself
+    what is held would decide what is held.
+    """
+    problem, values = fit.problem, fit.values
+    here = problem.linearised(values, fit.residual)
+    H, g = normal_equations(problem, values, here)
+    step = np.linalg.solve(H, g)
+    moved = values.copy()
+    moved[problem.free] += step * problem.prior_sigma
+    points, turns = scatter(fit_at(problem, moved, problem.beyond(here, moved, step * problem.prior_sigma)))
+    points, turns = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
+    problem = problem.reweighted(Weights(_row_sigmas(problem.measurement, points), turns), None)
+    return (points, turns), blind_directions(fit_at(problem, values, problem.linearised(values, fit.residual)))
+
+
+def prepared(
+    start: Calibration,
+    measurement: Measurement,
+    options: IdentifyOptions,
+    *,
+    registered: bool = False,
+    anchor: Floats | None = None,
+) -> tuple[Problem, Floats]:
+    """The problem with first weights, base and tool registered (unless they are), and the values (P,) to start from.
+
+    Raises:
+        TooFewPosesError: fewer measured numbers than free parameters.
+
+    """
+    model, values = start.model.folded(start.values)
+    free = options.free_parameters(
+        model, sees_orientation=measurement.sees_orientation, sees_base=measurement.sees_base
+    )
+    if not registered:
+        refuse_too_few(model, measurement, free)
+        model = model.in_frames(*_start_frames(model, values, measurement, options, free))
+    sigma = START_SIGMA_M if options.noise_mm is None else options.noise_mm * 1e-3
+    weights = Weights(_row_sigmas(measurement, sigma), START_SIGMA_RAD)
+    still = (values if anchor is None else anchor)[free]
+    return Problem(model, measurement, free, weights, options.loss, None, still), values
+
+
+def _start_frames(
+    model: RobotModel, values: Floats, measurement: Measurement, options: IdentifyOptions, free: NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Base and tool (4, 4) to start from. Where the base has no place its registration still finds the tool."""
+    o, tool = measurement.observations, _any(model, free, "tool_")
+    if o.position is None and o.markers is None:
+        return model.T_base, model.T_tool
+    if not measurement.sees_base:
+        return model.T_base, register(model, values, measurement, tool=tool)[1]
+    return register(model, values, measurement, base=options.base == "free" and _any(model, free, "base_"), tool=tool)
+
+
+def weights_of(fit: Fit, options: IdentifyOptions) -> Weights:
+    """Weights that the residuals of a fit call for; ``noise_mm`` states that of the points."""
+    points, turns = scatter(fit)
+    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    sigma = stated or max(points, SMALLEST_SIGMA_M)
+    return Weights(_row_sigmas(fit.problem.measurement, sigma), max(turns, SMALLEST_SIGMA_RAD))
+
+
+def blind_directions(fit: Fit) -> Floats:
+    """Directions (K, F), in prior sigmas, whose move by one sigma stays below ``UNSEEN`` of the scatter of each residual.
+
+    What is left unexplained is structured, so it does not average out over rows: a fit that follows it along such a
+    direction gains nothing that can be measured and spoils what was not. (UR10 with the tool point on axis 6: positions
+    alone turned the wrist by degrees.)
+    """
+    scaled = fit.J * fit.problem.prior_sigma
+    squares, V = np.linalg.eigh(scaled.T @ scaled)
+    if squares[-1] < PLAIN:
+        s, Vt = np.sqrt(np.maximum(squares, 0.0)), V.T
+    else:
+        R = np.linalg.qr(scaled, mode="r") if len(scaled) > scaled.shape[1] else scaled
+        _, s, Vt = np.linalg.svd(R, full_matrices=True)
+        s = np.concatenate([s, np.zeros(scaled.shape[1] - len(s))])
+    return np.asarray(Vt[s < UNSEEN * math.sqrt(fit.problem.measurement.scalars())])
+
+
+def _returned(fit: Fit, blind: Floats, anchor: Floats) -> Floats:
+    """Values of the fit with the blind directions put back where they started."""
+    values = fit.values.copy()
+    moved = (values[fit.problem.free] - anchor) / fit.problem.prior_sigma
+    values[fit.problem.free] -= (blind.T @ (blind @ moved)) * fit.problem.prior_sigma
+    return values
+
+
+def refuse_too_few(model: RobotModel, measurement: Measurement, free: NDArray[np.int64]) -> None:
+    """Raise :class:`TooFewPosesError` unless the distinct poses give at least as many numbers as there are unknowns."""
+    poses, numbers = int(measurement.observations.pose_groups().max()) + 1, measurement.numbers()
+    needed = poses + math.ceil((len(free) - numbers) / measurement.each)
+    if numbers < len(free):
+        raise TooFewPosesError(
+            f"{poses} distinct poses give {numbers} numbers for {len(free)} free parameters: at least {needed} poses "
+            "are needed, and several times that for a result to trust. Measure more, or fix parameters (level 1, fix).",
+            poses=poses,
+            needed=needed,
+            free=len(free),
+        )
+
+
+def _any(model: RobotModel, free: NDArray[np.int64], prefix: str) -> bool:
+    return any(model.names[k].startswith(prefix) for k in free)
+
+
+def _row_sigmas(measurement: Measurement, common: float) -> float | Floats:
+    sigma = measurement.observations.sigma
+    if sigma is None or measurement.marker_points is not None or not measurement.sees_base:
+        return common
+    extra = max(common**2 - float(np.mean(sigma**2)), SMALLEST_SIGMA_M**2)
+    return np.asarray(np.sqrt(sigma**2 + extra)[:, None, :])
+
+
+def scatter(fit: Fit) -> tuple[float, float]:
+    """Standard deviations (m, rad) of points and turns after the fit, corrected for the parameters used."""
+    problem, residual = fit.problem, fit.residual
+    count = problem.measurement.scalars()
+    freedom = max(count - fit.effective, 1.0) / count
+    points = residual.points[~np.isnan(residual.points)]
+    # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
+    robust, plain = np.median(np.abs(points)) / 0.6745, np.sqrt(np.mean(points**2))
+    size = float(robust if problem.loss != "linear" else plain) * math.sqrt(problem.measurement.redundancy)
+    turns = 0.0 if residual.turns is None else float(np.sqrt(np.mean(residual.turns**2)))
+    return size / math.sqrt(freedom), turns / math.sqrt(freedom)
+
+
+def near(new: float, old: float) -> bool:
+    """Whether a standard deviation has settled to 5 %."""
+    return new == 0.0 or abs(math.log(new / old)) < 0.05
+
+
+def _iterations(progress: Progress | None, step: int) -> Callable[[int, float], None] | None:
+    if progress is None:
+        return None
+
+    def report(iteration: int, cost: float) -> None:
+        progress(1.0 - 0.7**iteration, f"fit {step + 1}, iteration {iteration}")
+
+    return report

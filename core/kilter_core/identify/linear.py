@@ -1,0 +1,37 @@
+"""One stacked linear solve (thesis eq. 2.9 and 3.5 with all poses at once), and what the linearisation missed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kilter_core.identify.estimate import Progress, prepared, weights_of
+from kilter_core.identify.least_squares import Fit, fit_at, normal_equations
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration
+
+
+def linear_least_squares(
+    start: Calibration, measurement: Measurement, options: IdentifyOptions, progress: Progress | None = None
+) -> Fit:
+    """Solve the problem linearised at the start, within the priors, once; base and tool are registered first.
+
+    ``linear_error`` in the report is what the linearisation missed: the largest change of a residual, in its standard
+    deviations, between what the linear step promised and what the model then says.
+    """
+    problem, values = prepared(start, measurement, options)
+    here = problem.linearised(values)
+    H, g = normal_equations(problem, values, here)
+    step = np.linalg.solve(H, g) * problem.prior_sigma
+    values[problem.free] += step
+    promised = problem.beyond(here, values, step)
+    first = fit_at(problem, values, problem.linearised(values), 1)
+    problem = problem.reweighted(weights_of(first, options), None)
+    fit = fit_at(problem, values, problem.linearised(values, first.residual), 1)
+    missed = first.residual.points - promised.residual.points
+    size = float(np.nanmax(np.abs(missed / problem.weights.points), initial=0.0))
+    if progress is not None:
+        progress(1.0, "solved")
+    return replace(fit, report={"linear_error": size})

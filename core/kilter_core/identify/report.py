@@ -1,0 +1,186 @@
+"""An identification in the units people read, with what it could not tell said in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.identifiability import NullDirection, identifiable
+from kilter_core.identify.intervals import Intervals
+from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.noise import Repeats
+from kilter_core.identify.spread import spread_of
+from kilter_core.marker_checks import bending
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.observations import Observations
+from kilter_core.transforms import xyz_rpy_from_pose
+
+Floats = NDArray[np.float64]
+
+WIRE = {
+    "m": ("mm", 1e3),
+    "rad": ("deg", 180.0 / math.pi),
+    "rad/(N m)": ("deg/(N m)", 180.0 / math.pi),
+    "m/N": ("mm/N", 1e3),
+}
+LARGE = 0.01  # share of the workspace left after the fit that is worth a warning
+STILL_RAD = 1e-6  # a joint whose readings stay within this never moved
+
+
+def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | None = None) -> list[dict[str, Any]]:
+    """Every free parameter as {name, value, nominal, unit, sigma, identifiable, plausible} in mm and degrees.
+
+    Base and tool are given as x, y, z and rx, ry, rz of the whole frame (URDF order Rz Ry Rx); their sigmas are those
+    of small increments along the frame's own axes. ``intervals`` add lower and upper.
+    """
+    model = calibration.model
+    blind = blind_names(fit.problem.model, fit.problem.measurement.observations)
+    known = identifiable(fit.sigma, fit.problem.prior_sigma) & ~np.isin(fit.names, list(blind))
+    rows = rows_of(calibration, fit.names, fit.sigma, known)
+    if intervals is not None:
+        ends = zip(rows, intervals.lower, intervals.upper, intervals.stands_in, strict=True)
+        for row, below, above, stands_in in ends:
+            scale = WIRE.get(model.parameter(row["name"]).unit, ("", 1.0))[1]
+            row["lower"], row["upper"] = row["value"] + float(below) * scale, row["value"] + float(above) * scale
+            row["interval_from"] = "sigma" if stands_in else intervals.kind
+    return rows
+
+
+def rows_of(
+    calibration: Calibration, names: Sequence[str], sigma: Floats, known: NDArray[np.bool_]
+) -> list[dict[str, Any]]:
+    """One row for each of the parameters ``names``, with its ``sigma (F,)`` SI and whether it is ``known (F,)``."""
+    values, nominal = _absolute(calibration), _nominal(calibration)
+    rows: list[dict[str, Any]] = []
+    for name, spread, seen in zip(names, sigma, known, strict=True):
+        parameter = calibration.model.parameter(name)
+        unit, scale = WIRE.get(parameter.unit, (parameter.unit, 1.0))
+        rows.append({
+            "name": name,
+            "value": values[name] * scale,
+            "nominal": nominal[name] * scale,
+            "unit": unit,
+            "sigma": float(spread) * scale,
+            "identifiable": bool(seen),
+            "plausible": parameter.plausible(values[name]),
+        })  # fmt: skip
+    return rows
+
+
+def null_rows(directions: Sequence[NullDirection]) -> list[dict[str, Any]]:
+    """Directions that the data cannot tell, in words and by their members."""
+    return [
+        {
+            "parameters": [{"name": name, "weight": weight} for name, weight in d.weights],
+            "structural": d.structural,
+            "sentence": d.sentence(),
+        }
+        for d in directions
+    ]
+
+
+def warnings_of(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[dict[str, Any]]:
+    """What a metrologist should know before trusting the result."""
+    for j in still_joints(train):
+        name = fit.problem.model.robot.joints[j].name
+        yield {
+            "code": "joint_never_moves",
+            "joint": name,
+            "message": f"Joint {name} never moves: nothing about it can be identified. Vary it, or fix its parameters.",
+        }
+    spread = spread_of(fit)
+    if spread is not None and spread.too_alike:
+        yield {
+            "code": "poses_ill_conditioned",
+            "here_mm": spread.here * 1e3,
+            "elsewhere_mm": spread.elsewhere * 1e3,
+            "message": f"The result knows the tool to {spread.here * 1e3:.3g} mm in these poses but only to "
+            f"{spread.elsewhere * 1e3:.3g} mm over the joint limits: the poses are too alike ({spread.narrow} used "
+            f"{spread.used:.0%} of its range). Measure poses that spread all joints (`kilter plan --purpose identify`), or "
+            "use the result near these poses only.",
+        }
+    if fit.problem.measurement.sees_base and (train.position is not None or train.markers is not None):
+        points = fit.problem.model.predict(fit.problem.batch, fit.values).position
+        yield from large_residual(_rms(fit.residual.points), points)
+    bent = None if train.markers is None else bending(train.markers, repeats.shots or repeats.between)
+    if bent is not None:
+        yield {
+            "code": "markers_not_rigid",
+            "markers": list(bent[:2]),
+            "message": f"The distance of markers {bent[0]} and {bent[1]} varies by {bent[2] * 1e3:.2f} mm (standard "
+            "deviation): the set bends, or one of them is loose. Fasten them; until then errors below that mean little.",
+        }
+    if repeats.between is None:
+        only = "No pose was repeated" if repeats.shots is None else (
+            "Poses were only shot several times without motion between, which does not show how the arm comes to rest"
+        )  # fmt: skip
+        yield {
+            "code": "no_repeats",
+            "message": f"{only}, so the noise is that of the fit itself, model errors included. "
+            "Come back to a few poses to know what cannot be predicted.",
+        }
+    if len(repeats.wrong):
+        yield {
+            "code": "repeats_differ",
+            "rows": (repeats.wrong + 1).tolist(),
+            "message": f"{len(repeats.wrong)} rows stand too far from the repeats of their pose to be noise; the first is row "
+            f"{repeats.wrong[0] + 1} of the rows fitted. Remove them, or identify with loss tukey, which lets wrong rows go.",
+        }
+    loaded = [e.id for e in fit.problem.model.effects if "moments" in e.needs]
+    if loaded and not np.any(fit.problem.batch.wrench):
+        yield {
+            "code": "no_load",
+            "message": f"{', '.join(loaded)} need load moments, but neither link masses nor a payload are known: "
+            "give links with mass_kg and com_mm, or payload_kg.",
+        }
+
+
+def large_residual(rms_m: float, points: Floats) -> Iterator[dict[str, Any]]:
+    """Say when much of the error is left, measured against the workspace: what that comes from it does not know."""
+    spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+    if rms_m > LARGE * spread:
+        yield {
+            "code": "large_residual",
+            "message": f"{rms_m * 1e3:.3g} mm are left over a workspace of {spread * 1e3:.3g} mm. No swapped, turned round or "
+            "otherwise read joints, no unit and no change of tool explain that; the geometry as drawn, loads or poor "
+            "measurements may. Check the robot's drawing, and look for what is missing with `kilter gap`.",
+        }
+
+
+def still_joints(observations: Observations) -> list[int]:
+    """Joints whose reading never changes."""
+    return [int(j) for j in np.flatnonzero(np.ptp(observations.q, axis=0) < STILL_RAD)]
+
+
+def _rms(points: Floats) -> float:
+    """Rms size of errors (N, m, 3), unseen markers left out."""
+    return float(np.sqrt(np.nanmean(np.sum(points**2, axis=-1))))
+
+
+def blind_names(model: RobotModel, observations: Observations) -> Iterator[str]:
+    """Parameters of the joint elements that never move: their columns alias their neighbours'."""
+    still = set(still_joints(observations))
+    for e in model.robot.chain.elements:
+        if e.joint in still and e.name:
+            yield e.name
+
+
+def _absolute(calibration: Calibration) -> dict[str, float]:
+    model = calibration.model
+    values = dict(zip(calibration.names, (float(v) for v in calibration.values), strict=True))
+    return values | _frame("base", model.T_base) | _frame("tool", model.T_tool)
+
+
+def _nominal(calibration: Calibration) -> dict[str, float]:
+    robot = calibration.robot
+    values = {p.name: p.value for p in calibration.model.parameters}
+    return values | _frame("base", robot.T_base) | _frame("tool", robot.T_tool)
+
+
+def _frame(which: str, T: Floats) -> dict[str, float]:
+    xyz, rpy = xyz_rpy_from_pose(T)
+    return dict(zip([f"{which}_{k}" for k in ("x", "y", "z", "rx", "ry", "rz")], map(float, [*xyz, *rpy]), strict=True))

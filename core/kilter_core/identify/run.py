@@ -1,0 +1,322 @@
+"""An identification from start to report: registration only, the fit, the held-out truth about both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import ObservationError
+from kilter_core.identifiability import NullDirection, null_directions
+from kilter_core.identify.clustered import clustered
+from kilter_core.identify.holdout import Folds, fold_splits, split
+from kilter_core.identify.influence import influence_of
+from kilter_core.identify.intervals import Intervals, bootstrap, profile
+from kilter_core.identify.kalman import Prior
+from kilter_core.identify.learned import Learned, gated
+from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.marker_turns import refuse_feigned_turns
+from kilter_core.identify.methods import fit_by_method
+from kilter_core.identify.noise import Repeats
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.plausibility import refuse_foreign
+from kilter_core.identify.predictive import Predictive, left_of, predictive
+from kilter_core.identify.redescending import set_aside
+from kilter_core.identify.reference import named, refuse_contradicted, registered, wanted_frames
+from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
+from kilter_core.identify.row_errors import RowErrors
+from kilter_core.identify.seeing import seen
+from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
+from kilter_core.identify.worse import PoseErrors, geometry_alone
+from kilter_core.load_model import far_from_stated, load_rows
+from kilter_core.measurement import Measurement
+from kilter_core.metrics import Errors, metrics_document
+from kilter_core.model import Calibration
+from kilter_core.observability import correlated_groups, observability
+from kilter_core.observations import Observations
+from kilter_core.robot import Robot
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Progress = Callable[[float, str], None]
+Validation = Observations | float | Folds | None
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Result of :func:`identify`; ``metrics`` as in the contract, ``covariance (F, F)`` SI."""
+
+    calibration: Calibration
+    fit: Fit
+    metrics: dict[str, Any]
+    noise_m: float
+    noise_source: str
+    repeats: Repeats
+    predictive: Predictive
+    null_directions: tuple[NullDirection, ...]
+    warnings: tuple[dict[str, Any], ...]
+    method: str = "least_squares"
+    influence: list[dict[str, Any]] | None = None
+    intervals: Intervals | None = None
+    learned: Learned | None = None
+    own_frames: tuple[OwnFrame, ...] = ()
+    inside: Ints | None = None  # rows of those given that were fitted, all when None
+    fitted_rows: RowErrors | None = None
+    held_rows: RowErrors | None = None  # of the validation when that is rows of its own, else of those given
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Standard deviations (m, rad) of points and turns by which residuals were weighed."""
+        return float(np.mean(self.fit.problem.weights.points)), float(np.mean(self.fit.problem.weights.turns))
+
+    @property
+    def set_aside(self) -> list[dict[str, Any]]:
+        """Rows of those given, counted from 0, that count less than half in the fit."""
+        found = set_aside(self.fit)
+        return found if self.inside is None else [{**one, "row": int(self.inside[one["row"]])} for one in found]
+
+    @property
+    def load_model(self) -> list[dict[str, Any]]:
+        """Masses and centres as stated and as found, where load errors were carried."""
+        return load_rows(self.calibration, self.fit.names, self.fit.sigma, self.fit.problem.prior_sigma)
+
+    @property
+    def covariance(self) -> Floats:
+        """Posterior covariance of the free parameters, SI."""
+        return self.fit.covariance
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in the order of the covariance."""
+        return self.fit.names
+
+    def to_document(self) -> dict[str, Any]:
+        """The identify result of the contract: mm, degrees, names, units."""
+        return {
+            "parameters": parameter_rows(self.calibration, self.fit, self.intervals),
+            "scale": {"point_mm": self.scale[0] * 1e3, "turn_deg": float(np.degrees(self.scale[1]))},
+            "set_aside": self.set_aside,
+            "null_directions": null_rows(self.null_directions),
+            "metrics": self.metrics,
+            "noise_mm": self.noise_m * 1e3,
+            "noise_source": self.noise_source,
+            "noise": {
+                "residuals_mm": left_of(self.fit) * 1e3,
+                "inadequacy_mm": self.predictive.inadequacy * 1e3,
+                **self.repeats.to_document(),
+            },
+            "warnings": list(self.warnings),
+            "iterations": self.fit.iterations,
+            "method": {"name": self.method, **self.fit.report},
+            "influence": self.influence,
+            "intervals": None if self.intervals is None else self.intervals.kind,
+            "learned": None if self.learned is None else self.learned.to_document(),
+            "load_model": self.load_model,
+            **_together(self.fit),
+            "base_refitted": [frame.to_document() for frame in self.own_frames],
+            "reference": named(self.calibration),
+        }
+
+
+def identify(
+    robot: Robot,
+    train: Observations,
+    validation: Validation = None,
+    options: IdentifyOptions | None = None,
+    start: Calibration | None = None,
+    progress: Progress | None = None,
+    prior: Prior | None = None,
+) -> Identification:
+    """Identify a robot from observations.
+
+    ``validation`` is other observations, a fraction of the poses to hold out, folds, or None. With folds every pose is
+    predicted once by a model that never saw it, and the final fit uses all.
+    ``start`` continues from a version; ``prior`` is its covariance, which ``kalman`` continues from.
+
+    Raises:
+        TooFewPosesError: not enough distinct poses. OptionError: options that do not fit the robot or the data.
+        ObservationError: nothing measured, or ``foreign_observations``. NotConvergedError: no minimum found.
+
+    """
+    options = options or IdentifyOptions()
+    tell = progress or (lambda fraction, stage: None)
+    begin = begin_with(robot, train, options, start)
+    nominal = Calibration.nominal(robot)
+    refuse_missing_columns(begin, train)
+    frames = Frames.of(begin, train, options)
+    if frames is not None:
+        begin, train = frames.in_model(begin), frames.laid(train)
+        validation = frames.laid(validation) if isinstance(validation, Observations) else validation
+    tell(0.02, "splitting by pose")
+    held: dict[str, Errors] = {}
+    compared: PoseErrors | None = None
+    by_row: RowErrors | None = None
+    if isinstance(validation, Folds):
+        held, compared, by_row = _cross_validated(nominal, begin, train, validation, options, tell, prior)
+    train, validation, inside, outside = _parted(train, validation, options.seed)
+    measurement = seen(train, options, begin.marker_points)
+    refuse_feigned_turns(begin, measurement)
+    remarks = refuse_foreign(begin, measurement)
+    found = _registered(begin, measurement, options, prior)
+    wanted = wanted_frames(begin, found, measurement, options, _continues(options, prior))
+    begin, learned = gated(begin, train, options, prior)
+    fit = fit_by_method(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s), prior)
+    calibration = Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points, *wanted)
+    stages = {"nominal": nominal, "registration_only": found, "identified": calibration}
+    own = [] if frames is None else frames.fitted(calibration)
+    if isinstance(validation, Observations):
+        plain = geometry_alone(begin, measurement, options)
+        held, compared, by_row, own[len(own) :] = held_out(stages, plain, frames, validation, options, measurement)
+        by_row = by_row.numbered(outside)
+    tell(0.95, "identifiability")
+    errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
+    refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
+    metrics = metrics_document(errors, held)
+    result = _reported(
+        without_frames(calibration), fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned
+    )
+    said = (*result.warnings, *remarks, *(compared.warnings() if compared else ()))
+    fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
+    return replace(result, own_frames=tuple(own), warnings=said, inside=inside, fitted_rows=fitted, held_rows=by_row)
+
+
+def _parted(
+    train: Observations, validation: Validation, seed: int
+) -> tuple[Observations, Validation, Ints | None, Ints | None]:
+    """Rows to fit and to hold out, and which of those given they are where a fraction was to be held out."""
+    if not isinstance(validation, float):
+        return train, validation, None, None
+    inside, outside = split(train, validation, seed)
+    return train.select(inside), train.select(outside), inside, outside
+
+
+def _reported(
+    calibration: Calibration,
+    fit: Fit,
+    train: Observations,
+    metrics: dict[str, Any],
+    options: IdentifyOptions,
+    tell: Progress,
+    learned: Learned | None = None,
+) -> Identification:
+    """What was found, with all that is said about it."""
+    repeats = Repeats.of(train, fit.residual)
+    sigma = repeats.between
+    plain, fit = fit, clustered(fit)
+    intervals = _intervals(plain, fit, options, tell)
+    fit = marginal(fit)
+    return Identification(
+        calibration=calibration,
+        fit=fit,
+        metrics=metrics,
+        noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
+        noise_source="residuals of the fit" if sigma is None else "repeats",
+        repeats=repeats,
+        predictive=predictive(fit, repeats, None if options.noise_mm is None else options.noise_mm * 1e-3),
+        null_directions=null_directions(fit.J, fit.names, fit.problem.prior_sigma),
+        warnings=(
+            *warnings_of(fit, train, repeats),
+            *(() if learned is None else (learned.warning(),)),
+            *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
+        ),
+        method=options.method,
+        influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
+        intervals=intervals,
+        learned=learned,
+    )
+
+
+def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, tell: Progress) -> Intervals | None:
+    """Intervals of a fit; a profile, whose likelihood takes rows as independent, is widened to what the poses show."""
+    if options.intervals is None:
+        return None
+    if options.intervals == "profile":
+        found = profile(plain, tell).widened(fit.sigma / plain.sigma)
+    else:
+        found = bootstrap(plain, options.seed, tell)
+    arm = of_the_arm(fit)
+    return replace(found, lower=found.lower[arm], upper=found.upper[arm], stands_in=found.stands_in[arm])
+
+
+def _together(fit: Fit) -> dict[str, Any]:
+    """Observability of the poses, per prior sigma and in mm, and the parameters that go together."""
+    millimetre = float(np.mean(fit.problem.weights.points)) * 1e3
+    poses = int(fit.problem.measurement.observations.pose_groups().max()) + 1
+    groups = correlated_groups(fit.covariance, fit.names)
+    return {
+        "observability": observability(fit.J * fit.problem.prior_sigma * millimetre, poses).to_document(),
+        "correlated_groups": [{"parameters": list(g.names), "correlation": g.strongest} for g in groups],
+    }
+
+
+def begin_with(robot: Robot, train: Observations, options: IdentifyOptions, start: Calibration | None) -> Calibration:
+    """The model to fit at its starting values: the effects asked for, or with none asked those of the start."""
+    effects = tuple(effect.on(robot, train) for effect in options.make_effects())
+    if start is None:
+        return Calibration.nominal(robot, effects)
+    return start.with_effects(effects or start.model.effects)
+
+
+def _registered(begin: Calibration, shown: Measurement, options: IdentifyOptions, prior: Prior | None) -> Calibration:
+    """The nominal robot in fitted frames; where a filter continues, in those of its start: two poses cannot fit any."""
+    return begin.wanted() if _continues(options, prior) else registered(begin, shown, options.loss)
+
+
+def _continues(options: IdentifyOptions, prior: Prior | None) -> bool:
+    return options.method == "kalman" and prior is not None
+
+
+def refuse_missing_columns(begin: Calibration, train: Observations) -> None:
+    """Raise :class:`ObservationError` where an effect of the model needs a column that the rows do not have."""
+    available = frozenset({"moments"} | set(train._present()))
+    for effect in begin.model.effects:
+        missing = effect.missing(available)
+        if missing:
+            raise ObservationError(
+                f"Effect {effect.id} needs {', '.join(sorted(missing))}, which these observations do not have: "
+                "upload the columns, or leave the effect out.",
+                effect=effect.id,
+                missing=sorted(missing),
+            )
+
+
+def _cross_validated(
+    nominal: Calibration,
+    begin: Calibration,
+    train: Observations,
+    folds: Folds,
+    options: IdentifyOptions,
+    tell: Progress,
+    prior: Prior | None = None,
+) -> tuple[dict[str, Errors], PoseErrors, RowErrors]:
+    """Errors on held-out poses, pooled over the folds."""
+    shape = seen(train, options, begin.marker_points).marker_points
+    parts: dict[str, list[Errors]] = {"nominal": [], "registration_only": [], "identified": []}
+    poses: list[PoseErrors] = []
+    by_row: list[RowErrors] = []
+    for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
+        tell(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
+        report = _within(tell, k, folds.folds)
+        shown = seen(train.select(inside), options, shape)
+        unseen = seen(train.select(outside), options, shape, shown)
+        model = gated(begin, train.select(inside), options, prior)[0]
+        fit = fit_by_method(model, shown, options, report, prior)
+        stages = {
+            "nominal": nominal,
+            "registration_only": _registered(begin, shown, options, prior),
+            "identified": Calibration(fit.problem.model, fit.values, shape),
+        }
+        for name, stage in stages.items():
+            parts[name].append(Errors.of(stage, unseen))
+        poses.append(PoseErrors.of({**stages, "geometry": geometry_alone(model, shown, options)}, unseen))
+        by_row.append(RowErrors.of(stages, unseen, outside))
+    held = {name: Errors.concatenate(errors) for name, errors in parts.items()}
+    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row)
+
+
+def _within(tell: Progress, fold: int, folds: int) -> Progress:
+    """Progress of one fold as part of the whole."""
+    return lambda fraction, stage: tell(0.05 + 0.45 * (fold + fraction) / folds, f"fold {fold + 1} of {folds}, {stage}")

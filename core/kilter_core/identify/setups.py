@@ -1,0 +1,277 @@
+"""Set-ups of an instrument that each have a frame of their own: a sheet of paper is laid anew for every drawing.
+
+Rows of several set-ups share the arm and not the base. Every set-up after the first gets six increments of the base
+beside the arm's parameters, so that where a sheet lay can neither pass for an error of the arm nor hide one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.constraints import Contacts
+from kilter_core.effects import BASE, Batch, Effect, Local
+from kilter_core.effects.base import Derivative, linear
+from kilter_core.errors import OptionError, TooFewPosesError
+from kilter_core.frames import FRAME_ANGLE_PRIOR_RAD, FRAME_LENGTH_PRIOR_M, increment
+from kilter_core.identify.estimate import bounded, estimate
+from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
+from kilter_core.identify.row_errors import RowErrors
+from kilter_core.identify.seeing import seen
+from kilter_core.identify.worse import PoseErrors
+from kilter_core.measurement import Measurement
+from kilter_core.metrics import Errors
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter
+from kilter_core.registration import register
+from kilter_core.robot import Robot
+from kilter_core.transforms import inverse, rotation_log
+
+Floats = NDArray[np.float64]
+Stages = Mapping[str, Calibration]
+
+FEWEST_POSES = 4  # three fit any triangle: nothing would be left to see an error by
+ROUNDS = 3  # of registering base and tool in turn, for the start
+
+
+@dataclass(frozen=True)
+class SetupFrames(Effect):
+    """Base increments of each of the ``codes`` after the first. It is of the measurement and never part of a version."""
+
+    id = "setup_frames"
+    summary = "base frame of every set-up of the instrument"
+    source = "an instrument, or a sheet, that was set up anew"
+    stage = "measurement"
+    at_joints = False
+
+    codes: tuple[int, ...] = ()
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Six increments per later set-up, m and rad, as wide as those of the base itself."""
+        return tuple(
+            Parameter(f"setup_{code}_{name}", "rad" if name[0] == "r" else "m", 0.0, sigma)
+            for code in self.codes[1:]
+            for name, sigma in zip(FRAME_NAMES, [FRAME_LENGTH_PRIOR_M] * 3 + [FRAME_ANGLE_PRIOR_RAD] * 3, strict=True)
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Twist of the base by the increments; rows without a set-up are of the first."""
+        if batch.setup is None:
+            return Local()
+        columns = [axis * (batch.setup == code)[:, None] for code in self.codes[1:] for axis in np.eye(6)]
+        return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(columns)])
+
+
+@dataclass(frozen=True)
+class OwnFrame:
+    """A set-up whose base was fitted to its own rows, and how far (m, rad) it is from that of the version."""
+
+    code: int
+    use: str
+    moved: float
+    turned: float
+
+    def to_document(self) -> dict[str, Any]:
+        """JSON-able, mm and degrees."""
+        moved, turned = self.moved * 1e3, float(np.degrees(self.turned))
+        return {"setup": self.code, "use": self.use, "moved_mm": moved, "turned_deg": turned}
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The set-ups of the training rows: ``lays`` (4, 4) take what each measured into the frame of the first."""
+
+    lays: Mapping[int, Floats]
+
+    @staticmethod
+    def of(begin: Calibration, train: Observations, options: IdentifyOptions) -> Frames | None:
+        """Find where each set-up lies by the model to begin with; None where all rows are told in one frame.
+
+        Raises:
+            OptionError: a method that cannot fit several frames. TooFewPosesError: a set-up with too few poses.
+
+        """
+        if train.setup is None or options.base == "fixed" or Contacts.held(train):
+            return None
+        codes = [int(code) for code in np.unique(train.setup)]
+        if len(codes) > 1:
+            _refuse(train, codes, options)
+        if options.base == "removed":
+            return None
+        return Frames(dict(zip(codes, _lays(begin, train, codes), strict=True)))
+
+    def laid(self, rows: Observations) -> Observations:
+        """Rows of these set-ups, told in the frame of the first; others as they are."""
+        for code, T in self.lays.items():
+            if rows.setup is not None and np.any(rows.setup == code):
+                rows = _moved(rows, T, rows.setup == code)
+        return rows
+
+    def in_model(self, begin: Calibration) -> Calibration:
+        """The model to fit, with the frames of the later set-ups."""
+        if len(self.lays) < 2:
+            return begin
+        return begin.with_effects([*begin.model.effects, SetupFrames(codes=tuple(self.lays))])
+
+    def fitted(self, calibration: Calibration) -> list[OwnFrame]:
+        """Frames that a fit of several training set-ups found."""
+        out = []
+        values = dict(zip(calibration.names, calibration.values, strict=True))
+        T = calibration.model.folded(calibration.values)[0].T_base
+        for code, lay in list(self.lays.items())[1:]:
+            six = np.array([values[f"setup_{code}_{name}"] for name in FRAME_NAMES])
+            out.append(_apart(code, "train", T, inverse(lay) @ T @ increment(six)))
+        return out
+
+
+def _refuse(train: Observations, codes: list[int], options: IdentifyOptions) -> None:
+    assert train.setup is not None
+    if options.method != "least_squares" or options.tilt_first or options.base == "removed":
+        raise OptionError(
+            f"{len(codes)} set-ups with a frame each are identified by method least_squares, without tilt_first, with a "
+            'free base. Take that, or say with "refit": [] that all of them share one frame.',
+            option="refit",
+        )
+    groups = train.pose_groups()
+    for code in codes:
+        poses = len(np.unique(groups[train.setup == code]))
+        if poses < FEWEST_POSES:
+            raise TooFewPosesError(
+                f"A set-up with a frame of its own has {poses} poses, {FEWEST_POSES} are needed to find the frame. "
+                'Measure more there, or say with "refit": [] that all set-ups share one frame.',
+                poses=poses,
+                needed=FEWEST_POSES,
+            )
+
+
+def _lays(begin: Calibration, train: Observations, codes: list[int]) -> list[Floats]:
+    """What takes each set-up into the frame of the first, by registering bases and the tool in turn."""
+    model, values = begin.model.folded(begin.values)
+    shape = Measurement.of(train, begin.marker_points).marker_points
+    assert train.setup is not None
+    lays = [np.eye(4) for _ in codes]
+    for _ in range(ROUNDS if len(codes) > 1 else 0):
+        bases = []
+        for code in codes:
+            rows = Measurement.of(train.select(train.setup == code), shape)
+            bases.append(register(model, values, rows, tool=False)[0])
+        lays = [bases[0] @ inverse(T) for T in bases]
+        together = Measurement.of(Frames(dict(zip(codes, lays, strict=True))).laid(train), shape)
+        model = model.in_frames(model.T_base, register(model, values, together)[1])
+    return lays
+
+
+def _moved(rows: Observations, T: Floats, which: NDArray[np.bool_]) -> Observations:
+    """Rows with what was measured in ``which`` of them moved by the pose T (4, 4)."""
+    R, p = T[:3, :3], T[:3, 3]
+    changes: dict[str, Any] = {}
+    for name in ("position", "markers"):
+        value = getattr(rows, name)
+        if value is not None:
+            changes[name] = value.copy()
+            changes[name][which] = value[which] @ R.T + p
+    if rows.rotation is not None:
+        changes["rotation"] = rows.rotation.copy()
+        changes["rotation"][which] = R @ rows.rotation[which]
+    if rows.sigma is not None:
+        changes["sigma"] = rows.sigma.copy()
+        changes["sigma"][which] = np.sqrt(rows.sigma[which] ** 2 @ (R**2).T)
+    if rows.tip is not None:
+        changes["tip"] = rows.tip.copy()
+        changes["tip"][which] = rows.tip[which] @ R.T + p
+    return replace(rows, **changes)
+
+
+def without_frames(calibration: Calibration) -> Calibration:
+    """The calibration of the arm alone, in the frame of the first set-up."""
+    effects = [effect for effect in calibration.model.effects if not isinstance(effect, SetupFrames)]
+    return calibration if len(effects) == len(calibration.model.effects) else calibration.with_effects(effects)
+
+
+def of_the_arm(fit: Fit) -> NDArray[np.bool_]:
+    """Which of a fit's free parameters (F,) are not frames of later set-ups."""
+    frames = {p.name for e in fit.problem.model.effects if isinstance(e, SetupFrames)
+              for p in e.parameters(fit.problem.model.robot)}  # fmt: skip
+    return np.array([name not in frames for name in fit.names])
+
+
+def marginal(fit: Fit) -> Fit:
+    """The fit as the arm's parameters see it: the frames of later set-ups are taken out of Jacobian and covariance."""
+    arm = of_the_arm(fit)
+    if arm.all():
+        return fit
+    own, frames = fit.J[:, arm], fit.J[:, ~arm]
+    Q = np.linalg.qr(frames)[0]
+    problem = replace(fit.problem, free=fit.problem.free[arm], held=None, anchor=None)
+    return replace(fit, problem=problem, J=own - Q @ (Q.T @ own), covariance=fit.covariance[np.ix_(arm, arm)])
+
+
+def held_out(
+    stages: Stages,
+    geometry: Calibration | None,
+    frames: Frames | None,
+    rows: Observations,
+    options: IdentifyOptions,
+    train: Measurement,
+) -> tuple[dict[str, Errors], PoseErrors, RowErrors, list[OwnFrame]]:
+    """Errors of each stage on rows that were not fitted, pose by pose and row by row too, and the set-ups whose base came
+    from them.
+
+    What a new set-up cannot know, where the robot stands in its frame, is fitted to its own rows for every stage but the
+    robot as drawn. The ``geometry`` alone, where there is one, is compared pose by pose only.
+    """
+    new = _new_codes(frames, rows)
+    compared = dict(stages) if geometry is None else {**stages, "geometry": geometry}
+    own: list[OwnFrame] = []
+    parts: dict[str, list[Errors]] = {name: [] for name in stages}
+    poses: list[PoseErrors] = []
+    by_row: list[RowErrors] = []
+    for code in [None, *new]:
+        mask = np.ones(len(rows), bool) if rows.setup is None or not new else _of(rows.setup, code, new)
+        if not mask.any():
+            continue
+        shown = seen(rows.select(mask), options, train.marker_points, train)
+        here = {
+            name: stage if code is None or name == "nominal" else with_base(stage, shown, options.loss)
+            for name, stage in compared.items()
+        }
+        for name in stages:
+            parts[name].append(Errors.of(here[name], shown))
+        poses.append(PoseErrors.of(here, shown))
+        by_row.append(RowErrors.of({name: here[name] for name in stages}, shown, np.flatnonzero(mask)))
+        if code is not None:
+            before = without_frames(stages["identified"]).model.T_base
+            own.append(_apart(code, "validation", before, here["identified"].model.T_base))
+    held = {name: Errors.concatenate(found) for name, found in parts.items()}
+    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row), own
+
+
+def _new_codes(frames: Frames | None, rows: Observations) -> list[int]:
+    if frames is None or rows.setup is None:
+        return []
+    return [int(code) for code in np.unique(rows.setup) if int(code) not in frames.lays]
+
+
+def _of(setup: NDArray[np.int64], code: int | None, new: list[int]) -> NDArray[np.bool_]:
+    return ~np.isin(setup, new) if code is None else setup == code
+
+
+def with_base(calibration: Calibration, measurement: Measurement, loss: str) -> Calibration:
+    """The calibration with its base fitted to other rows, all else held."""
+    alone = without_frames(calibration)
+    model, values = alone.model.folded(alone.values)
+    options = IdentifyOptions(fix=model.names[6:], tool="fixed", loss=bounded(loss))
+    fit = estimate(Calibration(model, values, measurement.marker_points), measurement, options)
+    return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+
+
+def _apart(code: int, use: str, before: Floats, after: Floats) -> OwnFrame:
+    between = inverse(before) @ after
+    turned = float(np.linalg.norm(rotation_log(between[None, :3, :3])))
+    return OwnFrame(code, use, float(np.linalg.norm(between[:3, 3])), turned)

@@ -1,0 +1,133 @@
+"""Whether a model predicts poses it never saw worse than a simpler one: compared pose by pose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import CoreError
+from kilter_core.identify.methods import fit_by_method
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration
+
+Floats = NDArray[np.float64]
+
+BY_CHANCE = 1.0  # standard errors of the mean difference of poses
+MUCH = 1.01  # times the rms error: worse however few poses made it so
+
+ERRORS_OF_DOUBT = 2.0  # standard errors of the mean difference: chance alone goes beyond in one of forty comparisons
+SHARE_OF_DOUBT = 0.01  # of the other's error: with thousands of poses any difference is certain, a small one no harm
+
+WORSE_THAN_REGISTRATION = "heldout_worse_than_registration"
+WORSE_THAN_GEOMETRY = "worse_than_geometry"
+
+
+def worse(before: Floats, after: Floats) -> bool:
+    """Whether errors (G,) of poses grew: by more than the standard error of the mean, or by 1 % of their rms."""
+    step = after - before
+    error = float(np.std(step, ddof=1) / np.sqrt(len(step))) if len(step) > 1 else 0.0
+    rms = [float(np.sqrt(np.mean(e**2))) for e in (before, after)]
+    return bool(step.mean() > BY_CHANCE * error > 0.0 or rms[1] > MUCH * rms[0])
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How much larger (m) the error of one calibration is than another's, mean over the poses, and how much is chance."""
+
+    mean: float
+    margin: float
+
+    @property
+    def worse(self) -> bool:
+        """Whether the first predicts worse beyond doubt."""
+        return bool(self.mean > self.margin)
+
+    @staticmethod
+    def of(errors: Floats, others: Floats) -> Difference:
+        """Compare the errors (P,) m of two calibrations at the same poses, pose by pose."""
+        paired = errors - others
+        doubt = ERRORS_OF_DOUBT * float(np.std(paired, ddof=1)) / np.sqrt(len(paired))
+        return Difference(float(np.mean(paired)), max(doubt, SHARE_OF_DOUBT * float(np.mean(others))))
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Rms error (G,) m of each held-out pose, by stage: "registration_only", "identified", perhaps "geometry"."""
+
+    stages: Mapping[str, Floats]
+
+    @staticmethod
+    def of(stages: Mapping[str, Calibration | None], unseen: Measurement) -> PoseErrors:
+        """Errors of calibrations on rows they did not see; stages that are None are left out."""
+        return PoseErrors({name: _by_pose(one, unseen) for name, one in stages.items() if one is not None})
+
+    @staticmethod
+    def concatenate(parts: Sequence[PoseErrors]) -> PoseErrors:
+        """Pool folds; a stage that some fold lacks is left out."""
+        names = [name for name in parts[0].stages if all(name in p.stages for p in parts)]
+        return PoseErrors({name: np.concatenate([p.stages[name] for p in parts]) for name in names})
+
+    def warnings(self) -> Iterator[dict[str, Any]]:
+        """Say what predicts worse than something simpler."""
+        after = self.stages["identified"]
+        simpler = (("registration_only", "base and tool alone", WORSE_THAN_REGISTRATION),
+                   ("geometry", "the geometry alone", WORSE_THAN_GEOMETRY))  # fmt: skip
+        for stage, words, code in simpler:
+            before = self.stages.get(stage)
+            if before is not None and worse(before, after):
+                certain = Difference.of(after, before).worse
+                yield worse_warning(code, words, _rms_mm(before), _rms_mm(after), certain)
+
+
+def worse_warning(
+    code: str, words: str, before: float, after: float, beyond_chance: bool, unit: str = "mm"
+) -> dict[str, Any]:
+    """Warn that held-out poses are predicted worse than by something simpler; beyond chance, activation is refused."""
+    return {
+        "code": code, f"simpler_{unit}": before, f"identified_{unit}": after, "beyond_chance": beyond_chance,
+        "message": f"Held-out poses are predicted worse ({after:.3g} {unit}) than with {words} ({before:.3g} {unit}): do not "
+        "activate this version. Measure more poses, spread over the joints, or free fewer parameters and effects.",
+    }  # fmt: skip
+
+
+def geometry_alone(begin: Calibration, measurement: Measurement, options: IdentifyOptions) -> Calibration | None:
+    """The same rows fitted without effects, to compare with; None where there are none, or no such fit."""
+    if not begin.model.effects:
+        return None
+    plain = begin.with_effects(())
+    free, fix = (tuple(p for p in patterns if _some(p, plain.names)) for patterns in (options.free, options.fix))
+    if options.free and not free:
+        fix = (*fix, *plain.names[6 : plain.model.n_geometric - 6])
+    method = "least_squares" if options.method == "kalman" else options.method
+    level = None if options.level == 3 else options.level
+    chosen = replace(options, effects=(), free=free, fix=fix, level=level, method=method, tilt_first=False)
+    try:
+        fit = fit_by_method(plain, measurement, chosen)
+    except CoreError:
+        return None
+    return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+
+
+def _some(pattern: str, names: Sequence[str]) -> bool:
+    return any(fnmatchcase(name, pattern) for name in names)
+
+
+def _by_pose(calibration: Calibration, unseen: Measurement) -> Floats:
+    residual = unseen.residual(calibration.predict(unseen.observations)).points
+    square = np.sum(np.nan_to_num(residual) ** 2, axis=(1, 2)) / np.maximum(
+        np.sum(~np.isnan(residual[..., 0]), axis=1), 1
+    )
+    pose = unseen.observations.pose_groups()
+    # Distances and contacts are between rows: each counts for itself.
+    group = pose if len(pose) == len(square) else np.arange(len(square))
+    return np.asarray(np.sqrt(np.bincount(group, square) / np.bincount(group)))
+
+
+def _rms_mm(errors: Floats) -> float:
+    return float(np.sqrt(np.mean(errors**2))) * 1e3

@@ -1,9 +1,0 @@
-"""The database: engine, tables, revision. Only this package and the ``store`` modules know SQLAlchemy."""
-
-from __future__ import annotations
-
-from sqlalchemy.orm import Session
-
-from service.db.database import Database
-
-__all__ = ["Database", "Session"]

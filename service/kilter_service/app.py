@@ -1,0 +1,67 @@
+"""The HTTP application."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import APIRouter, Depends, FastAPI
+
+from kilter_service import problems
+from kilter_service.auth.access import reader
+from kilter_service.auth.token import admin_token
+from kilter_service.campaigns.routes import router as campaigns
+from kilter_service.correction.routes import router as correction
+from kilter_service.db import Database, revision
+from kilter_service.docs_page import router as docs_page
+from kilter_service.frames.routes import router as frames
+from kilter_service.health.routes import router as health
+from kilter_service.jobs.queue import JobQueue
+from kilter_service.jobs.routes import router as jobs
+from kilter_service.references.routes import router as references
+from kilter_service.robots.routes import router as robots
+from kilter_service.settings import Settings
+from kilter_service.slots import Slots
+from kilter_service.version import code_version
+from kilter_service.versions.routes import router as versions
+
+SUMMARY = "Keeps a serial robot arm true: identifies its errors from measured poses and corrects its setpoints."
+
+ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction, frames, references)
+
+# How long the API waits at its start for `kilterd serve` to migrate the database beside it.
+MIGRATION_WAIT_S = 30.0
+
+
+def create_app(settings: Settings, *, migration_wait_s: float = 0.0) -> FastAPI:
+    """Build the application; nothing is opened before it starts."""
+    app = FastAPI(
+        title="Kilter",
+        version=code_version(),
+        summary=SUMMARY,
+        lifespan=lambda app: _life(app, settings, migration_wait_s),
+        responses=problems.RESPONSES,
+        docs_url=None,
+        redoc_url=None,
+    )
+    app.state.slots = Slots(settings)
+    problems.install(app)
+    app.include_router(health)
+    app.include_router(docs_page)
+    for router in ROUTERS:
+        app.include_router(router, dependencies=[Depends(reader)])
+    return app
+
+
+@asynccontextmanager
+async def _life(app: FastAPI, settings: Settings, migration_wait_s: float) -> AsyncIterator[None]:
+    app.state.settings = settings
+    app.state.token = admin_token(settings)
+    app.state.database = Database(settings.database)
+    app.state.queue = JobQueue(settings)
+    try:
+        revision.wait(app.state.database, migration_wait_s)
+        yield
+    finally:
+        app.state.queue.close()
+        app.state.database.close()

@@ -1,0 +1,102 @@
+"""Stored columns into core's observations: units to SI once, orientations to rotations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.observations import Observations
+from kilter_service.campaigns.columns import Column
+from kilter_service.contract.columns import TILTS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Floats = NDArray[np.float64]
+
+MM = 1e-3
+BY_JOINT = {"q": "q", "link": "link_q", "dir": "direction", "qd": "qd", "qdd": "qdd", "tau": "tau"}
+PLAIN = {"t": "t", "payload": "payload_kg", "temperature": "temperature_c", "bar": "bar_length"}
+WHOLE = {"session": "session", "pose_id": "pose_id", "socket_id": "socket", "plane_id": "plane", "bar_id": "bar"}
+
+
+def observations(table: pa.Table, columns: Sequence[Column], conditions: dict[str, Any]) -> Observations:
+    """Build observations (SI) of a table; the campaign's conditions fill what the rows do not say."""
+    si = {(c.quantity, c.number): table.column(c.name).to_numpy(zero_copy_only=False) * c.factor for c in columns}
+    fields: dict[str, Any] = {field: _by_joint(si, quantity) for quantity, field in BY_JOINT.items()}
+    fields |= {field: si.get((quantity, None)) for quantity, field in PLAIN.items()}
+    fields |= {field: _whole(si.get((quantity, None))) for quantity, field in WHOLE.items()}
+    fields["position"] = _vector(si, ("x", "y", "z"))
+    fields["sigma"] = _vector(si, ("sx", "sy", "sz"))
+    fields["tip"] = _vector(si, ("tipx", "tipy", "tipz"))
+    fields["wrench"] = _wrench(si, conditions, table.num_rows)
+    fields["rotation"] = _rotation(si)
+    fields["tilt"] = _tilt(si, table.num_rows)
+    fields["markers"] = _markers(si)
+    return Observations(**_filled(fields, conditions, table.num_rows))
+
+
+def _by_joint(si: dict[tuple[str, int | None], Floats], quantity: str) -> Floats | None:
+    numbers = sorted(number for q, number in si if q == quantity and number is not None)
+    return np.stack([si[quantity, number] for number in numbers], axis=1) if numbers else None
+
+
+def _vector(si: dict[tuple[str, int | None], Floats], names: Sequence[str]) -> Floats | None:
+    return np.stack([si[name, None] for name in names], axis=1) if (names[0], None) in si else None
+
+
+def _wrench(si: dict[tuple[str, int | None], Floats], conditions: dict[str, Any], rows: int) -> Floats | None:
+    """Force and moment (N, 6) on the tool point; where only one of them is known the other is zero."""
+    parts = []
+    for names, condition in ((("fx", "fy", "fz"), "tool_force_n"), (("mx", "my", "mz"), "tool_moment_nm")):
+        whole = conditions.get(condition)
+        found = _vector(si, names)
+        parts.append(np.tile(np.asarray(whole, dtype=np.float64), (rows, 1)) if found is None and whole else found)
+    if all(part is None for part in parts):
+        return None
+    return np.concatenate([np.zeros((rows, 3)) if part is None else part for part in parts], axis=1)
+
+
+def _whole(values: Floats | None) -> NDArray[np.int64] | None:
+    return None if values is None else values.astype(np.int64)
+
+
+def _rotation(si: dict[tuple[str, int | None], Floats]) -> Floats | None:
+    from scipy.spatial.transform import Rotation  # half a second: not at the start of the API process
+
+    quaternion = _vector(si, ("qx", "qy", "qz", "qw"))
+    if quaternion is not None:
+        return np.asarray(Rotation.from_quat(quaternion).as_matrix())
+    euler = _vector(si, ("phi", "theta", "psi"))
+    return None if euler is None else np.asarray(Rotation.from_euler("ZXZ", euler).as_matrix())
+
+
+def _tilt(si: dict[tuple[str, int | None], Floats], rows: int) -> Floats | None:
+    """Readings (N, n, 3) of inclinometers, nan where nothing was read; None without any such column."""
+    given = [(TILTS.index(q), number) for q, number in si if q in TILTS and number is not None]
+    if not given:
+        return None
+    out = np.full((rows, sum(q == "q" for q, _ in si), len(TILTS)), np.nan)
+    for axis, joint in given:
+        out[:, joint, axis] = si[TILTS[axis], joint]
+    return out
+
+
+def _markers(si: dict[tuple[str, int | None], Floats]) -> Floats | None:
+    numbers = sorted(number for quantity, number in si if quantity == "marker_x" and number is not None)
+    if not numbers:
+        return None
+    return np.stack([np.stack([si[f"marker_{axis}", k] for axis in "xyz"], axis=1) for k in numbers], axis=1)
+
+
+def _filled(fields: dict[str, Any], conditions: dict[str, Any], rows: int) -> dict[str, Any]:
+    for name in ("payload_kg", "temperature_c"):
+        if fields[name] is None and conditions.get(name) is not None:
+            fields[name] = np.full(rows, float(conditions[name]))
+    com = conditions.get("payload_com_mm")
+    if com is not None:
+        fields["payload_com"] = np.tile(np.asarray(com, dtype=np.float64) * MM, (rows, 1))
+    return fields

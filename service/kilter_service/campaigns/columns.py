@@ -1,0 +1,184 @@
+"""The column names of observations: what each means, its unit, and which are refused."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+from kilter_core.errors import ObservationError
+from kilter_service.contract.columns import CONTACTS, JOINT_UNITS, LENGTHS, PLAIN_UNITS, TILT_UNITS, TILTS, TOGETHER
+from kilter_service.limits import MAX_COLUMNS, MAX_NAME
+
+_JOINT = re.compile(r"(q|qd|qdd|link|tau|dir)([1-9][0-9]?)(?:_(\w+))?")
+_TILT = re.compile(r"tilt([1-9][0-9]?)([xyz])(?:_(\w+))?")
+_MARKER = re.compile(r"m([1-9][0-9]?)([xyz])(?:_(\w+))?")
+_PLAIN = re.compile(rf"({'|'.join(sorted(PLAIN_UNITS, key=len, reverse=True))})(?:_(\w+))?")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: its quantity, the joint or marker it belongs to (from 0), and the factor that brings it to SI."""
+
+    name: str
+    quantity: str
+    number: int | None
+    factor: float
+
+    @property
+    def may_be_empty(self) -> bool:
+        """Whether a cell may be missing: a marker can be out of sight, a tip or a joint is looked at in some rows only."""
+        return self.quantity.startswith(("marker_", "tip")) or self.quantity in TILTS
+
+    @property
+    def is_integer(self) -> bool:
+        """Whether the cells are whole numbers."""
+        return self.quantity in ("dir", "session", "pose_id", *CONTACTS)
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Check what must hold of all names before one of them is understood.
+
+    Raises:
+        ObservationError: too many or too long names, an empty one, or one that stands twice.
+
+    """
+    if len(names) > MAX_COLUMNS:
+        raise ObservationError(
+            f"The upload has {len(names)} columns, {MAX_COLUMNS} are taken: leave out what is no measurement."
+        )
+    seen: set[str] = set()
+    for name in names:
+        if len(name) > MAX_NAME:
+            raise refuse(
+                f"Column {name[:MAX_NAME]!r}... has a name of more than {MAX_NAME} characters.", name[:MAX_NAME]
+            )
+        if not name.strip() or name != name.strip():
+            raise refuse(f"Column {name!r} is empty or has spaces around it: name it without.", name)
+        if name in seen:
+            raise refuse(f"Column {name!r} stands twice: keep one of them.", name)
+        seen.add(name)
+
+
+def read_columns(names: Sequence[str], kinds: Sequence[str]) -> tuple[Column, ...]:
+    """Understand the columns of a file for a robot with joints of these ``kinds``.
+
+    Raises:
+        ObservationError: a column twice, unknown, without a unit or with a wrong one, or a group that is not complete.
+
+    """
+    columns: dict[tuple[str, int | None], Column] = {}
+    for name in names:
+        column = _read(name, kinds)
+        key = (column.quantity, column.number)
+        if key in columns:
+            other = columns[key].name
+            what = "stands twice" if other == name else f"says the same as {other!r}"
+            raise refuse(f"Column {name!r} {what}: keep one of them.", name)
+        columns[key] = column
+    _complete(columns, kinds)
+    return tuple(columns.values())
+
+
+def has(columns: Iterable[Column], quantity: str) -> bool:
+    """Whether there is a column of a quantity."""
+    return any(column.quantity == quantity for column in columns)
+
+
+def refuse(message: str, column: str, **context: Any) -> ObservationError:
+    """Return the error that names a column."""
+    return ObservationError(message, column=column, **context)
+
+
+def _read(name: str, kinds: Sequence[str]) -> Column:
+    if match := _JOINT.fullmatch(name):
+        return _joint(name, match[1], int(match[2]), match[3] or "", kinds)
+    if match := _TILT.fullmatch(name):
+        number, stem = int(match[1]), f"tilt{match[1]}{match[2]}"
+        _of_joint(name, number, kinds)
+        return Column(name, f"tilt_{match[2]}", number - 1, _factor(name, stem, match[3] or "", TILT_UNITS))
+    if match := _MARKER.fullmatch(name):
+        factor = _factor(name, f"m{match[1]}{match[2]}", match[3] or "", LENGTHS)
+        return Column(name, f"marker_{match[2]}", int(match[1]) - 1, factor)
+    if match := _PLAIN.fullmatch(name):
+        return Column(name, match[1], None, _factor(name, match[1], match[2] or "", PLAIN_UNITS[match[1]]))
+    near = get_close_matches(name, _known(kinds), n=3)
+    hint = f"Near it: {', '.join(near)}." if near else "The reference of observations lists all columns."
+    raise refuse(f"Column {name!r} is unknown. {hint}", name, near=near)
+
+
+def _joint(name: str, quantity: str, number: int, unit: str, kinds: Sequence[str]) -> Column:
+    _of_joint(name, number, kinds)
+    units = JOINT_UNITS[quantity][kinds[number - 1] == "prismatic"]
+    return Column(name, quantity, number - 1, _factor(name, f"{quantity}{number}", unit, units))
+
+
+def _of_joint(name: str, number: int, kinds: Sequence[str]) -> None:
+    if number > len(kinds):
+        raise refuse(f"Column {name!r} is of joint {number}, the robot has {len(kinds)} joints.", name)
+
+
+def _factor(name: str, stem: str, unit: str, units: dict[str, float]) -> float:
+    if unit in units:
+        return units[unit]
+    allowed = " or ".join(repr(f"{stem}_{u}" if u else stem) for u in units)
+    what = f"has the unit {unit!r}" if unit else "has no unit"
+    raise refuse(f"Column {name!r} {what}: name it {allowed}, and give its values in that unit.", name)
+
+
+def _complete(columns: dict[tuple[str, int | None], Column], kinds: Sequence[str]) -> None:
+    present = {quantity for quantity, _ in columns}
+    for quantity in JOINT_UNITS:
+        if quantity != "q" and quantity not in present:
+            continue
+        for joint, kind in enumerate(kinds):
+            if (quantity, joint) not in columns:
+                unit = next(iter(JOINT_UNITS[quantity][kind == "prismatic"]))
+                missing = f"{quantity}{joint + 1}_{unit}".rstrip("_")
+                raise refuse(f"Column {missing!r} is missing: give it for all {len(kinds)} joints.", missing)
+    for group in TOGETHER:
+        _whole(group, [part for part in group if part in present])
+    for marker in {number for quantity, number in columns if quantity.startswith("marker_")}:
+        parts = [f"m{(marker or 0) + 1}{axis}" for axis in "xyz"]
+        _whole(parts, [part for part, axis in zip(parts, "xyz", strict=True) if (f"marker_{axis}", marker) in columns])
+    _conflicts(present, {number for quantity, number in columns if quantity == "marker_x" and number is not None})
+
+
+def _whole(group: Sequence[str], there: Sequence[str]) -> None:
+    missing = [part for part in group if part not in there]
+    if there and missing:
+        raise refuse(f"Column {missing[0]!r} is missing: {', '.join(group)} belong together.", missing[0])
+
+
+def _conflicts(present: set[str], markers: set[int]) -> None:
+    if (held := present & set(CONTACTS)) and (seen := present & {"x", "marker_x"}):
+        raise refuse(
+            f"Column {sorted(held)[0]!r} stands beside a measured tool ({'x' if 'x' in seen else 'm1x'}): give what held the "
+            "tool or where an instrument saw it, in two campaigns.",
+            sorted(held)[0],
+        )
+    if "tipx" in present and not markers:
+        raise refuse("Column 'tipx' is missing its markers: a tip is digitised while they are seen.", "tipx")
+    if {"qw", "phi"} <= present:
+        raise refuse("Column 'phi' says the same as 'qw': give the orientation once.", "phi")
+    if markers and "x" in present:
+        raise refuse("Column 'x' stands beside markers: give the tool's position or the markers, in two uploads.", "x")
+    if "qw" in present | ({"qw"} if "phi" in present else set()) and "x" not in present:
+        raise refuse("Column 'x' is missing: an orientation needs its position.", "x")
+    if markers and max(markers) + 1 != len(markers):
+        absent = min(set(range(max(markers))) - markers) + 1
+        raise refuse(f"Column 'm{absent}x' is missing: number the markers 1, 2, 3, ... without a gap.", f"m{absent}x")
+
+
+def _known(kinds: Sequence[str]) -> list[str]:
+    names = [f"{stem}_{unit}".rstrip("_") for stem, units in PLAIN_UNITS.items() for unit in units]
+    for quantity, units_of in JOINT_UNITS.items():
+        names += [
+            f"{quantity}{joint + 1}_{unit}".rstrip("_")
+            for joint, kind in enumerate(kinds)
+            for unit in units_of[kind == "prismatic"]
+        ]
+    names += [f"tilt{joint + 1}{axis}_{unit}" for joint in range(len(kinds)) for axis in "xyz" for unit in TILT_UNITS]
+    return names

@@ -1,0 +1,96 @@
+"""What people call campaigns and note on them; campaigns out of use, and gone."""
+
+from __future__ import annotations
+
+from kilter_service.campaigns import store
+from kilter_service.campaigns.records import CampaignRecord
+from kilter_service.campaigns.service import shown
+from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.references import Change, Tombstone
+from kilter_service.db import Database, Session
+from kilter_service.db.tables import now
+from kilter_service.errors import ServiceError
+from kilter_service.references import store as references
+from kilter_service.references.records import TombstoneRecord
+from kilter_service.references.wire import tombstone
+from kilter_service.robots import store as robots
+from kilter_service.robots.resolved import sha256_of
+from kilter_service.versions import store as versions
+
+
+def change(database: Database, campaign_id: str, wanted: Change) -> Campaign:
+    """Name a campaign, or note something on it.
+
+    Raises:
+        ServiceError: no such campaign, or a name that is taken or cannot be.
+
+    """
+    with database.transaction() as session:
+        campaign = store.whole(session, campaign_id)
+        if wanted.name is not None and wanted.name != campaign.name:
+            if not wanted.name:
+                raise ServiceError("A campaign needs a name: give one.", code="name_invalid")
+            references.check_name(session, "campaign", campaign.robot_id, wanted.name, campaign.id)
+        store.change(session, campaign_id, wanted.name, wanted.notes)
+        return shown(session, campaign_id)
+
+
+def retire(database: Database, campaign_id: str, actor: str) -> Campaign:
+    """Take a campaign out of use: no list shows it and no job uses it; what cites it stays as it is."""
+    with database.transaction() as session:
+        store.retire(session, store.whole(session, campaign_id).id, actor)
+        return shown(session, campaign_id)
+
+
+def restore(database: Database, campaign_id: str) -> Campaign:
+    """Bring a campaign back into use.
+
+    Raises:
+        ServiceError: no such campaign, or another has its name now.
+
+    """
+    with database.transaction() as session:
+        campaign = store.whole(session, campaign_id)
+        if campaign.retired_at is not None:
+            references.check_name(session, "campaign", campaign.robot_id, campaign.name, campaign.id)
+            store.restore(session, campaign_id)
+        return shown(session, campaign_id)
+
+
+def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
+    """Delete a campaign with all that was uploaded to it; its hash is kept.
+
+    Raises:
+        ServiceError: no such campaign, or a version or a job that is not over cites it.
+
+    """
+    with database.transaction() as session:
+        campaign = store.whole(session, campaign_id)
+        _refuse_cited(session, campaign)
+        left = TombstoneRecord(
+            id=campaign.id,
+            kind="campaign",
+            robot=robots.by_id(session, campaign.robot_id).name,
+            name=campaign.name,
+            sha256=sha256_of([upload.sha256 for upload in store.uploads_of(session, campaign_id)]),
+            by=actor,
+            at=now(),
+        )
+        references.bury(session, left)
+        store.delete_whole(session, campaign_id)
+    return tombstone(left)
+
+
+def _refuse_cited(session: Session, campaign: CampaignRecord) -> None:
+    citing = [
+        *versions.citing_campaign(session, campaign.robot_id, campaign.id),
+        *store.unfinished_jobs(session, campaign.id),
+    ]
+    if citing:
+        raise ServiceError(
+            f"Campaign {campaign.id} is cited by {', '.join(citing[:10])}{' and more' if len(citing) > 10 else ''}: "
+            f"purge those first, or retire it instead (kilter campaigns retire {campaign.id}).",
+            code="cited",
+            campaign=campaign.id,
+            cited_by=citing,
+        )

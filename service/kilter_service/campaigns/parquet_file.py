@@ -1,0 +1,99 @@
+"""Parquet uploads: looked at before they are decoded, and decoded in pieces, for a few kilobytes may unfold to gigabytes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kilter_core.errors import ObservationError
+from kilter_service.campaigns.columns import check_names
+from kilter_service.campaigns.parquet_pages import check_pages
+from kilter_service.limits import BATCH_CELLS, MAX_CELLS, MAX_COLUMNS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from pyarrow.parquet import FileMetaData, ParquetFile
+
+PIECE_ROWS = 65_536
+BUFFER_BYTES = 1 << 20
+
+
+def parquet_names(path: Path) -> list[str]:
+    """Return the names of the columns.
+
+    Raises:
+        ObservationError: no Parquet file, too many columns, or names that cannot be.
+
+    """
+    with _opened(path) as file:
+        return list(file.schema_arrow.names)
+
+
+def parquet_tables(path: Path) -> Iterator[pa.Table]:
+    """Read a file piece by piece as float64.
+
+    Raises:
+        ObservationError: other types than numbers, or more than may be decoded.
+
+    """
+    import pyarrow as pa
+
+    with _opened(path) as file:
+        _check_size(file.metadata)
+        columns = file.schema_arrow.names
+        schema = pa.schema([(name, pa.float64()) for name in columns])
+        rows = max(1, min(PIECE_ROWS, BATCH_CELLS // len(columns)))
+        with _explained():
+            for batch in file.iter_batches(batch_size=rows, use_threads=False):
+                yield pa.Table.from_batches([batch]).cast(schema)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[ParquetFile]:
+    from pyarrow import parquet
+
+    check_pages(path)
+    with _explained():
+        file = parquet.ParquetFile(path, buffer_size=BUFFER_BYTES)
+    with file:
+        if file.metadata.num_columns > MAX_COLUMNS:
+            raise ObservationError(f"The upload has {file.metadata.num_columns} columns, {MAX_COLUMNS} are taken.")
+        with _explained():
+            schema = file.schema_arrow
+            names = schema.names
+        _numeric(schema)
+        check_names(names)
+        yield file
+
+
+@contextmanager
+def _explained() -> Iterator[None]:
+    """Say what Arrow says in Kilter's words."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        said = str(error)[:300]
+        raise ObservationError(f"The upload is not a Parquet file that can be read: {said}.") from error
+
+
+def _check_size(stated: FileMetaData) -> None:
+    if not stated.num_columns:
+        raise ObservationError("The upload has no columns.")
+    if stated.num_rows * stated.num_columns > MAX_CELLS:
+        raise ObservationError(
+            f"The upload has {stated.num_rows} rows of {stated.num_columns} columns, more than {MAX_CELLS} cells: split it."
+        )
+
+
+def _numeric(schema: pa.Schema) -> None:
+    import pyarrow as pa
+
+    for field in schema:
+        if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+            raise ObservationError(
+                f"Column {field.name[:64]!r} is {str(field.type)[:64]}, not numbers.", column=field.name[:64]
+            )

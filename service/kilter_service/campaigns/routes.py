@@ -1,0 +1,113 @@
+"""Campaigns and observations over HTTP."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from fastapi import APIRouter, Request, Response
+from fastapi.concurrency import run_in_threadpool
+
+from kilter_service.auth.access import Admin
+from kilter_service.bodies import receive
+from kilter_service.campaigns import keeping, reading, service
+from kilter_service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
+from kilter_service.contract.references import Change, Tombstone
+from kilter_service.page_query import PageOfList
+from kilter_service.routing import GuardedRoute
+from kilter_service.slots import compute
+from kilter_service.state import DatabaseOfApp, SettingsOfApp
+
+router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=GuardedRoute)
+
+FILE = {"schema": {"type": "string", "format": "binary"}}
+COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}}}
+BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS},
+    }
+}
+
+
+@router.post("/robots/{robot}/campaigns", status_code=201)
+def add(robot: str, campaign: NewCampaign, response: Response, database: DatabaseOfApp, _: Admin) -> Campaign:
+    """Add a campaign to a robot."""
+    added = service.add(database, robot, campaign)
+    response.headers["Location"] = f"/v1/campaigns/{added.id}"
+    return added
+
+
+@router.get("/robots/{robot}/campaigns")
+def listed(
+    robot: str, database: DatabaseOfApp, page: PageOfList, staged: bool = False, retired: bool = False
+) -> CampaignList:
+    """List the campaigns of a robot; with `staged` those whose parts are not all there yet, with `retired` all others too."""
+    return service.listed(database, robot, page, staged, retired)
+
+
+@router.get("/campaigns/{campaign}")
+def get(campaign: str, database: DatabaseOfApp) -> Campaign:
+    """Show a campaign and its uploads."""
+    return service.get(database, campaign)
+
+
+@router.post("/campaigns/{campaign}/commit")
+def commit(campaign: str, parts: Parts, database: DatabaseOfApp, _: Admin) -> Campaign:
+    """Make a staged campaign visible, if it holds exactly the parts that are named; again changes nothing."""
+    return service.commit(database, campaign, parts)
+
+
+@router.patch("/campaigns/{campaign}")
+def change(campaign: str, wanted: Change, database: DatabaseOfApp, _: Admin) -> Campaign:
+    """Name a campaign, or note something on it."""
+    return keeping.change(database, campaign, wanted)
+
+
+@router.post("/campaigns/{campaign}/retire")
+def retire(campaign: str, database: DatabaseOfApp, actor: Admin) -> Campaign:
+    """Take a campaign out of use; what was made from it stays as it is."""
+    return keeping.retire(database, campaign, actor)
+
+
+@router.post("/campaigns/{campaign}/restore")
+def restore(campaign: str, database: DatabaseOfApp, _: Admin) -> Campaign:
+    """Bring a retired campaign back into use."""
+    return keeping.restore(database, campaign)
+
+
+@router.post("/campaigns/{campaign}/purge")
+def purge(campaign: str, database: DatabaseOfApp, actor: Admin) -> Tombstone:
+    """Delete a campaign that nothing cites, for good; its hash is kept."""
+    return keeping.purge(database, campaign, actor)
+
+
+@router.delete("/campaigns/{campaign}", status_code=204)
+def discard(campaign: str, database: DatabaseOfApp, _: Admin) -> None:
+    """Delete a staged campaign with all that was sent to it."""
+    service.discard(database, campaign)
+
+
+@router.post(
+    "/campaigns/{campaign}/observations",
+    status_code=201,
+    openapi_extra=BODY,
+    responses={200: {"model": Uploaded, "description": "These bytes were there already"}},
+)
+async def upload(
+    campaign: str,
+    request: Request,
+    response: Response,
+    database: DatabaseOfApp,
+    settings: SettingsOfApp,
+    _: Admin,
+) -> Uploaded:
+    """Add observations: CSV, Parquet, or JSON columns."""
+    media = reading.media_type(request.headers.get("content-type"))
+    await run_in_threadpool(service.get, database, campaign)
+    with tempfile.TemporaryDirectory(prefix="kilter-upload-") as folder:
+        path = Path(folder) / "body"
+        sha256 = await receive(request, path, settings.max_upload_mb)
+        done = await compute(request, service.upload, database, campaign, path, media, sha256)
+    response.status_code = 201 if done.new else 200
+    return done

@@ -1,0 +1,200 @@
+"""What a row of observations must be, checked on one piece of an upload after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import ObservationError
+from kilter_service.campaigns.columns import Column
+from kilter_service.campaigns.joint_limits import JointLimits
+from kilter_service.contract.columns import CONTACTS, TILTS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from kilter_core.robot import Robot
+
+Floats = NDArray[np.float64]
+
+QUATERNION_TOLERANCE = 1e-3
+ABSOLUTE_ZERO_C = -273.15
+# Two points of a workspace are at most twice the reach apart; three leaves room for a long tool.
+IMPOSSIBLE_REACHES = 3.0
+SMALL, LARGE = 0.2, 1.5  # of the reach: positions that spread less or more are compared with what the joints command
+SAMPLE_ROWS = 500
+UNITS_MM = {1e3: "m", 100.0: "dm", 25.4: "inch", 10.0: "cm", 1.0: "mm", 1e-3: "um"}
+
+
+class RowRules:
+    """The rules for one upload to one robot; `check` every piece in order, then `finish`."""
+
+    def __init__(self, columns: Sequence[Column], robot: Robot) -> None:
+        self.columns = columns
+        self.robot = robot
+        self.rows = 0
+        self._limits = JointLimits()
+        self._low: dict[str, float] = {}
+        self._high: dict[str, float] = {}
+        self._sample: list[tuple[Floats, Floats]] = []
+
+    def check(self, table: pa.Table) -> None:
+        """Check the next rows.
+
+        Raises:
+            ObservationError: a cell that cannot be; row and column are named.
+
+        """
+        cells = {c.name: table.column(c.name).to_numpy(zero_copy_only=False) for c in self.columns}
+        for column in self.columns:
+            self._check_column(column, cells[column.name])
+        self._check_markers(cells)
+        self._check_tips(cells)
+        self._check_tilts(cells)
+        self._check_contacts(cells)
+        self._check_quaternions(cells)
+        self._remember(cells)
+        self.rows += table.num_rows
+
+    def finish(self) -> None:
+        """Check what only the whole upload shows: readings outside the limits, and whether the arm could reach that far.
+
+        Raises:
+            ObservationError: readings outside the limits, or positions that cannot be in their unit.
+
+        """
+        self._limits.finish()
+        reach = self._reach()
+        spreads = {c: self._high.get(c.name, 0.0) - self._low.get(c.name, 0.0) for c in self._lengths()}
+        if not spreads or not reach > 0 or not self._sample:
+            return
+        column = max(spreads, key=lambda c: spreads[c])
+        if not SMALL * reach < spreads[column] < LARGE * reach:
+            self._check_unit(next(iter(spreads)))
+        if spreads[column] > IMPOSSIBLE_REACHES * reach:
+            raise ObservationError(
+                f"Column {column.name!r} spreads over {spreads[column]:.3g} m, but the arm reaches {reach:.3g} m: the "
+                f"values are not in {column.name.rpartition('_')[2]}, or not of this robot.",
+                column=column.name,
+                spread_m=spreads[column],
+            )
+
+    def _check_column(self, column: Column, cells: Floats) -> None:
+        if not column.may_be_empty:
+            self._refuse(np.isnan(cells), column.name, "is empty: only markers, tips and tilts may be missing")
+        if column.is_integer:
+            self._refuse(cells != np.round(cells), column.name, "is not a whole number", cells)
+        if column.quantity == "dir":
+            self._refuse(np.abs(cells) > 1, column.name, "is none of -1, 0 and 1", cells)
+        if column.quantity == "payload":
+            self._refuse(cells < 0, column.name, "is negative", cells)
+        if column.quantity in ("sx", "sy", "sz"):
+            self._refuse(cells <= 0, column.name, "is no standard deviation: it must be above 0", cells)
+        if column.quantity == "temperature":
+            self._refuse(cells < ABSOLUTE_ZERO_C, column.name, "is below absolute zero", cells)
+        if column.quantity == "q" and column.number is not None:
+            self._limits.check(column, self.robot.joints[column.number], cells, self.rows + 1)
+
+    def _check_markers(self, cells: dict[str, Floats]) -> None:
+        for x in (c for c in self.columns if c.quantity == "marker_x"):
+            group = sorted(c.name for c in self.columns if c.number == x.number and c.quantity.startswith("marker_"))
+            xyz = np.stack([cells[name] for name in group])
+            missing = np.isnan(xyz)
+            for name, absent in zip(group, missing, strict=True):
+                self._refuse(absent & ~missing.all(axis=0), name, "is empty where the marker's other cells are not")
+            at_zero = (xyz == 0.0).all(axis=0)
+            self._refuse(at_zero, group[0], "and its neighbours are zero: leave the cells of a missing marker empty")
+
+    def _check_tips(self, cells: dict[str, Floats]) -> None:
+        names = [c.name for c in self.columns if c.quantity.startswith("tip")]
+        missing = [np.isnan(cells[name]) for name in names]
+        for name, absent in zip(names, missing, strict=True):
+            self._refuse(absent & ~np.all(missing, axis=0), name, "is empty where the tip's other cells are not")
+
+    def _check_tilts(self, cells: dict[str, Floats]) -> None:
+        """Where inclinometers are all that measured, a row without any reading says nothing."""
+        names = [c.name for c in self.columns if c.quantity in TILTS]
+        others = any(c.quantity in ("x", "marker_x", "link", *CONTACTS) for c in self.columns)
+        if names and not others:
+            empty = np.all([np.isnan(cells[name]) for name in names], axis=0)
+            self._refuse(empty, names[0], "and all other readings are empty: leave the row out")
+
+    def _check_contacts(self, cells: dict[str, Floats]) -> None:
+        """Every row is held by one thing, a ball bar with the length it reads."""
+        held = [c.name for c in self.columns if c.quantity in CONTACTS]
+        if not held:
+            return
+        for name in held:
+            self._refuse(cells[name] < 0, name, "is negative: give 1, 2, ... or 0 for none", cells[name])
+        count = np.sum([cells[name] > 0 for name in held], axis=0)
+        self._refuse(count != 1, held[0], "and its neighbours must name the one thing that held the tool, the others 0")
+        for length in (c.name for c in self.columns if c.quantity == "bar"):
+            bar = next(c.name for c in self.columns if c.quantity == "bar_id")
+            wrong = (cells[bar] > 0) & (cells[length] <= 0)
+            self._refuse(wrong, length, "is no length of a ball bar: it must be above 0", cells[length])
+
+    def _check_quaternions(self, cells: dict[str, Floats]) -> None:
+        parts = [c.name for c in self.columns if c.quantity in ("qw", "qx", "qy", "qz")]
+        if parts:
+            norm = np.linalg.norm(np.stack([cells[name] for name in parts]), axis=0)
+            wrong = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
+            self._refuse(wrong, "qw", "and its neighbours make no unit quaternion; their length is", norm)
+
+    def _remember(self, cells: dict[str, Floats]) -> None:
+        for column in self._lengths():
+            values = cells[column.name] * column.factor
+            values = values[~np.isnan(values)]
+            if len(values):
+                self._low[column.name] = min(self._low.get(column.name, np.inf), float(values.min()))
+                self._high[column.name] = max(self._high.get(column.name, -np.inf), float(values.max()))
+        if not self._sample:
+            joints = [c for c in self.columns if c.quantity == "q"]
+            joints.sort(key=lambda c: c.number or 0)
+            step = max(1, len(cells[joints[0].name]) // SAMPLE_ROWS)
+            q = np.stack([cells[c.name][::step] * c.factor for c in joints], axis=1)
+            point = sorted(self._lengths(), key=lambda c: (-1 if c.number is None else c.number, c.quantity))[:3]
+            if point:
+                self._sample.append((q, np.stack([cells[c.name][::step] * c.factor for c in point], axis=1)))
+
+    def _lengths(self) -> Iterable[Column]:
+        return (c for c in self.columns if c.quantity in ("x", "y", "z") or c.quantity.startswith("marker_"))
+
+    def _reach(self) -> float:
+        """Return how far the tool point can be from the base (m): all lengths of the arm in a row."""
+        lengths = sum(abs(e.value) for e in self.robot.chain.elements if not e.axis.rotates)
+        strokes = [max(abs(j.lower), abs(j.upper)) for j in self.robot.joints if j.kind == "prismatic"]
+        return float(lengths + sum(strokes) + np.linalg.norm(self.robot.T_tool[:3, 3]))
+
+    def _check_unit(self, column: Column) -> None:
+        """Refuse points that fit the robot in another unit only."""
+        from kilter_core.unit_check import unit_factor  # loads compiled kernels; wanted only for a suspicious upload
+
+        factor = unit_factor(self.robot, *self._sample[0])
+        if factor is None:
+            return
+        stated = column.name.rpartition("_")[2]
+        size = factor * column.factor * 1e3
+        unit = next((name for mm, name in UNITS_MM.items() if abs(mm / size - 1.0) < 1e-6), "another unit")
+        remedy = f"name the columns _{unit}" if unit in ("m", "mm") else f"multiply them by {factor:.6g}"
+        read_as = unit if factor > 1 else "mm"
+        others = [name for mm, name in UNITS_MM.items() if factor < 1 and abs(mm * factor - 1.0) < 1e-6]
+        seen = "".join(f", or mm declared as {name} in the recording they come from" for name in others if unit != "mm")
+        raise ObservationError(
+            f"The positions (column {column.name!r} and its neighbours) fit what the joints command only when they are "
+            f"multiplied by {factor:.6g}: they look like {unit} declared as {stated}{seen}. Correct the unit ({remedy}; a "
+            f"recording is read in the right one with --unit {read_as}), or the robot's lengths.",
+            column=column.name,
+            factor=factor,
+            unit=unit,
+        )
+
+    def _refuse(self, wrong: NDArray[np.bool_], name: str, what: str, cells: Floats | None = None) -> None:
+        if not wrong.any():
+            return
+        row = int(np.argmax(wrong))
+        value = "" if cells is None else f" ({cells[row]:.9g})"
+        number = self.rows + row + 1
+        raise ObservationError(f"Row {number}, column {name!r} {what}{value}.", row=number, column=name)

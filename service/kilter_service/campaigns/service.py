@@ -1,0 +1,165 @@
+"""What can be done with campaigns and their observations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kilter_core.errors import ObservationError
+from kilter_service.campaigns import reading, store, wire
+from kilter_service.campaigns.chunks import Chunk, write_chunk
+from kilter_service.campaigns.columns import has, read_columns
+from kilter_service.campaigns.rules import RowRules
+from kilter_service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
+from kilter_service.contract.columns import CONTACTS, TILTS
+from kilter_service.db import Database, Session
+from kilter_service.errors import ServiceError
+from kilter_service.paging import Page, in_time
+from kilter_service.references import retired
+from kilter_service.robots import store as robots
+
+if TYPE_CHECKING:
+    from kilter_core.robot import Robot
+
+STAGED_FOR = timedelta(days=7)
+MEASURED = ("x", "marker_x", "link", *TILTS, *CONTACTS)
+
+
+def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
+    """Store a new campaign of a robot; one begun long ago whose parts never came is dropped on the way."""
+    with database.transaction() as session:
+        robot_id = robots.usable(session, robot).id
+        for forgotten in store.staged_before(session, robot_id, datetime.now(UTC) - STAGED_FOR):
+            store.discard(session, forgotten)
+        campaign_id = store.add(session, robot_id, campaign)
+        session.flush()
+        return shown(session, campaign_id)
+
+
+def get(database: Database, campaign_id: str) -> Campaign:
+    """Return a campaign."""
+    with database.reading() as session:
+        return shown(session, campaign_id)
+
+
+def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
+    """Make a staged campaign visible, at once and only if it holds exactly the parts that are named.
+
+    Raises:
+        ServiceError: no such campaign, or other parts than those named.
+
+    """
+    with database.transaction() as session:
+        store.get(session, campaign_id)
+        there, named = {upload.sha256 for upload in store.uploads_of(session, campaign_id)}, set(parts.sha256)
+        if there != named:
+            raise ServiceError(
+                f"Campaign {campaign_id} lacks {len(named - there)} of {len(named)} parts and has {len(there - named)} "
+                "others: send what is missing, or discard it and begin anew.",
+                code="campaign_incomplete",
+                missing=sorted(named - there)[:20],
+                others=sorted(there - named)[:20],
+            )
+        store.commit(session, campaign_id)
+        session.flush()
+        return shown(session, campaign_id)
+
+
+def discard(database: Database, campaign_id: str) -> None:
+    """Delete a staged campaign with all that was sent to it.
+
+    Raises:
+        ServiceError: no such campaign, or one that is not staged: measurements are kept.
+
+    """
+    with database.transaction() as session:
+        if not store.get(session, campaign_id).staged:
+            raise ServiceError(
+                f"Campaign {campaign_id} is whole: measurements are kept. Use another one.", code="campaign_committed"
+            )
+        store.discard(session, campaign_id)
+
+
+def listed(
+    database: Database, robot: str, page: Page, staged: bool = False, with_retired: bool = False
+) -> CampaignList:
+    """List the campaigns of a robot, or those whose parts are not all there yet; ``with_retired`` those out of use too."""
+    with database.reading() as session:
+        read = store.listed(session, robots.get(session, robot).id, staged, page, with_retired)
+        found, cursor = page.cut(read, lambda campaign: in_time(campaign.created_at, campaign.id))
+        return CampaignList(campaigns=[shown(session, campaign.id) for campaign in found], next=cursor)
+
+
+def upload(database: Database, campaign_id: str, path: Path, media: str, sha256: str) -> Uploaded:
+    """Check a file and store it whole; a file that breaks a rule leaves nothing behind.
+
+    Raises:
+        ObservationError: a rule is broken; row and column are named.
+        ServiceError: no such campaign.
+
+    """
+    names = reading.column_names(path, media)
+    with database.reading() as session:
+        known = _uploaded(session, campaign_id, sha256, new=False)
+        if known:
+            return known
+        _same_columns(session, campaign_id, names)
+        robot = robots.core_robot(session, store.get(session, campaign_id).robot_id)
+    chunks = checked_chunks(path, media, names, robot)
+    # Parsed outside, so that this transaction is short: SQLite has one writer at a time.
+    with database.transaction() as session:
+        known = _uploaded(session, campaign_id, sha256, new=False)
+        if known:
+            return known
+        _same_columns(session, campaign_id, names)
+        store.add_upload(session, campaign_id, sha256, media, names, chunks)
+        done = _uploaded(session, campaign_id, sha256, new=True)
+        assert done is not None
+        return done
+
+
+def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -> list[Chunk]:
+    """Check every row of a file of measurements and write it as chunks beside it."""
+    columns = read_columns(names, [joint.kind for joint in robot.joints])
+    if not any(has(columns, quantity) for quantity in MEASURED):
+        raise ObservationError(
+            "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ..., or "
+            "tilt1x_deg ..., or what held the tool, socket_id, plane_id or bar_id with bar_mm."
+        )
+    rules = RowRules(columns, robot)
+    chunks = []
+    for number, table in enumerate(reading.tables(path, media)):
+        rules.check(table)
+        chunks.append(write_chunk(table, path.with_name(f"chunk-{number}")))
+    rules.finish()
+    return chunks
+
+
+def shown(session: Session, campaign_id: str) -> Campaign:
+    """Return a campaign as it is shown."""
+    record = store.get(session, campaign_id)
+    return wire.campaign(record, robots.by_id(session, record.robot_id).name, store.uploads_of(session, campaign_id))
+
+
+def _uploaded(session: Session, campaign_id: str, sha256: str, *, new: bool) -> Uploaded | None:
+    retired.refuse("campaign", campaign_id, store.get(session, campaign_id).retired_at)
+    uploads = store.uploads_of(session, campaign_id)
+    total = sum(upload.rows for upload in uploads)
+    for upload in uploads:
+        if upload.sha256 == sha256:
+            return wire.uploaded(campaign_id, upload, total, new=new)
+    return None
+
+
+def _same_columns(session: Session, campaign_id: str, names: Sequence[str]) -> None:
+    for before in store.uploads_of(session, campaign_id):
+        odd = sorted(set(names) ^ set(before.columns))
+        if odd:
+            raise ObservationError(
+                f"Column {odd[0]!r} is not in both this upload and the campaign's earlier ones: upload to a new "
+                "campaign, or give the same columns.",
+                column=odd[0],
+                columns=odd,
+            )

@@ -1,0 +1,49 @@
+"""Campaigns and uploads as they go over the wire."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from kilter_service.campaigns.records import CampaignRecord, UploadRecord
+from kilter_service.contract.campaigns import Campaign, Conditions, Role, Upload, Uploaded
+
+
+def campaign(record: CampaignRecord, robot: str, uploads: Sequence[UploadRecord]) -> Campaign:
+    """Say all of a campaign of the robot of this name."""
+    role: Role = record.role  # type: ignore[assignment]  # checked when it was stored, and again by the model
+    return Campaign(
+        id=record.id,
+        robot=robot,
+        name=record.name,
+        device=record.device,
+        role=role,
+        conditions=Conditions(**record.conditions),
+        notes=record.notes,
+        staged=record.staged,
+        created_at=record.created_at,
+        retired_at=record.retired_at,
+        rows=sum(one.rows for one in uploads),
+        uploads=[_upload(one) for one in uploads],
+    )
+
+
+def uploaded(campaign_id: str, record: UploadRecord, total: int, *, new: bool) -> Uploaded:
+    """Say what an upload became."""
+    return Uploaded(
+        campaign_id=campaign_id,
+        sha256=record.sha256,
+        rows=record.rows,
+        columns=record.columns,
+        total_rows=total,
+        new=new,
+    )
+
+
+def _upload(record: UploadRecord) -> Upload:
+    return Upload(
+        sha256=record.sha256,
+        rows=record.rows,
+        columns=record.columns,
+        media_type=record.media_type,
+        created_at=record.created_at,
+    )

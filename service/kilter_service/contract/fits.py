@@ -1,0 +1,271 @@
+"""What a fit says of itself: errors, parameters, what it could not tell, warnings, and how uncertain it is."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from kilter_service.contract.units import Deg, Metres, Mm, Stored
+
+UNIT = "Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."
+
+
+class Errors(Stored):
+    """Errors of a model on some rows, measured minus predicted. Every marker that was seen counts as a point."""
+
+    mean_mm: Mm = Field(description="Mean size of the errors, mm.")
+    rms_mm: Mm | None = Field(None, description="Root mean square of the sizes, mm.")
+    p95_mm: Mm | None = Field(None, description="Size that 95 % of the errors do not exceed, mm.")
+    max_mm: Mm | None = Field(None, description="Largest error, mm.")
+    x_mm: Mm | None = Field(None, description="Rms along x, mm; not for distances and contacts.")
+    y_mm: Mm | None = Field(None, description="Rms along y, mm.")
+    z_mm: Mm | None = Field(None, description="Rms along z, mm.")
+    orientation_deg: Deg | None = Field(
+        None, description="Mean error of the orientation, degrees, where it was measured."
+    )
+
+
+class StageErrors(Stored):
+    """Errors of several models on the same rows."""
+
+    n: int | None = Field(None, description="Points the errors are taken over.")
+    nominal: Errors | None = Field(None, description="The robot as drawn, in its own base and tool.")
+    registration_only: Errors | None = Field(None, description="The robot as drawn, base and tool fitted.")
+    geometry_only: Errors | None = Field(None, description="The fitted geometry without effects.")
+    identified: Errors | None = Field(None, description="The model that was identified.")
+
+
+class Metrics(Stored):
+    """Errors of an identification; empty where no tool was measured."""
+
+    train: StageErrors | None = Field(None, description="On the rows that were fitted.")
+    validation: StageErrors | None = Field(None, description="On the rows that were held out; null: none were.")
+
+
+class Parameter(Stored):
+    """A parameter that was identified, in the unit it is read in."""
+
+    name: str = Field(description="Name of the parameter.")
+    unit: str | None = Field(None, description=UNIT)
+    value: float | None = Field(None, description="Its value; null: it could not be measured.")
+    nominal: float | None = Field(None, description="What the robot as drawn has for it.")
+    sigma: float | None = Field(None, description="Standard deviation of the value.")
+    lower: float | None = Field(None, description="Lower end of the 95 % interval, where `intervals` were asked for.")
+    upper: float | None = Field(None, description="Upper end of the 95 % interval.")
+    interval_from: str | None = Field(
+        None, description="What the interval rests on: `bootstrap`, `profile`, or `sigma` where neither could be had."
+    )
+    identifiable: bool | None = Field(None, description="Whether the data could see it.")
+    plausible: bool | None = Field(None, description="Whether the value is within what is usual.")
+    readings: int | None = Field(None, description="Readings it rests on, in a job of kind `joint_parameters`.")
+    reason: str | None = Field(None, description="Why it has no value, in words.")
+    stiffness_nm_deg: float | None = Field(None, description="Stiffness of the joint beside its compliance, N m/deg.")
+
+
+class Member(Stored):
+    """A parameter's part in a direction."""
+
+    name: str = Field(description="Name of the parameter.")
+    weight: float = Field(description="Its part, -1 to 1, by what it alone would do to the measurements.")
+
+
+class NullDirection(Stored):
+    """A combination of parameters that the data cannot tell."""
+
+    parameters: list[Member] = Field(description="Its members, the largest first.")
+    structural: bool | None = Field(None, description="Whether no pose at all could tell it.")
+    sentence: str | None = Field(None, description="The same in words.")
+
+
+class OddMass(Stored):
+    """A mass or a centre far from what was stated."""
+
+    link: int | None = Field(None, description="Number of the link, from 1; null: the payload.")
+    parameter: str | None = Field(None, description="`mass`, or a coordinate of the centre such as `com_x`.")
+    unit: str | None = Field(None, description="kg or mm.")
+    stated: float | None = Field(None, description="What was stated.")
+    value: float | None = Field(None, description="What the data say.")
+
+
+class Remark(Stored):
+    """A warning: ``code`` is for programs, ``message`` says what is the matter and what helps. The rest goes with the code."""
+
+    code: str = Field(description="Stable name of the warning.")
+    message: str = Field(description="What is the matter, and what helps.")
+    joint: str | None = Field(None, description="Name of the joint it is about.")
+    effects: list[str] | None = Field(None, description="Ids of the effects it is about.")
+    campaigns: list[str] | None = Field(None, description="Ids of the campaigns it is about.")
+    markers: list[int] | None = Field(None, description="Numbers of the markers it is about, from 1.")
+    rows: list[int] | None = Field(None, description="Rows it is about, from 1.")
+    row: int | None = Field(None, description="The row it is about, from 0.")
+    visits: int | None = Field(None, description="How many visits it is about.")
+    masses: list[OddMass] | None = Field(None, description="Masses and centres far from what was stated.")
+    ratio: float | None = Field(None, description="What is left, in multiples of the noise.")
+    axis: str | None = Field(None, description="Axis it is about, such as `z` or `-x`.")
+    angle_deg: Deg | None = Field(None, description="Angle it is about, degrees.")
+    here_mm: Mm | None = Field(None, description="Uncertainty of the tool in the measured poses, mm.")
+    elsewhere_mm: Mm | None = Field(None, description="Uncertainty of the tool over the joint limits, mm.")
+    simpler_mm: Mm | None = Field(None, description="Error of the simpler model on held-out rows, mm.")
+    identified_mm: Mm | None = Field(None, description="Error of the identified model on held-out rows, mm.")
+    simpler_deg: Deg | None = Field(None, description="Error of the simpler model on held-out rows, degrees.")
+    identified_deg: Deg | None = Field(None, description="Error of the identified model on held-out rows, degrees.")
+    beyond_chance: bool | None = Field(None, description="Whether the difference is more than chance explains.")
+
+
+class Covariance(Stored):
+    """What a version knows of its parameters, SI; empty where nothing was identified."""
+
+    names: list[str] | None = Field(None, description="Names of the parameters, in the order of the matrix.")
+    matrix: list[list[float]] | None = Field(None, description="Covariance of the parameters, SI (m, rad, N m, ...).")
+    units: str | None = Field(None, description="`SI`.")
+    inadequacy_m: Metres | None = Field(
+        None, description="Standard deviation of a coordinate that the fit left beyond the noise, m."
+    )
+    noise_m: Metres | None = Field(None, description="Standard deviation of a coordinate of the noise, m.")
+
+
+class LoadNumber(Stored):
+    """A mass or a coordinate of a centre, as stated and as the data leave it."""
+
+    link: int | None = Field(None, description="Number of the link, from 1; null: the payload.")
+    parameter: str = Field(description="`mass`, or a coordinate: `com_x` of a link, `shift_x` of the payload.")
+    unit: str | None = Field(None, description="kg or mm.")
+    stated: float | None = Field(None, description="What the robot or the campaign states.")
+    value: float | None = Field(None, description="What the data leave of it.")
+    sigma: float | None = Field(None, description="Standard deviation of the value.")
+    prior_sigma: float | None = Field(None, description="Standard deviation that was stated.")
+    seen: bool | None = Field(None, description="Whether the data could see it.")
+
+
+class Reference(Stored):
+    """Where the frames that a correction works in come from."""
+
+    base: str | None = Field(
+        None, description="`robot`: the robot's own base; `registration`: where the drawing fits best."
+    )
+    tool: str | None = Field(None, description="The same of the tool.")
+
+
+class SetAside(Stored):
+    """A row that counts less than half in a fit with a robust loss."""
+
+    campaign: str | None = Field(None, description="Id of the campaign.")
+    row: int = Field(description="Row of the campaign, from 1.")
+    residual_sigma: float | None = Field(None, description="Length of what is left of it, in standard deviations.")
+    weight: float | None = Field(None, description="What it counts, 0 to 1.")
+
+
+class Scale(Stored):
+    """The standard deviations that residuals were weighed by."""
+
+    point_mm: Mm | None = Field(None, description="Of a coordinate of a point, mm.")
+    turn_deg: Deg | None = Field(None, description="Of an orientation, degrees.")
+
+
+class Noise(Stored):
+    """What the rows of an identification scatter by."""
+
+    residuals_mm: Mm | None = Field(None, description="Standard deviation of a coordinate of what the fit leaves, mm.")
+    inadequacy_mm: Mm | None = Field(None, description="What of it is beyond the noise, mm.")
+    between_visits_mm: Mm | None = Field(
+        None, description="Standard deviation between visits of a pose, mm; null: no repeats."
+    )
+    between_shots_mm: Mm | None = Field(None, description="Standard deviation between shots without motion, mm.")
+    wrong_rows: int | None = Field(None, description="Rows too far from the repeats of their pose to be noise.")
+
+
+class Observability(Stored):
+    """Observability indices of the poses, per prior standard deviation and in mm."""
+
+    O1: float | None = Field(None, description="Geometric mean of the singular values over the root of the poses.")
+    O2: float | None = Field(None, description="Smallest over largest singular value, 0 to 1.")
+    O3: float | None = Field(None, description="Smallest singular value.")
+    O4: float | None = Field(None, description="Smallest squared over largest singular value.")
+    O5: float | None = Field(None, description="One over the sum of the inverse singular values.")
+    rank: int | None = Field(None, description="Combinations of parameters that the poses can tell.")
+    parameters: int | None = Field(None, description="Parameters that were free.")
+
+
+class CorrelatedGroup(Stored):
+    """Parameters that go together."""
+
+    parameters: list[str] = Field(description="Names of the parameters.")
+    correlation: float | None = Field(None, description="Strongest correlation between two of them, -1 to 1.")
+
+
+class Influence(Stored):
+    """How far a parameter moves the tool."""
+
+    name: str = Field(description="Name of the parameter.")
+    step: float | None = Field(None, description="Change that was imposed, in `unit`.")
+    unit: str | None = Field(None, description=UNIT)
+    mean_mm: Mm | None = Field(None, description="Mean movement of the tool over the poses, mm.")
+    min_mm: Mm | None = Field(None, description="Least movement, mm.")
+    max_mm: Mm | None = Field(None, description="Largest movement, mm.")
+    mean_k: float | None = Field(
+        None, description="Mean over the poses of its movement over the largest of any parameter, 0 to 1."
+    )
+    leads: float | None = Field(None, description="Share of the poses in which it moves the tool more than any other.")
+
+
+class Learned(Stored):
+    """Whether an effect that was learned predicts held-out poses better."""
+
+    effects: list[str] | None = Field(None, description="Ids of the learned effects.")
+    kept: bool | None = Field(None, description="Whether they stayed in the model.")
+    poses: int | None = Field(None, description="Poses it was tried on.")
+    held_out_without_mm: Mm | None = Field(None, description="Mean error on held-out poses without them, mm.")
+    held_out_with_mm: Mm | None = Field(None, description="Mean error on held-out poses with them, mm.")
+    p_value: float | None = Field(None, description="Chance of such a gain when there is none; null: not tried.")
+
+
+class OwnBase(Stored):
+    """A base that was fitted to rows of its own."""
+
+    campaign: str | None = Field(None, description="Id of the campaign; null: the campaigns of other devices.")
+    session: int | None = Field(None, description="Session of the campaign; null: all of it.")
+    use: str | None = Field(None, description="What the rows were used for.")
+    moved_mm: Mm | None = Field(None, description="How far the base lies from the others', mm.")
+    turned_deg: Deg | None = Field(None, description="How far it is turned, degrees.")
+
+
+class Method(Stored):
+    """The method of a fit, and what it says of itself."""
+
+    name: str | None = Field(None, description="Name of the method.")
+    effects: str | None = Field(None, description="With `tilt_first`: whether effects were `held` or `fitted first`.")
+    rows_left_out: int | None = Field(None, description="Rows that the fit left out.")
+    linear_error: float | None = Field(
+        None, description="Largest error of the linearisation, in standard deviations of a residual."
+    )
+    rows: int | None = Field(None, description="Rows that a filter took in.")
+    continued: bool | None = Field(None, description="Whether a filter continued from a version's covariance.")
+    mean_square_innovation: float | None = Field(
+        None, description="Mean squared innovation of a filter; 1 is as expected."
+    )
+    evaluations: int | None = Field(None, description="Models that a global search tried.")
+    best_mm: Mm | None = Field(None, description="Error at the best point of a global search, mm.")
+    start_mm: Mm | None = Field(None, description="Error at its start, mm.")
+    needed: bool | None = Field(None, description="Whether the search found what a plain fit does not.")
+    sweeps: int | None = Field(None, description="Sweeps over the poses of a method that goes pose by pose.")
+    settled: bool | None = Field(None, description="Whether the sweeps settled.")
+
+
+class FitDetails(Stored):
+    """What an identification says beside its parameters and errors."""
+
+    noise_source: str | None = Field(None, description="What the noise was estimated from.")
+    scale: Scale | None = Field(None, description="The standard deviations that residuals were weighed by.")
+    noise: Noise | None = Field(None, description="What the rows scatter by.")
+    set_aside: list[SetAside] | None = Field(None, description="Rows that a robust loss let go.")
+    iterations: int | None = Field(None, description="Iterations of the fit.")
+    method: Method | None = Field(None, description="The method, and what it says of itself.")
+    influence: list[Influence] | None = Field(
+        None, description="How far each parameter moves the tool; method `influence`."
+    )
+    intervals: str | None = Field(None, description="What the intervals rest on: `bootstrap` or `profile`.")
+    learned: Learned | None = Field(None, description="Whether a learned effect predicts better.")
+    load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
+    observability: Observability | None = Field(None, description="Observability indices of the poses.")
+    correlated_groups: list[CorrelatedGroup] | None = Field(None, description="Parameters that go together.")
+    base_refitted: list[OwnBase] | None = Field(None, description="Bases that were fitted to rows of their own.")
+    reference: Reference | None = Field(None, description="Where the frames of a correction come from.")

@@ -1,0 +1,285 @@
+"""The parts of a gap hunt's result. Joint data have degrees where rows of a tool have mm."""
+
+from __future__ import annotations
+
+from pydantic import ConfigDict, Field
+
+from kilter_service.contract.fits import UNIT
+from kilter_service.contract.units import Deg, Kg, Mm, Stored
+
+JOINTS = "Joints it acts at, from 1; null: it does not act at joints."
+ID = "Id of the effect."
+
+
+class AtJoints(Stored):
+    """An effect at some joints."""
+
+    id: str = Field(description=ID)
+    joints: list[int] | None = Field(None, description=JOINTS)
+
+
+class Alias(AtJoints):
+    """A rival that does as well."""
+
+    behind: float | None = Field(None, description="Points of the criterion it is behind.")
+    correlation: float | None = Field(None, description="How alike the two look, 0 to 1.")
+    p_wrong: float | None = Field(None, description="Chance that the rival is the right one.")
+
+
+class Amplitude(Stored):
+    """A parameter of an effect that was named."""
+
+    name: str = Field(description="Name of the parameter.")
+    value: float | None = Field(None, description="Its value.")
+    unit: str | None = Field(None, description=UNIT)
+    sigma: float | None = Field(None, description="Standard deviation of the value.")
+    interval_low: float | None = Field(None, description="Lower end of the 95 % interval.")
+    interval_high: float | None = Field(None, description="Upper end of the 95 % interval.")
+    seen: bool | None = Field(None, description="Whether zero is outside its own interval.")
+
+
+class HeldOutGain(Stored):
+    """What held-out poses gain by an effect."""
+
+    gain: float | None = Field(None, description="Gain in the log-likelihood of the held-out poses.")
+    standard_error: float | None = Field(None, description="Standard error of the gain.")
+    deviations: float | None = Field(None, description="Standard deviations by which they err as foretold.")
+
+
+class Gates(Stored):
+    """The tests an effect passed or did not; all must be passed to be confirmed."""
+
+    physical: bool | None = Field(None, description="It is a cause, not a shape.")
+    adequate: bool | None = Field(None, description="The model with it agrees with the rows.")
+    held_out: bool | None = Field(None, description="Held-out poses gain by it.")
+    unseen_poses: bool | None = Field(None, description="Poses that took no part in choosing judged it.")
+    no_empirical_alias: bool | None = Field(None, description="No shape without a cause does as well.")
+    plausible: bool | None = Field(None, description="Its amplitude is physically plausible.")
+    seen: bool | None = Field(None, description="The rows show it.")
+    inclusion: bool | None = Field(None, description="It returns on resampled poses.")
+    negative_control: bool | None = Field(None, description="It vanishes when its labels are shuffled.")
+    confirmation: bool | None = Field(None, description="A confirmation does not contradict it.")
+
+
+class Evidence(Stored):
+    """The number that each gate was decided by; null where there was none."""
+
+    physical: float | None = Field(None, description="1 for a cause, 0 for a shape.")
+    adequate: float | None = Field(None, description="p-value of the model with it.")
+    held_out: float | None = Field(None, description="Standard deviations by which held-out poses err as foretold.")
+    unseen_poses: float | None = Field(None, description="Poses that took no part in choosing.")
+    no_empirical_alias: float | None = Field(None, description="Points that the best shape is behind it.")
+    bumped: float | None = Field(None, description="1 when a local bump of its joint does as well.")
+    shadowed: float | None = Field(None, description="Largest correlation with an unknown curve that was needed too.")
+    plausible: float | None = Field(None, description="Standard deviations beyond what is plausible; below 0: within.")
+    seen: float | None = Field(None, description="1 when the rows show it.")
+    inclusion: float | None = Field(None, description="Share of resamples on which it returns, 0 to 1.")
+    negative_control: float | None = Field(None, description="Share of shuffles in which it was still named, 0 to 1.")
+    confirmation: float | None = Field(None, description="Standard deviations between the two amplitudes.")
+    confirmation_p: float | None = Field(None, description="p-value of no amplitude in the confirmation.")
+
+
+class Amount(Stored):
+    """A parameter as the confirmation has it."""
+
+    name: str = Field(description="Name of the parameter.")
+    value: float | None = Field(None, description="Its value.")
+    unit: str | None = Field(None, description=UNIT)
+    sigma: float | None = Field(None, description="Standard deviation of the value.")
+
+
+class Replication(Stored):
+    """What a confirmation says of an effect."""
+
+    outcome: str | None = Field(None, description="`replicated`, `not_seen`, `contradicted` or `not_testable`.")
+    parameters: list[Amount] | None = Field(None, description="Its amplitudes in the confirmation.")
+    p_value: float | None = Field(None, description="Chance of such amplitudes without the effect.")
+    apart_sigma: float | None = Field(None, description="Standard deviations between the two amplitudes.")
+    reason: str | None = Field(None, description="Why nothing can be said.")
+
+
+class NamedEffect(AtJoints):
+    """An effect that was named, and how sure that is."""
+
+    model_config = ConfigDict(serialize_by_alias=True, validate_by_name=True)
+
+    verdict: str | None = Field(
+        None, description="`replicated`, `confirmed`, `class_confirmed` or `provisional`, the surest first."
+    )
+    empirical: bool | None = Field(None, description="Whether it is a shape without a cause.")
+    class_: str | None = Field(None, alias="class", description="The class that cannot be told apart; null: none.")
+    alias_set: list[Alias] | None = Field(None, description="Rivals that do as well.")
+    parameters: list[Amplitude] | None = Field(None, description="Its amplitudes.")
+    seen_joints: list[int] | None = Field(None, description="Joints at which the rows show it, from 1.")
+    gain_mm: float | None = Field(None, description="What it takes off the rms error, mm; degrees of joint data.")
+    moves_mm: Mm | None = Field(None, description="Rms movement of the tool by it, mm; null: joint data.")
+    too_small_to_matter: bool | None = Field(None, description="Whether that is too small to matter.")
+    p_value: float | None = Field(None, description="Chance of such a gain by nothing, over the whole library.")
+    inclusion: float | None = Field(None, description="Share of resamples on which it returns, 0 to 1.")
+    held_out_gain: HeldOutGain | None = Field(None, description="What held-out poses gain by it.")
+    gates: Gates | None = Field(None, description="The tests it passed.")
+    evidence: Evidence | None = Field(None, description="The number that each test was decided by.")
+    replication: Replication | None = Field(None, description="What the confirmation says; null: there was none.")
+    to_confirm: list[str] | None = Field(None, description="What would raise the verdict, in words.")
+
+
+class Place(Stored):
+    """A level of a factor at which the model was wrong."""
+
+    factor: str | None = Field(None, description="What was looked at, such as the angle of a joint.")
+    level: str | None = Field(None, description="The level of it.")
+    excess: float | None = Field(
+        None, description="Squared error beyond what noise leaves, in multiples of that; 0 is none."
+    )
+    p_value: float | None = Field(None, description="Chance of such an excess by noise.")
+    visits: int | None = Field(None, description="Visits at this level.")
+
+
+class Predictive(Stored):
+    """How many held-out coordinates are within their 95 % predictive intervals."""
+
+    inside: int | None = Field(None, description="Coordinates inside.")
+    of: int | None = Field(None, description="Coordinates in all.")
+    poses: list[list[int]] | None = Field(None, description="Both numbers for each held-out pose.")
+
+
+class GapStep(Stored):
+    """A step of the search."""
+
+    names: list[str] | None = Field(None, description="What was named then.")
+    chi2_per_freedom: float | None = Field(None, description="Misfit then, in multiples of what noise leaves.")
+
+
+class GapSize(Stored):
+    """The gap before and after, as rms of the 3-D error, beside the noise. Joint data have the `_deg` fields."""
+
+    before_mm: Mm | None = Field(None, description="Before, on the rows fitted, mm.")
+    after_mm: Mm | None = Field(None, description="After, on the rows fitted, mm.")
+    noise_mm: Mm | None = Field(None, description="Standard deviation of one coordinate of the noise, mm.")
+    noise_rms_mm: Mm | None = Field(None, description="What noise alone would leave, mm, to be compared with after.")
+    validation_before_mm: Mm | None = Field(None, description="Before, on the held-out rows, mm.")
+    validation_after_mm: Mm | None = Field(None, description="After, on the held-out rows, mm.")
+    validation_noise_rms_mm: Mm | None = Field(None, description="What noise alone would leave there, mm.")
+    before_deg: Deg | None = Field(None, description="Before, on the rows fitted, degrees of a joint.")
+    after_deg: Deg | None = Field(None, description="After, on the rows fitted, degrees of a joint.")
+    noise_deg: Deg | None = Field(None, description="Standard deviation of the noise, degrees of a joint.")
+    noise_rms_deg: Deg | None = Field(None, description="What noise alone would leave, degrees of a joint.")
+    validation_before_deg: Deg | None = Field(None, description="Before, on the held-out rows, degrees of a joint.")
+    validation_after_deg: Deg | None = Field(None, description="After, on the held-out rows, degrees of a joint.")
+    validation_noise_rms_deg: Deg | None = Field(None, description="What noise alone would leave there, degrees.")
+    closure: float | None = Field(
+        None, description="Share of the gap that is closed; 1 is all; null: the noise is not known."
+    )
+    held_out: str | None = Field(None, description="How rows were held out.")
+    held_out_set_aside: int | None = Field(None, description="Held-out visits that were set aside.")
+    predictive: Predictive | None = Field(None, description="How the held-out rows lie in their 95 % intervals.")
+    steps: list[GapStep] | None = Field(None, description="Steps of the search.")
+
+
+class Adequacy(Stored):
+    """Whether what is left is no more than the noise."""
+
+    chi2: float | None = Field(None, description="Squared residuals in multiples of the noise.")
+    freedom: float | None = Field(None, description="Degrees of freedom.")
+    chi2_per_freedom: float | None = Field(None, description="The one over the other; 1 is noise alone.")
+    lack_of_fit_f: float | None = Field(None, description="Lack of fit over pure error.")
+    p_value: float | None = Field(None, description="Chance of so much by noise; null: the noise is not known.")
+    p_value_low: float | None = Field(None, description="Chance of so little by noise.")
+    misfit_mm: Mm | None = Field(None, description="Misfit beyond the noise, mm.")
+    misfit_upper_mm: Mm | None = Field(None, description="Upper bound of it, mm.")
+    matters_mm: Mm | None = Field(None, description="Size that matters, mm.")
+    too_small_to_matter: bool | None = Field(None, description="Whether the misfit is below it.")
+
+
+class RepeatDrift(Stored):
+    """How far repeats drifted."""
+
+    seen: bool | None = Field(None, description="Whether a drift was seen.")
+    over_campaign_mm: Mm | None = Field(None, description="Drift over the campaign, mm.")
+    per_kelvin_mm: Mm | None = Field(None, description="Drift per kelvin, mm.")
+    over_campaign_deg: Deg | None = Field(None, description="Drift over the campaign, degrees of a joint.")
+    per_kelvin_deg: Deg | None = Field(None, description="Drift per kelvin, degrees of a joint.")
+    p_value: float | None = Field(None, description="Chance of such a drift by noise.")
+    timed: bool | None = Field(None, description="Whether by a clock; false: by the order of the rows.")
+
+
+class GapNoise(Stored):
+    """The noise: standard deviations of a coordinate. Joint data have the `_deg` fields."""
+
+    source: str | None = Field(None, description="What it was estimated from.")
+    absolute: bool | None = Field(None, description="Whether it is known apart from the fit.")
+    freedom: float | None = Field(None, description="Degrees of freedom it rests on; null: it was stated.")
+    within_visit_mm: Mm | None = Field(None, description="Within a visit, mm.")
+    re_approach_mm: Mm | None = Field(None, description="Between visits of a pose, mm.")
+    within_visit_deg: Deg | None = Field(None, description="Within a visit, degrees of a joint.")
+    re_approach_deg: Deg | None = Field(None, description="Between visits of a pose, degrees of a joint.")
+    covariance: list[list[float]] | None = Field(
+        None, description="Covariance of one row: mm, of poses the last three degrees."
+    )
+    correlated_samples: float | None = Field(None, description="Rows in a row that count as one.")
+    drift: RepeatDrift | None = Field(None, description="How far the repeats drifted; null: it cannot be told.")
+
+
+class Untestable(AtJoints):
+    """What these rows cannot say."""
+
+    reason: str | None = Field(None, description="Why.")
+    remedy: str | None = Field(None, description="What to measure so that it can be tested.")
+
+
+class Detectable(Stored):
+    """The smallest amplitude that would be seen."""
+
+    id: str = Field(description=ID)
+    parameter: str | None = Field(None, description="Name of the parameter.")
+    unit: str | None = Field(None, description=UNIT)
+    smallest_detectable: float | None = Field(None, description="Smallest amplitude that would be seen.")
+    visibility: float | None = Field(None, description="Share of its signature that geometry cannot imitate, 0 to 1.")
+
+
+class NextPose(Stored):
+    """A pose to measure next."""
+
+    kind: str | None = Field(None, description="`new`, or what is done again.")
+    change: str | None = Field(None, description="What to change before it, in words; null: nothing.")
+    q_deg: list[Deg] | None = Field(None, description="All joints, degrees; mm for one that slides.")
+    payload_kg: Kg | None = Field(None, description="Load to carry, kg; null: any.")
+    direction: list[int] | None = Field(None, description="Direction to reach each joint from, -1 or 1; null: any.")
+    separates: list[str] | None = Field(None, description="The two that it tells apart.")
+    information_factor: float | None = Field(None, description="How much more is known after it, as a factor.")
+
+
+class ShuffledEffect(AtJoints):
+    """What became of an effect when its labels were shuffled."""
+
+    shuffled: str | None = Field(None, description="What was shuffled.")
+    shuffles: int | None = Field(None, description="How often.")
+    survived: float | None = Field(None, description="Share in which it was still named, 0 to 1.")
+    passed: bool | None = Field(None, description="Whether it vanished, as it must.")
+
+
+class NegativeControl(Stored):
+    """What shuffled rows would name."""
+
+    passed: bool | None = Field(None, description="Whether every name vanished.")
+    effects: list[ShuffledEffect] | None = Field(None, description="Every name.")
+    shuffles: int | None = Field(None, description="How often rows were shuffled.")
+    names_in_shuffled_residuals: float | None = Field(
+        None, description="Share of shuffles that named anything, 0 to 1."
+    )
+
+
+class AliasPair(Stored):
+    """Two effects that look alike in these rows."""
+
+    first: AtJoints = Field(description="The one.")
+    second: AtJoints = Field(description="The other.")
+    correlation: float | None = Field(None, description="How alike they look, 0 to 1.")
+
+
+class AliasMatrix(Stored):
+    """How alike effects look in these rows after the geometry is fitted."""
+
+    labels: list[str] | None = Field(None, description="Effects of the matrix: those named and their nearest.")
+    values: list[list[float]] | None = Field(None, description="How alike each two look, 0 to 1.")
+    pairs: list[AliasPair] | None = Field(None, description="Every close pair of the library.")

@@ -1,0 +1,97 @@
+"""Jobs of kind ``gap``: where the model is wrong, what is missing, and how sure that is."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from kilter_service.contract.figures import GapFigures
+from kilter_service.contract.fits import LoadNumber, Reference
+from kilter_service.contract.gap_details import (
+    Adequacy,
+    AliasMatrix,
+    Detectable,
+    GapNoise,
+    GapSize,
+    NamedEffect,
+    NegativeControl,
+    NextPose,
+    Place,
+    Predictive,
+    Untestable,
+)
+from kilter_service.contract.jobs.shared import (
+    FIX,
+    FREE,
+    LIMITS,
+    REFERENCE,
+    SEED,
+    Effects,
+    Free,
+    Limits,
+    MadeVersion,
+    Names,
+    NoiseMm,
+    ReferenceFrames,
+    Seed,
+    Version,
+)
+from kilter_service.contract.units import Asked, Micrometres
+
+
+class GapOptions(Asked):
+    """What can be asked of a gap hunt."""
+
+    start: Version = Field(None, description="Id of the version to continue from; null: the robot as drawn.")
+    alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
+        0.01, description="Chance of any false name in the whole hunt, between 0 and 0.5."
+    )
+    effects: Effects = Field([], description="Look for these effects only, by id or at some joints; empty: for all.")
+    noise_mm: NoiseMm | None = Field(
+        None, description="Standard deviation of a coordinate, mm, above 0, where no pose was measured twice."
+    )
+    free: Names = Field([], description=FREE)
+    fix: Names = Field([], description=FIX)
+    base: Free = Field("free", description="Whether the base is fitted.")
+    tool: Free = Field("free", description="Whether the tool is fitted.")
+    reference: ReferenceFrames = Field("auto", description=REFERENCE)
+    max_effects: Annotated[int, Field(ge=1, le=50)] = Field(8, description="Most effects to name, 1 to 50.")
+    bootstraps: Annotated[int, Field(ge=1, le=20_000)] = Field(
+        1999, description="Resamples behind the p-value of an effect, 1 to 20000."
+    )
+    resamples: Annotated[int, Field(ge=1, le=10_000)] = Field(
+        100, description="Resamples of poses on which a name must return, 1 to 10000."
+    )
+    permutations: Annotated[int, Field(ge=1, le=10_000)] = Field(
+        20, description="Shuffles of the negative control, 1 to 10000."
+    )
+    next_poses: Annotated[int, Field(ge=0, le=1000)] = Field(12, description="Poses to propose, 0 to 1000.")
+    seed: Seed = Field(0, description=SEED)
+    matters_um: Annotated[Micrometres, Field(ge=0)] = Field(
+        5.0, description="Movement of the tool below which nothing matters, micrometres (um), 0 or more."
+    )
+    limits: Limits = Field(None, description=LIMITS)
+
+
+class GapResult(MadeVersion):
+    """What a hunt found. The version holds the named effects and the geometry fitted with them."""
+
+    verdict: str | None = Field(None, description="`no_gap`, `closed`, `provisional` or `unexplained`.")
+    sentence: str | None = Field(None, description="The verdict in words.")
+    effects: list[NamedEffect] | None = Field(None, description="Effects that were named.")
+    where: list[Place] | None = Field(None, description="Where the model was wrong before.")
+    gap: GapSize | None = Field(None, description="How large the gap was and is, on rows fitted and held out.")
+    predictive: Predictive | None = Field(None, description="How the held-out rows lie in their 95 % intervals.")
+    adequacy: Adequacy | None = Field(None, description="Whether the model now agrees with the rows.")
+    noise: GapNoise | None = Field(None, description="The noise that the gap is compared with.")
+    not_testable: list[Untestable] | None = Field(None, description="What these rows cannot say, and how they could.")
+    smallest_detectable: list[Detectable] | None = Field(None, description="Smallest amplitude that would be seen.")
+    next_poses: list[NextPose] | None = Field(None, description="Poses to measure next.")
+    next_poses_csv: str | None = Field(None, description="The same as a CSV file of columns of a measurement.")
+    negative_control: NegativeControl | None = Field(None, description="What shuffled rows would name.")
+    alias_matrix: AliasMatrix | None = Field(None, description="How alike effects look in these rows.")
+    figures: GapFigures | None = Field(None, description="Figures by name.")
+    load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
+    reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
+    start: str | None = Field(None, description="The version it continued from; null: the robot as drawn.")

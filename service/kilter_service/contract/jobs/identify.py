@@ -1,0 +1,92 @@
+"""Jobs of kind ``identify``: observations into a new parameter version."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from kilter_service.contract.figures import IdentifyFigures
+from kilter_service.contract.fits import FitDetails, Metrics, NullDirection, Parameter
+from kilter_service.contract.jobs.shared import (
+    FIX,
+    FREE,
+    LIMITS,
+    NOISE,
+    REFERENCE,
+    SEED,
+    START,
+    Effects,
+    Free,
+    Limits,
+    MadeVersion,
+    Names,
+    NoiseMm,
+    ReferenceFrames,
+    Seed,
+    Version,
+)
+from kilter_service.contract.methods import MethodName
+from kilter_service.contract.units import Asked, Deg, Mm
+
+
+class IdentifyOptions(Asked):
+    """What can be asked of an identification."""
+
+    level: Literal[1, 2, 3] | None = Field(
+        None,
+        description="1 joint offsets, 2 geometry, 3 geometry and effects; null: 3 when `effects` are named, else 2.",
+    )
+    method: MethodName = Field("least_squares", description="The estimator.")
+    tilt_first: bool = Field(
+        False,
+        description="Hold the effects while the geometry is identified: those of the start, else as fitted before it.",
+    )
+    effects: Effects = Field(
+        [], description="Effects to identify, by id or with options; empty: none, at level 3 the thesis's three."
+    )
+    free: Names = Field([], description=FREE)
+    fix: Names = Field([], description=FIX)
+    base: Literal["free", "fixed", "removed"] = Field(
+        "free", description="Whether the base is fitted; `removed`: only distances between poses count."
+    )
+    tool: Free = Field("free", description="Whether the tool is fitted.")
+    loss: Literal["linear", "huber", "tukey"] = Field(
+        "linear", description="`huber` bounds what a wrong row can pull, `tukey` lets it go and names it."
+    )
+    noise_mm: NoiseMm | None = Field(None, description=NOISE)
+    reference: ReferenceFrames = Field("auto", description=REFERENCE)
+    refit: Annotated[list[Literal["base"]], Field(max_length=1)] | None = Field(
+        None,
+        description='["base"]: every campaign and session has a base of its own; []: all rows share one; null: the '
+        "device decides, and sheets and ball bars have their own.",
+    )
+    sheet_order: Literal["checked", "given"] | None = Field(
+        None,
+        description="`given`: the quarter points of drawn sheets are in the right order, do not check; null: `checked`.",
+    )
+    seed: Seed = Field(0, description=SEED)
+    start: Version = Field(None, description=START)
+    limits: Limits = Field(None, description=LIMITS)
+    search_mm: Annotated[Mm, Field(gt=0)] = Field(
+        25.0, description="Half the width of a global search in lengths, mm, above 0."
+    )
+    search_deg: Annotated[Deg, Field(gt=0)] = Field(
+        10.0, description="Half the width of a global search in angles, degrees, above 0."
+    )
+    intervals: Literal["bootstrap", "profile"] | None = Field(
+        None, description="Add 95 % intervals that do not rest on the covariance; null: none."
+    )
+    socket_distances_mm: dict[
+        Annotated[str, Field(pattern=r"^[0-9]+-[0-9]+$", max_length=32)], Annotated[Mm, Field(gt=0)]
+    ] = Field({}, description='Known distances between ball sockets, mm, above 0: {"1-2": 400.0}.')
+
+
+class IdentifyResult(FitDetails, MadeVersion):
+    """What an identification found; the version holds the same."""
+
+    parameters: list[Parameter] | None = Field(None, description="Parameters that were identified.")
+    null_directions: list[NullDirection] | None = Field(None, description="What the data could not tell.")
+    metrics: Metrics | None = Field(None, description="Errors on the rows fitted and on those held out.")
+    noise_mm: Mm | None = Field(None, description="Standard deviation of a coordinate of the noise, mm.")
+    figures: IdentifyFigures | None = Field(None, description="Figures by name.")

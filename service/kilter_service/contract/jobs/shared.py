@@ -1,0 +1,42 @@
+"""What the options and results of several kinds of job share."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, PlainSerializer
+
+from kilter_service.contract.effects import AnyEffect
+from kilter_service.contract.fits import Remark
+from kilter_service.contract.units import Id, Mm, Stored
+from kilter_service.contract.versions import CorrectionLimits, Objection
+
+MAX_EFFECTS = 200
+Effects = Annotated[list[AnyEffect], Field(max_length=MAX_EFFECTS)]
+Names = Annotated[list[Annotated[str, Field(min_length=1, max_length=128)]], Field(max_length=1000)]
+Free = Literal["free", "fixed"]
+ReferenceFrames = Literal["auto", "robot", "registration"]
+Seed = Annotated[int, Field(ge=0, le=2**31)]
+NoiseMm = Annotated[Mm, Field(gt=0)]
+Version = Id | None
+AskedLimits = Annotated[CorrectionLimits, PlainSerializer(lambda limits: limits.model_dump(exclude_unset=True))]
+Limits = AskedLimits | None
+
+FREE = "Parameters to identify, by name or pattern (`alpha_*`); empty: those of the level."
+FIX = "Parameters to hold, by name or pattern (`alpha_*`)."
+NOISE = "Standard deviation of a coordinate, mm, above 0; null: estimated from the rows."
+REFERENCE = (
+    "Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame "
+    "that is fixed or found within 10 mm and 1 degree of it."
+)
+START = "Id of the version to start from; null: the robot as drawn."
+LIMITS = "The largest correction the version may make; null: 1 degree and 5 mm."
+SEED = "Seed of everything that is drawn by chance, 0 or more."
+
+
+class MadeVersion(Stored):
+    """What a job says of the version it made."""
+
+    version_id: str | None = Field(None, description="Id of the version it made; null: none.")
+    objections: list[Objection] | None = Field(None, description="What it found against activating the version.")
+    warnings: list[Remark] | None = Field(None, description="What to know before trusting the result.")

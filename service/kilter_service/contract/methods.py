@@ -1,0 +1,9 @@
+"""The methods of an identification, made from core/kilter_core/identify/methods.py by `make contract`: change them there."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+MethodName = Literal[
+    "least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search", "linear_least_squares"
+]

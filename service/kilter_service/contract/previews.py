@@ -1,0 +1,43 @@
+"""What would happen: a version before it is activated, a job before it is queued."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from kilter_service.contract.units import Celsius, Deg, Mm, Strict
+
+
+class JointPreview(Strict):
+    """The largest correction of a joint."""
+
+    joint: str = Field(description="Name of the joint.")
+    largest_deg: Deg | None = Field(
+        None, description="Largest correction, degrees; null: it slides, or nothing was corrected."
+    )
+    largest_mm: Mm | None = Field(None, description="Largest correction, mm; null: it turns, or nothing was corrected.")
+
+
+class VersionPreview(Strict):
+    """How a version would correct, without activating it."""
+
+    version_id: str = Field(description="Id of the version.")
+    within: Literal["campaigns", "limits"] = Field(
+        description="Poses looked at: `campaigns`, where the robot was driven before; `limits`, anywhere in its limits."
+    )
+    poses: int = Field(description="How many poses were looked at.")
+    corrected: int = Field(description="How many of them it would correct.")
+    refused: dict[str, int] = Field(
+        description="The others, by why they would be refused, such as `CORRECTION_TOO_LARGE` for its limits."
+    )
+    mean_mm: Mm | None = Field(
+        description="Mean movement of the tool by the correction, mm; null: nothing was corrected."
+    )
+    largest_mm: Mm | None = Field(description="Largest movement of the tool by the correction, mm, limits left aside.")
+    largest_at: list[float] | None = Field(description="The joints there: degrees, mm for one that slides.")
+    joints: list[JointPreview] = Field(description="The largest correction of each joint, limits left aside.")
+    unsupported_effects: list[str] = Field(description="Ids of its effects that would not be corrected at run time.")
+    temperature_c: Celsius | None = Field(
+        description="Temperature it was looked at with, degrees Celsius; null: not known."
+    )

@@ -1,0 +1,123 @@
+"""What Kilter says of robots: lists, reports, the check of a document, and a robot found from circles."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from pydantic import Field, model_validator
+
+from kilter_service.contract.references import RETIRED_AT
+from kilter_service.contract.robots import RobotDocument
+from kilter_service.contract.units import Deg, Direction, JointType, Listed, Mm, PointMm, Pose, Strict
+
+KIND = "Whether the joint turns or slides."
+
+
+class JointSummary(Strict):
+    """A joint as Kilter understood it."""
+
+    name: str = Field(description="Name of the joint.")
+    kind: JointType = Field(description=KIND)
+    limits_deg: tuple[Deg | None, Deg | None] | None = Field(
+        None, description="Lowest and highest reading of a revolute joint, degrees; null at an end that is open."
+    )
+    limits_mm: tuple[Mm | None, Mm | None] | None = Field(
+        None, description="Lowest and highest reading of a prismatic joint, mm; null at an end that is open."
+    )
+    gear_ratio: float | None = Field(None, description="Turns of the motor per turn of the joint, where it is known.")
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> JointSummary:
+        assert (self.limits_deg is None) != (self.limits_mm is None)
+        return self
+
+
+class RobotSummary(Strict):
+    """A robot in a list."""
+
+    name: str = Field(description="Name of the robot.")
+    convention: str = Field(description="Convention of the document it was posted as.")
+    created_at: datetime = Field(description="When it was added.")
+    campaigns: int = Field(description="How many campaigns it has.")
+    versions: int = Field(description="How many versions it has.")
+    active_version: str | None = Field(description="The version it is corrected with; null: none.")
+    remarks: str = Field("", description="What people noted on the robot.")
+    retired_at: datetime | None = Field(None, description=RETIRED_AT)
+
+
+class RobotReport(RobotSummary):
+    """A robot with its joints, the names of its geometric parameters, and the document it was posted as."""
+
+    joints: list[JointSummary] = Field(description="Joints from base to tool.")
+    parameters: list[str] = Field(description="Names of the geometric parameters, without base and tool.")
+    notes: list[str] = Field(description="What of the document was left out, in words.")
+    sha256: str = Field(
+        description="SHA-256 of the chain that the document was resolved to when it was posted, 64 hexadecimal digits."
+    )
+    source_sha256: str = Field(
+        description="SHA-256 of the posted document, of a URDF that of its text, 64 hexadecimal digits."
+    )
+    document: RobotDocument = Field(description="The document as it was posted.")
+
+
+class RobotList(Listed):
+    """All robots, by name."""
+
+    robots: list[RobotSummary] = Field(description="Robots, by name.")
+
+
+class AxisReport(Strict):
+    """An axis at zero, in the frame the base stands in; a joint that drives several axes has several."""
+
+    joint: str = Field(description="Name of the joint that drives it.")
+    kind: JointType = Field(description=KIND)
+    ratio: float = Field(description="Motion of the axis per motion of the joint, no unit.")
+    point_mm: PointMm = Field(description="A point on the axis, mm.")
+    direction: Direction = Field(description="Direction of the axis, of length 1.")
+    angle_to_previous_deg: Deg | None = Field(
+        description="Angle to the axis before, 0 to 180 degrees; null for the first."
+    )
+    distance_to_previous_mm: Mm | None = Field(
+        description="Shortest distance to the axis before, mm; null for the first."
+    )
+
+
+class Zero(Strict):
+    """The arm at zero: base, a point on each axis, flange and tool point; and the tool's pose."""
+
+    points_mm: list[PointMm] = Field(description="Base, a point on each axis, flange and tool point, mm.")
+    tool: Pose = Field(description="Pose of the tool point.")
+
+
+class RobotCheck(Strict):
+    """What a robot document comes to; ``suspicious`` is what looks wrong and may be right."""
+
+    name: str = Field(description="Name of the robot.")
+    joints: list[JointSummary] = Field(description="Joints from base to tool.")
+    axes: list[AxisReport] = Field(description="Axes from base to tool, all joints at zero.")
+    zero: Zero = Field(description="The arm at zero.")
+    reach_mm: Mm = Field(description="Largest distance of the tool point from the first axis, mm.")
+    suspicious: list[str] = Field(description="What looks wrong and may be right, in words.")
+    notes: list[str] = Field(description="What of the document was left out, in words.")
+
+
+class CircleAxis(Strict):
+    """What an axis rests on: its rows, its arc (or stroke), the widest radius, and how well direction and place are known."""
+
+    joint: str = Field(description="Name of the joint.")
+    kind: JointType = Field(description=KIND)
+    rows: int = Field(description="Rows in which only this joint moved.")
+    arc_deg: Deg | None = Field(description="Arc the joint moved over, degrees; null where it slides.")
+    stroke_mm: Mm | None = Field(description="Stroke the joint moved over, mm; null where it turns.")
+    radius_mm: Mm | None = Field(description="Radius of the widest circle, mm; null where it slides.")
+    rms_mm: Mm = Field(description="Rms distance of the points from the circle or line, mm.")
+    sigma_deg: Deg = Field(description="Standard deviation of the direction, degrees.")
+    sigma_mm: Mm = Field(description="Standard deviation of the place, mm.")
+
+
+class FoundRobot(Strict):
+    """A robot document to add, its axes, and how far the whole is from the rows."""
+
+    robot: RobotDocument = Field(description="The document, ready to be added.")
+    axes: list[CircleAxis] = Field(description="What each axis rests on, from base to tool.")
+    rms_mm: Mm = Field(description="Rms distance of the rows from what the robot predicts, mm.")

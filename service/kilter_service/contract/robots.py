@@ -1,0 +1,224 @@
+"""Robot documents: `robot.json`, in mm and degrees, in every convention."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from kilter_service.contract.complete_models import CpcFlange, CpcRow, McpcFlange, McpcRow, PoeAxis, SModelRow
+from kilter_service.contract.units import (
+    MAX_ELEMENTS,
+    MAX_JOINTS,
+    Deg,
+    JointType,
+    Kg,
+    KgM2,
+    Load,
+    Mm,
+    MPerS2,
+    Name,
+    Percent,
+    PointMm,
+    Pose,
+    Strict,
+)
+
+Axis = Literal["Rx", "Ry", "Rz", "Tx", "Ty", "Tz"]
+JOINTS = "Joints from base to tool; at most 32. Null: named j1, j2, ... without limits."
+ROWS = "A row for each joint, from base to tool; at most 32."
+
+
+class Joint(Strict):
+    """A joint; limits in degrees, in mm when it is prismatic."""
+
+    name: Annotated[str, Field(min_length=1, max_length=64)] = Field(
+        description="Name of the joint, unique in the robot."
+    )
+    limits_deg: tuple[Deg, Deg] | None = Field(
+        None, description="Lowest and highest reading of a revolute joint, degrees; null: not limited."
+    )
+    limits_mm: tuple[Mm, Mm] | None = Field(
+        None, description="Lowest and highest reading of a prismatic joint, mm; null: not limited."
+    )
+    gear_ratio: float | None = Field(
+        None, description="Turns of the motor per turn of the joint, no unit; gear errors need it."
+    )
+
+
+Joints = Annotated[list[Joint], Field(max_length=MAX_JOINTS)]
+MAX_AXES = 4 * MAX_JOINTS  # a joint may drive several
+
+
+class Link(Strict):
+    """Mass, centre of mass, and inertia about it as xx, yy, zz, xy, xz, yz, in the link's frame.
+
+    ``mass_sigma_kg`` and ``com_sigma_mm`` are standard deviations; a tenth of the mass and 10 mm when left out.
+    """
+
+    mass_kg: Load = Field(0.0, description="Mass of the link, kg, 0 or more.")
+    com_mm: PointMm = Field((0.0, 0.0, 0.0), description="Centre of mass in the link's frame, mm.")
+    inertia_kg_m2: tuple[KgM2, KgM2, KgM2, KgM2, KgM2, KgM2] = Field(
+        (0.0,) * 6, description="Inertia about the centre of mass: xx, yy, zz, xy, xz, yz, kg m2."
+    )
+    mass_sigma_kg: Annotated[Kg, Field(gt=0)] | None = Field(
+        None, description="Standard deviation of the mass, kg, above 0; null: a tenth of the mass."
+    )
+    com_sigma_mm: Annotated[Mm, Field(gt=0)] | None = Field(
+        None, description="Standard deviation of each coordinate of the centre, mm, above 0; null: 10 mm."
+    )
+
+
+class Element(Strict):
+    """An elementary transform: a constant (mm or degrees), or a joint with ratio and zero offset."""
+
+    axis: Axis = Field(description="Turn (R) about or shift (T) along an axis of the frame reached so far.")
+    name: Annotated[str, Field(min_length=1, max_length=128)] | None = Field(
+        None, description="Name of the constant, or of the joint's zero offset, as a parameter."
+    )
+    value: float | None = Field(None, description="Value: degrees for a turn, mm for a shift.")
+    joint: Annotated[str, Field(max_length=128)] | None = Field(None, description="Name of the joint that moves it.")
+    ratio: float | None = Field(
+        None, description="Motion of the element per motion of the joint, no unit; -1 turns the axis round. Null: 1."
+    )
+    fixed: bool | None = Field(None, description="Whether the element is never identified.")
+    spare: bool | None = Field(None, description="Whether it is identified only at level 1 or when `free` names it.")
+
+
+class DhRow(Strict):
+    """A row of standard Denavit-Hartenberg parameters."""
+
+    theta_offset_deg: Deg = Field(0.0, description="Added to the reading of a revolute joint, degrees.")
+    d_mm: Mm = Field(0.0, description="Shift along the joint's axis, mm.")
+    a_mm: Mm = Field(0.0, description="Length of the link, mm.")
+    alpha_deg: Deg = Field(0.0, description="Twist of the link, degrees.")
+    type: JointType = Field("revolute", description="Whether the joint turns or slides.")
+
+
+class MdhRow(Strict):
+    """A row of Craig's parameters: alpha, a and beta are those of i-1; a row with beta is Hayati's."""
+
+    alpha_deg: Deg = Field(0.0, description="Twist of the link before, degrees.")
+    a_mm: Mm = Field(0.0, description="Length of the link before, mm.")
+    beta_deg: Deg | None = Field(
+        None, description="Hayati's turn about y, degrees, for an axis parallel to the one before; null: Craig's row."
+    )
+    theta_offset_deg: Deg = Field(0.0, description="Added to the reading of a revolute joint, degrees.")
+    d_mm: Mm | None = Field(0.0, description="Shift along the joint's axis, mm; null in a row of Hayati's.")
+    type: JointType = Field("revolute", description="Whether the joint turns or slides.")
+
+
+class PayloadSigma(Strict):
+    """How well payloads are known, as standard deviations; 10 % and 10 mm when left out."""
+
+    mass_percent: Annotated[Percent, Field(gt=0)] | None = Field(
+        None, description="Standard deviation of a payload's mass in percent of it, above 0; null: 10 %."
+    )
+    com_mm: Annotated[Mm, Field(gt=0)] | None = Field(
+        None, description="Standard deviation of each coordinate of a payload's centre, mm, above 0; null: 10 mm."
+    )
+
+
+class _Robot(Strict):
+    name: Name = Field(
+        description="Name of the robot, unique on the server: letters, digits, `_`, `.` and `-`, at most 64."
+    )
+    source: Annotated[str, Field(max_length=2000)] | None = Field(
+        None, description="Where the numbers come from, in words."
+    )
+    gravity_m_s2: tuple[MPerS2, MPerS2, MPerS2] | None = Field(
+        None, description="Gravity in the robot's base frame, m/s2; null: [0, 0, -9.80665], an arm that stands upright."
+    )
+    links: Annotated[list[Link], Field(max_length=MAX_JOINTS)] | None = Field(
+        None, description="Masses of the links, one for each joint; effects that follow the load need them."
+    )
+    tool: Pose | None = Field(None, description="The tool point in the flange's frame; null: the flange.")
+    base: Pose | None = Field(None, description="The robot's base in the world of the measurements; null: that world.")
+    payload_sigma: PayloadSigma | None = Field(None, description="How well payloads are known; null: 10 % and 10 mm.")
+
+
+class ChainRobot(_Robot):
+    """A robot as a row of elementary transforms."""
+
+    convention: Literal["chain"] = Field(description="Elementary transforms, one after the other.")
+    joints: Joints = Field(description="Joints from base to tool; at most 32.")
+    elements: Annotated[list[Element], Field(min_length=1, max_length=MAX_ELEMENTS)] = Field(
+        description="Elementary transforms from base to flange; at most 512."
+    )
+
+
+class DhRobot(_Robot):
+    """A robot as Denavit-Hartenberg rows."""
+
+    convention: Literal["dh"] = Field(description="Standard Denavit-Hartenberg: Tz(d) Rz(theta) Tx(a) Rx(alpha).")
+    joints: Joints | None = Field(None, description=JOINTS)
+    rows: Annotated[list[DhRow], Field(min_length=1, max_length=MAX_JOINTS)] = Field(description=ROWS)
+
+
+class MdhRobot(_Robot):
+    """A robot as modified Denavit-Hartenberg or Hayati rows."""
+
+    convention: Literal["mdh"] = Field(description="Modified (Craig's): Rx(alpha) Tx(a) Rz(theta) Tz(d).")
+    joints: Joints | None = Field(None, description=JOINTS)
+    rows: Annotated[list[MdhRow], Field(min_length=1, max_length=MAX_JOINTS)] = Field(description=ROWS)
+
+
+class SModelRobot(_Robot):
+    """A robot as rows of Stone's S-model."""
+
+    convention: Literal["s_model"] = Field(description="Stone's S-model, six numbers a row.")
+    joints: Joints | None = Field(None, description=JOINTS)
+    rows: Annotated[list[SModelRow], Field(min_length=1, max_length=MAX_JOINTS)] = Field(description=ROWS)
+
+
+class PoeRobot(_Robot):
+    """A robot as a product of exponentials: its axes at zero, and the flange there."""
+
+    convention: Literal["poe"] = Field(description="Product of exponentials.")
+    joints: Joints | None = Field(None, description=JOINTS)
+    axes: Annotated[list[PoeAxis], Field(min_length=1, max_length=MAX_AXES)] = Field(
+        description="Moving axes from base to flange; at most 128."
+    )
+    home: Pose = Field(Pose(), description="The flange in the base frame with all joints at zero.")
+
+
+class CpcRobot(_Robot):
+    """A robot as rows of the complete and parametrically continuous model."""
+
+    convention: Literal["cpc"] = Field(description="Complete and parametrically continuous model.")
+    joints: Joints | None = Field(None, description=JOINTS)
+    rows: Annotated[list[CpcRow], Field(min_length=1, max_length=MAX_JOINTS)] = Field(description=ROWS)
+    flange: CpcFlange = Field(CpcFlange(), description="The flange in the last joint's frame.")
+
+
+class McpcRobot(_Robot):
+    """A robot as rows of the modified CPC model."""
+
+    convention: Literal["mcpc"] = Field(description="Modified CPC model.")
+    joints: Joints | None = Field(None, description=JOINTS)
+    rows: Annotated[list[McpcRow], Field(min_length=1, max_length=MAX_JOINTS)] = Field(description=ROWS)
+    flange: McpcFlange = Field(McpcFlange(), description="The flange in the last joint's frame.")
+
+
+class UrdfRobot(_Robot):
+    """A robot as a URDF; joints, limits and masses are the URDF's, ``joints`` may add gear ratios and limits."""
+
+    convention: Literal["urdf"] = Field(description="A URDF and the two links between which the arm is.")
+    joints: Joints | None = Field(None, description="Gear ratios and limits to add to joints of the URDF, by name.")
+    urdf: Annotated[str, Field(min_length=1)] = Field(description="Text of the URDF.")
+    base_link: Annotated[str, Field(max_length=128)] = Field(description="Link that the arm stands on.")
+    tip_link: Annotated[str, Field(max_length=128)] = Field(description="Link that is the flange.")
+
+
+class PresetRobot(_Robot):
+    """A robot that ships with Kilter."""
+
+    convention: Literal["preset"] = Field(description="A robot that ships with Kilter.")
+    preset: Annotated[str, Field(max_length=64)] = Field(description="Name of the preset.")
+
+
+RobotDocument = Annotated[
+    ChainRobot | DhRobot | MdhRobot | SModelRobot | PoeRobot | CpcRobot | McpcRobot | UrdfRobot | PresetRobot,
+    Field(discriminator="convention"),
+]
+Target = Literal["chain", "dh", "mdh", "s_model", "poe", "cpc", "mcpc", "urdf"]

@@ -1,0 +1,185 @@
+"""Parameter versions, their activation, and how two of them differ."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated
+
+from pydantic import Field
+
+from kilter_service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter, Remark
+from kilter_service.contract.joints import JointMotions
+from kilter_service.contract.references import RETIRED_AT, TITLE
+from kilter_service.contract.units import Deg, Listed, Mm, Stored, Strict
+
+
+class CorrectionLimits(Strict):
+    """The largest correction a version may make; anything larger is refused, not clipped."""
+
+    max_joint_deg: Annotated[Deg, Field(gt=0, le=30)] = Field(
+        1.0, description="Largest correction of a joint, degrees, above 0 to 30."
+    )
+    max_position_mm: Annotated[Mm, Field(gt=0, le=200)] = Field(
+        5.0, description="Largest correction of the tool, and of a joint that slides, mm, above 0 to 200."
+    )
+
+
+class UsedCampaign(Stored):
+    """A campaign a version was made from, and the hashes of its uploads."""
+
+    id: str = Field(description="Id of the campaign.")
+    name: str = Field(description="Name of the campaign.")
+    role: str = Field(description="What the campaign is meant for.")
+    use: str = Field(description="What it was used for: `train`, `validation` or `confirmation`.")
+    rows: int = Field(description="Rows it had then.")
+    sha256: list[str] = Field(description="SHA-256 of the files it had then.")
+
+
+class VersionSummary(Strict):
+    """A version in a list; metrics are those of the identification."""
+
+    id: str = Field(description="Id of the version, `ver_` and 16 hexadecimal digits.")
+    robot: str = Field(description="Name of its robot.")
+    active: bool = Field(description="Whether the robot is corrected with it.")
+    parent_id: str | None = Field(description="The version it was started from; null: the robot as drawn.")
+    job_id: str = Field(description="The job that made it.")
+    created_at: datetime = Field(description="When it was made.")
+    code_version: str = Field(description="Release of Kilter that made it.")
+    effects: list[str] = Field(description="Ids of its effects.")
+    metrics: Metrics = Field(description="Errors on the rows fitted and on those held out.")
+    name: str = Field("", description=TITLE)
+    notes: str = Field("", description="What people noted on it.")
+    retired_at: datetime | None = Field(None, description=RETIRED_AT)
+
+
+class ActivationWish(Strict):
+    """How to activate a version: ``force`` in spite of what speaks against it. The log keeps ``reason``."""
+
+    force: bool = Field(False, description="Activate it in spite of what speaks against it.")
+    reason: Annotated[str, Field(max_length=500)] = Field("", description="Why, for the log; at most 500 characters.")
+
+
+class Objection(Stored):
+    """What speaks against activating a version."""
+
+    code: str = Field(description="Stable name of the objection.")
+    message: str = Field(description="What speaks against it, in words.")
+
+
+class Rival(Strict):
+    """What a version is compared with. It is worse when its error is larger by more than ``margin_mm``."""
+
+    poses: int = Field(description="Poses compared.")
+    mean_mm: Mm = Field(description="Mean error of the rival, mm.")
+    larger_by_mm: Mm = Field(description="By how much the version's mean error is larger, mm; below 0: it is smaller.")
+    margin_mm: Mm = Field(description="By how much it may be larger by chance, mm.")
+
+
+class Comparison(Strict):
+    """Mean errors on rows that no version compared was fitted to, base and tool fitted anew to each campaign.
+
+    ``active`` is null when no version was active, or when it cannot predict these rows or was fitted to all of them.
+    """
+
+    rows: int = Field(description="Rows compared.")
+    poses: int = Field(description="Poses they are at.")
+    campaigns: list[str] = Field(description="Ids of the campaigns they are from.")
+    mean_mm: Mm = Field(description="Mean error of the version, mm.")
+    registration_only: Rival = Field(description="The robot as drawn, base and tool fitted.")
+    active_version: str | None = Field(description="The version that was active.")
+    active: Rival | None = Field(description="The version that was active, on the rows it can be compared on.")
+
+
+class ActivatedVersion(VersionSummary):
+    """A version that corrects from now on; ``unsupported_effects`` are those it does not correct at run time.
+
+    ``compared`` is null when there were no rows to compare on; ``warnings`` say why, and what else was left out.
+    ``objections`` are what would have refused it without ``forced``. A roll-back is never compared.
+    """
+
+    unsupported_effects: list[str] = Field(description="Ids of its effects that are not corrected at run time.")
+    forced: bool = Field(False, description="Whether it was activated in spite of what speaks against it.")
+    objections: list[Objection] = Field([], description="What would have refused it without `force`.")
+    compared: Comparison | None = Field(None, description="How it was compared; null: there was nothing to compare on.")
+    warnings: list[Remark] = Field([], description="What the comparison left out.")
+
+
+class Details(FitDetails):
+    """What else the job of a version said. Which of it there is depends on the kind of job."""
+
+    held_out_fraction: float | None = Field(None, description="Share of the poses that a hunt held out unasked.")
+    measured_by: str | None = Field(
+        None, description="What joints were measured by: `inclinometer` or `link-side encoder`."
+    )
+    joints: list[JointMotions] | None = Field(None, description="What link-side encoders say of each joint.")
+
+
+class Version(VersionSummary):
+    """A version with all it holds; the covariance is SI, everything else in mm and degrees.
+
+    ``objections`` are what its own identification says against activating it.
+    ``details`` is what else its job said: method, observability, correlated groups, influence, intervals.
+    """
+
+    sha256: str = Field(description="SHA-256 of what the version holds, 64 hexadecimal digits.")
+    hash_scheme: Annotated[int, Field(ge=1, le=2)] = Field(
+        description="What `sha256` covers: 1 calibration and limits, 2 the robot's chain too."
+    )
+    robot_sha256: str = Field(
+        description="SHA-256 of the chain of the robot it was made on, 64 hexadecimal digits; empty: it could not be resolved."
+    )
+    campaigns: list[UsedCampaign] = Field(description="Campaigns it was made from.")
+    limits: CorrectionLimits = Field(description="The largest correction it may make.")
+    parameters: list[Parameter] = Field(description="Parameters that were identified.")
+    null_directions: list[NullDirection] = Field(description="What the data could not tell.")
+    noise_mm: Mm | None = Field(description="Standard deviation of a coordinate of the noise, mm.")
+    warnings: list[Remark] = Field(description="What to know before trusting it.")
+    objections: list[Objection] = Field([], description="What its own identification says against activating it.")
+    details: Details = Field(description="What else its job said.")
+    covariance: Covariance = Field(description="How well its parameters are known, SI.")
+
+
+class VersionList(Listed):
+    """The versions of a robot, newest first."""
+
+    versions: list[VersionSummary] = Field(description="Versions, newest first.")
+
+
+class Activation(Strict):
+    """An entry of the log of active versions; ``objections`` were overruled where it was ``forced``."""
+
+    version_id: str = Field(description="The version that became active.")
+    action: str = Field(description="`activate` or `rollback`.")
+    actor: str = Field(description="Who did it.")
+    at: datetime = Field(description="When.")
+    forced: bool = Field(description="Whether it was forced.")
+    reason: str = Field(description="Why, as it was given.")
+    objections: list[Objection] = Field(description="What spoke against it.")
+
+
+class ActivationList(Listed):
+    """The log of active versions, newest first."""
+
+    activations: list[Activation] = Field(description="Entries, newest first.")
+
+
+class ParameterChange(Strict):
+    """A parameter in two versions; null where a version does not have it."""
+
+    name: str = Field(description="Name of the parameter; base and tool are whole frames, `base_x` ... `tool_rz`.")
+    unit: str = Field(description="Unit of the numbers.")
+    a: float | None = Field(description="Value in version a.")
+    b: float | None = Field(description="Value in version b.")
+    change: float | None = Field(description="b minus a.")
+
+
+class VersionDiff(Strict):
+    """What differs from version a to version b."""
+
+    a: str = Field(description="Id of version a.")
+    b: str = Field(description="Id of version b.")
+    effects_added: list[str] = Field(description="Ids of effects that only b has.")
+    effects_removed: list[str] = Field(description="Ids of effects that only a has.")
+    parameters: list[ParameterChange] = Field(description="All parameters of both, and how they differ.")
+    metrics_a: Metrics = Field(description="Errors of a.")
+    metrics_b: Metrics = Field(description="Errors of b.")

@@ -1,0 +1,67 @@
+"""Trajectories as CSV, Parquet or JSON, in and out."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kilter_core.errors import ObservationError
+from kilter_service.campaigns import reading
+from kilter_service.campaigns.columns import Column, read_columns
+from kilter_service.limits import MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+# What a trajectory may say; whatever else a file of observations has is a measurement.
+QUANTITIES = frozenset({"q", "qd", "qdd", "dir", "t", "payload", "temperature", "session", "pose_id"})
+
+
+def read_trajectory(
+    path: Path, media: str, kinds: Sequence[str], most_rows: int = MAX_TRAJECTORY_ROWS
+) -> tuple[pa.Table, tuple[Column, ...]]:
+    """Read a trajectory for joints of these ``kinds``.
+
+    Raises:
+        ObservationError: as for an upload; or a column that is no part of a trajectory, or an empty cell.
+
+    """
+    columns = read_columns(reading.column_names(path, media), kinds)
+    for column in columns:
+        if column.quantity in ("fx", "mx"):
+            raise ObservationError(
+                f"Column {column.name!r}: a correction does not know forces on the tool yet to come, only the payload. Leave "
+                "the column out; what the force bends stays uncorrected.",
+                column=column.name,
+            )
+        if column.quantity not in QUANTITIES:
+            raise ObservationError(
+                f"Column {column.name!r} is a measurement: leave it out of a trajectory.", column=column.name
+            )
+    table = reading.whole_table(path, media, min(most_rows, MAX_TRAJECTORY_CELLS // len(columns)))
+    for column in columns:
+        if table.column(column.name).null_count:
+            row = int(table.column(column.name).is_null().to_numpy().argmax()) + 1
+            raise ObservationError(
+                f"Row {row}, column {column.name!r} is empty: give every cell.", row=row, column=column.name
+            )
+    return table, columns
+
+
+def write_trajectory(table: pa.Table, media: str) -> bytes:
+    """Write a table in the format it came in; cells without a number are empty (CSV) or null."""
+    buffer = io.BytesIO()
+    if media == reading.PARQUET:
+        from pyarrow import parquet
+
+        parquet.write_table(table, buffer, compression="zstd")
+    elif media == reading.CSV:
+        from pyarrow import csv
+
+        csv.write_csv(table, buffer, csv.WriteOptions(quoting_style="needed"))
+    else:
+        buffer.write(json.dumps(table.to_pydict()).encode())
+    return buffer.getvalue()

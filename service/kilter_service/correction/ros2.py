@@ -1,0 +1,61 @@
+"""A corrected trajectory as the YAML of ROS 2's ``trajectory_msgs/msg/JointTrajectory``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import ObservationError
+from kilter_service.corrector.frames import Status
+
+if TYPE_CHECKING:
+    from kilter_service.correction.follow import Corrected
+
+NANO = 1_000_000_000
+
+
+def joint_trajectory(names: Sequence[str], t: NDArray[np.float64] | None, done: Corrected) -> bytes:
+    """Write positions (rad, m) over the time from the first row.
+
+    Raises:
+        ObservationError: no ``t_s``, times that do not rise, or a row that was not corrected: a trajectory has no gaps.
+
+    """
+    if t is None:
+        raise ObservationError("A JointTrajectory needs the time of each point: add the column 't_s'.", column="t_s")
+    late = np.flatnonzero(np.diff(t) <= 0)
+    if len(late):
+        row = int(late[0]) + 2
+        raise ObservationError(f"Row {row}, column 't_s': the time must rise from row to row.", row=row, column="t_s")
+    _refuse_gaps(done)
+    return "".join(_lines(names, t - t[0], done.q)).encode()
+
+
+def _refuse_gaps(done: Corrected) -> None:
+    bad = np.flatnonzero(done.status != Status.OK)
+    if len(bad):
+        word = Status(int(done.status[bad[0]])).name
+        raise ObservationError(
+            f"Row {int(bad[0]) + 1} is not corrected ({word}), {len(bad)} rows in all: a JointTrajectory cannot have a "
+            "gap. Take CSV, which marks such rows, or leave them out.",
+            row=int(bad[0]) + 1,
+            status=word,
+        )
+
+
+def _lines(names: Sequence[str], t: NDArray[np.float64], q: NDArray[np.float64]) -> Iterator[str]:
+    yield "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: ''\njoint_names:\n"
+    yield from (f"- '{name.replace(chr(39), chr(39) * 2)}'\n" for name in names)
+    yield "points:\n"
+    for time, row in zip(np.round(t * NANO).astype(np.int64).tolist(), q.tolist(), strict=True):
+        yield f"- positions: [{', '.join(_yaml(value) for value in row)}]\n"
+        yield f"  time_from_start: {{sec: {time // NANO}, nanosec: {time % NANO}}}\n"
+
+
+def _yaml(value: float) -> str:
+    """Every digit; YAML takes 1e-05 for text unless it has a point."""
+    text = repr(value)
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text

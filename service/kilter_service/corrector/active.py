@@ -1,0 +1,71 @@
+"""The version in use of a robot, as the processes of the corrector hand it to each other and announce it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from kilter_core.correction import CorrectionProgram
+
+
+@dataclass(frozen=True)
+class Active:
+    """A robot's active version, compiled. ``epoch`` grows with every activation; ``number`` stands in the frames."""
+
+    robot: str
+    version_id: str
+    number: int
+    epoch: int
+    program: CorrectionProgram
+    largest_deg: float = 1.0
+    largest_mm: float = 5.0
+    ramp_s: float = 1.0
+    joint_names: tuple[str, ...] = ()
+    joint_kinds: tuple[str, ...] = ()
+
+    def announcement(self) -> bytes:
+        """JSON that goes out on the ``active`` key."""
+        document = {
+            "robot": self.robot,
+            "version_id": self.version_id,
+            "version": f"{self.number:016x}",
+            "epoch": self.epoch,
+            "joints": self.program.n_joints,
+            "joint_kinds": list(self.joint_kinds),
+            "held_rows": list(self.program.held_rows),
+            "effects": list(self.program.supported),
+            "unsupported_effects": list(self.program.unsupported),
+            "largest_deg": self.largest_deg,
+            "largest_mm": self.largest_mm,
+            "ramp_s": self.ramp_s,
+        }
+        return json.dumps(document).encode()
+
+
+def nothing_active(robot: str) -> bytes:
+    """Announcement of a robot that has no version in use any more."""
+    return json.dumps({"robot": robot, "version_id": None, "version": None, "epoch": None}).encode()
+
+
+def version_number(sha256: str) -> int:
+    """Version id of the frames: the first 8 bytes of the version's SHA-256."""
+    return int(sha256[:16], 16)
+
+
+class Source(Protocol):
+    """Where the versions in use come from."""
+
+    def stamp(self) -> Hashable:
+        """Something cheap that changes whenever :meth:`load` would give another answer."""
+        ...
+
+    def load(self) -> Mapping[str, Active]:
+        """Versions in use by robot."""
+        ...
+
+    def close(self) -> None:
+        """Let go of whatever is open."""
+        ...

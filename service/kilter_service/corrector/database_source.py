@@ -1,0 +1,94 @@
+"""Active versions from Kilter's database, compiled for the kernel."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Hashable, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from kilter_core.errors import CoreError
+from kilter_service.corrector.active import Active, version_number
+from kilter_service.wire import to_deg, to_mm
+
+if TYPE_CHECKING:
+    from kilter_service.db import Database
+    from kilter_service.versions import store
+
+log = logging.getLogger("kilter.corrector")
+
+
+class DatabaseSource:
+    """Reads what is active; a version is compiled once. Its libraries are imported at the first look, not before."""
+
+    def __init__(self, url: str, temperature_c: float | None = None) -> None:
+        self._temperature_c = temperature_c
+        self._url = url
+        self._migrated = False
+        self._compiled: dict[tuple[str, int], Active] = {}
+
+    @cached_property
+    def _database(self) -> Database:
+        from kilter_service.db import Database
+
+        return Database(self._url)
+
+    def stamp(self) -> Hashable:
+        """Number that changes with every activation; None while a new database is still without its tables."""
+        from kilter_service.db import revision
+        from kilter_service.versions import store
+
+        self._migrated = self._migrated or revision.current(self._database) == revision.HEAD
+        if not self._migrated:
+            return None
+        with self._database.reading() as session:
+            return store.active_stamp(session)
+
+    def load(self) -> Mapping[str, Active]:
+        """Every robot's active version. One that cannot be compiled is logged and leaves the others alone."""
+        from kilter_service.versions import store
+
+        if not self._migrated:
+            return {}
+        with self._database.reading() as session:
+            found = [store.active_version(session, name) for name in store.robots_with_active(session)]
+        out = {}
+        for version in found:
+            if version is None:
+                continue
+            key = (version.robot, version.epoch)
+            try:
+                active = self._compiled.get(key) or _compiled(version, self._temperature_c)
+            except CoreError:
+                log.exception("version %s of robot %s cannot be streamed", version.id, version.robot)
+                continue
+            self._compiled[key] = out[version.robot] = active
+        return out
+
+    def close(self) -> None:
+        """Close the database, if it was opened."""
+        if "_database" in self.__dict__:
+            self._database.close()
+
+
+def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Active:
+    from kilter_core.correction import CorrectionOptions, compile_program
+
+    options = CorrectionOptions(
+        largest_rad=version.max_joint,
+        largest_m=version.max_position,
+        farthest_m=version.max_position,
+        temperature_c=temperature_c,
+    )
+    return Active(
+        robot=version.robot,
+        version_id=version.id,
+        number=version_number(version.sha256),
+        epoch=version.epoch,
+        program=compile_program(version.calibration, options),
+        largest_deg=to_deg(version.max_joint),
+        largest_mm=to_mm(version.max_position),
+        ramp_s=options.ramp_s,
+        joint_names=tuple(joint.name for joint in version.calibration.robot.joints),
+        joint_kinds=tuple(joint.kind for joint in version.calibration.robot.joints),
+    )

@@ -1,0 +1,71 @@
+"""Endpoints the corrector may listen on, and where its two processes meet; without zenoh, so that a start can check early."""
+
+from __future__ import annotations
+
+import ipaddress
+import shutil
+import tempfile
+from pathlib import Path
+
+from kilter_service.errors import ServiceError
+from kilter_service.settings import Settings
+
+ON_THIS_MACHINE = ("unixsock-stream", "unixpipe")
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether an endpoint (``tcp/127.0.0.1:7447``) can be reached from this machine only."""
+    protocol, _, address = endpoint.partition("/")
+    if protocol in ON_THIS_MACHINE:
+        return True
+    host = address.partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def check_listening(settings: Settings) -> None:
+    """Refuse to listen beyond this machine when nobody has said who may connect.
+
+    Raises:
+        ServiceError: the endpoint is not on loopback and there is no zenoh configuration.
+
+    """
+    if settings.zenoh_config is not None or is_local(settings.zenoh_listen):
+        return
+    raise ServiceError(
+        f"{settings.zenoh_listen} can be reached from other machines, and whoever reaches it can move the arm: set "
+        "KILTER_ZENOH_CONFIG to a zenoh configuration with TLS and access control, or KILTER_ZENOH_LISTEN to "
+        "tcp/127.0.0.1:7447.",
+        code="binding_refused",
+        listen=settings.zenoh_listen,
+    )
+
+
+def cannot_listen(endpoint: str, reason: str) -> ServiceError:
+    """What to say when an endpoint is refused by the system."""
+    why = "another program listens there" if "Address already in use" in reason else reason.partition(" at /")[0]
+    return ServiceError(
+        f"The corrector cannot listen on {endpoint}, {why}: set KILTER_ZENOH_LISTEN to another endpoint, for example "
+        "tcp/127.0.0.1:7448 (port 0 takes a free one).",
+        code="binding_refused",
+        listen=endpoint,
+    )
+
+
+class Door:
+    """Where the query process meets the stream process: a socket in a folder that nobody else may enter.
+
+    So the corrector has one port, and queries come through it; their work is done in the other process all the same.
+    """
+
+    def __init__(self) -> None:
+        self._folder = Path(tempfile.mkdtemp(prefix="kilter-"))  # only its owner may enter
+        self.endpoint = f"unixsock-stream/{self._folder / 'door'}"
+
+    def close(self) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self._folder, ignore_errors=True)

@@ -1,0 +1,272 @@
+"""The stream process: one session, one ring of samples, one thread that corrects; a second one keeps house.
+
+Nothing else runs here: 10 ms of Python elsewhere in the process would raise the stream's 99th percentile to 6-7 ms.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+import zenoh
+
+from kilter_core.correction import warm_up
+from kilter_service.corrector import frames, keys, short_way
+from kilter_service.corrector.active import Active, nothing_active
+from kilter_service.corrector.frames import Status
+from kilter_service.corrector.session import ENCODING, close, open_listening
+from kilter_service.corrector.slots import Served, Slots, names_of
+from kilter_service.corrector.specs import StreamSpec
+from kilter_service.errors import ServiceError
+
+log = logging.getLogger("kilter.corrector.stream")
+
+STATUS_PERIOD_S = 0.5
+BETWEEN_RINGS_NS = 50_000_000  # a verdict that flips at every setpoint must not keep the house-keeping awake
+REAL_TIME_PRIORITY = 40
+
+
+class Bell:
+    """Wakes the house-keeping thread, which sleeps otherwise: what it does meanwhile would delay a setpoint."""
+
+    def __init__(self) -> None:
+        self.waits, self._pull = os.pipe()
+        os.set_blocking(self.waits, False)
+        os.set_blocking(self._pull, False)
+
+    def ring(self) -> None:
+        """Wake it; a bell that nobody hushed is ringing already."""
+        with suppress(BlockingIOError):
+            os.write(self._pull, b"!")
+
+    def hush(self) -> None:
+        """Stop ringing."""
+        with suppress(BlockingIOError):
+            os.read(self.waits, 4096)
+
+
+class StreamLoop:
+    """Takes samples from the ring and publishes answers until the session closes."""
+
+    def __init__(self, session: zenoh.Session, spec: StreamSpec, bell: Bell) -> None:
+        self.session = session
+        self.spec = spec
+        self.active: dict[str, Active] = {}  # replaced entry by entry: a lookup sees the old version or the new
+        self.slots = Slots(session, spec.rules)
+        self._bell = bell
+        self._subscriber = session.declare_subscriber(
+            keys.every_input(spec.site), zenoh.handlers.RingChannel(spec.rules.ring)
+        )
+
+    def run(self) -> None:
+        """Correct until the session is closed by the house-keeping thread."""
+        ring, most, active, now = self._subscriber.handler, self.spec.rules.ring, self.active, time.monotonic_ns
+        backlog, rung_ns = 0, 0
+        last: Served | None = None
+        while True:
+            try:
+                sample = ring.try_recv()
+                backlog = backlog + 1 if sample is not None else 0
+                sample = sample or ring.recv()
+            except zenoh.ZError:  # the session was closed
+                return
+            arrival_ns, key = now(), sample.key_expr
+            # Streams come in turn. To compare two keys takes a quarter of the time to make a string and look it up.
+            served = last.follower if last is not None else None
+            if served is None or served.key != key:
+                served = self._find(str(key), sample, arrival_ns, last)
+                if served is None:
+                    continue
+            data = sample.payload.to_bytes()
+            answer = served.stream.answer(data, arrival_ns, active.get(served.robot), backlog >= most)
+            if answer is not None:
+                served.publisher.put(answer)
+            last, verdict = served, served.stream.counters.last
+            if verdict != served.verdict and arrival_ns - rung_ns > BETWEEN_RINGS_NS:
+                served.verdict, rung_ns = verdict, arrival_ns
+                self._bell.ring()
+
+    def _find(self, key: str, sample: zenoh.Sample, arrival_ns: int, last: Served | None) -> Served | None:
+        """The stream of a key, remembered as the one that follows ``last``; None when it was answered without one."""
+        served = self.slots.served.get(key) or self._start(key, sample.payload.to_bytes(), arrival_ns)
+        if served is None:
+            return None
+        if last is not None:
+            last.follower = served
+        served.follower = served.follower or served
+        return served
+
+    def _start(self, key: str, data: bytes, arrival_ns: int) -> Served | None:
+        """A slot for the first setpoint of a stream. Whatever gets none is answered all the same, if it has a header."""
+        names = names_of(key)
+        if names is None:
+            return None
+        try:
+            header = frames.decode_setpoints(data).header
+        except frames.FrameError as error:
+            self._refuse(names[1], error.header, Status.BAD_FRAME)
+            return None
+        served = self.slots.take(key, names, arrival_ns) if names[0] in self.active else None
+        if served is None:
+            self._refuse(names[1], header, Status.OVERLOAD if names[0] in self.active else Status.NO_VERSION)
+        return served
+
+    def _refuse(self, out: str, header: frames.Header | None, status: Status) -> None:
+        if header is not None:
+            self.session.put(
+                out, frames.encode_refusal(header, status), encoding=zenoh.Encoding(ENCODING),
+                priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.DROP,
+            )  # fmt: skip
+
+
+class House(threading.Thread):
+    """Takes versions from the supervisor, announces them, reports status; closes the session when told to stop."""
+
+    def __init__(self, loop: StreamLoop, bell: Bell, pipe: Connection) -> None:
+        super().__init__(name="house")
+        self._loop = loop
+        self._bell = bell
+        self._pipe = pipe
+        self._queries: deque[zenoh.Query] = deque(maxlen=64)
+        self._tokens: dict[str, zenoh.LivelinessToken] = {}
+        self._said = 0.0
+        loop.session.declare_queryable(
+            keys.every_active(loop.spec.site), zenoh.handlers.Callback(self._asked, indirect=False)
+        )
+
+    def _asked(self, query: zenoh.Query) -> None:
+        self._queries.append(query)
+        self._bell.ring()
+
+    def run(self) -> None:
+        """Work until the supervisor says stop, or is gone."""
+        try:
+            while self._take():
+                self._answer_queries()
+                self._report()
+        except Exception:
+            log.exception("the house-keeping of the corrector failed; the process stops and is started anew")
+        finally:
+            close(self._loop.session)
+
+    def _take(self) -> bool:
+        """Sleep until there is something to do, and take one message of the supervisor; False to stop."""
+        ready = wait([self._pipe, self._bell.waits], STATUS_PERIOD_S)
+        self._bell.hush()
+        if self._pipe not in ready:
+            return True
+        try:
+            message, *rest = self._pipe.recv()
+        except (EOFError, OSError):
+            return False
+        if message == "use":
+            self._use(rest[0])
+        elif message == "drop":
+            self._drop(rest[0])
+        return bool(message != "stop")
+
+    def _use(self, active: Active) -> None:
+        """Announce the version first, then use it: a controller knows every epoch before it meets it."""
+        robot = keys.RobotKeys(self._loop.spec.site, active.robot)
+        self._put(robot.active, active.announcement())
+        self._loop.active[active.robot] = active
+        if active.robot not in self._tokens:
+            liveliness = self._loop.session.liveliness()
+            self._tokens[active.robot] = liveliness.declare_token(robot.alive(self._loop.spec.instance))
+
+    def _drop(self, robot: str) -> None:
+        self._loop.active.pop(robot, None)
+        self._put(keys.RobotKeys(self._loop.spec.site, robot).active, nothing_active(robot))
+
+    def _put(self, key: str, payload: bytes) -> None:
+        self._loop.session.put(
+            key, payload, encoding=zenoh.Encoding.APPLICATION_JSON, priority=zenoh.Priority.DATA_HIGH,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )  # fmt: skip
+
+    def _answer_queries(self) -> None:
+        while self._queries:
+            with self._queries.popleft() as query:
+                found = False
+                for active in list(self._loop.active.values()):
+                    key = keys.RobotKeys(self._loop.spec.site, active.robot).active
+                    if zenoh.KeyExpr(key).intersects(query.key_expr):
+                        found = True
+                        query.reply(key, active.announcement(), encoding=zenoh.Encoding.APPLICATION_JSON)
+                asked = str(query.key_expr)
+                if not found and "*" not in asked:  # so that silence never means that nothing is active
+                    nothing = nothing_active(keys.robot_of(asked))
+                    query.reply(asked, nothing, encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def _report(self) -> None:
+        """Publish the status of streams that moved, twice a second, and at once when their verdict changes."""
+        due = time.monotonic() - self._said >= STATUS_PERIOD_S
+        if due:
+            self._said = time.monotonic()
+        for served in self._loop.slots.served.values():
+            counters = served.stream.counters
+            now = (counters.last, sum(counters.by_status))
+            if now == served.reported or not (due or now[0] != served.reported[0]):
+                continue
+            served.reported = now
+            active = self._loop.active.get(served.robot)
+            document: dict[str, Any] = {
+                "instance": self._loop.spec.instance,
+                "version_id": active.version_id if active else None,
+                "epoch": active.epoch if active else None,
+                **counters.document(),
+            }
+            self._loop.session.put(
+                served.status_key, json.dumps(document).encode(), encoding=zenoh.Encoding.APPLICATION_JSON,
+                priority=zenoh.Priority.DATA_LOW, congestion_control=zenoh.CongestionControl.DROP,
+            )  # fmt: skip
+
+
+def ask_for_real_time() -> bool:
+    """SCHED_FIFO for this process where the system allows it: the best single knob for the tail."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
+    except (AttributeError, OSError):
+        return False
+    return True
+
+
+def stream_main(spec: StreamSpec, pipe: Connection) -> None:
+    """Entry of the spawned stream process.
+
+    It reports its endpoint as ("listening", endpoint, real_time), or ("refused", why, False) when it may not listen.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the supervisor stops us in order
+    sys.setswitchinterval(0.0005)
+    warm_up()
+    short_way.warm_up()  # before real time: a first compilation takes seconds
+    real_time = ask_for_real_time()
+    try:
+        session, endpoint = open_listening(spec.listen, spec.zenoh_config, spec.door)
+    except ServiceError as error:
+        pipe.send(("refused", error.message, False))
+        return
+    with session:
+        bell = Bell()
+        loop = StreamLoop(session, spec, bell)
+        house = House(loop, bell, pipe)
+        pipe.send(("listening", endpoint, real_time))
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        house.start()
+        try:
+            loop.run()
+        finally:
+            close(session)
+            house.join()

@@ -1,0 +1,281 @@
+"""`kilterd corrector`: supervises the stream process and the query process, and follows the active versions.
+
+The database is read here and nowhere else, so a slow or absent database never touches a setpoint: the stream goes on
+with the version in use.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import multiprocessing
+import os
+import secrets
+import signal
+import threading
+import time
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from kilter_service.corrector.active import Active, Source
+from kilter_service.corrector.database_source import DatabaseSource
+from kilter_service.corrector.endpoints import Door, check_listening
+from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec, enter
+from kilter_service.errors import ServiceError
+from kilter_service.settings import Settings
+
+log = logging.getLogger("kilter.corrector")
+
+CORRECTOR_FILE = "corrector.json"
+POLL_S = 0.25
+START_S = 300.0  # the first start on a machine compiles the kernel, on a busy one for minutes
+STOP_S = 5.0
+
+
+class StoppedError(Exception):
+    """The corrector was told to stop before its processes listened."""
+
+
+class Child:
+    """A spawned process at the other end of a pipe. Spawned, not forked: a fork of a zenoh process hangs."""
+
+    def __init__(self, name: str, entry: str, spec: StreamSpec | QuerySpec) -> None:
+        self.name = name
+        self._entry = entry
+        self._spec = spec
+        self._process: BaseProcess | None = None
+        self._pipe: Connection | None = None
+        self._listens = False
+
+    def launch(self) -> None:
+        """Start the process; it imports and compiles by itself, so several may do that at once."""
+        context = multiprocessing.get_context("spawn")
+        self._listens = False
+        self._pipe, theirs = context.Pipe()
+        arguments = (self._entry, self._spec, theirs)
+        self._process = context.Process(target=enter, args=arguments, name=f"kilter-{self.name}")
+        self._process.start()
+        theirs.close()
+
+    def listening(self, stopped: Callable[[], bool] = lambda: False) -> tuple[str | None, bool]:
+        """Wait until the process listens; returns its endpoint, if it has one, and whether it runs in real time.
+
+        Raises:
+            ServiceError: it may not listen where it was told to.
+            RuntimeError: it ended or did not listen in time.
+            StoppedError: ``stopped`` said so first.
+
+        """
+        assert self._pipe is not None
+        end = time.monotonic() + START_S
+        try:
+            while not self._pipe.poll(POLL_S):
+                if stopped():
+                    raise StoppedError
+                if time.monotonic() > end:
+                    break
+            else:
+                verdict, endpoint, real_time = self._pipe.recv()
+                if verdict == "refused":
+                    self.stop()
+                    raise ServiceError(endpoint, code="binding_refused")
+                self._listens = True
+                if isinstance(self._spec, StreamSpec):  # started anew it listens where its clients look for it
+                    self._spec = replace(self._spec, listen=endpoint)
+                return endpoint, bool(real_time)
+        except EOFError:
+            pass
+        self.stop()
+        raise RuntimeError(f"The {self.name} process of the corrector did not start; its messages are above.")
+
+    @property
+    def pid(self) -> int | None:
+        """Process id, for the corrector file."""
+        return self._process.pid if self._process else None
+
+    @property
+    def listens(self) -> bool:
+        """Whether the process has said that it listens."""
+        return self._listens
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process is not None and self._process.is_alive()
+
+    def send(self, *message: Any) -> None:
+        """Tell the process something; a process that is gone is started anew by the supervisor."""
+        if self._pipe is not None:
+            try:
+                self._pipe.send(message)
+            except OSError:
+                log.warning("the %s process is gone", self.name)
+
+    def stop(self) -> None:
+        """Ask the process to stop, and end it when it does not."""
+        if self._process is None:
+            return
+        if self._listens:  # before that it imports and compiles, and hears nothing
+            self.send("stop")
+            self._process.join(STOP_S)
+        if self._process.is_alive():
+            if self._listens:
+                log.warning("the %s process did not stop in %.0f s: it is killed", self.name, STOP_S)
+            self._process.kill()
+            self._process.join()
+        self._process = None
+        if self._pipe is not None:
+            self._pipe.close()
+            self._pipe = None
+
+
+class Corrector:
+    """Both processes and the versions they use, from :meth:`start` to :meth:`stop`."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        source: Source,
+        rules: Rules | None = None,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._settings = settings
+        self._stopped = stopped
+        self._source = source
+        self._rules = rules or Rules()
+        self._stamp: Hashable = object()
+        self._active: dict[str, Active] = {}
+        self._reading = True
+        self.instance = f"{os.getpid()}-{secrets.token_hex(4)}"
+        self.endpoints: dict[str, str] = {}
+        self._children: dict[str, Child] = {}
+        self._door: Door | None = None
+        self._announced = False
+
+    @property
+    def file(self) -> Path:
+        """Where clients on this machine find the endpoints."""
+        return self._settings.data / CORRECTOR_FILE
+
+    def start(self) -> None:
+        """Start both processes, write the corrector file and take over the active versions.
+
+        Raises:
+            ServiceError: the endpoint may not be listened on.
+
+        """
+        check_listening(self._settings)
+        site, config = self._settings.site, self._settings.zenoh_config
+        self._door = Door()
+        stream = StreamSpec(site, self.instance, self._settings.zenoh_listen, self._door.endpoint, config, self._rules)
+        queries = QuerySpec(site, self._door.endpoint, config)
+        self._children = {
+            "stream": Child("stream", STREAM, stream),
+            "query": Child("query", QUERY, queries),
+        }
+        for child in self._children.values():
+            child.launch()
+        self._look()  # while they import; what it finds they are told when they listen
+        for name in self._children:
+            self._take_child(name)
+
+    def _take_child(self, name: str) -> None:
+        endpoint, real_time = self._children[name].listening(self._stopped)
+        # Queries go through the stream's port.
+        self.endpoints[name] = endpoint or self.endpoints["stream"]
+        log.info("%s process is at %s%s", name, self.endpoints[name], ", real-time priority" if real_time else "")
+        for active in self._active.values():
+            self._children[name].send("use", active)
+        self._write_file()
+
+    def _write_file(self) -> None:
+        document = {
+            "pid": os.getpid(),
+            "site": self._settings.site,
+            "instance": self.instance,
+            "endpoints": self.endpoints,
+            "zenoh_config": str(self._settings.zenoh_config) if self._settings.zenoh_config else None,
+        }
+        self._settings.data.mkdir(parents=True, exist_ok=True)
+        part = self.file.with_suffix(".part")
+        part.write_text(json.dumps(document, indent=1), encoding="utf-8")
+        part.replace(self.file)
+        self._announced = True
+
+    def poll(self) -> None:
+        """Look once: restart what died, take over what was activated."""
+        for name, child in self._children.items():
+            if not child.alive:
+                log.error("the %s process ended: it is started anew", name)
+                child.stop()
+                child.launch()
+                self._take_child(name)
+        self._look()
+
+    def _look(self) -> None:
+        """Take over what was activated."""
+        try:
+            stamp = self._source.stamp()
+            if stamp != self._stamp:
+                self._take_over(self._source.load())
+                self._stamp = stamp
+            self._reading = True
+        except Exception:  # whatever the database says, the stream goes on with what it has
+            if self._reading:  # said once, not four times a second
+                log.exception("the active versions cannot be read; the versions in use stay")
+            self._reading = False
+
+    def _take_over(self, versions: Mapping[str, Active]) -> None:
+        for robot in [robot for robot in self._active if robot not in versions]:
+            del self._active[robot]
+            self._tell("drop", robot)
+        for robot, active in versions.items():
+            known = self._active.get(robot)
+            if known is not None and (known.epoch, known.number) == (active.epoch, active.number):
+                continue
+            self._active[robot] = active
+            self._tell("use", active)
+            if active.program.unsupported:
+                names = ", ".join(active.program.unsupported)
+                log.warning("version %s of %s: not corrected at run time: %s", active.version_id, robot, names)
+            log.info("robot %s follows version %s, epoch %d", robot, active.version_id, active.epoch)
+
+    def _tell(self, *message: Any) -> None:
+        for child in self._children.values():
+            if child.listens:
+                child.send(*message)
+
+    def stop(self) -> None:
+        """Stop both processes and remove the corrector file."""
+        for child in self._children.values():
+            child.stop()
+        if self._door is not None:
+            self._door.close()
+        if self._announced:  # a corrector that could not start leaves the file of the one that runs alone
+            self.file.unlink(missing_ok=True)
+        self._source.close()
+
+
+def run(settings: Settings) -> None:
+    """Correct until SIGTERM or Ctrl-C."""
+    stopped = threading.Event()
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        stopped.set()
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    corrector = Corrector(settings, DatabaseSource(settings.database, settings.temperature_c), stopped=stopped.is_set)
+    try:
+        corrector.start()
+        while not stopped.wait(POLL_S):
+            corrector.poll()
+    except StoppedError:
+        log.info("stopped before the stream was up")
+    finally:
+        corrector.stop()

@@ -1,0 +1,202 @@
+"""The query process: whole trajectories and descriptions, apart from the stream so that it never waits for them."""
+
+from __future__ import annotations
+
+import json
+import logging
+import signal
+import struct
+import threading
+import time
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+import numpy as np
+import zenoh
+
+from kilter_core.correction import Track, warm_up
+from kilter_service.corrector import frames, keys
+from kilter_service.corrector.active import Active
+from kilter_service.corrector.frames import Flag, Floats, FrameError, Header, Kind, Status
+from kilter_service.corrector.session import ENCODING, close, open_behind
+from kilter_service.corrector.specs import QuerySpec, Rules
+
+log = logging.getLogger("kilter.corrector.queries")
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A decoded trajectory: ``t (N,)`` s, ``values (N, width * J)``."""
+
+    header: Header
+    version: int | None
+    t: Floats
+    values: Floats
+
+
+class QueryError(Exception):
+    """A refusal, told to the caller as JSON: code, message, first_bad_index, joints (from 1)."""
+
+    def __init__(self, code: str, message: str, index: int | None = None, mask: int = 0) -> None:
+        super().__init__(message)
+        joints = [j + 1 for j in range(16) if mask >> j & 1]
+        self.document = {"code": code, "message": message, "first_bad_index": index, "joints": joints}
+
+
+def encode_trajectory(
+    t: Floats, values: Floats, *, joints: int, flags: int = 0, version: int | None = None, seq: int = 0
+) -> bytes:
+    """Bytes of a request: header, version when given, N and J, t[N], then q, qd, qdd side by side [N, width J]."""
+    if version is not None:
+        flags |= Flag.VERSION
+    parts = [frames.HEADER.pack(frames.MAGIC, Kind.TRAJECTORY, joints, flags, seq, 0, 0)]
+    if version is not None:
+        parts.append(frames.VERSION.pack(version))
+    parts += [frames.BLOCK.pack(len(t), joints), t.astype("<f8").tobytes(), values.astype("<f8").tobytes()]
+    return b"".join(parts)
+
+
+def decode_trajectory(data: bytes) -> Trajectory:
+    """Read a request.
+
+    Raises:
+        FrameError: anything that is not exactly such a frame.
+
+    """
+    header = frames.decode_header(data)
+    offset = frames.HEADER.size
+    version = None
+    try:
+        if header.flags & Flag.VERSION:
+            (version,) = frames.VERSION.unpack_from(data, offset)
+            offset += frames.VERSION.size
+        points, joints = frames.BLOCK.unpack_from(data, offset)
+    except struct.error:
+        raise FrameError("cut off", header) from None
+    offset += frames.BLOCK.size
+    wide = joints * frames.width(header.flags)
+    if header.kind != Kind.TRAJECTORY or joints != header.joints or not 0 < joints <= frames.MAX_JOINTS:
+        raise FrameError("not a trajectory, or another number of joints in the header", header)
+    if not 0 < points <= frames.MAX_TRAJECTORY or len(data) != offset + 8 * points * (1 + wide):
+        raise FrameError(f"{len(data)} bytes do not hold {points} points of {joints} joints", header)
+    numbers = np.frombuffer(bytearray(data), dtype="<f8", offset=offset)
+    return Trajectory(header, version, numbers[:points], numbers[points:].reshape(points, wide))
+
+
+def correct_trajectory(request: Trajectory, active: Active | None) -> bytes:
+    """Bytes of the answer: header, verdict, N and J, t[N], q[N, J]. The arm rests at the first point.
+
+    Raises:
+        QueryError: no version, another one than expected, or a point that is refused.
+
+    """
+    joints = request.header.joints
+    if active is None:
+        raise QueryError(Status.NO_VERSION.name, "The robot has no active version: activate one.")
+    if joints != active.program.n_joints or request.version not in (None, active.number):
+        raise QueryError(
+            Status.VERSION_MISMATCH.name,
+            f"The active version is {active.version_id} for {active.program.n_joints} joints: ask for that one.",
+        )
+    steps = np.diff(request.t, prepend=request.t[:1])
+    backwards = np.flatnonzero(~(steps >= 0.0))
+    if len(backwards):
+        raise QueryError(Status.SEQ_BACK.name, "The times go back or are not numbers.", int(backwards[0]))
+    began = time.monotonic_ns()
+    track = Track(active.program, settled=True)
+    done, out, info, status = track.follow(request.values, frames.width(request.header.flags), steps)
+    if done < len(out):
+        name = Status(int(status[done])).name
+        raise QueryError(name, f"Point {done} is refused: {name}.", done, int(info[done, 1]))
+    flags = int(np.bitwise_or.reduce(info[:, 0].astype(np.int64)))
+    spent = min(time.monotonic_ns() - began, 0xFFFFFFFF)
+    head = frames.HEADER.pack(frames.MAGIC, Kind.TRAJECTORY, joints, flags, request.header.seq, 0, 0)
+    verdict = frames.VERDICT.pack(active.number, active.epoch, Status.OK, 0, spent, 0)
+    return b"".join([head, verdict, frames.BLOCK.pack(len(out), joints), request.t.tobytes(), out.tobytes()])
+
+
+def describe(robot: str, active: Active | None) -> bytes:
+    """JSON of what a stream of the robot expects and does."""
+    rules = Rules()
+    document = {
+        "robot": robot,
+        "frame": {"magic": frames.MAGIC.decode(), "header_bytes": frames.HEADER.size, "units": "rad, m, rad/s, m/s"},
+        "statuses": {status.name: int(status) for status in Status},
+        "flags": {str(flag.name): int(flag) for flag in Flag},
+        "max_age_ms": rules.max_age_ns / 1e6,
+        "active": json.loads(active.announcement()) if active else None,
+    }
+    return json.dumps(document).encode()
+
+
+class Queries:
+    """Answers the queries of a site until its session closes; the versions come through a pipe."""
+
+    def __init__(self, session: zenoh.Session, spec: QuerySpec, pipe: Connection) -> None:
+        self.active: dict[str, Active] = {}
+        self._session = session
+        self._pipe = pipe
+        self._thread = threading.Thread(target=self._follow, name="versions")
+        self._queryable = session.declare_queryable(
+            keys.every_query(spec.site, "*"), zenoh.handlers.FifoChannel(32), complete=True
+        )
+
+    def run(self) -> None:
+        """Answer until the session is closed."""
+        self._thread.start()
+        for query in self._queryable.handler:
+            with query:
+                try:
+                    self._answer(query)
+                except QueryError as error:
+                    query.reply_err(json.dumps(error.document).encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
+                except Exception:
+                    log.exception("query %s failed", query.key_expr)
+                    document = QueryError("internal_error", "Kilter failed; its log has the cause.").document
+                    query.reply_err(json.dumps(document).encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
+        self._thread.join()
+
+    def _answer(self, query: zenoh.Query) -> None:
+        key = str(query.key_expr)
+        robot = keys.robot_of(key)
+        active = self.active.get(robot)
+        if key.endswith("/@rpc/describe"):
+            query.reply(key, describe(robot, active), encoding=zenoh.Encoding.APPLICATION_JSON)
+            return
+        if not key.endswith("/@rpc/correct"):
+            procedure = key.rpartition("/")[2]
+            raise QueryError("not_found", f"There is no procedure {procedure!r}: correct and describe are.")
+        try:
+            request = decode_trajectory(query.payload.to_bytes() if query.payload else b"")
+        except FrameError as error:
+            raise QueryError(Status.BAD_FRAME.name, str(error)) from error
+        query.reply(key, correct_trajectory(request, active), encoding=zenoh.Encoding(ENCODING))
+
+    def _follow(self) -> None:
+        """Keep to the supervisor's versions; close the session when it says stop, or is gone."""
+        try:
+            while True:
+                message, *rest = self._pipe.recv()
+                if message == "use":
+                    self.active[rest[0].robot] = rest[0]
+                elif message == "drop":
+                    self.active.pop(rest[0], None)
+                elif message == "stop":
+                    return
+        except (EOFError, OSError):
+            return
+        finally:
+            close(self._session)
+
+
+def query_main(spec: QuerySpec, pipe: Connection) -> None:
+    """Entry of the spawned query process; says ("listening", None, False) when it is reached through the stream's port."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warm_up()
+    session = open_behind(spec.door, spec.zenoh_config, pipe.poll)
+    if session is None:
+        return
+    with session:
+        queries = Queries(session, spec, pipe)
+        pipe.send(("listening", None, False))
+        queries.run()

@@ -1,0 +1,62 @@
+"""What the processes of the corrector are told when they are spawned, and where each of them begins.
+
+Light on purpose: the supervisor of both starts them before it imports anything heavy itself.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+STREAM, QUERY = "kilter_service.corrector.loop:stream_main", "kilter_service.corrector.queries:query_main"
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Bounds that do not belong to a version.
+
+    Clocks of two machines are never compared. The smallest difference of arrival and sending seen so far is taken as
+    the way; a frame is as old as it exceeds that. ``clock_drift`` lets that smallest difference grow again. It grows at
+    once when a clock is set back by more than ``set_back_ns``, or when late frames agree within ``agree_ns`` on a longer
+    way for ``agree_for_ns``. Of ``slots`` streams, one that was good within ``idle_ns`` keeps its own.
+    """
+
+    max_age_ns: int = 50_000_000
+    clock_drift: float = 200e-6
+    set_back_ns: int = 5_000_000
+    agree_ns: int = 5_000_000
+    agree_for_ns: int = 100_000_000
+    recent_ns: int = 1_000_000_000
+    time_slack_s: float = 0.1
+    ring: int = 256
+    slots: int = 256
+    idle_ns: int = 10_000_000_000
+
+
+@dataclass(frozen=True)
+class StreamSpec:
+    """What the stream process is told when it is spawned; behind ``door`` it meets the query process."""
+
+    site: str
+    instance: str
+    listen: str
+    door: str
+    zenoh_config: Path | None = None
+    rules: Rules = field(default_factory=Rules)
+
+
+@dataclass(frozen=True)
+class QuerySpec:
+    """What the query process is told when it is spawned."""
+
+    site: str
+    door: str
+    zenoh_config: Path | None = None
+
+
+def enter(entry: str, spec: StreamSpec | QuerySpec, pipe: Connection) -> None:
+    """Run ``entry`` ("module:function") in the spawned process, which imports it; its parent did not have to."""
+    module, _, function = entry.partition(":")
+    getattr(importlib.import_module(module), function)(spec, pipe)

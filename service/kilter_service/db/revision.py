@@ -1,0 +1,74 @@
+"""Which revision the database has, which one this code needs, and the way from one to the other."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sqlalchemy import inspect, text
+
+from kilter_service.db.database import Database
+from kilter_service.errors import ServiceError
+
+if TYPE_CHECKING:
+    from alembic.config import Config
+
+MIGRATIONS = Path(__file__).resolve().parents[2] / "migrations"
+
+# The newest file of migrations/versions. Written down because importing alembic costs a second at every start;
+# a test compares it with what alembic finds.
+HEAD = "0005"
+
+
+def current(database: Database) -> str | None:
+    """Return the revision the database has; None when it has no tables yet."""
+    with database.reading() as session:
+        connection = session.connection()
+        if not inspect(connection).has_table("alembic_version"):
+            return None
+        found: str | None = connection.execute(text("SELECT version_num FROM alembic_version")).scalar_one_or_none()
+        return found
+
+
+def check(database: Database) -> None:
+    """Refuse to work on a database of another revision, naming the command that fixes it."""
+    found = current(database)
+    if found == HEAD:
+        return
+    raise ServiceError(
+        f"The database is at revision {found or 'none'}, this Kilter needs {HEAD}: run `kilterd migrate` "
+        "(`kilterd serve` does it by itself).",
+        code="database_outdated",
+        revision=found,
+        needed=HEAD,
+    )
+
+
+def wait(database: Database, seconds: float) -> None:
+    """Wait until another process has migrated the database; raises as `check` does when it takes too long."""
+    deadline = time.monotonic() + seconds
+    while current(database) != HEAD:
+        if time.monotonic() > deadline:
+            check(database)
+        time.sleep(0.02)
+
+
+def configuration(url: str) -> Config:
+    """Return alembic's configuration for the database at ``url``."""
+    from alembic.config import Config  # a second of import, wanted only when there is something to migrate
+
+    config = Config()
+    config.set_main_option("script_location", str(MIGRATIONS))
+    config.attributes["url"] = url
+    return config
+
+
+def migrate(database: Database) -> bool:
+    """Bring the database to this code's revision; returns whether there was anything to do."""
+    if current(database) == HEAD:
+        return False
+    from alembic import command
+
+    command.upgrade(configuration(database.url), "head")
+    return True

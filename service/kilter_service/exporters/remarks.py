@@ -1,0 +1,53 @@
+"""What a file of geometry leaves out of a version, in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kilter_core.conversions.closest import Loss, at_rest, geometry_loss, workspace
+from kilter_core.conversions.screws import Screws
+
+if TYPE_CHECKING:
+    from kilter_core.effects import Effect
+    from kilter_core.model import Calibration
+
+SAID_MM = 1e-6  # smaller differences are rounding
+
+
+def remarks(calibration: Calibration, arm: Screws | None = None) -> tuple[str, ...]:
+    """Say which effects a file of the identified geometry (or ``arm``, base to tool) leaves out, and the distance left."""
+    return (*left_out(calibration), distance(geometry_loss(calibration, arm)))
+
+
+def left_out(calibration: Calibration) -> tuple[str, ...]:
+    """Say of every effect of the arm that the file does not hold it, and how much it moves the tool."""
+    sizes = _sizes(calibration)
+    arm = [effect for effect in calibration.model.effects if effect.stage != "measurement"]
+    return tuple(f"Left out: {_said(effect, sizes.get(effect.id))}." for effect in arm)
+
+
+def _sizes(calibration: Calibration) -> dict[str, tuple[float, float]]:
+    """Root mean square and largest displacement (mm) of the tool by each effect, over the workspace at rest."""
+    kept = calibration.with_effects([effect for effect in calibration.model.effects if at_rest(effect)])
+    found = kept.model.contribution(workspace(calibration.robot), kept.values)
+    moved = {name.partition("#")[0]: np.linalg.norm(d, axis=1) * 1e3 for name, d in found.items()}
+    return {name: (float(np.sqrt(np.mean(d**2))), float(d.max())) for name, d in moved.items()}
+
+
+def _said(effect: Effect, size: tuple[float, float] | None) -> str:
+    if size is None:
+        return f"{effect.id}, which acts with {', '.join(sorted(effect.needs - {'moments'}))}"
+    return f"{effect.id}, {size[0]:.3f} mm rms and {size[1]:.3f} mm at most over the workspace, at rest without load"
+
+
+def distance(loss: Loss) -> str:
+    """Say how far the file's arm is from the identified one."""
+    if loss.max_m * 1e3 < SAID_MM:
+        return "Nothing is lost: the poses are those of the version."
+    return (
+        f"Lost: the file's tool point differs from the version's by {loss.rms_m * 1e3:.4f} mm rms, "
+        f"{loss.max_m * 1e3:.4f} mm at most, its orientation by {np.degrees(loss.max_rad):.4f} deg at most, "
+        "over the workspace."
+    )

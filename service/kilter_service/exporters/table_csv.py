@@ -1,0 +1,84 @@
+"""The DH or MDH table closest to a version, as CSV that ``kilter robot add`` reads back."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.conversions.closest import ClosestTable, closest_table
+from kilter_core.conversions.tables import angles_and_lengths
+from kilter_core.transforms import xyz_rpy_from_pose
+from kilter_service.exporters.exportable import Exportable, Written
+from kilter_service.exporters.remarks import distance, left_out
+
+if TYPE_CHECKING:
+    from kilter_core.conventions import Row
+    from kilter_core.robot import Joint
+
+WORDS = {"dh": "Tz(d) Rz(theta) Tx(a) Rx(alpha)", "mdh": "Rx(alpha) [Ry(beta)] Tx(a) Rz(theta) Tz(d)"}
+
+
+def dh_csv(version: Exportable) -> Written:
+    """Write the closest table of standard Denavit-Hartenberg parameters."""
+    return _table(version, "dh")
+
+
+def mdh_csv(version: Exportable) -> Written:
+    """Write the closest table of modified parameters, with Hayati's beta for parallel axes."""
+    return _table(version, "mdh")
+
+
+def _table(version: Exportable, convention: str) -> Written:
+    calibration = version.calibration
+    table = closest_table(calibration, convention)
+    notes = (*left_out(calibration), distance(table.loss))
+    columns = ["theta_offset_deg", "d_mm", "a_mm", "alpha_deg", *(["beta_deg"] if convention == "mdh" else [])]
+    out = io.StringIO(newline="")
+    out.write(f"# kilter {convention} table, each row {WORDS[convention]}\n")
+    out.write(f"# robot {version.version.robot}, version {version.version.id}\n")
+    for name in ("base", "tool"):
+        out.write(f"# {name} {_frame(getattr(table, name))}\n")
+    out.writelines(f"# {note}\n" for note in notes)
+    writer = csv.writer(out, lineterminator="\n")
+    limits = _limit_columns(calibration.robot.joints)
+    writer.writerow(["joint", "type", *columns, *limits])
+    writer.writerows(_cells(table, calibration.robot.joints, columns, limits))
+    return Written(out.getvalue(), notes)
+
+
+def _cells(table: ClosestTable, joints: tuple[Joint, ...], columns: list[str], limits: list[str]) -> list[list[str]]:
+    return [
+        [joint.name, joint.kind, *_numbers(row, columns), *(_limit(joint, name) for name in limits)]
+        for row, joint in zip(table.rows, joints, strict=True)
+    ]
+
+
+def _numbers(row: Row, columns: list[str]) -> list[str]:
+    cells = dict(angles_and_lengths(row))
+    return ["" if cells[name] is None else repr(cells[name]) for name in columns]
+
+
+def _limit_columns(joints: tuple[Joint, ...]) -> list[str]:
+    kinds = {joint.kind for joint in joints}
+    units = [unit for kind, unit in (("revolute", "deg"), ("prismatic", "mm")) if kind in kinds]
+    return [f"{side}_{unit}" for unit in units for side in ("lower", "upper")]
+
+
+def _limit(joint: Joint, column: str) -> str:
+    side, _, unit = column.partition("_")
+    value = float(getattr(joint, side))
+    if (unit == "mm") != (joint.kind == "prismatic") or not math.isfinite(value):
+        return ""
+    return f"{value * 1e3 if unit == 'mm' else math.degrees(value):.12g}"
+
+
+def _frame(T: NDArray[np.float64]) -> str:
+    xyz, rpy = xyz_rpy_from_pose(T)
+    values = [*((f"{k}_mm", v * 1e3) for k, v in zip("xyz", xyz, strict=True))]
+    values += [(f"r{k}_deg", math.degrees(v)) for k, v in zip("xyz", rpy, strict=True)]
+    return " ".join(f"{name}={float(value)!r}" for name, value in values)

@@ -1,0 +1,36 @@
+"""Health over HTTP; open to everybody, for what watches a server has no token."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+from kilter_service.contract.health import Health
+from kilter_service.errors import ServiceError
+from kilter_service.health import service
+from kilter_service.routing import GuardedRoute
+from kilter_service.state import DatabaseOfApp
+from kilter_service.version import code_version
+
+router = APIRouter(prefix="/v1/health", tags=["health"], route_class=GuardedRoute)
+
+
+@router.get("")
+def health(database: DatabaseOfApp) -> Health:
+    """Report the state of the server and its checks."""
+    return service.report(database)
+
+
+@router.get("/live")
+async def live() -> Health:  # waits for no thread, whatever the others do
+    """Answer that the API process lives."""
+    return Health(status="live", version=code_version(), checks={})
+
+
+@router.get("/ready")
+def ready(database: DatabaseOfApp) -> Health:
+    """Answer 200 when database and worker are ready, else 503 with the cause."""
+    report = service.report(database)
+    if report.status != "ready":
+        causes = "; ".join(f"{name}: {check.detail}" for name, check in report.checks.items() if not check.ok)
+        raise ServiceError(causes, code="not_ready", checks={n: c.model_dump() for n, c in report.checks.items()})
+    return report

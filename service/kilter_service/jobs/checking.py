@@ -1,0 +1,105 @@
+"""What a job would do: the checks of posting it, then the beginning of its work. Nothing is stored, nothing is queued."""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import dataclass
+
+from kilter_core.errors import CoreError
+from kilter_service.campaigns import store as campaigns
+from kilter_service.contract.jobs.check import CheckedCampaign, JobCheck
+from kilter_service.contract.jobs.job import NewJob
+from kilter_service.db import Database, Session
+from kilter_service.jobs import service, store, wire
+from kilter_service.jobs.durations import PastRun, duration
+from kilter_service.jobs.foresight import Foresight, poses_of
+from kilter_service.jobs.kind import JobInput, JobKind
+from kilter_service.jobs.records import JobRequest
+from kilter_service.jobs.registry import kind_of
+
+MOST_ROWS = 100_000  # read of all campaigns together; what takes more is thinned
+
+_ONE_AT_A_TIME = threading.Lock()  # a check holds the rows of a job
+
+
+@dataclass(frozen=True)
+class _Loaded:
+    """All that a check reads from the database; ``why`` there is no input, where the job would fail of loading it."""
+
+    robot_id: int
+    version: str | None
+    used: list[CheckedCampaign]
+    past: list[PastRun]
+    every: int
+    given: JobInput | None
+    why: CoreError | None
+
+
+def check(database: Database, job: NewJob) -> JobCheck:
+    """Say what a job would do.
+
+    Raises:
+        ServiceError, CoreError: what posting it would be refused with.
+
+    """
+    kind, request = kind_of(job.kind), JobRequest.of(job.model_dump(mode="json"))
+    with database.reading() as session:
+        service.checked(session, job, kind)
+    kind.check(job.options)  # may import the core and take its time: outside
+    with _ONE_AT_A_TIME:
+        with database.reading() as session:
+            loaded = _load(session, job, kind, request)
+        found = _foreseen(kind, loaded)
+    rows = sum(campaign.rows for campaign in loaded.used if campaign.use != "confirmation")
+    return wire.check(
+        job.kind, job.robot, loaded.version, found, loaded.used, duration(job.kind, rows, request, loaded.past)
+    )
+
+
+def _load(session: Session, job: NewJob, kind: JobKind, request: JobRequest) -> _Loaded:
+    robot_id = service.checked(session, job, kind)
+    used = store.used_in(session, request)
+    every = max(1, math.ceil(sum(one.rows for one in used) / MOST_ROWS))
+    given, why = None, None
+    try:
+        given = store.input_of(session, robot_id, job.kind, request, every)
+    except CoreError as error:
+        why = error
+    rows = {} if given is None else given.rows_by_campaign
+    return _Loaded(
+        robot_id,
+        store.start_of(session, robot_id, kind, request),
+        [
+            CheckedCampaign(
+                id=one.id,
+                name=one.name,
+                role=one.role,
+                use=one.use,
+                device=campaigns.device(session, one.id),
+                rows=one.rows,
+                poses=poses_of(rows[one.id]) if one.id in rows else None,
+            )
+            for one in used
+        ],
+        store.past_runs(session, robot_id, job.kind),
+        every,
+        given,
+        why,
+    )
+
+
+def _foreseen(kind: JobKind, loaded: _Loaded) -> Foresight:
+    found = Foresight()
+    if loaded.every > 1:
+        found.limited.append(
+            f"One row in {loaded.every} was read, for there are more than {MOST_ROWS}: rows and poses are counted among "
+            "those, and with all of them more can be told."
+        )
+    if loaded.why is not None:
+        found.problems.append(loaded.why)
+    elif loaded.given is not None and kind.foresee is not None:
+        kind.foresee(loaded.given, found)
+    elif loaded.given is not None:
+        found.learn_from(*loaded.given.campaigns.values())
+    return found

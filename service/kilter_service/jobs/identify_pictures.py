@@ -1,0 +1,100 @@
+"""The figures of an identification as Plotly documents: errors, residual arrows, worst rows, parameters, workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kilter_service.jobs.arrow_pictures import arrows
+from kilter_service.jobs.drawing import BLUE, GREY, LEGEND, ORANGE, RED, Document, evenly, layout, rounded, told
+from kilter_service.jobs.parameter_pictures import changes
+from kilter_service.jobs.worst_rows import worst_rows
+from kilter_service.wire import to_mm
+
+if TYPE_CHECKING:
+    from kilter_core.identify import Identification
+    from kilter_core.identify.row_errors import RowErrors
+    from kilter_core.observations import Observations
+    from kilter_service.jobs.kind import JobInput
+
+STAGES = (("nominal", "before, as drawn", GREY), ("registration_only", "registration only", ORANGE),
+          ("identified", "identified", BLUE))  # fmt: skip
+PER_DECADE, MOST_BINS = 8, 60
+SMALLEST_MM = 1e-6
+MOST_MEASURED, FEW_MEASURED = 300, 50
+
+
+def pictures(found: Identification, report: Mapping[str, Any], job: JobInput) -> dict[str, Document]:
+    """Draw an identification; ``report`` is its result, with the rows set aside by campaign."""
+    drawn = {}
+    errors, kind = (found.held_rows, "held-out") if found.held_rows else (found.fitted_rows, "fitted")
+    if errors is not None and any(len(size) for size in errors.sizes.values()):
+        drawn["held_out_errors" if found.held_rows else "fitted_errors"] = _histogram(errors, kind)
+        drawn |= arrows(errors, kind)
+    drawn |= worst_rows(found, job, report["set_aside"])
+    if (bars := changes(report["parameters"])) is not None:
+        drawn["parameter_changes"] = bars
+    return drawn
+
+
+def workspace_picture(found: Identification, rows: Observations, seed: int) -> dict[str, Document]:
+    """Draw the uncertainty of the fit at poses within the limits, from the side and from above."""
+    from kilter_core.identify.workspace import Workspace
+
+    space = Workspace.of(found.calibration, found.predictive, rows, seed).worst_last()
+    some = evenly(len(space.measured), MOST_MEASURED)
+    low, high = to_mm(float(space.u95.min())), to_mm(float(space.u95.max()))
+    data: list[Document] = []
+    for n, (i, j) in enumerate(((0, 2), (0, 1))):
+        axes = {} if n == 0 else {"xaxis": "x2", "yaxis": "y2"}
+        colour: Document = {"color": rounded(to_mm(space.u95), 6), "colorscale": "Viridis", "cmin": low, "cmax": high}
+        bar = {"colorbar": {"title": {"text": "± mm"}}} if n == 0 else {}
+        data.append({
+            "type": "scatter", "mode": "markers", "name": "within the limits", "showlegend": False, **axes,
+            "x": rounded(to_mm(space.points[:, i]), 1), "y": rounded(to_mm(space.points[:, j]), 1),
+            "marker": {"size": 6, **colour, **bar},
+        })  # fmt: skip
+        data.append({
+            "type": "scatter", "mode": "markers", "name": "rows that were fitted", "showlegend": n == 0, **axes,
+            "x": rounded(to_mm(space.measured[some, i]), 1), "y": rounded(to_mm(space.measured[some, j]), 1),
+            "marker": {"size": 4 if len(some) > FEW_MEASURED else 9, "color": RED, "symbol": "x"},
+        })  # fmt: skip
+    title = f"Where the tool is known to, 95 %: ±{told(low)} to ±{told(high)} mm per coordinate"
+    return {"predicted_error": {"data": data, "layout": _two_views(title)}}
+
+
+def _two_views(title: str) -> Document:
+    def axis(words: str, **more: Any) -> Document:
+        return {"title": {"text": words}, **more}
+
+    return {
+        "title": {"text": title}, "width": 1000, "height": 560, "margin": {"t": 90},
+        "legend": LEGEND,
+        "xaxis": axis("x of the base, mm", domain=[0.0, 0.45]),
+        "yaxis": axis("z of the base, mm", scaleanchor="x", scaleratio=1),
+        "xaxis2": axis("x of the base, mm", domain=[0.55, 1.0], anchor="y2"),
+        "yaxis2": axis("y of the base, mm", anchor="x2", scaleanchor="x2", scaleratio=1),
+    }  # fmt: skip
+
+
+def _histogram(errors: RowErrors, kind: str) -> Document:
+    """Counts in bins of equal ratio: before and after may be a thousandfold apart."""
+    sizes = {name: np.maximum(to_mm(size), SMALLEST_MM) for name, size in errors.sizes.items()}
+    every = np.concatenate(list(sizes.values()))
+    low, high = np.log10(every.min()) - 0.05, np.log10(every.max()) + 0.05
+    edges = np.logspace(low, high, int(np.clip((high - low) * PER_DECADE, 5, MOST_BINS)) + 1)
+    data = []
+    for name, label, colour in STAGES:
+        counts = np.histogram(sizes[name], edges)[0]
+        rms, median = np.sqrt(np.mean(sizes[name] ** 2)), np.median(sizes[name])
+        data.append({
+            "type": "scatter", "mode": "lines", "x": rounded(edges, 7),
+            "name": f"{label}: median {told(median)}, rms {told(rms)} mm", "y": [*counts.tolist(), 0],
+            "line": {"color": colour, "shape": "hv"}, "fill": "tozeroy",
+        })  # fmt: skip
+    number = len(sizes["identified"])
+    made = layout(f"Errors of {number} {kind} rows", "error, mm (each division ten times the one before)", "rows")
+    made["xaxis"] |= {"type": "log"}
+    return {"data": data, "layout": made}

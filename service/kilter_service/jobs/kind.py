@@ -1,0 +1,102 @@
+"""What a kind of job is. Adding one is its file in ``kinds/`` and one line in ``registry.py``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from kilter_service.contract.units import Asked
+from kilter_service.contract.versions import CorrectionLimits
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from kilter_core.model import Calibration
+    from kilter_core.observations import Observations
+    from kilter_core.robot import Robot
+    from kilter_service.jobs.foresight import Foresight
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class JobInput:
+    """All a kind needs, loaded from the database. ``options`` are those of the kind, as the contract has them.
+
+    ``validation`` is what the job names: rows, a fraction, folds.
+    ``confirmation`` are campaigns in which what was found must be seen again.
+
+    ``devices`` and ``names`` are those of all campaigns, by id.
+    ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
+    the version the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint
+    readings of all the robot's campaigns, and ``origin``, the result of the job that made the version.
+    """
+
+    robot: Robot
+    campaigns: dict[str, Observations]
+    validation: dict[str, Observations] | float | int | None
+    options: Any
+    version_id: str | None = None
+    calibration: Calibration | None = None
+    covariance: dict[str, Any] | None = None
+    report: dict[str, Any] | None = None
+    devices: dict[str, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
+    driven: NDArray[np.float64] | None = None
+    origin: dict[str, Any] | None = None
+    confirmation: dict[str, Observations] = field(default_factory=dict)
+
+    @property
+    def rows_by_campaign(self) -> dict[str, Observations]:
+        """Rows of all campaigns the job names, whatever it takes them for."""
+        held = self.validation if isinstance(self.validation, dict) else {}
+        return {**self.campaigns, **held, **self.confirmation}
+
+
+@dataclass(frozen=True)
+class VersionContent:
+    """What a job puts into the version it makes."""
+
+    calibration: dict[str, Any]
+    report: dict[str, Any]
+    covariance: dict[str, Any]
+    limits: CorrectionLimits = field(default_factory=CorrectionLimits)
+
+
+@dataclass(frozen=True)
+class JobOutput:
+    """The result document, JSON-able; and the content of the version the job makes, if it makes one."""
+
+    result: dict[str, Any]
+    version: VersionContent | None = None
+
+
+@dataclass(frozen=True)
+class JobKind:
+    """A kind of job.
+
+    ``options`` is the contract's model of them. ``check`` refuses at once, before the job is queued, what that model
+    cannot say (which options go together); it raises a CoreError. ``run`` computes: it gets
+    ``progress(fraction, stage)``, which raises ``CancelledError`` when the job was cancelled, and must call it at
+    least once a second. Both import core inside, for the API process lists the kinds without it. ``version_option``
+    names the option that holds a version; ``needs_campaigns``, ``takes_folds`` and ``takes_confirmation`` say what a
+    request must and may have,
+    ``instead_of_campaigns`` which options stand in for campaigns. ``long`` kinds have a queue of their own: whoever
+    identifies does not wait for somebody's hunt. ``history`` kinds want to know where the arm was driven before.
+    ``foresee`` fills in what such a job would do, at once, from the same input; without it only its rows are counted.
+    """
+
+    name: str
+    options: type[Asked]
+    check: Callable[[Any], None]
+    run: Callable[[JobInput, Progress], JobOutput]
+    version_option: str | None = None
+    needs_campaigns: bool = True
+    takes_folds: bool = True
+    takes_confirmation: bool = False
+    instead_of_campaigns: tuple[str, ...] = ()
+    long: bool = False
+    history: bool = False
+    foresee: Callable[[JobInput, Foresight], None] | None = None

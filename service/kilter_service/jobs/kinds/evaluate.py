@@ -1,0 +1,85 @@
+"""Job kind ``evaluate``: any version against any campaign."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from kilter_core.errors import OptionError
+from kilter_service.contract.jobs.evaluate import EvaluateOptions
+from kilter_service.jobs.foresight import Foresight, Lack
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
+
+if TYPE_CHECKING:
+    from kilter_core.model import Calibration
+
+MOST_CHECKED = 500  # poses of a campaign that a check looks at
+REMEDY = "Plan its poses with `kilter plan --purpose iso9283`, and drive them as often as the standard demands."
+REFITS: tuple[list[str], ...] = ([], ["base"], ["base", "tool"])
+
+
+def check(options: EvaluateOptions) -> None:
+    """Refuse options that do not go together.
+
+    Raises:
+        OptionError: a tool refitted without its base, or criteria without their standard.
+
+    """
+    if options.refit not in REFITS:
+        raise OptionError(
+            f'options.refit is {options.refit}: give [], ["base"] or ["base", "tool"], for a job of kind evaluate.',
+            option="refit",
+        )
+    if options.criteria and options.metrics != "iso9283":
+        raise OptionError('options.criteria goes with metrics "iso9283": give both, or none.', option="criteria")
+
+
+def run(job: JobInput, progress: Progress) -> JobOutput:
+    """Compare the version named (else the active one, else the robot as drawn) with the rows of every campaign."""
+    from kilter_core.evaluate import evaluate  # compiled kernels: only the worker needs them
+    from kilter_core.identify.predictive import Predictive
+    from kilter_core.model import Calibration
+
+    options: EvaluateOptions = job.options
+    calibration = job.calibration or Calibration.nominal(job.robot)
+    if options.metrics == "iso9283":
+        return _iso9283(job, calibration, progress)
+    known = Predictive.from_document(job.covariance or {}, job.report)
+    metrics, rows = {}, {}
+    for number, (campaign, seen) in enumerate(job.campaigns.items()):
+        progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
+        metrics[campaign] = evaluate(calibration, seen, options.refit, known)
+        rows[campaign] = metrics[campaign].pop("rows")
+    return JobOutput({"version_id": job.version_id, "refit": options.refit, "metrics": metrics, "rows": rows})
+
+
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Evaluate some of the rows, or see which criteria all of them support."""
+    from kilter_core.compare import thinned
+    from kilter_core.evaluate import evaluate
+    from kilter_core.iso9283 import Trial, criteria
+    from kilter_core.model import Calibration
+
+    options: EvaluateOptions = job.options
+    calibration = job.calibration or Calibration.nominal(job.robot)
+    found.learn_from(*job.campaigns.values())
+    for campaign, rows in job.campaigns.items():
+        with found.foreseen():
+            if options.metrics == "errors":
+                evaluate(calibration, thinned(rows, MOST_CHECKED), options.refit, None)
+                continue
+            refused = criteria(Trial.of(calibration.wanted().predict(rows), rows), options.criteria)["refused"]
+            found.missing += [Lack(f"{one['symbol']} of {campaign}", one["message"], REMEDY) for one in refused]
+
+
+def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> JobOutput:
+    """Criteria of every campaign; commanded is where the nominal chain in the version's wanted frames says."""
+    from kilter_core.iso9283 import Trial, criteria
+
+    commanded, reports = calibration.wanted(), {}
+    for number, (campaign, rows) in enumerate(job.campaigns.items()):
+        progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
+        reports[campaign] = criteria(Trial.of(commanded.predict(rows), rows), job.options.criteria)
+    return JobOutput({"version_id": job.version_id, "standard": "ISO 9283:1998", "iso9283": reports})
+
+
+EVALUATE = JobKind("evaluate", EvaluateOptions, check, run, version_option="version", foresee=foresee)

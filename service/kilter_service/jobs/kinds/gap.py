@@ -1,0 +1,165 @@
+"""Job kind ``gap``: where the model is wrong, what is missing, and how sure that is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kilter_service.contract.jobs.gap import GapOptions
+from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.jobs.attended import attended
+from kilter_service.jobs.foresight import Foresight, Lack
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from kilter_service.jobs.pictures import pictures
+from kilter_service.jobs.plain import plain
+from kilter_service.jobs.poses import Pose, document_of
+from kilter_service.versions.store import HELD_OUT
+
+if TYPE_CHECKING:
+    from kilter_core.gap import GapOptions as Asked
+    from kilter_core.gap import GapReport
+    from kilter_core.observations import Observations
+
+NOT_OF_THE_CORE = {"start", "limits"}
+
+
+def check(options: GapOptions) -> None:
+    """Refuse what the core would.
+
+    Raises:
+        OptionError: an effect that is not searched for, or an option of one that a hunt chooses itself.
+
+    """
+    from kilter_core.gap.wanted import wanted
+
+    wanted(_core(options).effects)
+
+
+def run(job: JobInput, progress: Progress) -> JobOutput:
+    """Hunt through the campaigns; a cancelled hunt is left at once."""
+    return attended(lambda tell: _hunt(job, tell), progress)
+
+
+def _hunt(job: JobInput, progress: Progress) -> JobOutput:
+    """Hunt through all campaigns together; the version made holds the named effects and the geometry fitted with them."""
+    from kilter_core.gap import find_gap  # compiled kernels: only the worker needs them
+    from kilter_core.gap.holding import parted, share_of
+
+    options = _core(job.options)
+    rows, validation, confirmation = _rows(job)
+    progress(0.0, "fitting the geometry")
+    report = find_gap(job.robot, rows, options, job.calibration, validation, progress, confirmation)
+    train, held = parted(rows, validation, options.seed)
+    share = share_of(rows, None) if validation is None and held is not None else None
+    found = report.to_document()
+    result = plain(
+        {
+            **found,
+            "figures": pictures(found),
+            "next_poses_csv": _file(job, found["next_poses"]),
+            "start": job.version_id,
+            "version_id": None,
+        }
+    )
+    progress(0.98, "errors of the new version")
+    return JobOutput(result, _version(job, report, train, held, share))
+
+
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Say what would be searched and held out, and which effects these rows can test."""
+    from kilter_core.gap.check import check_gap
+    from kilter_core.gap.holding import parted
+    from kilter_core.observations import Observations
+
+    options = _core(job.options)
+    with found.foreseen():
+        rows, validation, confirmation = _rows(job)
+        found.learn_from(rows)
+        _, held = parted(rows, validation, options.seed)
+        if isinstance(validation, Observations):
+            found.hold("campaigns", validation)
+        elif held is not None:
+            found.hold("unasked" if validation is None else "fraction", held)
+        found.hunt = check_gap(job.robot, rows, options, job.calibration, validation, confirmation)
+        if found.hunt.poses < found.hunt.of:
+            found.limited.append(
+                f"What can be tested was judged on {found.hunt.poses} of {found.hunt.of} poses, evenly chosen; amplitudes "
+                "are those that all of them would show."
+            )
+        found.missing += [Lack(_label(u.id, u.joints), u.reason, u.remedy) for u in found.hunt.not_testable]
+
+
+def _label(effect: str, joints: tuple[int, ...] | None) -> str:
+    return effect if joints is None else f"{effect} j{','.join(str(j + 1) for j in joints)}"
+
+
+def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
+    """The poses to measure next as a file, None without any."""
+    from kilter_core.gap.next_poses import wire_scale
+
+    scale = wire_scale(job.robot)
+    made = [
+        Pose(
+            q=np.array(row["q_deg"]) / scale,
+            payload_kg=row["payload_kg"],
+            direction=None if row["direction"] is None else tuple(row["direction"]),
+        )
+        for row in poses
+    ]
+    return str(document_of(job.robot, made)["csv"]) if made else None
+
+
+def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Observations | None]:
+    """Rows to search, what to hold out, and the confirmation, poses and sessions numbered apart."""
+    from kilter_core.observations import Observations
+    from kilter_service.campaigns.store import numbered
+
+    held = job.validation if isinstance(job.validation, dict) else {}
+    parts = iter(numbered([*job.campaigns.values(), *held.values(), *job.confirmation.values()]))
+    groups = [[next(parts) for _ in campaigns] for campaigns in (job.campaigns, held, job.confirmation)]
+    rows, others, confirmation = (Observations.concatenate(group) if group else None for group in groups)
+    assert rows is not None
+    validation = others if others is not None else job.validation
+    assert validation is None or isinstance(validation, Observations | float)
+    return rows, validation, confirmation
+
+
+def _version(
+    job: JobInput, report: GapReport, train: Observations, held: Observations | None, share: float | None
+) -> VersionContent:
+    """What an identification stores of its fit, of the hunt's last one; ``share`` of the poses was held out unasked."""
+    stored = report.stored
+    document = {
+        "metrics": stored.metrics(train, held),
+        "parameters": stored.parameters(),
+        "null_directions": stored.null_directions(),
+        "noise_mm": report.gap.get("noise_mm"),
+        "noise_source": report.noise["source"],
+        "load_model": stored.load_model(),
+        "warnings": list(report.warnings),
+        "reference": stored.reference(),
+        HELD_OUT: share,
+    }
+    limits = job.options.limits or CorrectionLimits()
+    return VersionContent(stored.calibration.to_document(), plain(document), plain(stored.covariance()), limits)
+
+
+def _core(options: GapOptions) -> Asked:
+    """What was asked, as the core has it: whatever was not keeps the core's default."""
+    from kilter_core.gap import GapOptions as Asked
+
+    return Asked.from_document(options.model_dump(mode="json", exclude=NOT_OF_THE_CORE))
+
+
+GAP = JobKind(
+    "gap",
+    GapOptions,
+    check,
+    run,
+    version_option="start",
+    takes_folds=False,
+    takes_confirmation=True,
+    long=True,
+    foresee=foresee,
+)

@@ -1,0 +1,129 @@
+"""Job kind ``identify``: observations into a new parameter version."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import TYPE_CHECKING, Any
+
+from kilter_service.contract.jobs.identify import IdentifyOptions
+from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.jobs.foresight import Foresight, Lack
+from kilter_service.jobs.identify_pictures import pictures, workspace_picture
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from kilter_service.jobs.plain import plain
+from kilter_service.jobs.setups import Setups
+from kilter_service.jobs.sheets import bar_lengths, doubts
+
+if TYPE_CHECKING:
+    from kilter_core.identify import Folds, Prior
+    from kilter_core.identify import IdentifyOptions as Asked
+    from kilter_core.observations import Observations
+
+NOT_OF_THE_CORE = {"start", "limits", "sheet_order"}
+
+
+def check(options: IdentifyOptions) -> None:
+    """Refuse options that do not go together.
+
+    Raises:
+        OptionError: a method without what another option needs, effects at a level without them, ...
+
+    """
+    _core(options).make_effects()
+
+
+def run(job: JobInput, progress: Progress) -> JobOutput:
+    """Identify the robot from all campaigns together."""
+    from kilter_core.identify import identify  # compiled kernels: only the worker needs them
+
+    options = _core(job.options)
+    setups = Setups(options.refit, job.devices)
+    named = _named(job)
+    remarks = doubts(job.robot, named, job.devices, job.options.sheet_order) + bar_lengths(job.robot, named)
+    train, validation = _rows(job, setups)
+    found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job))
+    report = found.to_document()
+    report["base_refitted"] = setups.named(report["base_refitted"])
+    counts = {name: len(rows) for name, rows in job.campaigns.items()}
+    report["set_aside"] = _by_campaign(report["set_aside"], counts)
+    warning = setups.warning(report["base_refitted"])
+    report["warnings"] += [*([] if warning is None else [warning]), *remarks]
+    covariance = found.predictive.to_document()
+    content = VersionContent(
+        found.calibration.to_document(), report, covariance, job.options.limits or CorrectionLimits()
+    )
+    drawn = pictures(found, report, job) | workspace_picture(found, train, options.seed)
+    return JobOutput({**report, "figures": plain(drawn)}, content)
+
+
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Say what would be fitted and held out, and which parameters the poses tell."""
+    from kilter_core.identify import Folds
+    from kilter_core.identify.check import check_identification
+    from kilter_core.identify.holdout import fold_splits, split
+    from kilter_core.observations import Observations
+
+    options = _core(job.options)
+    with found.foreseen():
+        doubts(job.robot, _named(job), job.devices, job.options.sheet_order)
+        train, validation = _rows(job, Setups(options.refit, job.devices))
+        found.learn_from(train)
+        if isinstance(validation, Observations):
+            found.hold("campaigns", validation)
+        elif isinstance(validation, Folds):
+            found.hold("folds", train)
+            next(fold_splits(train, validation.folds, options.seed))
+        elif validation is not None:
+            inside, outside = split(train, validation, options.seed)
+            found.hold("fraction", train.select(outside))
+            train = train.select(inside)
+        found.identification = check_identification(job.robot, train, options, job.calibration)
+        found.missing += [Lack(u.name, u.reason, u.remedy) for u in found.identification.unknown]
+
+
+def _named(job: JobInput) -> list[tuple[str, Observations]]:
+    return [*job.campaigns.items(), *(job.validation.items() if isinstance(job.validation, dict) else ())]
+
+
+def _rows(job: JobInput, setups: Setups) -> tuple[Observations, Observations | float | Folds | None]:
+    """Rows to fit or to split, and what validates, poses and sessions numbered apart."""
+    from kilter_core.identify import Folds
+    from kilter_core.observations import Observations
+    from kilter_service.campaigns.store import numbered
+
+    parts = numbered(setups.marked(_named(job)))
+    if isinstance(job.validation, dict):
+        train, held = parts[: len(job.campaigns)], parts[len(job.campaigns) :]
+        return Observations.concatenate(train), Observations.concatenate(held)
+    validation = Folds(job.validation) if isinstance(job.validation, int) else job.validation
+    return Observations.concatenate(parts), validation
+
+
+def _by_campaign(rows: list[dict[str, Any]], counts: dict[str, int]) -> list[dict[str, Any]]:
+    """Rows of all campaigns together, as rows of each, counted from 1."""
+    out, names = [], list(counts)
+    starts = [sum(list(counts.values())[:k]) for k in range(len(names))]
+    for one in rows:
+        k = bisect_right(starts, one["row"]) - 1
+        out.append({"campaign": names[k], **one, "row": one["row"] - starts[k] + 1})
+    return out
+
+
+def _prior(job: JobInput) -> Prior | None:
+    """What the start knows of its parameters, for the methods that continue from it."""
+    import numpy as np
+
+    from kilter_core.identify import Prior
+
+    known = job.covariance or {}
+    return Prior(tuple(known["names"]), np.array(known["matrix"])) if known.get("names") else None
+
+
+def _core(options: IdentifyOptions) -> Asked:
+    """What was asked, as the core has it: whatever was not keeps the core's default."""
+    from kilter_core.identify import IdentifyOptions as Asked
+
+    return Asked.from_document(options.model_dump(mode="json", exclude=NOT_OF_THE_CORE))
+
+
+IDENTIFY = JobKind("identify", IdentifyOptions, check, run, version_option="start", foresee=foresee)

@@ -1,0 +1,253 @@
+"""Job kind ``plan``: poses to measure, for ISO 9283, to identify well, or to tell two effects apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from kilter_core.errors import OptionError
+from kilter_service.contract.jobs.plan import PlanOptions
+from kilter_service.jobs.foresight import Foresight, Lack
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
+from kilter_service.jobs.plain import plain
+from kilter_service.jobs.poses import Pose, document_of, poses_of
+from kilter_service.wire import to_metres
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from kilter_core.design.region import Region
+    from kilter_core.effects import Effect
+    from kilter_core.gap.next_poses import Proposal
+    from kilter_core.model import Calibration
+
+    Floats = NDArray[np.float64]
+
+UNCHECKED = {
+    "code": "collisions_not_checked",
+    "message": "Collisions are not checked: drive the poses slowly once, or simulate them, before you measure.",
+}
+CYCLES = {"five_poses": (5, 4, 3, 2, 1), "two_poses": (2, 4)}  # P5 to P1 for AP, RP and vAP; P2 and P4 for AD and RD
+CYCLES_DEMANDED = 30
+COUNTS = {"iso9283": 118, "identify": 60, "separate": 12}
+IMAGINED = Lack(
+    "measurements",
+    "No campaign is named: a first one of random poses is imagined, and what it would see may not be what you measured.",
+    "Name the campaigns that were measured so far.",
+)
+NO_PAYLOADS = (
+    "They follow the load, and no payloads are named: all poses are planned without a load to change.",
+    "Name the loads at hand in `payloads_kg`, 0 among them.",
+)
+NOISE_MM = 0.05  # of a coordinate, where neither repeats nor the request say it
+
+
+def check(options: PlanOptions) -> None:
+    """Refuse options that do not go together.
+
+    Raises:
+        OptionError: a box without room, a cycle of the standard for another purpose, or effects that cannot be told apart.
+
+    """
+    _box(options)
+    if options.method in CYCLES and options.purpose != "iso9283":
+        raise OptionError(
+            f"options.method is {options.method!r}: it is a cycle of ISO 9283, give purpose iso9283.", option="method"
+        )
+    if options.purpose == "separate":
+        named_effects(options)
+        if len(options.effects) > 2:
+            raise OptionError(
+                'separate tells two effects apart, as ["axial_compliance", "link_bending"], or one from geometry.',
+                option="effects",
+            )
+
+
+def run(job: JobInput, progress: Progress) -> JobOutput:
+    """Plan with the version named, else the robot as drawn."""
+    progress(0.0, "choosing poses")
+    plans: dict[str, Callable[[JobInput, Progress], dict[str, Any]]]
+    plans = {"iso9283": _iso, "identify": _identify, "separate": _separate}
+    purpose = job.options.purpose
+    made = {"purpose": purpose, "start": job.version_id, **plans[purpose](job, progress)}
+    return JobOutput(plain({**made, "within": _within(job), "warnings": [UNCHECKED]}))
+
+
+def foresee(job: JobInput, found: Foresight) -> None:
+    """Plan a single pose, which is refused as the whole plan would be, and say what the plan has to do without."""
+    options: PlanOptions = job.options
+    found.learn_from(*job.campaigns.values())
+    with found.foreseen():
+        run(replace(job, options=options.model_copy(update={"count": 1})), lambda fraction, stage: None)
+        found.limited.append("A single pose was planned, to see whether there is room for poses.")
+        if options.purpose == "separate" and not job.campaigns:
+            found.missing.append(IMAGINED)
+        loaded = [effect.id for effect in _made(job) if "moments" in effect.needs] if options.effects else []
+        if loaded and not options.payloads_kg:
+            found.missing.append(Lack(f"second payload for {', '.join(loaded)}", *NO_PAYLOADS))
+
+
+def named_effects(options: PlanOptions) -> list[tuple[str, tuple[int, ...] | None]]:
+    """Ids and joints (from 0) of the effects to tell apart.
+
+    Raises:
+        OptionError: an option besides the joints, which a separation has no use for.
+
+    """
+    out: list[tuple[str, tuple[int, ...] | None]] = []
+    for number, one in enumerate(options.effects):
+        named: dict[str, Any] = {"id": one} if isinstance(one, str) else one.model_dump(mode="json")
+        more = sorted(set(named) - {"id", "joints"})
+        if more:
+            raise OptionError(
+                f"options.effects.{number}.{more[0]}: separate tells effects apart as the library has them. Name the "
+                "effect and its joints alone.",
+                option="effects",
+            )
+        joints = named.get("joints")
+        out.append((str(named["id"]), None if joints is None else tuple(j - 1 for j in joints)))
+    return out
+
+
+def _iso(job: JobInput, progress: Progress) -> dict[str, Any]:
+    from kilter_core.design.iso9283 import iso_poses
+
+    if job.options.method in CYCLES:
+        return _cycles(job, CYCLES[job.options.method])
+    q = iso_poses(job.robot, _count(job), job.options.seed, _room(job))
+    return document_of(job.robot, [Pose(row) for row in q])
+
+
+def _cycles(job: JobInput, order: tuple[int, ...]) -> dict[str, Any]:
+    """The same poses again and again; ``count`` cycles, pose_id the standard's number, session the cycle."""
+    from kilter_core.design.iso9283 import five_poses
+
+    q = five_poses(job.robot, seed=job.options.seed, region=_room(job))
+    cycles = range(1, (job.options.count or CYCLES_DEMANDED) + 1)
+    poses = [Pose(q[number - 1], pose_id=number, session=cycle) for cycle in cycles for number in order]
+    return {**document_of(job.robot, poses), "cycles": len(cycles), "cycles_demanded": CYCLES_DEMANDED}
+
+
+def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
+    if job.options.method == "iso9283":
+        return _iso(job, progress)
+    from kilter_core.design.d_optimal import d_optimal_poses
+
+    rows = d_optimal_poses(
+        _begin(job),
+        _count(job),
+        _made(job),
+        to_metres(job.options.noise_mm or NOISE_MM),
+        job.options.seed,
+        lambda fraction: progress(fraction, "choosing poses"),
+        _region(job),
+        job.options.payloads_kg,
+    )
+    return document_of(job.robot, poses_of(rows))
+
+
+def _begin(job: JobInput) -> Calibration:
+    from kilter_core.model import Calibration
+
+    return job.calibration or Calibration.nominal(job.robot)
+
+
+def _within(job: JobInput) -> str:
+    """Where the poses are: within "campaigns", the robot's, or only within its "limits"."""
+    options: PlanOptions = job.options
+    standard = options.purpose == "iso9283" or options.method == "iso9283"
+    return "limits" if standard or job.driven is None else options.within
+
+
+def _region(job: JobInput) -> Region:
+    """Where poses may be: as far as the arm was driven before unless ``within`` says limits, above floor, in the box."""
+    from kilter_core.design.region import Region
+
+    region = Region.of(_begin(job), job.driven if _within(job) == "campaigns" else None)
+    floor = job.options.floor_mm
+    return region.above(None if floor is None else to_metres(floor)).within(_box(job.options))
+
+
+def _room(job: JobInput) -> Region | None:
+    """The floor and the box alone, for the poses of the standard; None without either."""
+    return None if job.options.floor_mm is None and job.options.box_mm is None else _region(job)
+
+
+def _box(options: PlanOptions) -> Floats | None:
+    """Lowest and highest corner (2, 3) m of the option ``box_mm``."""
+    import numpy as np
+
+    if options.box_mm is None:
+        return None
+    box = to_metres(np.array(options.box_mm, dtype=np.float64))
+    if not (box[0] < box[1]).all():
+        raise OptionError(
+            "options.box_mm holds the lowest and the highest corner, as [[-200, 100, 0], [200, 400, 300]].",
+            option="box_mm",
+        )
+    return box
+
+
+def _made(job: JobInput) -> list[Effect]:
+    from kilter_core.effects import effect_from_document
+
+    named = [{"id": one} if isinstance(one, str) else one.model_dump(mode="json") for one in job.options.effects]
+    return [effect_from_document(one).on(job.robot) for one in named]
+
+
+def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
+    """Poses that tell the two effects named apart, or what the hunt that made the version left undecided."""
+    from kilter_core.gap import GapOptions, plan_separation
+    from kilter_core.gap.plan import undecided
+    from kilter_core.observations import Observations
+    from kilter_service.campaigns.store import numbered
+
+    wanted: list[Any] = list(named_effects(job.options))
+    if not wanted:
+        open_ = undecided(job.origin or {})
+        if open_ is None:
+            raise OptionError(
+                "There is nothing to tell apart: name two effects, or a version of a hunt that left something undecided.",
+                option="effects",
+            )
+        wanted = [named for named in open_ if named is not None]
+    progress(0.1, "what was measured")
+    plan = plan_separation(
+        job.robot,
+        Observations.concatenate(numbered(job.campaigns.values())) if job.campaigns else None,
+        wanted[0],
+        wanted[1] if len(wanted) > 1 else None,
+        _count(job),
+        GapOptions(noise_mm=job.options.noise_mm, seed=job.options.seed),
+        job.calibration,
+        _region(job),
+    )
+    about = {
+        "separates": list(plan.labels),
+        "correlation": round(plan.alike, 4),
+        "proposals": [_about(p) for p in plan.proposals],
+    }
+    poses = [
+        pose
+        for p in plan.proposals
+        for pose in poses_of(p.rows, p.kind, p.change or None, [after / max(p.before, 1e-12) for after in p.after])
+    ]
+    return {**document_of(job.robot, poses), **about}
+
+
+def _about(p: Proposal) -> dict[str, Any]:
+    return {
+        "kind": p.kind, "change": p.change or None, "poses": len(p.rows),
+        "information_factor": round(float(p.after[-1] / max(p.before, 1e-12)), 3),
+    }  # fmt: skip
+
+
+def _count(job: JobInput) -> int:
+    return int(job.options.count or COUNTS[job.options.purpose])
+
+
+PLAN = JobKind(
+    "plan", PlanOptions, check, run, version_option="version", needs_campaigns=False, history=True, foresee=foresee
+)

@@ -1,0 +1,100 @@
+"""The figures of a gap hunt as Plotly documents: {"data": [...], "layout": {...}}."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from kilter_service.jobs.drawing import BLUE, FRAME_PX, GREEN, GREY, ORANGE, RED, ROW_PX, Document, apart, layout, lying
+
+
+def pictures(report: Mapping[str, Any]) -> dict[str, Document]:
+    """Draw a gap report: the gap bar, residuals by angle, direction and load, contributions, the alias matrix."""
+    numbers = report["figures"]
+    unit = "deg" if "before_deg" in report["gap"] else "mm"
+    drawn = {"gap_bar": _gap_bar(numbers["gap_bar"], unit)}
+    drawn |= {f"residual_joint_{one['joint']}": _by_angle(one, unit) for one in numbers["residual_by_angle"]}
+    if numbers["residual_by_direction"]:
+        drawn["residual_by_direction"] = _by_label(
+            numbers["residual_by_direction"], "Direction of the last motion", unit
+        )
+    if numbers["residual_by_load"]:
+        drawn["residual_by_load"] = _by_label(numbers["residual_by_load"], "Payload, kg", unit)
+    if numbers["contribution"]:
+        drawn["contribution"] = _contribution(numbers["contribution"], unit)
+    if report["alias_matrix"]["labels"]:
+        drawn["alias_matrix"] = _aliases(report["alias_matrix"])
+    return drawn
+
+
+def _gap_bar(bars: Sequence[Mapping[str, Any]], unit: str) -> Document:
+    """Error after each step; rows that took no part in the fit beside those that did."""
+    labels = apart([bar["label"] for bar in bars])
+
+    def trace(name: str, key: str, colour: str) -> Document:
+        return {
+            "type": "bar", "orientation": "h", "name": name, "y": labels, "x": [bar[key] for bar in bars],
+            "marker": {"color": [colour] * (len(bars) - 1) + [GREY]}, "showlegend": True,
+        }  # fmt: skip
+
+    data = [trace("rows that were fitted", "value", BLUE)]
+    if bars[0]["held_out"] is not None:
+        data.append(trace("held-out rows", "held_out", ORANGE))
+    title = "The gap, step by step: what is left with each effect added to those above it"
+    return {"data": data, "layout": lying(title, f"rms error, {unit}", labels, len(data), barmode="group")}
+
+
+def _by_angle(one: Mapping[str, Any], unit: str) -> Document:
+    def points(name: str, y: str, colour: str) -> Document:
+        return {
+            "type": "scatter", "mode": "markers", "name": name, "x": one["q_deg"], "y": one[y],
+            "marker": {"color": colour, "size": 4},
+        }  # fmt: skip
+
+    joint = one["joint"]
+    data = [points("residual before", "before", GREY), points("residual after", "after", BLUE)]
+    if any(one["curve"]):
+        data.append(points(f"what the effects named at joint {joint} move there", "curve", RED))
+    title = f"Residual along what joint {joint} moves, before and after its effects are fitted"
+    return {"data": data, "layout": layout(title, f"joint {joint}, deg", f"residual, {unit}")}
+
+
+def _by_label(rows: Sequence[Mapping[str, Any]], what: str, unit: str) -> Document:
+    names = [("" if r["joint"] is None else f"joint {r['joint']}: ") + f"{r['value']:g}" for r in rows]
+
+    def bars(name: str, colour: str) -> Document:
+        spread = {"type": "data", "array": [r[f"{name}_sd"] for r in rows]}
+        return {
+            "type": "bar", "orientation": "h", "name": name, "y": names, "x": [r[f"{name}_mean"] for r in rows],
+            "error_x": spread, "marker": {"color": colour},
+        }  # fmt: skip
+
+    title = f"Residual by {what[0].lower()}{what[1:]}: mean and standard deviation"
+    made = lying(title, f"residual, {unit}", names, 2, barmode="group")
+    made["yaxis"]["title"] = {"text": what}
+    return {"data": [bars("before", GREY), bars("after", BLUE)], "layout": made}
+
+
+def _contribution(rows: Sequence[Mapping[str, Any]], unit: str) -> Document:
+    labels = apart([r["label"] for r in rows])
+
+    def bars(name: str, colour: str) -> Document:
+        return {
+            "type": "bar", "orientation": "h", "name": name, "y": labels, "x": [r[name] for r in rows],
+            "marker": {"color": colour},
+        }  # fmt: skip
+
+    made = lying("How far each named effect moves the tool", f"displacement, {unit}", labels, 2, barmode="group")
+    return {"data": [bars("rms", GREEN), bars("largest", GREY)], "layout": made}
+
+
+def _aliases(matrix: Mapping[str, Any]) -> Document:
+    labels = apart(matrix["labels"])
+    trace = {
+        "type": "heatmap", "x": labels, "y": labels, "z": matrix["values"], "zmin": 0, "zmax": 1, "colorscale": "Blues",
+    }  # fmt: skip
+    side = FRAME_PX + 120 + ROW_PX * max(8, len(labels))
+    made = layout("How alike signatures are after the geometry is fitted", "", "", width=side + 80, height=side)
+    made["xaxis"] |= {"automargin": True, "tickangle": -60}
+    made["yaxis"] |= {"autorange": "reversed"}
+    return {"data": [trace], "layout": made}

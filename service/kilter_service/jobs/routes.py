@@ -1,0 +1,74 @@
+"""Jobs over HTTP."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import StreamingResponse
+
+from kilter_service.auth.access import Admin
+from kilter_service.contract.jobs.check import JobCheck
+from kilter_service.contract.jobs.job import Job, JobList, NewJob
+from kilter_service.jobs import checking, service
+from kilter_service.jobs.events import events
+from kilter_service.jobs.queue import JobQueue
+from kilter_service.jobs.request import JobRoute
+from kilter_service.page_query import PageOfJobs
+from kilter_service.state import DatabaseOfApp
+
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=JobRoute)
+
+
+def queue_of(request: Request) -> JobQueue:
+    """Return the job queue of the application that serves this request."""
+    queue: JobQueue = request.app.state.queue
+    return queue
+
+
+QueueOfApp = Annotated[JobQueue, Depends(queue_of)]
+
+
+@router.post("", status_code=202)
+def submit(job: NewJob, response: Response, database: DatabaseOfApp, queue: QueueOfApp, _: Admin) -> Job:
+    """Queue a job."""
+    queued = service.submit(database, queue, job)
+    response.headers["Location"] = f"/v1/jobs/{queued.id}"
+    return queued
+
+
+@router.post("/check")
+def check(job: NewJob, database: DatabaseOfApp) -> JobCheck:
+    """Say what a job would do, at once: what it uses, what its data can tell, what is missing, how long it takes."""
+    return checking.check(database, job)
+
+
+@router.get("")
+def listed(database: DatabaseOfApp, page: PageOfJobs, robot: str | None = None) -> JobList:
+    """List the newest jobs."""
+    return service.listed(database, robot, page)
+
+
+@router.get("/{job}")
+def get(job: str, database: DatabaseOfApp) -> Job:
+    """Show a job and, when it is over, its result."""
+    return service.get(database, job)
+
+
+@router.get(
+    "/{job}/events",
+    response_class=StreamingResponse,
+    responses={200: {"content": {"text/event-stream": {}}, "description": "Events `progress`, then one `end`"}},
+)
+async def follow(job: str, database: DatabaseOfApp) -> StreamingResponse:
+    """Follow a job as server-sent events."""
+    await run_in_threadpool(service.get, database, job)
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    return StreamingResponse(events(database, job), media_type="text/event-stream", headers=headers)
+
+
+@router.post("/{job}/cancel")
+def cancel(job: str, database: DatabaseOfApp, queue: QueueOfApp, _: Admin) -> Job:
+    """Stop a job."""
+    return service.cancel(database, queue, job)

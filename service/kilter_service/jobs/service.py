@@ -1,0 +1,159 @@
+"""What can be done with jobs."""
+
+from __future__ import annotations
+
+import logging
+
+from kilter_service.campaigns import store as campaigns
+from kilter_service.contract.jobs.job import FINAL, Folds, Job, JobList, NewJob
+from kilter_service.db import Database, Session
+from kilter_service.errors import ServiceError
+from kilter_service.jobs import store, wire
+from kilter_service.jobs.kind import JobKind
+from kilter_service.jobs.queue import JobQueue
+from kilter_service.jobs.registry import kind_of
+from kilter_service.paging import Page, in_time
+from kilter_service.references import store as references
+from kilter_service.robots import store as robots
+from kilter_service.versions import store as versions
+
+log = logging.getLogger("kilter.api")
+
+
+def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
+    """Check a job and queue it.
+
+    Raises:
+        ServiceError: no such kind, robot, campaign or version, or campaigns that do not fit.
+        CoreError: options the kind does not have.
+
+    """
+    kind = kind_of(job.kind)
+    with database.reading() as session:
+        checked(session, job, kind)
+    kind.check(job.options)  # may import the core and take its time: outside
+    with database.transaction() as session:
+        job_id = store.add(session, checked(session, job, kind), job)  # robot and campaigns are still there
+    try:
+        queue.enqueue(job_id, long=kind.long)
+    except Exception:  # whatever the job engine lacks (it has not started yet), the worker's sweep finds the row
+        log.warning("job %s waits for the worker to find it", job_id, exc_info=True)
+    return get(database, job_id)
+
+
+def checked(session: Session, job: NewJob, kind: JobKind) -> int:
+    """Return the key of a job's robot, whose campaigns and version exist and fit.
+
+    Raises:
+        ServiceError: they do not.
+
+    """
+    robot_id = robots.usable(session, job.robot).id
+    if job.name:
+        references.check_name(session, "job", robot_id, job.name)
+        references.check_name(session, "version", robot_id, job.name)
+    _check_campaigns(session, robot_id, job, kind)
+    version = getattr(job.options, kind.version_option) if kind.version_option else None
+    if version is not None:
+        _check_version(session, robot_id, str(version))
+    return robot_id
+
+
+def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind) -> None:
+    held = job.validation if isinstance(job.validation, list) else []
+    for campaign in [*job.campaigns, *held, *job.confirmation]:
+        if campaigns.usable(session, campaign).robot_id != robot_id:
+            raise ServiceError(
+                f"Campaign {campaign} is not of robot {job.robot!r}: name campaigns of that robot.",
+                code="campaigns_invalid",
+                campaign=campaign,
+            )
+    others = [name for name in kind.instead_of_campaigns if getattr(job.options, name)]
+    if not job.campaigns and kind.needs_campaigns and not others:
+        instead = "".join(f", or {name} in `options`" for name in kind.instead_of_campaigns)
+        raise ServiceError(
+            f"The job names no campaign: give at least one in `campaigns`{instead}.", code="campaigns_invalid"
+        )
+    if job.campaigns and others:
+        raise ServiceError(
+            f"A {kind.name} job takes campaigns or {others[0]}, not both: make two jobs.", code="campaigns_invalid"
+        )
+    if isinstance(job.validation, Folds) and not kind.takes_folds:
+        raise ServiceError(
+            f"A {kind.name} job takes no folds: name campaigns in `validation`, give a fraction of the poses, or "
+            "nothing, and one pose after the other is held out.",
+            code="option_invalid",
+            option="validation",
+        )
+    if job.validation == 0 and not kind.takes_confirmation:
+        raise ServiceError(
+            f"validation is 0: a {kind.name} job holds nothing out by itself. Leave validation out.",
+            code="option_invalid",
+            option="validation",
+        )
+    if job.confirmation and not kind.takes_confirmation:
+        raise ServiceError(
+            f"A {kind.name} job takes no confirmation: only gap does. Evaluate the version against the campaign instead.",
+            code="option_invalid",
+            option="confirmation",
+        )
+    _refuse_shared(session, job.campaigns, held, "validation", "what was used to identify cannot validate")
+    _refuse_shared(
+        session, [*job.campaigns, *held], job.confirmation, "confirmation", "what chose a name cannot confirm it"
+    )
+
+
+def _refuse_shared(session: Session, ids: list[str], others: list[str], use: str, why: str) -> None:
+    """Refuse campaigns that judge what they are part of: the same one, or the same file in another."""
+    known = {**{campaign: campaign for campaign in ids}, **_hashes(session, ids)}
+    shared = sorted(set(known) & {*others, *_hashes(session, others)})
+    if shared:
+        raise ServiceError(
+            f"The same rows are in {known[shared[0]]} and in `{use}`: {why}. Name other campaigns"
+            + (", or give a fraction." if use == "validation" else "."),
+            code="campaigns_invalid",
+            campaign=known[shared[0]],
+        )
+
+
+def _hashes(session: Session, ids: list[str]) -> dict[str, str]:
+    return {upload.sha256: campaign for campaign in ids for upload in campaigns.uploads_of(session, campaign)}
+
+
+def _check_version(session: Session, robot_id: int, version: str) -> None:
+    if versions.usable(session, version).robot_id != robot_id:
+        raise ServiceError(f"Version {version} is of another robot.", code="option_invalid", version=version)
+
+
+def get(database: Database, job_id: str) -> Job:
+    """Return a job."""
+    with database.reading() as session:
+        return wire.job(store.get(session, job_id))
+
+
+def listed(database: Database, robot: str | None, page: Page) -> JobList:
+    """List the newest jobs."""
+    with database.reading() as session:
+        found = store.listed(session, robot, page)
+    shown, cursor = page.cut(found, lambda job: in_time(job.created_at, job.id))
+    return JobList(jobs=[wire.summary(job) for job in shown], next=cursor)
+
+
+def cancel(database: Database, queue: JobQueue, job_id: str) -> Job:
+    """Stop a job; one that was cancelled before stays so.
+
+    Raises:
+        ServiceError: it has finished otherwise.
+
+    """
+    with database.transaction() as session:
+        row = store.get(session, job_id)
+        if row.state in FINAL and row.state != "cancelled":
+            raise ServiceError(f"Job {job_id} has {row.state}: there is nothing to cancel.", code="job_finished")
+        never_began = store.request_cancel(session, job_id)
+    if never_began:
+        try:
+            queue.cancel(job_id)
+        except Exception:  # the row says cancelled, so the worker will not compute even if the engine hands it out
+            log.warning("job %s was cancelled before the job engine knew it", job_id, exc_info=True)
+    return get(database, job_id)

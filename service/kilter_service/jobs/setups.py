@@ -1,0 +1,72 @@
+"""Which rows of an identification were measured in a frame of their own: a pencil's sheet is laid anew every time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from kilter_core.observations import Observations
+
+# A tracker keeps its frame, and a base fitted to each campaign would hide that it, or the arm, has moved.
+LAID_ANEW = ("pencil", "sheet", "ballbar")
+ALL_OTHERS = 0
+
+
+@dataclass
+class Setups:
+    """Numbers set-ups as the rows need them; remembers what each number stands for: campaign, session, device."""
+
+    own: tuple[str, ...] | None
+    devices: dict[str, str]
+    known: list[tuple[str, int | None]] = field(default_factory=list)
+
+    def marked(self, campaigns: Iterable[tuple[str, Observations]]) -> list[Observations]:
+        """Rows with the number of their set-up; campaigns whose frame is not their own share number 0."""
+        return [self._marked(campaign, rows) for campaign, rows in campaigns]
+
+    def _marked(self, campaign: str, rows: Observations) -> Observations:
+        if not self._has_own_frame(campaign) or (rows.position is None and rows.markers is None):
+            return replace(rows, setup=np.full(len(rows), ALL_OTHERS, dtype=np.int64))
+        sessions = np.zeros(len(rows), dtype=np.int64) if rows.session is None else rows.session
+        found, place = np.unique(sessions, return_inverse=True)
+        first = len(self.known) + 1
+        self.known += [(campaign, None if len(found) == 1 else int(number)) for number in found]
+        return replace(rows, setup=(first + place.reshape(-1)).astype(np.int64))
+
+    def _has_own_frame(self, campaign: str) -> bool:
+        if self.own is not None:
+            return bool(self.own)
+        return self.devices.get(campaign, "").strip().lower() in LAID_ANEW
+
+    def named(self, refitted: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+        """What was refitted, by campaign and session; the campaigns that share a frame are not named one by one."""
+        out = []
+        for frame in refitted:
+            told = {key: value for key, value in frame.items() if key != "setup"}
+            campaign, session = (None, None) if frame["setup"] == ALL_OTHERS else self.known[frame["setup"] - 1]
+            out.append({"campaign": campaign, "session": session, **told})
+        return out
+
+    def warning(self, refitted: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+        """Say which bases were fitted to rows of their own."""
+        if not refitted:
+            return None
+        said = ", ".join(_said(frame) for frame in refitted)
+        why = "as asked" if self.own else "the frame of a pencil's sheet or a ball bar is new every time"
+        return {
+            "code": "base_refitted",
+            "campaigns": [frame["campaign"] for frame in refitted if frame["campaign"] is not None],
+            "message": f"The base was fitted anew to {said}: {why}. Errors there say nothing of where the base lay; "
+            'with "refit": [] all rows share one base.',
+        }
+
+
+def _said(frame: dict[str, Any]) -> str:
+    name = frame["campaign"] or "the campaigns of other devices"
+    session = "" if frame["session"] is None else f" session {frame['session']}"
+    moved = f"moved {frame['moved_mm']:.3g} mm, turned {frame['turned_deg']:.3g} deg"
+    return f"{name}{session} ({frame['use']}, {moved})"

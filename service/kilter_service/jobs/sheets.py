@@ -1,0 +1,91 @@
+"""Drawn sheets before they teach an arm anything: whether their quarter points were given in the right order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kilter_core.errors import ObservationError
+from kilter_service.jobs.setups import LAID_ANEW
+from kilter_service.wire import to_mm
+
+if TYPE_CHECKING:
+    from kilter_core.identify.sheet_order import SheetOrder
+    from kilter_core.observations import Observations
+    from kilter_core.robot import Robot
+
+OPTION, GIVEN = "sheet_order", "given"
+
+
+def doubts(
+    robot: Robot, campaigns: Iterable[tuple[str, Observations]], devices: dict[str, str], option: object
+) -> list[dict[str, Any]]:
+    """Warnings about the order of the quarter points of every drawn sheet.
+
+    Raises:
+        ObservationError: an order in which the sheet cannot have been drawn by this robot.
+
+    """
+    out: list[dict[str, Any]] = []
+    for campaign, rows in campaigns:
+        if option == GIVEN or devices.get(campaign, "").strip().lower() not in LAID_ANEW:
+            continue
+        for session, sheet in _sheets(rows):
+            out += _judged(robot, campaign if session is None else f"{campaign} session {session}", sheet)
+    return out
+
+
+def bar_lengths(robot: Robot, campaigns: Iterable[tuple[str, Observations]]) -> list[dict[str, Any]]:
+    """Warnings about ball bars that are longer or shorter than the joints command."""
+    from kilter_core.identify.bar_length import other_lengths
+
+    return [
+        {
+            "code": "bar_length_doubtful",
+            "message": f"{campaign}: bar {bar} reads {to_mm(read):.3f} mm, but the joints put the tool {to_mm(found):.3f} mm "
+            f"from its foot ({found / read:.4g} times). Is the nominal length another than stated? Give it as it is "
+            f"(kilter ballbar-join --radius-mm, or the line above the log) and upload again.",
+        }
+        for campaign, rows in campaigns
+        for bar, read, found in other_lengths(robot, rows)
+    ]
+
+
+def _sheets(rows: Observations) -> Iterator[tuple[int | None, Observations]]:
+    if rows.session is None:
+        yield None, rows
+        return
+    for session in np.unique(rows.session):
+        yield int(session), rows.select(rows.session == session)
+
+
+def _judged(robot: Robot, name: str, sheet: Observations) -> Iterator[dict[str, Any]]:
+    from kilter_core.identify.sheet_order import sheet_order  # compiled kernels: only the worker needs them
+
+    found = sheet_order(robot, sheet)
+    if found is None:
+        return
+    if found.wrong:
+        raise ObservationError(
+            f"{name} was joined with its quarter points in the wrong order: {found.sentence()}. If you know that the order "
+            f'is right, say so with the option {OPTION} "{GIVEN}".',
+            code="sheet_order_wrong",
+            order=list(found.order),
+        )
+    if found.doubtful or found.unseen:
+        yield {"code": "sheet_order_doubtful", "message": _doubt(name, found)}
+
+
+def _doubt(name: str, found: SheetOrder) -> str:
+    if found.doubtful:
+        order = ", ".join(map(str, found.order))
+        return (
+            f"{name}: its line fits this robot better with the quarter points in the order {order} "
+            f"({to_mm(found.left):.3f} mm are left, {to_mm(found.as_given):.3f} mm as given). Check which point was the first."
+        )
+    return (
+        f"{name}: its line fits this robot in several orders of the quarter points alike, so the order was not checked. "
+        "Make sure that row 1 of the points file is point 1; strokes across the line and a larger circle tell more."
+    )

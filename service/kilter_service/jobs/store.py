@@ -1,0 +1,276 @@
+"""Rows of jobs."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import timedelta
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import ColumnElement, and_, or_, select, update
+
+from kilter_service.campaigns import store as campaigns
+from kilter_service.contract.jobs.job import FINAL, NewJob
+from kilter_service.contract.versions import Objection
+from kilter_service.db import Session
+from kilter_service.db.tables import JobRow, RobotRow, VersionRow, now
+from kilter_service.errors import ServiceError
+from kilter_service.jobs.drawing import signed
+from kilter_service.jobs.durations import PastRun
+from kilter_service.jobs.kind import JobInput, JobKind, VersionContent
+from kilter_service.jobs.records import JobRecord, JobRequest, UsedRecord
+from kilter_service.jobs.refusals import read_options
+from kilter_service.jobs.registry import kind_of
+from kilter_service.paging import Page
+from kilter_service.robots import store as robots
+from kilter_service.version import code_version
+from kilter_service.versions import store as versions
+from kilter_service.versions.store import NewVersion
+
+if TYPE_CHECKING:
+    from kilter_core.observations import Observations
+
+MOST_PAST = 20  # earlier jobs that tell how long one takes
+
+
+def add(session: Session, robot_id: int, job: NewJob) -> str:
+    """Store a queued job and return its id."""
+    row = JobRow(
+        id=f"job_{uuid.uuid4().hex[:16]}",
+        kind=job.kind,
+        robot_id=robot_id,
+        name=job.name,
+        request=job.model_dump(mode="json"),
+        state="queued",
+    )
+    session.add(row)
+    session.flush()
+    return row.id
+
+
+def _row(session: Session, job_id: str) -> JobRow:
+    row = session.get(JobRow, job_id)
+    if row is None:
+        raise ServiceError(
+            f"There is no job {job_id!r}: list them with GET /v1/jobs.", code="job_not_found", job=job_id
+        )
+    return row
+
+
+def get(session: Session, job_id: str) -> JobRecord:
+    """Return a job.
+
+    Raises:
+        ServiceError: there is none.
+
+    """
+    return _record(session, _row(session, job_id))
+
+
+def listed(session: Session, robot: str | None, page: Page) -> list[JobRecord]:
+    """Return the newest jobs, of one robot or of all, one more than the page shows."""
+    row = JobRow
+    query = select(row).order_by(row.created_at.desc(), row.id)
+    if robot is not None:
+        query = query.where(row.robot_id == robots.get(session, robot).id)
+    if page.moment is not None:
+        moment, key = page.moment
+        query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
+    return [_record(session, found) for found in session.execute(query.limit(page.fetched)).scalars()]
+
+
+def _record(session: Session, row: JobRow) -> JobRecord:
+    return JobRecord(
+        id=row.id,
+        kind=row.kind,
+        robot_id=row.robot_id,
+        robot=session.get_one(RobotRow, row.robot_id).name,
+        name=row.name,
+        state=row.state,
+        fraction=row.fraction,
+        stage=row.stage,
+        error=row.error,
+        created_at=row.created_at,
+        started_at=row.started_at,
+        finished_at=row.finished_at,
+        request=JobRequest.of(row.request),
+        attempts=row.attempts,
+        result=row.result,
+    )
+
+
+def request_cancel(session: Session, job_id: str) -> bool:
+    """Ask a job to stop; returns whether it had not begun, so that it is cancelled already."""
+    session.execute(update(JobRow).where(JobRow.id == job_id).values(cancel_requested=True))
+    waiting = update(JobRow).where(JobRow.id == job_id, JobRow.state == "queued")
+    done = session.execute(waiting.values(state="cancelled", stage="cancelled", finished_at=now()).returning(JobRow.id))
+    return done.scalar_one_or_none() is not None
+
+
+def begin(session: Session, job_id: str) -> int:
+    """Note that a worker works on the job now; returns which attempt this is, 0 when the job is over already."""
+    row = _row(session, job_id)
+    if row.state in FINAL:
+        return 0
+    row.state, row.attempts, row.started_at = "running", row.attempts + 1, row.started_at or now()
+    return row.attempts
+
+
+def advance(session: Session, job_id: str, fraction: float, stage: str) -> bool:
+    """Store the progress; returns whether the job shall stop."""
+    values = {"fraction": min(max(fraction, 0.0), 1.0), "stage": stage[:200]}
+    changed = update(JobRow).where(JobRow.id == job_id).values(**values).returning(JobRow.cancel_requested)
+    return session.execute(changed).scalar_one()
+
+
+def unfinished(session: Session, older_than_s: float) -> list[tuple[str, str]]:
+    """Return id and kind of the jobs that are not over and not brand-new."""
+    before = now() - timedelta(seconds=older_than_s)
+    query = select(JobRow.id, JobRow.kind).where(JobRow.state.not_in(FINAL), JobRow.created_at < before)
+    return [(job_id, kind) for job_id, kind in session.execute(query)]
+
+
+def load(session: Session, job_id: str) -> JobInput:
+    """Load all a job needs."""
+    row = _row(session, job_id)
+    return input_of(session, row.robot_id, row.kind, JobRequest.of(row.request))
+
+
+def input_of(session: Session, robot_id: int, kind_name: str, request: JobRequest, every: int = 1) -> JobInput:
+    """Load all that a request needs; of the rows of each campaign one in ``every``."""
+    kind, robot = kind_of(kind_name), robots.core_robot(session, robot_id)
+    named = start_of(session, robot_id, kind, request)
+
+    def rows_of(ids: Sequence[str]) -> dict[str, Observations]:
+        return {c: campaigns.observations(session, c, robot, every=every) for c in ids}
+
+    held = request.validation
+    return JobInput(
+        robot=robot,
+        campaigns=rows_of(request.campaigns),
+        validation=request.folds if isinstance(held, dict) else rows_of(held) if isinstance(held, list) else held,
+        options=read_options(kind_name, request.options),
+        version_id=named,
+        calibration=None if named is None else versions.calibration(session, named),
+        covariance=None if named is None else versions.covariance(session, named),
+        report=None if named is None else dict(versions.get(session, named).report),
+        names={c: campaigns.get(session, c).name for c in (*request.campaigns, *request.held)},
+        devices={c: campaigns.device(session, c) for c in (*request.campaigns, *request.held)},
+        driven=campaigns.driven(session, robot_id, robot) if kind.history else None,
+        origin=_origin(session, named) if kind.history and named is not None else None,
+        confirmation=rows_of(request.confirmation),
+    )
+
+
+def start_of(session: Session, robot_id: int, kind: JobKind, request: JobRequest) -> str | None:
+    """Return the version a job starts from: the one its options name, and for some kinds else the active one."""
+    named = request.options.get(kind.version_option) if kind.version_option else None
+    if named is None and kind.version_option == "version":
+        active = versions.active_entry(session, robot_id)
+        named = None if active is None else active.version_id
+    return named
+
+
+def past_runs(session: Session, robot_id: int, kind: str) -> list[PastRun]:
+    """Return the newest jobs of a kind that succeeded, of a robot; of all robots where it has none."""
+    found = _past(session, kind, JobRow.robot_id == robot_id)
+    return found or _past(session, kind, JobRow.robot_id != robot_id)
+
+
+def _past(session: Session, kind: str, where: ColumnElement[bool]) -> list[PastRun]:
+    row = JobRow
+    query = select(row.started_at, row.finished_at, row.request).where(
+        row.kind == kind, row.state == "succeeded", row.started_at.is_not(None), row.finished_at.is_not(None), where
+    )
+    out = []
+    for started, finished, document in session.execute(query.order_by(row.created_at.desc()).limit(MOST_PAST)):
+        request = JobRequest.of(document)
+        rows = sum(upload.rows for c in request.learned_from for upload in campaigns.uploads_of(session, c))
+        out.append(PastRun((finished - started).total_seconds(), rows, request))
+    return out
+
+
+def _origin(session: Session, version_id: str) -> dict[str, Any] | None:
+    """Result of the job that made a version."""
+    made = session.get(VersionRow, version_id)
+    job = None if made is None else session.get(JobRow, made.job_id)
+    return None if job is None else job.result
+
+
+def succeed(
+    session: Session,
+    job_id: str,
+    result: dict[str, Any],
+    content: VersionContent | None,
+    used: Sequence[UsedRecord] | None = None,
+    objections: Sequence[Objection] = (),
+) -> None:
+    """Store the result and the version of a job; a job that is over already is left alone.
+
+    ``used`` are the campaigns as they were when the job read them (None: as they are now), ``objections`` what the job
+    says against activating its version.
+    """
+    row = _row(session, job_id)
+    if row.state in FINAL:
+        return
+    if content is not None:
+        used = used_by(session, job_id) if used is None else used
+        version_id = versions.add(session, row.robot_id, job_id, _version(row, content, used))
+        result = {**result, "version_id": version_id, "objections": [one.model_dump() for one in objections]}
+        if "figures" in result:
+            robot = session.get_one(RobotRow, row.robot_id).name
+            result["figures"] = signed(result["figures"], robot, [c.name or c.id for c in used], version_id)
+    row.result = result
+    _finish(row, "succeeded", "done", 1.0)
+
+
+def fail(session: Session, job_id: str, code: str, message: str) -> None:
+    """Store why a job failed; a job that is over already is left alone."""
+    row = _row(session, job_id)
+    if row.state not in FINAL:
+        row.error = {"code": code, "message": message}
+        _finish(row, "failed", "failed", row.fraction)
+
+
+def cancel(session: Session, job_id: str) -> None:
+    """Store that a job was cancelled; a job that is over already is left alone."""
+    row = _row(session, job_id)
+    if row.state not in FINAL:
+        _finish(row, "cancelled", "cancelled", row.fraction)
+
+
+def _finish(row: JobRow, state: str, stage: str, fraction: float) -> None:
+    row.state, row.stage, row.fraction, row.finished_at = state, stage, fraction, now()
+
+
+def used_by(session: Session, job_id: str) -> list[UsedRecord]:
+    """Return the campaigns a job uses, with the hashes of what was uploaded so far."""
+    return used_in(session, JobRequest.of(_row(session, job_id).request))
+
+
+def used_in(session: Session, request: JobRequest) -> list[UsedRecord]:
+    """Return the campaigns a request names, with the hashes of what was uploaded so far."""
+    named = {
+        "train": request.campaigns, "validation": request.held, "confirmation": request.confirmation,
+    }  # fmt: skip
+    return [_used(session, campaign, use) for use, campaigns_ in named.items() for campaign in campaigns_]
+
+
+def _version(row: JobRow, content: VersionContent, used: Sequence[UsedRecord]) -> NewVersion:
+    request, kind = JobRequest.of(row.request), kind_of(row.kind)
+    fields = {key: value for key, value in asdict(content).items() if key != "limits"}
+    return NewVersion(
+        **fields,
+        limits=content.limits.model_dump(mode="json"),
+        campaigns=[asdict(one) for one in used],
+        parent_id=request.options.get(kind.version_option) if kind.version_option else None,
+        code_version=code_version(),
+        name=row.name,
+    )
+
+
+def _used(session: Session, campaign_id: str, use: str) -> UsedRecord:
+    campaign, uploads = campaigns.get(session, campaign_id), campaigns.uploads_of(session, campaign_id)
+    rows, hashes = sum(upload.rows for upload in uploads), [upload.sha256 for upload in uploads]
+    return UsedRecord(campaign.id, campaign.name, campaign.role, use, rows, hashes)

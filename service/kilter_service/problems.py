@@ -1,0 +1,144 @@
+"""RFC 9457 problem documents for whatever goes wrong in a request."""
+
+from __future__ import annotations
+
+import json
+import logging
+import uuid
+from collections.abc import Mapping
+from typing import Any
+
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from kilter_core.errors import CoreError
+from kilter_service.contract.problems import Problem
+from kilter_service.errors import PROBLEMS
+
+log = logging.getLogger("kilter.api")
+
+MEDIA_TYPE = "application/problem+json"
+# A refusal does not grow with what was sent.
+MOST_DETAIL, MOST_PLACES, MOST_PLACE, MOST_CONTEXT = 4000, 20, 100, 20_000
+RETRY_AFTER_S = 1
+
+
+# For the OpenAPI document: the answers every route may give besides its own.
+RESPONSES: dict[int | str, dict[str, Any]] = {
+    status: {"model": Problem, "description": "Problem document"} for status in ("4XX", 422, "5XX")
+}
+
+
+def new_request_id() -> str:
+    """Return the identifier that ties a response to the server's log."""
+    return uuid.uuid4().hex[:16]
+
+
+def plain(value: Any) -> Any:
+    """Return what JSON can say of a value in an error's context (arrays, numpy numbers, paths)."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+def problem(
+    request: Request, code: str, detail: str, context: Mapping[str, Any], status: int | None = None
+) -> Response:
+    """Build the problem document of ``code``; ``status`` overrides the table's."""
+    listed, title = PROBLEMS.get(code, (400, "The request cannot be fulfilled"))
+    status = status or listed
+    document = {
+        "type": f"urn:kilter:problem:{code}",
+        "title": title,
+        "status": status,
+        "detail": detail if len(detail) <= MOST_DETAIL else f"{detail[:MOST_DETAIL]}...",
+        "code": code,
+        "context": _bounded(context),
+        "request_id": getattr(request.state, "request_id", new_request_id()),
+    }
+    return Response(json.dumps(document, default=plain), status, _headers(code, status), MEDIA_TYPE)
+
+
+def _bounded(context: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave out what a refusal would only repeat."""
+    return {key: value for key, value in context.items() if len(json.dumps(value, default=plain)) <= MOST_CONTEXT}
+
+
+def _headers(code: str, status: int) -> dict[str, str] | None:
+    if status == 401:
+        return {"WWW-Authenticate": "Bearer"}
+    return {"Retry-After": str(RETRY_AFTER_S)} if code == "busy" else None
+
+
+async def on_core_error(request: Request, error: Exception) -> Response:
+    """Turn an error of core or of the service into its problem document."""
+    assert isinstance(error, CoreError)
+    return problem(request, error.code, error.message, error.context)
+
+
+async def on_validation_error(request: Request, error: Exception) -> Response:
+    """Turn a payload of the wrong shape into a 422 that names every place."""
+    assert isinstance(error, RequestValidationError)
+    found = error.errors()
+    places = [
+        {
+            "place": ".".join(str(part)[:MOST_PLACE] for part in item["loc"]),
+            "message": item["msg"],
+            "type": item["type"],
+        }
+        for item in found[:MOST_PLACES]
+    ]
+    detail = "; ".join(f"{item['place']}: {item['message']}" for item in places)
+    if len(found) > len(places):
+        detail += f"; and {len(found) - len(places)} more"
+    return problem(request, "payload_invalid", detail, {"errors": places})
+
+
+async def on_http_error(request: Request, error: Exception) -> Response:
+    """Turn what the framework refuses (unknown address, wrong method) into a problem document."""
+    assert isinstance(error, HTTPException)
+    if error.status_code == 404:
+        return problem(request, "not_found", f"{request.url.path} does not exist: see /docs.", {})
+    if error.status_code == 405:
+        return problem(request, "method_not_allowed", f"{request.url.path} does not take {request.method}.", {})
+    return problem(request, "payload_invalid", str(error.detail), {}, error.status_code)
+
+
+class RequestNaming:
+    """Give every request its identifier, and turn an unexpected exception into a 500 that leaks nothing."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one connection."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        request_id = new_request_id()
+        scope.setdefault("state", {})["request_id"] = request_id
+        started = False
+
+        async def send_named(message: Message) -> None:
+            nonlocal started
+            if message["type"] == "http.response.start":
+                started = True
+                message["headers"] = [*message["headers"], (b"x-request-id", request_id.encode())]
+            await send(message)
+
+        try:
+            await self.app(scope, receive, send_named)
+        except Exception:
+            log.exception("request %s %s %s failed", request_id, scope["method"], scope["path"])
+            if started:
+                raise
+            detail = f"Kilter failed. The server's log has the cause under request {request_id}."
+            await problem(Request(scope), "internal_error", detail, {})(scope, receive, send_named)
+
+
+def install(app: FastAPI) -> None:
+    """Make every answer of ``app`` that is an error a problem document."""
+    app.add_exception_handler(CoreError, on_core_error)
+    app.add_exception_handler(RequestValidationError, on_validation_error)
+    app.add_exception_handler(HTTPException, on_http_error)
+    app.add_middleware(RequestNaming)

@@ -1,0 +1,103 @@
+"""A prefix, a name or `latest` into the one thing that it stands for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from kilter_service.contract.references import By, Kind, ResolvedReference, TombstoneList
+from kilter_service.db import Database, Session
+from kilter_service.errors import ServiceError
+from kilter_service.paging import Page, in_time
+from kilter_service.references import store, wire
+from kilter_service.references.store import LATEST, PREFIXES, Found
+from kilter_service.robots import store as robots
+
+HEXADECIMAL = re.compile("[0-9a-f]+")
+MOST_NAMED = 10
+
+
+def resolve(database: Database, kind: Kind, reference: str, robot: str | None) -> ResolvedReference:
+    """Find what a reference stands for, among those of one robot or of all.
+
+    A name goes before the prefix of an id, for somebody chose it; what is in use goes before what is retired.
+
+    Raises:
+        ServiceError: nothing, or more than one thing.
+
+    """
+    with database.reading() as session:
+        robot_id = None if robot is None else robots.get(session, robot).id
+        if reference == LATEST:
+            found = store.newest(session, kind, robot_id)
+            return _one(session, kind, reference, robot, robot_id, found, "latest")
+        named = store.called(session, kind, robot_id, reference)
+        if named:
+            newest_job = named[:1] if kind == "job" else named
+            return _one(session, kind, reference, robot, robot_id, _preferred(newest_job), "name")
+        text = reference.removeprefix(PREFIXES[kind])
+        found = store.beginning_with(session, kind, robot_id, reference) if HEXADECIMAL.fullmatch(text) else []
+        exact = [one for one in found if one.id == reference]
+        by: By = "id" if exact else "prefix"
+        return _one(session, kind, reference, robot, robot_id, exact or found, by)
+
+
+def _preferred(found: Sequence[Found]) -> Sequence[Found]:
+    return [one for one in found if one.in_use] or found
+
+
+def _one(
+    session: Session,
+    kind: Kind,
+    reference: str,
+    robot: str | None,
+    robot_id: int | None,
+    found: Sequence[Found],
+    by: By,
+) -> ResolvedReference:
+    if not found:
+        raise _nothing(session, kind, reference, robot, robot_id)
+    if len(found) > 1:
+        raise _several(kind, reference, found, by)
+    return ResolvedReference(kind=kind, id=found[0].id, robot=found[0].robot, name=found[0].name, by=by)
+
+
+def _nothing(session: Session, kind: Kind, reference: str, robot: str | None, robot_id: int | None) -> ServiceError:
+    other = next((name for name, prefix in PREFIXES.items() if name != kind and reference.startswith(prefix)), None)
+    there = store.newest(session, kind, robot_id, MOST_NAMED)
+    has = "There is" if robot is None else f"Robot {robot!r} has"
+    text = f"{has} no {kind}" + ("" if reference == LATEST else f" {reference!r}") + "."
+    text += store.gone(session, kind, reference)
+    if other is not None:
+        text += f" That is an id of a {other}."
+    listed = ", ".join(_told(one, robot is None) for one in there[:MOST_NAMED])
+    text += f" There are: {listed}." if listed else ""
+    return ServiceError(text, code=f"{kind}_not_found", **{kind: reference})
+
+
+def _several(kind: Kind, reference: str, found: Sequence[Found], by: str) -> ServiceError:
+    listed = ", ".join(_told(one, True) for one in found[:MOST_NAMED])
+    more = f" and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
+    several_robots = len({one.robot for one in found}) > 1
+    remedy = "name its robot (--robot)" if by == "latest" or (by == "name" and several_robots) else "type more of it"
+    if by == "name" and not several_robots:
+        remedy = "give the id"
+    return ServiceError(
+        f"{reference!r} may be any of {len(found)} {kind}s, {listed}{more}: {remedy}.",
+        code="reference_ambiguous",
+        candidates=[one.id for one in found],
+        robots=sorted({one.robot for one in found}),
+    )
+
+
+def _told(one: Found, with_robot: bool) -> str:
+    name = f" {one.name!r}" if one.name else ""
+    return f"{one.id}{name}" + (f" of robot {one.robot!r}" if with_robot else "")
+
+
+def tombstones(database: Database, robot: str | None, page: Page) -> TombstoneList:
+    """Return what was purged."""
+    with database.reading() as session:
+        found = store.tombstones(session, robot, page)
+    shown, cursor = page.cut(found, lambda tombstone: in_time(tombstone.at, tombstone.id))
+    return TombstoneList(tombstones=[wire.tombstone(one) for one in shown], next=cursor)

@@ -1,0 +1,43 @@
+"""A robot document in another convention: the same arm, for a fit or a program that wants it so."""
+
+from __future__ import annotations
+
+from typing import Any
+from xml.etree.ElementTree import indent, tostring
+
+from kilter_core.conversions import pose_document, robot_document
+from kilter_core.model import Calibration
+from kilter_core.robot import Robot
+from kilter_core.robots import robot_from_document
+from kilter_service.contract.robots import RobotDocument
+from kilter_service.exporters.urdf_new import new_urdf
+from kilter_service.robots.documents import core_document
+
+
+def convert(document: RobotDocument, to: str) -> dict[str, Any]:
+    """Return the document of the same arm in convention ``to``.
+
+    Raises:
+        RobotError: not an arm, or one the convention cannot describe. OptionError: no such convention.
+
+    """
+    posted = document.model_dump(mode="json", exclude_none=True)
+    robot = robot_from_document(core_document(posted).document)
+    made = _urdf(robot) if to == "urdf" else robot_document(robot, to)
+    return made | ({"source": posted["source"]} if "source" in posted else {})
+
+
+def _urdf(robot: Robot) -> dict[str, Any]:
+    root = new_urdf(robot.name, Calibration.nominal(robot))
+    indent(root)
+    geared = [{"name": j.name, "gear_ratio": j.gear_ratio} for j in robot.joints if j.gear_ratio is not None]
+    return {
+        "name": robot.name,
+        "convention": "urdf",
+        "urdf": '<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n",
+        "base_link": "base_link",
+        "tip_link": "flange",
+        "gravity_m_s2": robot.gravity.tolist(),
+        "base": pose_document(robot.T_base),
+        "tool": pose_document(robot.T_tool),
+    } | ({"joints": geared} if geared else {})

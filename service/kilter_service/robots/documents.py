@@ -1,0 +1,54 @@
+"""A posted robot document into the one core reads: URDF becomes a chain, everything else stays as it is."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from kilter_core.errors import RobotError
+
+KEPT = ("gravity_m_s2", "tool", "base", "links", "payload_sigma")
+
+
+class CoreDocument(NamedTuple):
+    """A document for core, and what of the posted one it leaves out."""
+
+    document: dict[str, Any]
+    notes: list[str]
+
+
+def core_document(posted: dict[str, Any]) -> CoreDocument:
+    """Turn a posted document (as stored, without nulls) into core's.
+
+    Raises:
+        RobotError: the URDF cannot be an arm.
+
+    """
+    if posted["convention"] != "urdf":
+        return CoreDocument(posted, [])
+    from kilter_service.importers.urdf import (
+        chain_document,  # imports numpy and scipy: not at the start of the API process
+    )
+
+    result = chain_document(posted["urdf"], posted["base_link"], posted["tip_link"], posted["name"])
+    document = dict(result.document)
+    document.update((key, posted[key]) for key in KEPT if key in posted)
+    document["joints"] = _with_extras(document["joints"], posted.get("joints") or [])
+    notes = []
+    if result.held_joints:
+        notes.append(f"joints outside the chain, held at zero: {', '.join(result.held_joints)}")
+    if result.ignored_masses:
+        notes.append(f"masses behind a mimic joint, left out: {', '.join(result.ignored_masses)}")
+    return CoreDocument(document, notes)
+
+
+def _with_extras(joints: list[dict[str, Any]], extras: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Let the posted joints add gear ratios and limits to those of the URDF."""
+    by_name = {extra["name"]: extra for extra in extras}
+    unknown = sorted(set(by_name) - {joint["name"] for joint in joints})
+    if unknown:
+        raise RobotError(
+            f"joints names {unknown[0]!r}, which does not move in the chain. It has: "
+            f"{', '.join(joint['name'] for joint in joints)}.",
+            field="joints",
+        )
+    return [{**joint, **by_name.get(joint["name"], {})} for joint in joints]

@@ -1,0 +1,85 @@
+"""What can be done with robots."""
+
+from __future__ import annotations
+
+from kilter_service.contract.references import Tombstone
+from kilter_service.contract.robot_reports import RobotList, RobotReport
+from kilter_service.contract.robots import RobotDocument
+from kilter_service.db import Database
+from kilter_service.db.tables import now
+from kilter_service.paging import Page
+from kilter_service.references import store as references
+from kilter_service.references.records import TombstoneRecord
+from kilter_service.references.wire import tombstone
+from kilter_service.robots import store, wire
+from kilter_service.robots.resolved import resolve
+
+
+def add(database: Database, document: RobotDocument) -> tuple[RobotReport, bool]:
+    """Check and store a robot; the same document twice changes nothing. Returns the report and whether it is new.
+
+    Raises:
+        RobotError: the document cannot be an arm.
+        ServiceError: the name is taken by another document.
+
+    """
+    posted = document.model_dump(mode="json", exclude_none=True)
+    resolved = resolve(posted)
+    with database.transaction() as session:
+        found = store.find(session, document.name)
+        new = found is None or found.document != posted
+        if new:
+            store.add(session, document.name, posted, resolved)
+    report = get(database, document.name)
+    if report.sha256 != resolved.sha256:
+        report.notes.append(
+            "this document gives another arm today: the robot stays what it was when it was added. Add it under another "
+            "name to have the new one"
+        )
+    return report, new
+
+
+def get(database: Database, name: str) -> RobotReport:
+    """Report on the robot of a name."""
+    with database.reading() as session:
+        stored = store.get(session, name)
+        record = store.record(session, stored.id)
+    return wire.report(record, stored.robot())
+
+
+def listed(database: Database, page: Page, retired: bool = False) -> RobotList:
+    """List the robots; with ``retired`` also those that are out of use."""
+    with database.reading() as session:
+        shown, cursor = page.cut(store.listed(session, page, retired), lambda robot: (robot.name,))
+    return RobotList(robots=[wire.summary(record) for record in shown], next=cursor)
+
+
+def remark(database: Database, name: str, remarks: str) -> RobotReport:
+    """Note something on a robot."""
+    with database.transaction() as session:
+        store.remark(session, name, remarks)
+    return get(database, name)
+
+
+def retire(database: Database, name: str, actor: str) -> RobotReport:
+    """Take a robot out of use: no list shows it, nothing new is made of it. What is active goes on correcting."""
+    with database.transaction() as session:
+        store.retire(session, name, actor)
+    return get(database, name)
+
+
+def restore(database: Database, name: str) -> RobotReport:
+    """Bring a robot back into use."""
+    with database.transaction() as session:
+        store.restore(session, name)
+    return get(database, name)
+
+
+def purge(database: Database, name: str, actor: str) -> Tombstone:
+    """Delete a robot without campaigns and versions; its hash is kept."""
+    with database.transaction() as session:
+        stored = store.get(session, name)
+        store.remove(session, name)
+        left = TombstoneRecord(name, "robot", name, name, stored.sha256, actor, now())
+        references.bury(session, left)
+    return tombstone(left)

@@ -1,0 +1,222 @@
+"""Rows of robots, and what they become in core."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from sqlalchemy import delete, func, select
+
+from kilter_service.db import Session
+from kilter_service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
+from kilter_service.errors import ServiceError
+from kilter_service.paging import Page
+from kilter_service.references import retired
+from kilter_service.robots.records import RobotRecord
+from kilter_service.robots.resolved import Resolved
+
+if TYPE_CHECKING:
+    from kilter_core.robot import Robot
+
+
+class StoredRobot(NamedTuple):
+    """A robot's key in the database, its name, the document it was posted as, and the chain that stands for it.
+
+    ``chain`` is None for a robot of before the chains that no longer resolves.
+    """
+
+    id: int
+    name: str
+    document: dict[str, Any]
+    chain: dict[str, Any] | None
+    sha256: str
+    source_sha256: str
+    notes: list[str]
+
+    def robot(self) -> Robot:
+        """Build core's robot from the chain, whatever the document would be resolved to today.
+
+        Raises:
+            ServiceError: there is no chain.
+
+        """
+        from kilter_core.robots.resolved import (
+            robot_from_resolved,  # imports numpy: not at the start of the API process
+        )
+
+        if self.chain is None:
+            raise ServiceError(
+                f"Robot {self.name!r} was stored by an earlier Kilter, and its document could not be resolved when the "
+                "database was migrated (the log of that start says why): add the robot anew under another name.",
+                code="robot_invalid",
+                robot=self.name,
+            )
+        return robot_from_resolved(self.name, self.chain)
+
+
+def add(session: Session, name: str, document: dict[str, Any], resolved: Resolved) -> None:
+    """Store a robot with what it was resolved to.
+
+    Raises:
+        ServiceError: the name is taken.
+
+    """
+    if find(session, name) is not None:
+        raise ServiceError(
+            f"There is already another robot called {name!r}: give this one its own name, or delete that one.",
+            code="robot_exists",
+            robot=name,
+        )
+    session.add(
+        RobotRow(
+            name=name,
+            document=document,
+            chain=resolved.chain,
+            sha256=resolved.sha256,
+            source_sha256=resolved.source_sha256,
+            left_out=resolved.notes,
+        )
+    )
+    session.flush()
+
+
+def find(session: Session, name: str) -> StoredRobot | None:
+    """Return the robot of a name, if there is one."""
+    row = session.execute(select(RobotRow).where(RobotRow.name == name)).scalar_one_or_none()
+    return None if row is None else _stored(row)
+
+
+def _stored(row: RobotRow) -> StoredRobot:
+    return StoredRobot(
+        row.id, row.name, row.document, row.chain, row.sha256, row.source_sha256, [str(note) for note in row.left_out]
+    )
+
+
+def get(session: Session, name: str) -> StoredRobot:
+    """Return the robot of a name.
+
+    Raises:
+        ServiceError: there is none.
+
+    """
+    found = find(session, name)
+    if found is None:
+        in_use = select(RobotRow.name).where(RobotRow.retired_at.is_(None)).order_by(RobotRow.name)
+        names = session.execute(in_use).scalars().all()
+        known = f"There are: {', '.join(names)}." if names else "There is none yet: add one with `kilter robot add`."
+        raise ServiceError(f"There is no robot {name!r}. {known}", code="robot_not_found", robot=name)
+    return found
+
+
+def usable(session: Session, name: str) -> StoredRobot:
+    """Return the robot of a name, if it is in use.
+
+    Raises:
+        ServiceError: there is none, or it is retired.
+
+    """
+    found = get(session, name)
+    refuse_retired_robot(session, found.id)
+    return found
+
+
+def refuse_retired_robot(session: Session, robot_id: int) -> None:
+    """Refuse to work with a robot that is retired.
+
+    Raises:
+        ServiceError: it is.
+
+    """
+    row = session.get_one(RobotRow, robot_id)
+    retired.refuse("robot", row.name, row.retired_at)
+
+
+def remark(session: Session, name: str, remarks: str) -> None:
+    """Note something on a robot, in the place of what was noted before."""
+    _row(session, name).remarks = remarks
+
+
+def retire(session: Session, name: str, actor: str) -> None:
+    """Take a robot out of use; again changes nothing."""
+    retired.retire(_row(session, name), actor)
+
+
+def restore(session: Session, name: str) -> None:
+    """Bring a robot back into use."""
+    retired.restore(_row(session, name))
+
+
+def _row(session: Session, name: str) -> RobotRow:
+    return session.get_one(RobotRow, get(session, name).id)
+
+
+def by_id(session: Session, robot_id: int) -> StoredRobot:
+    """Return the robot of a key that another row refers to."""
+    return _stored(session.get_one(RobotRow, robot_id))
+
+
+def core_robot(session: Session, robot_id: int) -> Robot:
+    """Build core's robot from the stored chain."""
+    return by_id(session, robot_id).robot()
+
+
+def remove(session: Session, name: str) -> None:
+    """Delete a robot that nothing was measured on.
+
+    Raises:
+        ServiceError: there is none, or it has campaigns.
+
+    """
+    stored = get(session, name)
+    campaigns = _count(session, CampaignRow, stored.id)
+    if campaigns or _count(session, VersionRow, stored.id):
+        raise ServiceError(
+            f"Robot {name!r} has {campaigns} campaigns and cannot be deleted: measurements are kept. "
+            f"Retire it instead (kilter robot retire {name}), or purge its versions and campaigns first.",
+            code="robot_in_use",
+            robot=name,
+            campaigns=campaigns,
+        )
+    staged = select(CampaignRow.id).where(CampaignRow.robot_id == stored.id)
+    session.execute(delete(UploadRow).where(UploadRow.campaign_id.in_(staged)))
+    session.execute(delete(CampaignRow).where(CampaignRow.robot_id == stored.id))
+    session.delete(session.get_one(RobotRow, stored.id))
+
+
+def listed(session: Session, page: Page, with_retired: bool = False) -> list[RobotRecord]:
+    """Return robots by name, one more than the page shows; those out of use only when they are asked for."""
+    query = select(RobotRow).order_by(RobotRow.name).limit(page.fetched)
+    if not with_retired:
+        query = query.where(RobotRow.retired_at.is_(None))
+    if page.name is not None:
+        query = query.where(RobotRow.name > page.name)
+    return [_record(session, row) for row in session.execute(query).scalars()]
+
+
+def record(session: Session, robot_id: int) -> RobotRecord:
+    """Return the robot of a key, and how much belongs to it."""
+    return _record(session, session.get_one(RobotRow, robot_id))
+
+
+def _record(session: Session, row: RobotRow) -> RobotRecord:
+    last = select(ActivationRow.version_id).where(ActivationRow.robot_id == row.id).order_by(ActivationRow.id.desc())
+    return RobotRecord(
+        id=row.id,
+        name=row.name,
+        document=row.document,
+        created_at=row.created_at,
+        campaigns=_count(session, CampaignRow, row.id),
+        versions=_count(session, VersionRow, row.id),
+        active_version=session.execute(last.limit(1)).scalar_one_or_none(),
+        remarks=row.remarks,
+        retired_at=row.retired_at,
+        notes=[str(note) for note in row.left_out],
+        sha256=row.sha256,
+        source_sha256=row.source_sha256,
+    )
+
+
+def _count(session: Session, table: type[CampaignRow] | type[VersionRow], robot_id: int) -> int:
+    query = select(func.count()).where(table.robot_id == robot_id)
+    if table is CampaignRow:
+        query = query.where(CampaignRow.staged.is_(False))
+    return session.execute(query).scalar_one()

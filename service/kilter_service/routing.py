@@ -1,0 +1,62 @@
+"""The route of every feature: who may send, how much, and where it is worked on, before the endpoint sees anything."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from fastapi import Request, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.exceptions import RequestValidationError
+from fastapi.routing import APIRoute
+
+from kilter_service.auth.access import admin, changes
+from kilter_service.bodies import is_json, parsed, read_document
+from kilter_service.slots import slots_of
+
+Handler = Callable[[Request], Awaitable[Response]]
+
+
+class GuardedRoute(APIRoute):
+    """A route of Kilter.
+
+    Whatever is no plain read needs the token, which is asked for before the body is looked at. A JSON document is received
+    up to the setting, parsed and checked in a thread, and answered when it is its turn. Files the endpoint receives itself.
+    """
+
+    def get_route_handler(self) -> Callable[[Request], Any]:
+        """Return what answers a request."""
+        answer: Handler = super().get_route_handler()
+        takes_file = "requestBody" in (self.openapi_extra or {})
+
+        async def handle(request: Request) -> Response:
+            if changes(request):
+                admin(request)
+            if takes_file:
+                with slots_of(request).files.entered():
+                    return await answer(request)
+            if self.body_field is not None:
+                return await self._answer_document(request, answer)
+            return await answer(request)
+
+        return handle
+
+    async def _answer_document(self, request: Request, answer: Handler) -> Response:
+        slots = slots_of(request).documents
+        with slots.entered():
+            body = await read_document(request, request.app.state.settings.max_document_mb)
+            async with slots.turn:
+                return await answer(await self._checked(request, body))
+
+    async def _checked(self, request: Request, body: bytes) -> Request:
+        """Return the request with its document parsed; FastAPI finds both where it would have put them."""
+        found = Request(request.scope, request.receive)
+        found._body = body
+        if body and is_json(request):
+            found._json = await parsed(body)
+            assert self.body_field is not None
+            # FastAPI checks on the event loop. What is wrong, and may be so in many places, is found here.
+            _, errors = await run_in_threadpool(self.body_field.validate, found._json, loc=("body",))
+            if errors:
+                raise RequestValidationError(errors, body=found._json)
+        return found

@@ -1,0 +1,26 @@
+"""What the routes share: the application's settings and database."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Depends, Request
+
+from kilter_service.db import Database
+from kilter_service.settings import Settings
+
+
+def database_of(request: Request) -> Database:
+    """Return the database of the application that serves this request."""
+    database: Database = request.app.state.database
+    return database
+
+
+def settings_of(request: Request) -> Settings:
+    """Return the settings of the application that serves this request."""
+    settings: Settings = request.app.state.settings
+    return settings
+
+
+DatabaseOfApp = Annotated[Database, Depends(database_of)]
+SettingsOfApp = Annotated[Settings, Depends(settings_of)]

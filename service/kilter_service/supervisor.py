@@ -1,0 +1,218 @@
+"""`kilterd serve`: API, worker and corrector as processes of their own, restarted when they die."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from kilter_service.auth.token import admin_token, check_binding
+from kilter_service.corrector.endpoints import check_listening
+from kilter_service.errors import ServiceError
+from kilter_service.server_file import ServerFile
+from kilter_service.serving import listener, url_of
+from kilter_service.settings import Settings
+
+log = logging.getLogger("kilter.serve")
+
+LOCK_FILE = "serve.lock"
+SUPERVISED = "KILTER_SUPERVISED"
+CHECK_S = 0.1
+READY_S = 300.0  # the first start on a machine compiles the kernels, on a busy one for minutes
+STOP_S = 8.0
+FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S = 0.2, 10.0, 30.0
+
+
+class Child:
+    """A process of Kilter; `watch` starts it anew when it has ended."""
+
+    def __init__(self, name: str, settings: Settings, *arguments: str, keep: tuple[int, ...] = ()) -> None:
+        self.name = name
+        self._command = [sys.executable, "-m", "kilter_service", name, *arguments]
+        self._environment = {**os.environ, **settings.environment(), SUPERVISED: "1"}
+        self._keep = keep
+        self._process: subprocess.Popen[bytes] | None = None
+        self._started = 0.0
+        self._pause = FIRST_PAUSE_S
+        self._again_at: float | None = None
+
+    def start(self) -> None:
+        """Start the process; it ends by itself when this one does, for then its standard input closes."""
+        self._started, self._again_at = time.monotonic(), None
+        self._process = subprocess.Popen(
+            self._command,
+            env=self._environment,
+            stdin=subprocess.PIPE,
+            stdout=sys.stderr,
+            pass_fds=self._keep,
+            start_new_session=True,  # Ctrl-C is for the supervisor, which ends its children in order
+        )
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the running process."""
+        return None if self._process is None else self._process.pid
+
+    def watch(self) -> None:
+        """Start the process anew when it has ended: at once, and more slowly when it keeps ending."""
+        if self._process is None or self._process.poll() is None:
+            return
+        time_s = time.monotonic()
+        if self._again_at is None:
+            if time_s - self._started > STEADY_S:
+                self._pause = FIRST_PAUSE_S
+            log.error("%s ended with %s: it starts again", self.name, self._process.returncode)
+            self._again_at = time_s + self._pause
+            self._pause = min(2 * self._pause, LONGEST_PAUSE_S)
+        if time_s >= self._again_at:
+            self._close()
+            self.start()
+
+    def ask_to_stop(self) -> None:
+        """Send SIGTERM."""
+        if self._process is not None and self._process.poll() is None:
+            self._process.terminate()
+
+    def wait(self, deadline: float) -> None:
+        """Wait for the end; kill the process when the deadline passes."""
+        if self._process is None:
+            return
+        try:
+            self._process.wait(max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            log.warning("%s did not stop: it is killed", self.name)
+            self._process.kill()
+            self._process.wait()
+        self._close()
+
+    def _close(self) -> None:
+        if self._process is not None and self._process.stdin is not None:
+            self._process.stdin.close()
+
+
+def serve(settings: Settings) -> None:
+    """Run everything until SIGTERM or SIGINT; prints one JSON line when all is ready.
+
+    Raises:
+        ServiceError: the address may not be listened on, or a server runs in this data folder already.
+
+    """
+    check_binding(settings)
+    check_listening(settings)
+    admin_token(settings)
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    with _alone(settings.data), listener(settings) as opened, ServerFile(settings.server_file) as file:
+        children = [
+            Child("api", settings, "--fd", str(opened.fileno()), keep=(opened.fileno(),)),
+            Child("worker", settings),
+            Child("corrector", settings),
+        ]
+        if settings.ros2:
+            children.append(Child("ros2", settings))
+        try:
+            _start(settings, children, stop)
+            if _wait_until_ready(settings, children, url_of(opened), stop):
+                document = {
+                    "url": url_of(opened),
+                    "pid": os.getpid(),
+                    "zenoh": _zenoh(settings),
+                    "data": str(settings.data),
+                }
+                file.write(document)
+                print(json.dumps(document), flush=True)
+            while not stop.wait(CHECK_S):
+                for child in children:
+                    child.watch()
+        finally:
+            _stop(children)
+
+
+def _document(settings: Settings, url: str) -> dict[str, Any]:
+    return {"url": url, "pid": os.getpid(), "zenoh": _zenoh(settings), "data": str(settings.data)}
+
+
+def _start(settings: Settings, children: list[Child], stop: threading.Event) -> None:
+    # They import for a second or two, so they start first, the corrector with its two processes before the others; all
+    # wait for the migration themselves.
+    for child in reversed(children):
+        if stop.is_set():
+            return
+        child.start()
+    _migrate(settings)
+
+
+def _migrate(settings: Settings) -> None:
+    from kilter_service.db import Database, revision  # after the children were started: importing takes a moment
+
+    database = Database(settings.database)
+    try:
+        if revision.migrate(database):
+            log.info("the database was brought to revision %s", revision.HEAD)
+    finally:
+        database.close()
+
+
+def _stop(children: list[Child]) -> None:
+    for child in children:
+        child.ask_to_stop()
+    deadline = time.monotonic() + STOP_S
+    for child in children:
+        child.wait(deadline)
+
+
+def _wait_until_ready(settings: Settings, children: list[Child], url: str, stop: threading.Event) -> bool:
+    deadline = time.monotonic() + READY_S
+    while not stop.wait(CHECK_S / 2):
+        for child in children:
+            child.watch()
+        if _answers(f"{url}/v1/health/ready") and _zenoh(settings) is not None:
+            return True
+        if time.monotonic() > deadline:
+            raise ServiceError(f"Not all processes were ready within {READY_S:.0f} s; their messages are above.")
+    return False
+
+
+def _answers(url: str) -> bool:
+    try:
+        with urllib.request.urlopen(url, timeout=2) as answer:
+            return bool(answer.status == 200)
+    except (urllib.error.URLError, OSError):
+        return False
+
+
+def _zenoh(settings: Settings) -> str | None:
+    """Return the endpoint of the corrector that runs now; None while none has said that it listens."""
+    try:
+        document: dict[str, Any] = json.loads(settings.corrector_file.read_text(encoding="utf-8"))
+        os.kill(document["pid"], 0)
+    except (OSError, ValueError, KeyError):
+        return None
+    return str(document["endpoints"].get("stream"))
+
+
+@contextmanager
+def _alone(data: Path) -> Iterator[IO[str]]:
+    """Hold the data folder's lock, so that no two servers share it."""
+    data.mkdir(parents=True, exist_ok=True)
+    with (data / LOCK_FILE).open("w", encoding="ascii") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise ServiceError(
+                f"A server runs in {data} already: stop it, or give another folder with --data.", code="data_in_use"
+            ) from error
+        yield file

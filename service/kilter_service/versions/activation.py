@@ -1,0 +1,134 @@
+"""Which version a robot is corrected with: activate one, if nothing speaks against it, and return to the one before."""
+
+from __future__ import annotations
+
+from kilter_service.contract.versions import ActivatedVersion, ActivationWish, VersionSummary
+from kilter_service.db import Database, Session
+from kilter_service.errors import ServiceError
+from kilter_service.robots import store as robots
+from kilter_service.versions import store, wire
+from kilter_service.versions.guard import Verdict, judge
+
+ACTIVATE, ROLLBACK = "activate", "rollback"
+ATTEMPTS = 5
+
+
+def activate(
+    database: Database, version_id: str, actor: str, wish: ActivationWish, temperature_c: float | None = None
+) -> ActivatedVersion:
+    """Make a version the one its robot is corrected with; the active one again changes nothing.
+
+    ``temperature_c`` is that of the arm as the corrector knows it: without it thermal growth stays uncorrected.
+
+    Raises:
+        ServiceError: something speaks against it and it is not forced; or others activate all the time.
+
+    """
+    with database.reading() as session:
+        _refuse_retired(session, version_id)
+    left_out = _left_out(database, version_id, temperature_c)  # first: what cannot be corrected is not activated
+    for _ in range(ATTEMPTS):
+        verdict = judge(database, version_id)
+        if verdict.objections and not wish.force:
+            raise _refusal(version_id, verdict)
+        summary = _activated(database, version_id, actor, wish, verdict)
+        if summary is not None:
+            return ActivatedVersion(
+                **summary.model_dump(),
+                unsupported_effects=left_out,
+                forced=wish.force and verdict.active != version_id,
+                objections=list(verdict.objections),
+                compared=verdict.compared,
+                warnings=list(verdict.warnings),
+            )
+    raise ServiceError(
+        f"While version {version_id} was compared with the active one, others were activated {ATTEMPTS} times: nothing "
+        "was changed. Ask again.",
+        code="activation_overtaken",
+        version=version_id,
+    )
+
+
+def _left_out(database: Database, version_id: str, temperature_c: float | None) -> list[str]:
+    """Effects of a version that setpoints are not corrected for."""
+    from kilter_core.correction import (  # compiled kernels: not at the start of the API
+        CorrectionOptions,
+        compile_program,
+    )
+
+    with database.reading() as session:
+        calibration = store.calibration(session, version_id)
+    return list(compile_program(calibration, CorrectionOptions(temperature_c=temperature_c)).unsupported)
+
+
+def _refuse_retired(session: Session, version_id: str) -> int:
+    """Refuse a version that is out of use, or of a robot that is; returns the robot's key."""
+    robot_id = store.usable(session, version_id).robot_id
+    robots.refuse_retired_robot(session, robot_id)
+    return robot_id
+
+
+def _refusal(version_id: str, verdict: Verdict) -> ServiceError:
+    return ServiceError(
+        f"Version {version_id} was not activated. {' '.join(o.message for o in verdict.objections)} Identify anew, or give "
+        'force (`kilter activate --force --reason TEXT`, {"force": true, "reason": TEXT}) if you know why, for '
+        "instance because the arm was repaired since; the log keeps it.",
+        code="activation_refused",
+        version=version_id,
+        objections=[objection.model_dump() for objection in verdict.objections],
+        compared=None if verdict.compared is None else verdict.compared.model_dump(),
+        warnings=list(verdict.warnings),
+    )
+
+
+def _activated(
+    database: Database, version_id: str, actor: str, wish: ActivationWish, verdict: Verdict
+) -> VersionSummary | None:
+    """Write the activation; None when another version became active since the verdict."""
+    with database.transaction() as session:
+        robot_id = _refuse_retired(session, version_id)
+        last = store.active_entry(session, robot_id)
+        active = None if last is None else last.version_id
+        if active != version_id:
+            if active != verdict.active:
+                return None
+            store.activate(
+                session, robot_id, version_id, ACTIVATE, actor,
+                forced=wish.force, reason=wish.reason, objections=[objection.model_dump() for objection in verdict.objections],
+            )  # fmt: skip
+        return wire.summary(store.get(session, version_id))
+
+
+def rollback(database: Database, robot: str, actor: str, temperature_c: float | None = None) -> ActivatedVersion:
+    """Return to the version that was active before the present one; again, to the one before that. Never refused.
+
+    What was retired since is passed over.
+
+    Raises:
+        ServiceError: there is no earlier one.
+
+    """
+    with database.transaction() as session:
+        robot_id = robots.get(session, robot).id
+        before = _before(session, robot_id)
+        if before is None:
+            raise ServiceError(
+                f"Robot {robot!r} has no earlier active version: activate one with POST /v1/versions/{{id}}/activate.",
+                code="nothing_to_roll_back",
+                robot=robot,
+            )
+        store.activate(session, robot_id, before, ROLLBACK, actor)
+        summary = wire.summary(store.get(session, before))
+    return ActivatedVersion(**summary.model_dump(), unsupported_effects=_left_out(database, before, temperature_c))
+
+
+def _before(session: Session, robot_id: int) -> str | None:
+    stack: list[str] = []
+    for entry in reversed(store.activations(session, robot_id)):
+        if entry.action == ROLLBACK and entry.version_id in stack:
+            while stack[-1] != entry.version_id:
+                stack.pop()
+        elif stack[-1:] != [entry.version_id]:
+            stack.append(entry.version_id)
+    earlier = (version for version in reversed(stack[:-1]) if store.get(session, version).retired_at is None)
+    return next(earlier, None)

@@ -1,0 +1,218 @@
+"""What speaks against activating a version: its own identification, and measurements that it was not fitted to.
+
+It is compared with the drawing in frames of its own (registration only) and with the version that is active. Worse is
+what `kilter_core.compare` calls so. Where there is nothing to compare on, a warning says so and nothing is refused for it.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import CoreError
+from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
+from kilter_service.db import Database, Session
+from kilter_service.versions import store, wire
+from kilter_service.versions.objections import objections_of
+from kilter_service.versions.unseen import Archive, Unseen
+from kilter_service.wire import to_mm
+
+if TYPE_CHECKING:
+    from kilter_core.model import Calibration
+    from kilter_core.observations import Observations
+
+Floats = NDArray[np.float64]
+
+MOST_POSES = 2000  # compared at most, evenly chosen: one to two seconds
+
+NOTHING = (
+    "Not compared: no measured pose is left that neither this version nor the active one was fitted to. Measure some poses "
+    "that are only checked (kilter upload --role confirmation) before you rely on it."
+)
+ONLY_PLAIN = (
+    "Version {active}, active now, was fitted to every pose that this one was not: compared with registration only."
+)
+
+_ONE_AT_A_TIME = threading.Lock()  # a comparison holds the rows of a robot
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What was found when ``active`` was the active version of the robot."""
+
+    active: str | None
+    objections: tuple[Objection, ...]
+    compared: Comparison | None
+    warnings: tuple[dict[str, Any], ...]
+
+
+def judge(database: Database, version_id: str) -> Verdict:
+    """Compare a version with the active one and with registration only; takes up to some seconds."""
+    with _ONE_AT_A_TIME:
+        with database.reading() as session:
+            row = store.get(session, version_id)
+            own = objections_of(row.report, CorrectionLimits(**row.limits))
+            last = store.active_entry(session, row.robot_id)
+            if last is not None and last.version_id == version_id:
+                return Verdict(version_id, (), None, ())
+            cases = _cases(session, row.robot_id, version_id, None if last is None else last.version_id)
+        verdicts = (case.verdict(own) for case in cases)
+        first = next(verdicts)
+        return first if first.compared or first.objections else next((v for v in verdicts if v.compared), first)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Errors by pose (P,) m at one set-up of a campaign: of the new version, of registration only, of the active one."""
+
+    campaign: str
+    rows: int
+    new: Floats
+    plain: Floats
+    rival: Floats | None
+
+
+def _cases(session: Session, robot_id: int, version_id: str, active: str | None) -> list[Case]:
+    """The version beside the active one; and by itself, for where the active one was fitted to all that is left."""
+    archive, new = Archive(session, robot_id), store.calibration(session, version_id)
+    alone = Case(new, active, None, archive.unseen([version_id]))
+    if active is None:
+        return [alone]
+    beside = Case(new, active, store.calibration(session, active), archive.unseen([version_id, active]))
+    alone.warn("active_not_compared", ONLY_PLAIN.format(active=active))
+    return [beside, alone]
+
+
+@dataclass
+class Case:
+    """A version, its rivals, and the rows that none of them was fitted to. ``rival`` is the active one, if it may be."""
+
+    new: Calibration
+    active: str | None
+    rival: Calibration | None
+    unseen: Unseen
+    warnings: list[dict[str, Any]] = field(default_factory=list)
+    unpredictable: list[Objection] = field(default_factory=list)
+
+    def verdict(self, own: list[Objection]) -> Verdict:
+        """Compare, and say what speaks against the version."""
+        from kilter_core.compare import Difference, pooled
+
+        found = [part for part in self._parts() if part is not None]
+        own = [*own, *self.unpredictable]
+        if not found:
+            self.warn("nothing_to_compare", NOTHING)
+            return Verdict(self.active, tuple(own), None, tuple(self.warnings))
+        new, plain = (pooled([getattr(part, name) for part in found]) for name in ("new", "plain"))
+        with_rival = [part for part in found if part.rival is not None]
+        rival = pooled([part.rival for part in with_rival if part.rival is not None])
+        against_plain = Difference.of(new, plain)
+        against_rival = Difference.of(pooled([part.new for part in with_rival]), rival) if with_rival else None
+        compared = Comparison(
+            rows=sum(part.rows for part in found),
+            poses=len(new),
+            campaigns=sorted({part.campaign for part in found}),
+            mean_mm=to_mm(float(new.mean())),
+            registration_only=wire.rival(against_plain, plain),
+            active_version=self.active,
+            active=None if against_rival is None else wire.rival(against_rival, rival),
+        )
+        worse = [] if not against_plain.worse else [_objection("registration", compared, compared.registration_only)]
+        if against_rival is not None and compared.active is not None and against_rival.worse:
+            worse.append(_objection("active", compared, compared.active))
+        return Verdict(self.active, (*own, *worse), compared, tuple(self.warnings))
+
+    def _parts(self) -> list[Part | None]:
+        from kilter_core.compare import FEWEST_POSES, lacking, poses_of, setups, thinned
+
+        for message in self.unseen.left_out.values():
+            self.warn("campaign_not_compared", message)
+        usable = {c: rows for c, rows in self.unseen.rows.items() if self._usable(c, rows)}
+        total = sum(poses_of(rows) for rows in usable.values())
+        share = min(1.0, MOST_POSES / max(total, 1))
+        if share < 1.0:
+            self.warn("poses_thinned", f"{MOST_POSES} of {total} poses were compared, evenly chosen.")
+        out: list[Part | None] = []
+        for campaign, rows in usable.items():
+            missing = [] if self.rival is None else lacking(self.rival, rows)
+            if missing:
+                self.warn(
+                    "active_not_compared", f"Version {self.active} needs {', '.join(missing)}; {campaign} has none."
+                )
+            for setup in setups(rows):
+                chosen = thinned(setup, max(FEWEST_POSES, round(share * poses_of(setup))))
+                out.append(self._compared(campaign, chosen, None if missing else self.rival))
+        return out
+
+    def _usable(self, campaign: str, rows: Observations) -> bool:
+        from kilter_core.compare import lacking
+
+        missing = lacking(self.new, rows)
+        if rows.position is None and rows.markers is None:
+            self.warn("campaign_not_compared", f"Campaign {campaign} has no measured position: it was not compared.")
+        elif missing:
+            message = f"Campaign {campaign} lacks {', '.join(missing)}, which this version needs: it was not compared."
+            self.warn("campaign_not_compared", message)
+        else:
+            return True
+        return False
+
+    def _compared(self, campaign: str, rows: Observations, rival: Calibration | None) -> Part | None:
+        """The errors at one set-up of a campaign; None, and a warning, when it cannot be compared."""
+        from kilter_core.compare import FEWEST_POSES, poses_of
+        from kilter_core.model import Calibration
+
+        if poses_of(rows) < FEWEST_POSES:
+            message = (
+                f"{poses_of(rows)} poses of campaign {campaign} stand alone: fewer than {FEWEST_POSES} tell nothing."
+            )
+            self.warn("campaign_not_compared", message)
+            return None
+        plain = self._errors(Calibration.nominal(self.new.robot), rows)
+        if isinstance(plain, str):
+            self.warn("campaign_not_compared", f"Campaign {campaign} was not compared: {plain}")
+            return None
+        new = self._errors(self.new, rows)
+        if isinstance(new, str):
+            message = (
+                f"No base and tool are found in which it predicts campaign {campaign} ({new}), but for the drawing."
+            )
+            self.unpredictable.append(Objection(code="worse_than_registration", message=message))
+            return None
+        others = None if rival is None else self._errors(rival, rows)
+        if isinstance(others, str):
+            self.warn("active_not_compared", f"Version {self.active} cannot predict campaign {campaign}: {others}")
+            others = None
+        return Part(campaign, len(rows), new, plain, others)
+
+    @staticmethod
+    def _errors(calibration: Calibration, rows: Observations) -> Floats | str:
+        """Errors by pose, or why there are none: what a fit of nonsense raises is of many kinds."""
+        from kilter_core.compare import errors_by_pose
+
+        try:
+            with np.errstate(all="ignore"):
+                found = errors_by_pose(calibration, rows)
+        except CoreError as error:
+            return error.message
+        except (ArithmeticError, ValueError):  # also of linear algebra without a solution
+            return "no frames fit"
+        return found if np.isfinite(found).all() else "no frames fit"
+
+    def warn(self, code: str, message: str) -> None:
+        """Say what the comparison leaves out."""
+        self.warnings.append({"code": code, "message": message})
+
+
+def _objection(which: str, compared: Comparison, rival: Rival) -> Objection:
+    name = "base and tool alone" if which == "registration" else f"version {compared.active_version}, active now,"
+    message = (
+        f"On {rival.poses} poses it was not fitted to ({', '.join(compared.campaigns)}) it leaves "
+        f"{rival.mean_mm + rival.larger_by_mm:.4g} mm, {name} {rival.mean_mm:.4g} mm: more by {rival.larger_by_mm:.2g} mm, "
+        f"where chance explains {rival.margin_mm:.2g} mm."
+    )
+    return Objection(code=f"worse_than_{which}", message=message)

@@ -1,0 +1,93 @@
+"""What people call versions and note on them; versions out of use, and gone."""
+
+from __future__ import annotations
+
+from kilter_service.contract.references import Change, Tombstone
+from kilter_service.contract.versions import Version
+from kilter_service.db import Database
+from kilter_service.db.tables import now
+from kilter_service.errors import ServiceError
+from kilter_service.references import store as references
+from kilter_service.references.records import TombstoneRecord
+from kilter_service.references.wire import tombstone
+from kilter_service.versions import store, wire
+from kilter_service.versions.records import VersionRecord
+
+
+def change(database: Database, version_id: str, wanted: Change) -> Version:
+    """Name a version (an empty name takes it away), or note something on it; what it holds stays.
+
+    Raises:
+        ServiceError: no such version, or a name that is taken or cannot be.
+
+    """
+    with database.transaction() as session:
+        version = store.get(session, version_id)
+        if wanted.name is not None and wanted.name != version.name:
+            references.check_name(session, "version", version.robot_id, wanted.name, version.id)
+        store.change(session, version_id, wanted.name, wanted.notes)
+        return wire.version(store.get(session, version_id))
+
+
+def retire(database: Database, version_id: str, actor: str) -> Version:
+    """Take a version out of use: no list shows it, no job starts from it, it cannot be activated.
+
+    Raises:
+        ServiceError: no such version, or the robot is corrected with it.
+
+    """
+    with database.transaction() as session:
+        _refuse_active(store.get(session, version_id), "retired")
+        store.retire(session, version_id, actor)
+        return wire.version(store.get(session, version_id))
+
+
+def restore(database: Database, version_id: str) -> Version:
+    """Bring a version back into use.
+
+    Raises:
+        ServiceError: no such version, or another has its name now.
+
+    """
+    with database.transaction() as session:
+        version = store.get(session, version_id)
+        if version.retired_at is not None:
+            references.check_name(session, "version", version.robot_id, version.name, version.id)
+            store.restore(session, version_id)
+        return wire.version(store.get(session, version_id))
+
+
+def purge(database: Database, version_id: str, actor: str) -> Tombstone:
+    """Delete a version; its hash is kept.
+
+    Raises:
+        ServiceError: no such version, or another version, the log of activations or a job that is not over cites it.
+
+    """
+    with database.transaction() as session:
+        version = store.get(session, version_id)
+        _refuse_active(version, "purged")
+        citing = store.citing_version(session, version.robot_id, version.id)
+        if citing:
+            raise ServiceError(
+                f"Version {version.id} is cited by {', '.join(citing[:10])}{' and more' if len(citing) > 10 else ''}: purge "
+                f"what can be purged first, or retire it instead (kilter versions retire {version.id}).",
+                code="cited",
+                version=version.id,
+                cited_by=citing,
+            )
+        left = TombstoneRecord(version.id, "version", version.robot, version.name, version.sha256, actor, now())
+        references.bury(session, left)
+        store.remove(session, version_id)
+    return tombstone(left)
+
+
+def _refuse_active(version: VersionRecord, what: str) -> None:
+    if version.active:
+        raise ServiceError(
+            f"Robot {version.robot!r} is corrected with version {version.id}, so it cannot be {what}: activate another "
+            "one first.",
+            code="version_active",
+            version=version.id,
+            robot=version.robot,
+        )

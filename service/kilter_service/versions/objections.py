@@ -1,0 +1,66 @@
+"""What a version's own identification says against activating it; needs nothing but the stored document."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from kilter_service.contract.versions import CorrectionLimits, Objection
+
+CODES = ("heldout_worse_than_registration", "worse_than_geometry")  # warnings that say what this module looks for
+ERRORS_OF_DOUBT, SHARE_OF_DOUBT = (
+    2.0,
+    0.01,
+)  # as in kilter_core.identify.worse: standard errors, and of the simpler model's error
+SIMPLER = {"registration_only": "base and tool alone", "geometry_only": "the geometry alone", "nominal": "the drawing"}
+
+
+def objections_of(report: Mapping[str, Any], limits: CorrectionLimits) -> list[Objection]:
+    """Return what speaks against a version with this report, nothing when its job found it good."""
+    warnings = [w for w in report.get("warnings") or () if w.get("code") in CODES and w.get("beyond_chance", True)]
+    named = [Objection(code=w["code"], message=w["message"]) for w in warnings]
+    metrics = report.get("metrics") or {}
+    return [*named, *_worse_held_out(metrics.get("validation") or {}, named), *_too_large(metrics, limits)]
+
+
+def _worse_held_out(held: Mapping[str, Any], named: list[Objection]) -> list[Objection]:
+    """The simpler model that its own held-out rows prefer, unless a warning has said so."""
+    found = held.get("identified") or {}
+    for stage, what in SIMPLER.items():
+        simpler = held.get(stage) or {}
+        if named or not found or not simpler or not _clearly_larger(found, simpler, int(held.get("n") or 1)):
+            continue
+        message = (
+            f"On its own held-out rows it leaves {found['mean_mm']:.4g} mm, {what} {simpler['mean_mm']:.4g} mm: "
+            "more than chance explains."
+        )
+        return [Objection(code="heldout_worse", message=message)]
+    return []
+
+
+def _clearly_larger(found: Mapping[str, Any], simpler: Mapping[str, Any], n: int) -> bool:
+    """Whether a mean is larger than another beyond chance; the rows' own differences are not stored, so as if unpaired."""
+    doubt = ERRORS_OF_DOUBT * math.sqrt((_variance(found) + _variance(simpler)) / n)
+    return float(found["mean_mm"] - simpler["mean_mm"]) > max(doubt, SHARE_OF_DOUBT * float(simpler["mean_mm"]))
+
+
+def _variance(block: Mapping[str, Any]) -> float:
+    return max(float(block.get("rms_mm", block["mean_mm"])) ** 2 - float(block["mean_mm"]) ** 2, 0.0)
+
+
+def _too_large(metrics: Mapping[str, Any], limits: CorrectionLimits) -> list[Objection]:
+    """A version that explains its own rows worse than the largest correction it may make describes another arm."""
+    left = _mean(metrics.get("train") or {}, "identified")
+    if left is None or left <= limits.max_position_mm:
+        return []
+    message = (
+        f"It leaves {left:.4g} mm on the rows it was fitted to, more than the {limits.max_position_mm:g} mm it may ever "
+        "correct: joints, columns or units are mixed up, or the robot is another."
+    )
+    return [Objection(code="error_beyond_limit", message=message)]
+
+
+def _mean(block: Mapping[str, Any], stage: str) -> float | None:
+    value = (block.get(stage) or {}).get("mean_mm")
+    return None if value is None else float(value)

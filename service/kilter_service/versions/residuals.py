@@ -1,0 +1,123 @@
+"""What a version leaves of every row of its campaigns: a table for whoever wants to see for himself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_service.campaigns import store as campaigns
+from kilter_service.correction.formats import write_trajectory
+from kilter_service.db import Database, Session
+from kilter_service.errors import ServiceError
+from kilter_service.versions import store, wire
+from kilter_service.versions.records import VersionRecord
+from kilter_service.versions.unseen import Archive
+
+if TYPE_CHECKING:
+    from kilter_core.identify.predictive import Predictive
+    from kilter_core.model import Calibration
+    from kilter_core.observations import Observations
+
+Bools = NDArray[np.bool_]
+Columns = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A campaign's rows, which of them were fitted, and the rows (from 1) that were set aside."""
+
+    campaign: str
+    rows: Observations
+    fitted: Bools
+    set_aside: frozenset[int]
+
+
+def residuals(database: Database, version: str, wanted: Sequence[str], media: str) -> bytes:
+    """Return the residuals of the rows of campaigns, by default of all the version was made from, as CSV or Parquet.
+
+    Raises:
+        ServiceError: no such version or campaign, or a campaign of another robot.
+        ObservationError: a campaign without a measured position.
+
+    """
+    import pyarrow as pa
+
+    with database.reading() as session:
+        row = store.get(session, version)
+        calibration, known = store.calibration(session, version), store.known(session, version)
+        parts = list(_parts(session, row, wanted))
+        report = row.report
+    tables = [pa.table(_columns(part, calibration, known, report)) for part in parts]
+    return write_trajectory(pa.concat_tables(tables), media)
+
+
+def _parts(session: Session, version: VersionRecord, wanted: Sequence[str]) -> Iterator[Part]:
+    archive = Archive(session, version.robot_id)
+    for campaign in wanted or dict.fromkeys(used["id"] for used in version.campaigns):
+        if campaigns.whole(session, campaign).robot_id != version.robot_id:
+            raise ServiceError(
+                f"Campaign {campaign} is of another robot than version {version.id}: name campaigns of its robot.",
+                code="option_invalid",
+                campaign=campaign,
+            )
+        rows = campaigns.observations(session, campaign, archive.robot)
+        named = version.report.get("set_aside") or []
+        aside = [one["row"] for one in named if one["campaign"] == campaign]
+        yield Part(campaign, rows, archive.fitted(version.id, campaign), frozenset(aside))
+
+
+def _columns(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
+    count = len(part.rows)
+    out: Columns = {"campaign": [part.campaign] * count, "row": np.arange(1, count + 1)}
+    out |= _left(part, calibration, known, report)
+    out["set_aside"] = np.isin(out["row"], list(part.set_aside))
+    out["held_out"] = ~part.fitted
+    return out
+
+
+def _left(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
+    """Errors of the rows, and half the interval that expects them."""
+    from kilter_core.evaluate import rows_of
+    from kilter_core.identify.redescending import sizes_of
+    from kilter_core.measurement import Measurement
+
+    count, shape = len(part.rows), calibration.marker_points
+    error, u95 = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
+    turn, size = np.full(count, np.nan), np.full(count, np.nan)
+    point_noise, turn_noise = wire.noise_of(report)
+    for where, refit in _frames(part, report):
+        measurement = Measurement.of(part.rows.select(where), shape)
+        here = _refitted(calibration, measurement) if refit else calibration
+        found = rows_of(here, measurement, refit, known)
+        left = measurement.residual(here.predict(measurement.observations))
+        if np.isnan(turn_noise):
+            left = replace(left, turns=None)
+        error[where] = found.error
+        u95[where] = np.nan if found.u95 is None else found.u95
+        size[where] = sizes_of(left, point_noise or np.nan, turn_noise or np.nan)
+        if left.turns is not None:
+            turn[where] = np.linalg.norm(left.turns, axis=1)
+    return wire.residual_columns(error, u95, turn, size)
+
+
+def _frames(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple[str, ...]]]:
+    """Rows told in one frame, and the frames that were fitted to them alone: a sheet is laid anew every time."""
+    own = [one for one in report.get("base_refitted") or [] if one["campaign"] == part.campaign]
+    session = np.zeros(len(part.rows)) if part.rows.session is None else part.rows.session
+    rest = np.ones(len(part.rows), dtype=bool)
+    for one in own:
+        mine = rest & (session == one["session"]) if one["session"] is not None else rest.copy()
+        rest &= ~mine
+        yield mine, ("base",)
+    if rest.any():
+        yield rest, ()
+
+
+def _refitted(calibration: Calibration, measurement: Any) -> Calibration:
+    from kilter_core.identify.setups import with_base
+
+    return with_base(calibration, measurement, "huber")

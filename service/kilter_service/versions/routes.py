@@ -1,0 +1,149 @@
+"""Versions over HTTP."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Depends, Query, Response
+
+from kilter_service.auth.access import Admin
+from kilter_service.campaigns.reading import CSV, JSON, PARQUET
+from kilter_service.contract.previews import VersionPreview
+from kilter_service.contract.references import Change, Tombstone
+from kilter_service.contract.residuals import ResidualRows
+from kilter_service.contract.units import MAX_NAMED
+from kilter_service.contract.versions import (
+    ActivatedVersion,
+    ActivationList,
+    ActivationWish,
+    Version,
+    VersionDiff,
+    VersionList,
+)
+from kilter_service.page_query import PageOfList
+from kilter_service.routing import GuardedRoute
+from kilter_service.slots import reading_turn
+from kilter_service.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.versions import activation, keeping, service
+
+FILE = {"schema": {"type": "string", "format": "binary"}}
+
+router = APIRouter(prefix="/v1", tags=["versions"], route_class=GuardedRoute)
+
+
+@router.get("/robots/{robot}/versions")
+def listed(robot: str, database: DatabaseOfApp, page: PageOfList, retired: bool = False) -> VersionList:
+    """List the versions of a robot, newest first; with `retired` also those that are out of use."""
+    return service.listed(database, robot, page, retired)
+
+
+@router.get("/robots/{robot}/activations")
+def activations(robot: str, database: DatabaseOfApp, page: PageOfList) -> ActivationList:
+    """Show who activated which version, and when."""
+    return service.activations(database, robot, page)
+
+
+@router.post("/robots/{robot}/rollback")
+def rollback(robot: str, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin) -> ActivatedVersion:
+    """Return to the version that was active before; says which of its effects are not corrected at run time."""
+    return activation.rollback(database, robot, actor, settings.temperature_c)
+
+
+@router.get("/versions/{version}")
+def get(version: str, database: DatabaseOfApp) -> Version:
+    """Show a version with all it holds."""
+    return service.get(database, version)
+
+
+@router.patch("/versions/{version}")
+def change(version: str, wanted: Change, database: DatabaseOfApp, _: Admin) -> Version:
+    """Name a version, or note something on it; what it holds stays as it is."""
+    return keeping.change(database, version, wanted)
+
+
+@router.post("/versions/{version}/retire")
+def retire(version: str, database: DatabaseOfApp, actor: Admin) -> Version:
+    """Take a version out of use; the active one cannot be."""
+    return keeping.retire(database, version, actor)
+
+
+@router.post("/versions/{version}/restore")
+def restore(version: str, database: DatabaseOfApp, _: Admin) -> Version:
+    """Bring a retired version back into use."""
+    return keeping.restore(database, version)
+
+
+@router.post("/versions/{version}/purge")
+def purge(version: str, database: DatabaseOfApp, actor: Admin) -> Tombstone:
+    """Delete a version that nothing cites, for good; its hash is kept."""
+    return keeping.purge(database, version, actor)
+
+
+@router.post("/versions/{version}/activate")
+def activate(
+    version: str,
+    database: DatabaseOfApp,
+    settings: SettingsOfApp,
+    actor: Admin,
+    wish: ActivationWish | None = None,
+) -> ActivatedVersion:
+    """Correct the robot with this version from now on, unless it predicts worse than what it takes the place of.
+
+    It is compared on poses that neither it nor the active version was fitted to. `force` activates it all the same. Says
+    which of its effects are not corrected at run time.
+    """
+    return activation.activate(database, version, actor, wish or ActivationWish(), settings.temperature_c)
+
+
+@router.get("/versions/{version}/preview", dependencies=[Depends(reading_turn)])
+def preview(version: str, database: DatabaseOfApp, settings: SettingsOfApp) -> VersionPreview:
+    """Say how a version would correct, without activating it: its largest correction, where, and what it leaves out.
+
+    The poses are those that the robot was driven to in its campaigns, else poses drawn within its limits.
+    """
+    return service.preview(database, version, settings.temperature_c)
+
+
+@router.get("/versions/{a}/diff/{b}", dependencies=[Depends(reading_turn)])
+def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
+    """Compare two versions of one robot."""
+    return service.diff(database, a, b)
+
+
+@router.get(
+    "/versions/{version}/residuals",
+    response_class=Response,
+    responses={
+        200: {
+            "model": ResidualRows,
+            "content": {CSV: FILE, PARQUET: FILE},
+            "description": "One line per row, or columns",
+        }
+    },
+    dependencies=[Depends(reading_turn)],
+)
+def residuals(
+    version: str,
+    database: DatabaseOfApp,
+    campaign: Annotated[list[str] | None, Query(max_length=MAX_NAMED)] = None,
+    format: Literal["csv", "parquet", "json"] = "csv",  # noqa: A002 (the name of the export's parameter)
+) -> Response:
+    """Download what a version leaves of every row, of all campaigns it was made from or of those named.
+
+    Each line has the campaign and the row in it, the error measured minus predicted, its length in standard deviations,
+    half the 95 % interval that expects it, whether the row was set aside, and whether it was held out of the fit.
+    """
+    media = {"csv": CSV, "parquet": PARQUET, "json": JSON}[format]
+    content = service.residuals(database, version, campaign or [], media)
+    headers = {"Content-Disposition": f'attachment; filename="{version}-residuals.{format}"'}
+    return Response(content, media_type=media, headers=headers)
+
+
+@router.get("/versions/{version}/export", response_class=Response, dependencies=[Depends(reading_turn)])
+def export(version: str, database: DatabaseOfApp, format: str = "json") -> Response:  # noqa: A002 (the contract's name)
+    """Download a version in the format of another tool; the header Kilter-Notes says what the file leaves out."""
+    file = service.exported(database, version, format)
+    headers = {"Content-Disposition": f'attachment; filename="{file.name}"'}
+    if file.notes:
+        headers["Kilter-Notes"] = " | ".join(file.notes)
+    return Response(file.text, media_type=file.media_type, headers=headers)

@@ -1,0 +1,108 @@
+"""What can be done with versions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from kilter_service.contract.previews import VersionPreview
+from kilter_service.contract.versions import ActivationList, ParameterChange, Version, VersionDiff, VersionList
+from kilter_service.db import Database, Session
+from kilter_service.errors import ServiceError
+from kilter_service.exporters.exportable import Exportable
+from kilter_service.exporters.registry import Exported, export
+from kilter_service.paging import Page, in_time
+from kilter_service.robots import store as robots
+from kilter_service.versions import store, wire
+from kilter_service.versions.store import ActiveVersion
+from kilter_service.versions.values import Value, wire_values
+
+
+def active_calibrations(session: Session) -> dict[str, ActiveVersion]:
+    """Return the active version of every robot that has one, by robot name."""
+    found = {name: store.active_version(session, name) for name in store.robots_with_active(session)}
+    return {name: version for name, version in found.items() if version is not None}
+
+
+def listed(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
+    """List the versions of a robot; ``with_retired`` those that are out of use too."""
+    with database.reading() as session:
+        found = store.of_robot(session, robots.get(session, robot).id, page, with_retired)
+    shown, cursor = page.cut(found, lambda version: in_time(version.created_at, version.id))
+    return VersionList(versions=[wire.summary(version) for version in shown], next=cursor)
+
+
+def get(database: Database, version_id: str) -> Version:
+    """Return a version."""
+    with database.reading() as session:
+        return wire.version(store.get(session, version_id))
+
+
+def activations(database: Database, robot: str, page: Page) -> ActivationList:
+    """Return who activated which version of a robot, and when."""
+    with database.reading() as session:
+        found = store.activations(session, robots.get(session, robot).id, page)
+    shown, cursor = page.cut(found, lambda entry: (str(entry.id),))
+    return ActivationList(activations=[wire.activation(entry) for entry in shown], next=cursor)
+
+
+def diff(database: Database, a: str, b: str) -> VersionDiff:
+    """Compare two versions of one robot.
+
+    Raises:
+        ServiceError: they are of different robots.
+
+    """
+    with database.reading() as session:
+        first, second = (wire.summary(store.get(session, version)) for version in (a, b))
+        if first.robot != second.robot:
+            raise ServiceError(
+                f"Version {a} is of robot {first.robot!r}, {b} of {second.robot!r}: compare versions of one robot.",
+                code="option_invalid",
+            )
+        values_a, values_b = (wire_values(store.calibration(session, version)) for version in (a, b))
+    names = [*values_a, *(name for name in values_b if name not in values_a)]
+    return VersionDiff(
+        a=a,
+        b=b,
+        effects_added=[effect for effect in second.effects if effect not in first.effects],
+        effects_removed=[effect for effect in first.effects if effect not in second.effects],
+        parameters=[_change(name, values_a.get(name), values_b.get(name)) for name in names],
+        metrics_a=first.metrics,
+        metrics_b=second.metrics,
+    )
+
+
+def _change(name: str, a: Value | None, b: Value | None) -> ParameterChange:
+    return ParameterChange(
+        name=name,
+        unit=(a or b or Value(0.0, "")).unit,
+        a=a.value if a else None,
+        b=b.value if b else None,
+        change=b.value - a.value if a and b else None,
+    )
+
+
+def exported(database: Database, version_id: str, format_name: str) -> Exported:
+    """Return a version as a file of another tool's format."""
+    with database.reading() as session:
+        record = store.get(session, version_id)
+        robot = robots.get(session, record.robot)
+    return export(format_name, Exportable(robot, wire.version(record), record.calibration))
+
+
+def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:
+    """Say how a version would correct, without activating it."""
+    from kilter_service.versions.preview import (
+        preview as looked_at,  # compiled kernels: not at the start of the API process
+    )
+
+    return looked_at(database, version_id, temperature_c)
+
+
+def residuals(database: Database, version_id: str, campaigns: Sequence[str], media: str) -> bytes:
+    """Return what a version leaves of every row of campaigns, as a file."""
+    from kilter_service.versions.residuals import (
+        residuals as table,  # compiled kernels: not at the start of the API process
+    )
+
+    return table(database, version_id, campaigns, media)

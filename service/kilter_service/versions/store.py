@@ -1,0 +1,338 @@
+"""Rows of versions and activations, and what they become in core."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import and_, func, or_, select
+
+from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.db import Session
+from kilter_service.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
+from kilter_service.errors import ServiceError
+from kilter_service.paging import ALL, Page
+from kilter_service.references import retired
+from kilter_service.references import store as references
+from kilter_service.robots import store as robots
+from kilter_service.robots.resolved import sha256_of
+from kilter_service.versions.records import ActivationRecord, VersionRecord
+
+if TYPE_CHECKING:
+    from kilter_core.identify.predictive import Predictive
+    from kilter_core.model import Calibration
+
+
+@dataclass(frozen=True)
+class NewVersion:
+    """A version to store: core's calibration document (SI), the identification's report, covariance and origin."""
+
+    calibration: dict[str, Any]
+    report: dict[str, Any]
+    covariance: dict[str, Any]
+    campaigns: list[dict[str, Any]]
+    limits: dict[str, Any]
+    parent_id: str | None
+    code_version: str
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class ActiveVersion:
+    """The version a robot is corrected with, ready for core.
+
+    ``epoch`` grows with every activation on this server; ``sha256`` is the version's, its number in the stream.
+    ``max_joint`` (rad) and ``max_position`` (m) are the largest correction the version may make.
+    """
+
+    robot: str
+    id: str
+    sha256: str
+    epoch: int
+    calibration: Calibration
+    max_joint: float
+    max_position: float
+
+
+HELD_OUT = "held_out_fraction"  # what a job held out by itself, in the report of its version
+
+
+@dataclass(frozen=True)
+class Training:
+    """What a version was fitted to: campaigns with the hashes of their uploads, in the order of the fit.
+
+    ``fraction`` of the poses was held out by a job of ``kind`` with ``seed``; None when all were fitted. ``unasked`` says
+    that the job held them out by its own rule. ``rounded``: poses were told by rounded readings then.
+    """
+
+    kind: str
+    campaigns: tuple[tuple[str, tuple[str, ...]], ...]
+    fraction: float | None
+    seed: int
+    unasked: bool = False
+    rounded: bool = False
+
+
+ROBOT_HASHED = 2  # the hash scheme of new versions: calibration, limits and the robot's chain
+POSES, BY_DISTANCE = "poses", "by distance"  # versions without it were split by rounded readings
+
+
+def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
+    """Store the version of a job and return its id; the same job again changes nothing."""
+    version_id = f"ver_{job_id.removeprefix('job_')}"
+    if session.get(VersionRow, version_id) is not None:
+        return version_id
+    chain = robots.by_id(session, robot_id).sha256
+    session.add(
+        VersionRow(
+            id=version_id,
+            robot_id=robot_id,
+            parent_id=new.parent_id,
+            job_id=job_id,
+            sha256=sha256_of({"calibration": new.calibration, "limits": new.limits, "robot": chain}),
+            hash_scheme=ROBOT_HASHED,
+            name=references.free_name(session, "version", robot_id, new.name) if new.name else "",
+            robot_sha256=chain,
+            calibration=new.calibration,
+            report={**new.report, POSES: BY_DISTANCE},
+            covariance=new.covariance,
+            campaigns=new.campaigns,
+            limits=new.limits,
+            code_version=new.code_version,
+        )
+    )
+    session.flush()
+    return version_id
+
+
+def get(session: Session, version_id: str) -> VersionRecord:
+    """Return a version.
+
+    Raises:
+        ServiceError: there is none.
+
+    """
+    row = _row(session, version_id)
+    return _record(session, row)
+
+
+def _row(session: Session, version_id: str) -> VersionRow:
+    row = session.get(VersionRow, version_id)
+    if row is None:
+        raise ServiceError(
+            f"There is no version {version_id!r}: list them with GET /v1/robots/{{robot}}/versions."
+            + references.gone(session, "version", version_id),
+            code="version_not_found",
+            version=version_id,
+        )
+    return row
+
+
+def _record(session: Session, row: VersionRow) -> VersionRecord:
+    last = active_entry(session, row.robot_id)
+    return VersionRecord(
+        id=row.id,
+        robot_id=row.robot_id,
+        robot=robots.by_id(session, row.robot_id).name,
+        active=last is not None and last.version_id == row.id,
+        parent_id=row.parent_id,
+        job_id=row.job_id,
+        created_at=row.created_at,
+        code_version=row.code_version,
+        sha256=row.sha256,
+        calibration=row.calibration,
+        report=row.report,
+        covariance=row.covariance,
+        campaigns=row.campaigns,
+        limits=row.limits,
+        hash_scheme=row.hash_scheme,
+        robot_sha256=row.robot_sha256,
+        name=row.name,
+        notes=row.notes,
+        retired_at=row.retired_at,
+    )
+
+
+def usable(session: Session, version_id: str) -> VersionRecord:
+    """Return a version that is in use.
+
+    Raises:
+        ServiceError: there is none, or it is retired.
+
+    """
+    found = get(session, version_id)
+    retired.refuse("version", found.id, found.retired_at)
+    return found
+
+
+def change(session: Session, version_id: str, name: str | None, notes: str | None) -> None:
+    """Write what people call a version and note on it; None stays as it is."""
+    row = _row(session, version_id)
+    row.name, row.notes = row.name if name is None else name, row.notes if notes is None else notes
+    session.flush()
+
+
+def retire(session: Session, version_id: str, actor: str) -> None:
+    """Take a version out of use; again changes nothing."""
+    retired.retire(_row(session, version_id), actor)
+    session.flush()
+
+
+def restore(session: Session, version_id: str) -> None:
+    """Bring a version back into use."""
+    retired.restore(_row(session, version_id))
+    session.flush()
+
+
+def remove(session: Session, version_id: str) -> None:
+    """Delete a version."""
+    session.delete(_row(session, version_id))
+    session.flush()
+
+
+def citing_campaign(session: Session, robot_id: int, campaign_id: str) -> list[str]:
+    """Return the versions that were made from a campaign."""
+    rows = session.execute(select(VersionRow.id, VersionRow.campaigns).where(VersionRow.robot_id == robot_id))
+    return [version for version, campaigns in rows if any(used["id"] == campaign_id for used in campaigns)]
+
+
+def citing_version(session: Session, robot_id: int, version_id: str) -> list[str]:
+    """Return the versions that continue a version, whether it was ever active, and the jobs not over that use it."""
+    children = session.execute(select(VersionRow.id).where(VersionRow.parent_id == version_id)).scalars().all()
+    once = select(func.count()).where(ActivationRow.version_id == version_id)
+    logged = ["the log of activations"] if session.execute(once).scalar_one() else []
+    jobs = session.execute(select(JobRow).where(JobRow.robot_id == robot_id, JobRow.state.not_in(FINAL))).scalars()
+    return [*children, *logged, *(job.id for job in jobs if version_id in json.dumps(job.request))]
+
+
+def of_robot(session: Session, robot_id: int, page: Page = ALL, with_retired: bool = False) -> list[VersionRecord]:
+    """Return the versions of a robot, newest first, one more than the page shows; those out of use only when asked for."""
+    row = VersionRow
+    query = select(row).where(row.robot_id == robot_id).order_by(row.created_at.desc(), row.id)
+    if not with_retired:
+        query = query.where(row.retired_at.is_(None))
+    if page.moment is not None:
+        moment, key = page.moment
+        query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
+    return [_record(session, found) for found in session.execute(query.limit(page.fetched)).scalars()]
+
+
+def calibration(session: Session, version_id: str) -> Calibration:
+    """Build core's calibration of a version."""
+    from kilter_core.model import Calibration  # loads compiled kernels: not at the start of the API process
+
+    row = _row(session, version_id)
+    return Calibration.from_document(robots.core_robot(session, row.robot_id), row.calibration)
+
+
+def covariance(session: Session, version_id: str) -> dict[str, Any]:
+    """Return what a version knows about its parameters: {names, matrix, units}, empty when it was not identified."""
+    return dict(_row(session, version_id).covariance)
+
+
+def known(session: Session, version_id: str) -> Predictive | None:
+    """Return how far a version says the arm may be from it; None when it has no covariance."""
+    from kilter_core.identify.predictive import Predictive
+
+    row = _row(session, version_id)
+    return Predictive.from_document(row.covariance, row.report)
+
+
+def active_stamp(session: Session) -> int:
+    """Return a number that changes whenever any robot's active version does; cheap enough to poll every 100 ms.
+
+    The corrector's way to follow activations without HTTP: poll this, and when it differs from the last one, call
+    `active_version` for the robots it serves (or `kilter_service.versions.service.active_calibrations` for all).
+    """
+    return session.execute(select(func.coalesce(func.max(ActivationRow.id), 0))).scalar_one()
+
+
+def active_version(session: Session, robot: str) -> ActiveVersion | None:
+    """Return the version the robot of this name is corrected with; None when none was ever activated."""
+    last = active_entry(session, robots.get(session, robot).id)
+    if last is None:
+        return None
+    row = _row(session, last.version_id)
+    limits = CorrectionLimits(**row.limits)
+    return ActiveVersion(
+        robot=robot,
+        id=row.id,
+        sha256=row.sha256,
+        epoch=last.id,
+        calibration=calibration(session, row.id),
+        max_joint=math.radians(limits.max_joint_deg),
+        max_position=limits.max_position_mm * 1e-3,
+    )
+
+
+def active_entry(session: Session, robot_id: int) -> ActivationRecord | None:
+    """Return the last activation of a robot, the one that holds."""
+    query = select(ActivationRow).where(ActivationRow.robot_id == robot_id).order_by(ActivationRow.id.desc()).limit(1)
+    row = session.execute(query).scalar_one_or_none()
+    return None if row is None else _entry(row)
+
+
+def activations(session: Session, robot_id: int, page: Page = ALL) -> list[ActivationRecord]:
+    """Return the log of a robot's active versions, newest first, one more than the page shows."""
+    query = select(ActivationRow).where(ActivationRow.robot_id == robot_id).order_by(ActivationRow.id.desc())
+    if page.number is not None:
+        query = query.where(ActivationRow.id < page.number)
+    return [_entry(row) for row in session.execute(query.limit(page.fetched)).scalars()]
+
+
+def _entry(row: ActivationRow) -> ActivationRecord:
+    return ActivationRecord(
+        row.id, row.robot_id, row.version_id, row.action, row.actor, row.at, row.forced, row.reason, row.objections
+    )
+
+
+def activate(
+    session: Session,
+    robot_id: int,
+    version_id: str,
+    action: str,
+    actor: str,
+    *,
+    forced: bool = False,
+    reason: str = "",
+    objections: Sequence[Mapping[str, str]] = (),
+) -> None:
+    """Write into the log that a version is active from now on."""
+    session.add(
+        ActivationRow(
+            robot_id=robot_id,
+            version_id=version_id,
+            action=action,
+            actor=actor,
+            forced=forced,
+            reason=reason,
+            objections=[dict(objection) for objection in objections],
+        )
+    )
+    session.flush()
+
+
+def trainings(session: Session, version_id: str) -> list[Training]:
+    """Return what a version was fitted to, and what those were that it continues: their rows are in it too."""
+    found, following = [], session.get(VersionRow, version_id)
+    while following is not None:
+        request = session.get_one(JobRow, following.job_id)
+        held, options = request.request.get("validation"), request.request.get("options", {})
+        used = [(c["id"], tuple(c["sha256"])) for c in following.campaigns if c["use"] == "train"]
+        asked = held if isinstance(held, float) and held > 0.0 else None
+        unasked = following.report.get(HELD_OUT) if held is None else None
+        campaigns, seed = tuple(dict.fromkeys(used)), int(options.get("seed", 0))
+        rounded = POSES not in following.report
+        found.append(Training(request.kind, campaigns, asked or unasked, seed, unasked is not None, rounded))
+        following = None if following.parent_id is None else session.get(VersionRow, following.parent_id)
+    return found
+
+
+def robots_with_active(session: Session) -> list[str]:
+    """Return the names of the robots that have an active version."""
+    query = select(RobotRow.name).where(RobotRow.id.in_(select(ActivationRow.robot_id))).order_by(RobotRow.name)
+    return list(session.execute(query).scalars())

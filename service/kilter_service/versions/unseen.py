@@ -1,0 +1,170 @@
+"""The rows of a robot that versions were not fitted to: always whole poses, for a repeat of a pose tells its errors."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import CoreError
+from kilter_service.campaigns import store as campaigns
+from kilter_service.db import Session
+from kilter_service.robots import store as robots
+from kilter_service.versions import store
+from kilter_service.versions.store import Training
+
+if TYPE_CHECKING:
+    from kilter_core.observations import Observations
+    from kilter_core.robot import Robot
+
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+MOST_ROWS = 1_000_000  # read of campaigns nobody trained on, the newest first: some seconds
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Rows by campaign, and the campaigns that were left unread or could not be."""
+
+    rows: dict[str, Observations]
+    left_out: dict[str, str]
+
+
+@dataclass
+class Archive:
+    """The rows of one robot as they are stored; every campaign is read once."""
+
+    session: Session
+    robot_id: int
+    left_out: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.robot: Robot = robots.core_robot(self.session, self.robot_id)
+        self._read: dict[str, Observations | None] = {}
+
+    def rows(self, campaign_id: str) -> Observations | None:
+        """All rows of a campaign; None when it has none that can be read."""
+        if campaign_id not in self._read:
+            try:
+                self._read[campaign_id] = campaigns.observations(self.session, campaign_id, self.robot)
+            except CoreError as error:
+                self._read[campaign_id], self.left_out[campaign_id] = None, error.message
+        return self._read[campaign_id]
+
+    def named(self, campaign_id: str, hashes: Collection[str]) -> Bools:
+        """Mark the rows of a campaign that came in uploads with these hashes."""
+        uploads = campaigns.uploads_of(self.session, campaign_id)
+        return np.repeat([u.sha256 in hashes for u in uploads], [u.rows for u in uploads]).astype(bool)
+
+    def fitted(self, version: str, campaign_id: str) -> Bools:
+        """Mark the rows of a campaign that a version, or one that it continues, was fitted to."""
+        trained = _Trained(self)
+        for training in store.trainings(self.session, version):
+            trained.add(training)
+        return trained.mask(campaign_id)
+
+    def unseen(self, versions: Iterable[str]) -> Unseen:
+        """Rows at poses none of these versions was fitted to."""
+        trained = _Trained(self)
+        for version in versions:
+            for training in store.trainings(self.session, version):
+                trained.add(training)
+        poses = trained.poses()
+        out = {}
+        for campaign_id in self._worth_reading(set(trained.rows)):
+            rows = self.rows(campaign_id)
+            if rows is None:
+                continue
+            free = _free(rows, trained.mask(campaign_id), poses)
+            if free.any():
+                out[campaign_id] = rows.select(free)
+        return Unseen(out, dict(self.left_out))
+
+    def _worth_reading(self, always: set[str]) -> list[str]:
+        chosen, read = [], 0
+        for campaign_id in reversed(campaigns.ids_of_robot(self.session, self.robot_id)):
+            count = sum(upload.rows for upload in campaigns.uploads_of(self.session, campaign_id))
+            if count == 0:
+                continue
+            if campaign_id not in always and read + count > MOST_ROWS:
+                self.left_out[campaign_id] = f"Campaign {campaign_id} was not read: newer ones hold rows enough."
+                continue
+            read += 0 if campaign_id in always else count
+            chosen.append(campaign_id)
+        return chosen
+
+
+@dataclass
+class _Trained:
+    """Which rows were fitted: of each campaign a mask, by the hashes of the uploads a version names."""
+
+    archive: Archive
+    rows: dict[str, Bools] = field(default_factory=dict)
+    hashes: set[str] = field(default_factory=set)  # of uploads that were fitted whole
+
+    def add(self, training: Training) -> None:
+        masks = None if training.fraction is None else self._split(training, training.fraction)
+        for campaign_id, hashes in training.campaigns:
+            named = self.archive.named(campaign_id, hashes)
+            mask = self.rows.setdefault(campaign_id, np.zeros(len(named), dtype=bool))
+            if masks is None:
+                self.hashes.update(hashes)
+                mask |= named
+            else:
+                mask[np.flatnonzero(named)[masks[campaign_id]]] = True
+
+    def mask(self, campaign_id: str) -> Bools:
+        """Rows of a campaign that were fitted, there or as the same file in another campaign."""
+        whole = self.archive.named(campaign_id, self.hashes)
+        return whole | self.rows.get(campaign_id, np.zeros(len(whole), dtype=bool))
+
+    def poses(self) -> Floats:
+        """Joints (N, n) of all rows that were fitted."""
+        parts = [(self.archive.rows(campaign_id), mask) for campaign_id, mask in self.rows.items()]
+        fitted = [rows.q[mask] for rows, mask in parts if rows is not None]
+        return np.concatenate([np.zeros((0, self.archive.robot.n_joints)), *fitted])
+
+    def _split(self, training: Training, fraction: float) -> dict[str, Bools] | None:
+        """Rows fitted of each campaign's named uploads, as the job drew them; None when that cannot be told any more."""
+        from kilter_core.observations import Observations
+        from kilter_core.poses import rounded_poses
+
+        try:
+            parts = [
+                campaigns.observations(self.archive.session, c, self.archive.robot, only=hashes)
+                for c, hashes in training.campaigns
+            ]
+            whole = Observations.concatenate(campaigns.numbered(parts))
+            if training.rounded and whole.pose_id is None:
+                whole = replace(whole, pose_id=rounded_poses(whole.q))
+            inside = np.zeros(len(whole), dtype=bool)
+            inside[_draw(training, whole, fraction)] = True
+        except (CoreError, KeyError):
+            return None
+        ends = np.cumsum([len(part) for part in parts])[:-1]
+        return dict(zip((c for c, _ in training.campaigns), np.split(inside, ends), strict=True))
+
+
+def _draw(training: Training, rows: Observations, fraction: float) -> Ints:
+    """Indices of the rows that a job fits when a fraction is held out."""
+    from kilter_core.gap.holding import held_out
+    from kilter_core.identify.holdout import split
+
+    if training.kind == "gap":
+        return held_out(rows, None if training.unasked else fraction, training.seed)[0]
+    return split(rows, fraction, training.seed)[0]
+
+
+def _free(rows: Observations, trained: Bools, poses: Floats) -> Bools:
+    """Rows whose whole pose is neither fitted nor at the joint readings of a pose that was."""
+    from kilter_core.poses import numbered_poses
+
+    numbers = numbered_poses(np.concatenate([poses, rows.q]))
+    seen = trained | np.isin(numbers[len(poses) :], numbers[: len(poses)])
+    groups = numbers[len(poses) :] if rows.pose_id is None else rows.pose_groups()
+    return np.asarray(~np.isin(groups, np.unique(groups[seen])))

@@ -1,0 +1,36 @@
+"""All values of a calibration in mm and degrees, with base and tool as whole frames."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from kilter_core.model import Calibration
+
+FRAME = (("x", "mm"), ("y", "mm"), ("z", "mm"), ("rx", "deg"), ("ry", "deg"), ("rz", "deg"))
+
+
+class Value(NamedTuple):
+    """A number and its unit."""
+
+    value: float
+    unit: str
+
+
+def wire_values(calibration: Calibration) -> dict[str, Value]:
+    """Return every parameter by name; base and tool as x, y, z and rx, ry, rz of the frame (URDF order)."""
+    from kilter_core.identify.report import WIRE  # these import scipy: not at the start of the API process
+    from kilter_core.transforms import xyz_rpy_from_pose
+
+    model, values = calibration.model.folded(calibration.values)
+    out = {}
+    for parameter, value in zip(model.parameters, values, strict=True):
+        unit, scale = WIRE.get(parameter.unit, (parameter.unit, 1.0))
+        out[parameter.name] = Value(float(value) * scale, unit)
+    for which, T in (("base", model.T_base), ("tool", model.T_tool)):
+        xyz, rpy = xyz_rpy_from_pose(np.asarray(T))
+        numbers = [*(xyz * 1e3), *np.degrees(rpy)]
+        out |= {f"{which}_{k}": Value(float(v), unit) for (k, unit), v in zip(FRAME, numbers, strict=True)}
+    return out

@@ -1,0 +1,142 @@
+"""Versions and activations as they go over the wire."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal
+
+from kilter_service.contract.fits import Covariance, Metrics, NullDirection, Parameter, Remark
+from kilter_service.contract.previews import JointPreview, VersionPreview
+from kilter_service.contract.versions import (
+    Activation,
+    CorrectionLimits,
+    Details,
+    Objection,
+    Rival,
+    UsedCampaign,
+    Version,
+    VersionSummary,
+)
+from kilter_service.contract.written import as_written
+from kilter_service.versions.objections import objections_of
+from kilter_service.versions.records import ActivationRecord, VersionRecord
+from kilter_service.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from kilter_core.compare import Difference
+    from kilter_service.versions.preview import Foreseen
+
+    Floats = NDArray[np.float64]
+
+OF_ITS_OWN = ("parameters", "null_directions", "noise_mm", "warnings", "metrics")  # parts of a report with fields
+
+
+def version(record: VersionRecord) -> Version:
+    """Say all a version holds."""
+    report, limits = record.report, CorrectionLimits(**record.limits)
+    return Version(
+        **_told(record),
+        sha256=record.sha256,
+        hash_scheme=record.hash_scheme,
+        robot_sha256=record.robot_sha256,
+        campaigns=as_written(list[UsedCampaign], record.campaigns),
+        limits=limits,
+        parameters=as_written(list[Parameter], report.get("parameters") or []),
+        null_directions=as_written(list[NullDirection], report.get("null_directions") or []),
+        noise_mm=report.get("noise_mm"),
+        warnings=as_written(list[Remark], report.get("warnings") or []),
+        objections=objections_of(report, limits),
+        details=as_written(Details, {key: value for key, value in report.items() if key not in OF_ITS_OWN}),
+        covariance=as_written(Covariance, record.covariance),
+    )
+
+
+def summary(record: VersionRecord) -> VersionSummary:
+    """Say what lists tell of a version."""
+    return VersionSummary(**_told(record))
+
+
+def _told(record: VersionRecord) -> dict[str, Any]:
+    return {
+        "id": record.id,
+        "robot": record.robot,
+        "active": record.active,
+        "parent_id": record.parent_id,
+        "job_id": record.job_id,
+        "created_at": record.created_at,
+        "code_version": record.code_version,
+        "effects": [effect["id"] for effect in record.calibration["effects"]],
+        "metrics": as_written(Metrics, record.report.get("metrics") or {}),
+        "name": record.name,
+        "notes": record.notes,
+        "retired_at": record.retired_at,
+    }
+
+
+def activation(record: ActivationRecord) -> Activation:
+    """Say what an entry of the log tells."""
+    return Activation(
+        version_id=record.version_id,
+        action=record.action,
+        actor=record.actor,
+        at=record.at,
+        forced=record.forced,
+        reason=record.reason,
+        objections=as_written(list[Objection], record.objections),
+    )
+
+
+def rival(difference: Difference, errors: Floats) -> Rival:
+    """Say how a version compares with another, whose ``errors (P,)`` m by pose are given."""
+    return Rival(
+        poses=len(errors),
+        mean_mm=to_mm(float(errors.mean())),
+        larger_by_mm=to_mm(difference.mean),
+        margin_mm=to_mm(difference.margin),
+    )
+
+
+def preview(found: Foreseen, within: Literal["campaigns", "limits"], temperature_c: float | None) -> VersionPreview:
+    """Say how a version would correct."""
+    scale, units = joint_scale(found.robot), joint_units(found.robot)
+    at = None if found.largest_at is None else [float(v) * k for v, k in zip(found.largest_at, scale, strict=True)]
+    sizes = [None] * len(scale) if found.joints is None else (found.joints * scale).tolist()
+    return VersionPreview(
+        version_id=found.version_id,
+        within=within,
+        poses=found.poses,
+        corrected=found.corrected,
+        refused=found.refused,
+        mean_mm=None if found.mean is None else to_mm(found.mean),
+        largest_mm=None if found.largest is None else to_mm(found.largest),
+        largest_at=None if at is None else [round(value, 4) for value in at],
+        joints=[
+            JointPreview(
+                joint=joint.name,
+                largest_deg=size if unit == "deg" else None,
+                largest_mm=size if unit == "mm" else None,
+            )
+            for joint, unit, size in zip(found.robot.joints, units, sizes, strict=True)
+        ],
+        unsupported_effects=found.unsupported,
+        temperature_c=temperature_c,
+    )
+
+
+def noise_of(report: dict[str, Any]) -> tuple[float, float]:
+    """Read what a stored report says of the scatter of a point (m) and of a turn (rad); nan where it says nothing."""
+    scale = report.get("scale") or {"point_mm": report.get("noise_mm") or float("nan"), "turn_deg": float("nan")}
+    return to_metres(float(scale["point_mm"])), to_rad(float(scale["turn_deg"]))
+
+
+def residual_columns(error: Floats, u95: Floats, turn: Floats, size: Floats) -> dict[str, Any]:
+    """Say what is left of rows: errors and half intervals (N, 3) m, turns (N,) rad, and their length (N,) in sigma."""
+    import numpy as np
+    import pyarrow as pa
+
+    columns = {f"d{axis}_mm": to_mm(error[:, k]) for k, axis in enumerate("xyz")}
+    columns |= {"turn_deg": to_deg(turn), "residual_sigma": size}
+    columns |= {f"u95_{axis}_mm": to_mm(u95[:, k]) for k, axis in enumerate("xyz")}
+    return {name: pa.array(values, pa.float64(), mask=np.isnan(values)) for name, values in columns.items()}

@@ -1,0 +1,57 @@
+"""Lengths and angles between the service, which counts in m and rad, and the wire, which counts in mm and degrees.
+
+Numbers and arrays alike. Whoever draws a figure or writes a sentence takes these too: no other module multiplies.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from kilter_core.robot import Robot
+
+T = TypeVar("T", float, "NDArray[np.float64]")
+
+MM = 1e3  # in a metre
+METRE = 1e-3  # in a millimetre
+DEG = 180.0 / math.pi  # in a radian
+RAD = math.pi / 180.0  # in a degree
+
+
+def to_mm(metres: T) -> T:
+    """Return a length in mm."""
+    return metres * MM
+
+
+def to_metres(millimetres: T) -> T:
+    """Return a length in m."""
+    return millimetres * METRE
+
+
+def to_deg(radians: T) -> T:
+    """Return an angle in degrees."""
+    return radians * DEG
+
+
+def to_rad(degrees: T) -> T:
+    """Return an angle in rad."""
+    return degrees * RAD
+
+
+def joint_units(robot: Robot) -> list[str]:
+    """Return the unit of each joint's reading: "deg", or "mm" of one that slides."""
+    return ["mm" if joint.kind == "prismatic" else "deg" for joint in robot.joints]
+
+
+def joint_scale(robot: Robot) -> list[float]:
+    """Return what turns each joint's reading (rad or m) into that unit."""
+    return [MM if unit == "mm" else DEG for unit in joint_units(robot)]
+
+
+def joint_scale_back(robot: Robot) -> list[float]:
+    """Return what turns each joint's reading in its unit into rad or m."""
+    return [METRE if unit == "mm" else RAD for unit in joint_units(robot)]
