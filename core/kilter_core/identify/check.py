@@ -39,6 +39,7 @@ Bools = NDArray[np.bool_]
 ASSUMED_M = 5e-5  # standard deviation of a coordinate where neither repeats nor options say it
 FEWEST_DRAWN, MOST_DRAWN = 30, 200  # poses that a remedy is tried with: as many as were measured, between these
 TENFOLD = 10.0
+BOUNDLESS = 1e6  # times all that the remedies bring: what is not seen then is not seen at all
 SECOND_KG = 1.0  # the payload that is tried beside those of the rows
 TRIED = frozenset(
     {"moments", "direction"}
@@ -50,6 +51,7 @@ BOTH = "Measure the orientation of the tool too, in poses that spread all joints
 LOADED = "Repeat poses with a second payload: the geometry cancels, the load does not."
 SIDES = "Approach the same poses from both sides with every joint, and say it in dir1, dir2 and so on."
 MORE = "Measure ten times as many poses, or with a third of the noise."
+HARDLY = "Even ten times as many poses would not tell it: measure with far less noise, or hold it (`fix`)."
 NEVER = "No pose of the tool tells it from the others here: hold it (`fix`), the fit loses nothing by that."
 
 
@@ -134,7 +136,9 @@ def _unknown(
     """Every parameter that is not known, with the first remedy under which it would be."""
     if known.all():
         return
-    tried = [(remedy, told[of_the_arm(whole)]) for remedy, told in _remedies(whole, options)]
+    remedies, arm = list(_remedies(whole, options)), of_the_arm(whole)
+    tried = [(remedy, _told(information)[arm]) for remedy, information in remedies]
+    seen_at_all = _told(BOUNDLESS * np.sum([information for _, information in remedies], axis=0))[arm]
     still = _of_still_joints(fit)
     effects = _effect_remedies(fit.problem.model)
     for k in np.flatnonzero(~known):
@@ -143,7 +147,8 @@ def _unknown(
             remedy = f"Move joint {still[name]} over its range, or hold {name} (`fix`)."
             yield Unknown(name, f"Joint {still[name]} never moves.", remedy)
             continue
-        remedy = next((said for said, told in tried if told[k]), effects.get(name, NEVER))
+        last = effects.get(name, HARDLY if seen_at_all[k] else NEVER)
+        remedy = next((said for said, told in tried if told[k]), last)
         yield Unknown(name, _reason(name, directions, fit, int(k)), remedy)
 
 
@@ -165,32 +170,32 @@ def _effect_remedies(model: RobotModel) -> dict[str, str]:
     return out
 
 
-def _remedies(fit: Fit, options: IdentifyOptions) -> Iterator[tuple[str, Bools]]:
-    """Remedies, the easiest first, and which parameters (F,) each would make known beside the rows that there are."""
+def _remedies(fit: Fit, options: IdentifyOptions) -> Iterator[tuple[str, Floats]]:
+    """Remedies, the easiest first, and the information (F, F) that there would be with what each adds to the rows."""
     own = _information(fit.problem, fit.values)
     drawn = _drawn(fit)
     spread = own + _information(_measured(fit, drawn, options, turned=False), fit.values)
-    yield SPREAD, _told(spread)
+    yield SPREAD, spread
     if not fit.problem.measurement.sees_orientation:
         here = fit.problem.measurement.observations
-        yield TURNED, _told(own + _information(_measured(fit, here, options, turned=True), fit.values))
-        yield BOTH, _told(spread + _information(_measured(fit, drawn, options, turned=True), fit.values))
+        yield TURNED, own + _information(_measured(fit, here, options, turned=True), fit.values)
+        yield BOTH, spread + _information(_measured(fit, drawn, options, turned=True), fit.values)
     yield from _conditions(fit, options, own)
-    yield MORE, _told(TENFOLD * own)
+    yield MORE, TENFOLD * own
 
 
-def _conditions(fit: Fit, options: IdentifyOptions, own: Floats) -> Iterator[tuple[str, Bools]]:
+def _conditions(fit: Fit, options: IdentifyOptions, own: Floats) -> Iterator[tuple[str, Floats]]:
     """The same poses under other conditions: where an effect reads them."""
     rows = fit.problem.measurement.observations
     needs = frozenset[str]().union(*(effect.needs for effect in fit.problem.model.effects))
     if "moments" in needs:
         heavier = (np.zeros(len(rows)) if rows.payload_kg is None else rows.payload_kg) + SECOND_KG
         loaded = _measured(fit, replace(rows, payload_kg=heavier), options, turned=False)
-        yield LOADED, _told(own + _information(loaded, fit.values))
+        yield LOADED, own + _information(loaded, fit.values)
     if "direction" in needs:
         both = np.random.default_rng(0).choice([-1.0, 1.0], rows.q.shape)
         sides = _measured(fit, replace(rows, direction=both), options, turned=False)
-        yield SIDES, _told(own + _information(sides, fit.values))
+        yield SIDES, own + _information(sides, fit.values)
 
 
 def _information(problem: Problem, values: Floats) -> Floats:
