@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from kilter_client.cli.digits import decimals, ends, estimate
 from kilter_client.cli.load_model_report import show_load_model
 from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
+from kilter_client.results.digits import decimals, ends, estimate
 
 NOMINAL_DIGITS = 7  # the robot as drawn is exact
 MANY_WEIGHTS = 12  # learned weights from which a line stands for all of them

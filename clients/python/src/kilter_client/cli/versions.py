@@ -12,12 +12,12 @@ from kilter_client.calls.versions import NOMINAL
 from kilter_client.cli import keeping
 from kilter_client.cli.activation_report import show_activations, show_active
 from kilter_client.cli.arguments import Json, Retired, Robot, VersionId
-from kilter_client.cli.digits import decimals, estimate
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.references import OfRobot, resolved
 from kilter_client.cli.results import show_version
 from kilter_client.cli.tables import number, show_rows
 from kilter_client.errors import FileError, UsageError
+from kilter_client.results.digits import decimals, estimate
 
 group = typer.Typer(
     help="List, name, retire and purge versions; without a command, list those of a robot.",

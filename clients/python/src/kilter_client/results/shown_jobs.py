@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+from kilter_client.results.digits import decimals, ends, estimate
 from kilter_client.results.shown import Asking, Shown
-from kilter_client.results.tables import as_known, html_table, number
+from kilter_client.results.tables import html_table, number
 
 if TYPE_CHECKING:
     from kilter_client.results.rows import Rows
@@ -16,19 +17,18 @@ if TYPE_CHECKING:
 def parameter_table(parameters: Sequence[Any]) -> str:
     """Return the parameters for a notebook: nominal, change and interval, no digits beyond what is known."""
     return html_table(
-        ("parameter", "nominal", "change", "95 % interval", "sigma", "unit", ""),
+        ("parameter", "nominal", "value", "change", "95 % interval", "unit", ""),
         [_parameter(one) for one in parameters],
         "parameters",
     )
 
 
 def _parameter(one: Any) -> tuple[str, ...]:
-    known = one.lower is not None and one.upper is not None
-    interval = f"{as_known(one.lower, one.sigma)} to {as_known(one.upper, one.sigma)}" if known else ""
-    change = one.value if one.nominal is None else one.change
+    places = decimals(one.sigma)
+    interval = ends(one.value, one.sigma, one.lower, one.upper)
     remark = one.reason or ("not identifiable" if one.identifiable is False else "")
-    sigma = number(one.sigma, 2)
-    return (one.name, number(one.nominal), as_known(change, one.sigma), interval, sigma, one.unit or "", remark)
+    found = (estimate(one.value, places), estimate(one.change, places))
+    return (one.name, number(one.nominal), *found, interval, one.unit or "", remark)
 
 
 class ShownFit(Shown, Asking):

@@ -84,18 +84,11 @@ def array_of(numpy: Any, values: Sequence[Any]) -> Any:
     return numpy.array(["" if v is None else str(v) for v in values])
 
 
-def number(value: Any, digits: int = 5) -> str:
+def number(value: Any, digits: int = 4) -> str:
     """Write a value shortly, nothing for None."""
     if value is None:
         return ""
-    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
-
-
-def as_known(value: float | None, sigma: float | None) -> str:
-    """Write a value with no digits beyond two of its standard deviation."""
-    if value is None or not sigma or not math.isfinite(sigma):
-        return number(value)
-    return f"{value:.{min(max(1 - math.floor(math.log10(sigma)), 0), 12)}f}"
+    return f"{value + 0.0:.{digits}g}" if isinstance(value, float) else str(value)  # no -0
 
 
 def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> str:
