@@ -15,7 +15,7 @@ import httpx
 import pytest
 
 from kilter_client import Kilter, ServerUnreachableError
-from kilter_client import jobs as waiting
+from kilter_client.calls import jobs as waiting
 
 Write = Callable[..., Path]
 READY_S = 120

@@ -30,6 +30,7 @@ from kilter_service.versions.store import NewVersion
 
 if TYPE_CHECKING:
     from kilter_core.observations import Observations
+    from kilter_core.robot import Robot
 
 MOST_PAST = 20  # earlier jobs that tell how long one takes
 
@@ -160,7 +161,14 @@ def input_of(session: Session, robot_id: int, kind_name: str, request: JobReques
         driven=campaigns.driven(session, robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
         confirmation=rows_of(request.confirmation),
+        default_load=_default_load(session, request, robot),
     )
+
+
+def _default_load(session: Session, request: JobRequest, robot: Robot) -> tuple[str, ...]:
+    """Campaigns of a job that state no payload, so that the robot's default load counts."""
+    named = dict.fromkeys((*request.campaigns, *request.held, *request.confirmation))
+    return () if robot.load is None else tuple(c for c in named if not campaigns.states_a_load(session, c))
 
 
 def start_of(session: Session, robot_id: int, kind: JobKind, request: JobRequest) -> str | None:

@@ -16,6 +16,7 @@ from kilter_service.jobs.pictures import pictures
 from kilter_service.jobs.plain import plain
 from kilter_service.jobs.poses import Pose, document_of
 from kilter_service.versions.store import HELD_OUT
+from kilter_service.wire import to_metres
 
 if TYPE_CHECKING:
     from kilter_core.gap import GapOptions as Asked
@@ -115,7 +116,7 @@ def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
 def _metres(place_mm: Sequence[float] | None) -> tuple[float, float, float] | None:
     if place_mm is None:
         return None
-    x, y, z = (1e-3 * value for value in place_mm)
+    x, y, z = (to_metres(value) for value in place_mm)
     return x, y, z
 
 

@@ -302,7 +302,7 @@ COLUMNS: list[dict[str, str]] = [
     },
     {
         "columns": "tipx_mm, tipy_mm, tipz_mm",
-        "meaning": "beside markers: a point of the tool digitised with a probe while they were seen, which then is the tool point instead of their mean. Empty cells where it was not",
+        "meaning": "beside markers: a point of the tool digitised with a probe while they were seen; it is the tool point then, not their mean. Empty cells where it was not",
     },
     {
         "columns": "socket_id, plane_id",
