@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +18,7 @@ from kilter_service.correction.wire import options_of
 from kilter_service.corrector.frames import Status
 from kilter_service.db import Database
 from kilter_service.versions import store, wire
-from kilter_service.versions.records import VersionRecord
+from kilter_service.versions.records import Foreseen, VersionRecord
 
 if TYPE_CHECKING:
     from kilter_core.robot import Robot
@@ -30,24 +29,6 @@ MOST_POSES = 2000
 DRAWN_POSES = 500
 FREE_TURN_RAD, FREE_SHIFT_M = math.pi, 0.5  # of a joint without limits
 WIDEST = CorrectionLimits(max_joint_deg=30.0, max_position_mm=200.0)
-
-
-@dataclass(frozen=True)
-class Foreseen:
-    """What a version would do, m and rad: movement of the tool, ``mean`` and ``largest``, with the joints (n,) there;
-    ``joints (n,)`` the largest correction of each.
-    """
-
-    version_id: str
-    robot: Robot
-    poses: int
-    corrected: int
-    refused: dict[str, int]
-    mean: float | None
-    largest: float | None
-    largest_at: Floats | None
-    joints: Floats | None
-    unsupported: list[str]
 
 
 def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:

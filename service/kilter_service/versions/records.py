@@ -1,10 +1,18 @@
-"""Versions and activations as they are stored."""
+"""Versions and activations as they are stored, and what one would do."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from kilter_core.robot import Robot
+
+    Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -48,3 +56,21 @@ class ActivationRecord:
     forced: bool
     reason: str
     objections: list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """What a version would do, m and rad: movement of the tool, ``mean`` and ``largest``, with the joints (n,) there;
+    ``joints (n,)`` the largest correction of each.
+    """
+
+    version_id: str
+    robot: Robot
+    poses: int
+    corrected: int
+    refused: dict[str, int]
+    mean: float | None
+    largest: float | None
+    largest_at: Floats | None
+    joints: Floats | None
+    unsupported: list[str]

@@ -19,7 +19,7 @@ from kilter_service.contract.versions import (
 )
 from kilter_service.contract.written import as_written
 from kilter_service.versions.objections import objections_of
-from kilter_service.versions.records import ActivationRecord, VersionRecord
+from kilter_service.versions.records import ActivationRecord, Foreseen, VersionRecord
 from kilter_service.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from kilter_core.compare import Difference
-    from kilter_service.versions.preview import Foreseen
 
     Floats = NDArray[np.float64]
 
