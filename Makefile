@@ -10,7 +10,7 @@ TESTERS ?= 2
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract coverage bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds thesis silent-rows image fmt clean
+.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract coverage bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds frozen thesis silent-rows image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -111,6 +111,9 @@ blind-pairs: $(READY) ## hunt the same campaigns with right and with wrong masse
 
 blind-thresholds: $(READY) ## score every threshold of the gap finder at half and double (SEARCH=1: also those of the search, hours)
 	$(BIN)/python -m tests.blind.thresholds --write $(if $(SEARCH),--search)
+
+frozen: $(KERNELS) ## compare hunts, identifications and setpoints with those of another commit, bit for bit (BASE=HEAD~1 WITHIN=1e-9 CASES=100)
+	sh tools/frozen.sh $(or $(BASE),HEAD~1) $(or $(WITHIN),0) $(or $(CASES),100)
 
 thesis: $(KERNELS) ## do the thesis's experiments again on simulated arms and write their pages
 	$(BIN)/python -m tools.thesis_reproduction
