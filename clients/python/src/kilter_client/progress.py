@@ -53,7 +53,7 @@ class _Bars:
     def __enter__(self) -> Progress:
         kind = type(self)
         if kind._shown is None:
-            kind._shown = _group()
+            kind._shown = bars(stderr=not in_notebook())
             kind._shown.start()
         kind._used += 1
         return kind._shown
@@ -66,7 +66,8 @@ class _Bars:
             kind._shown = None
 
 
-def _group() -> Progress:
+def bars(stderr: bool) -> Progress:
+    """Return a group of bars that goes when all is done, on stderr or where the notebook shows it."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -75,6 +76,6 @@ def _group() -> Progress:
         BarColumn(),
         TaskProgressColumn(),
         TimeElapsedColumn(),
-        console=Console(stderr=not in_notebook()),
+        console=Console(stderr=stderr),
         transient=True,
     )

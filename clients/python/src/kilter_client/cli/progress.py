@@ -5,13 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from kilter_client.calls.jobs import AWAY
 from kilter_client.cli.output import note
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
+from kilter_client.progress import bars
 
 
 @contextmanager
@@ -20,7 +17,7 @@ def upload_bar(name: str, as_json: bool) -> Iterator[Callable[[int, int], None]]
     if not _watched(as_json):
         yield lambda sent, total: None
         return
-    with _bar() as bar:
+    with bars(stderr=True) as bar:
         task = bar.add_task(f"sending {name}", total=None)
         yield lambda sent, total: bar.update(task, completed=sent, total=total)
 
@@ -31,7 +28,7 @@ def job_bar(name: str, as_json: bool) -> Iterator[Callable[[float, str], None]]:
     if not _watched(as_json):
         yield _said_once(name, as_json)
         return
-    with _bar() as bar:
+    with bars(stderr=True) as bar:
         task = bar.add_task(name, total=1.0)
         yield lambda fraction, stage: bar.update(task, completed=fraction, description=f"{name}: {stage}")
 
@@ -49,17 +46,3 @@ def _said_once(name: str, as_json: bool) -> Callable[[float, str], None]:
 
 def _watched(as_json: bool) -> bool:
     return not as_json and sys.stderr.isatty()
-
-
-def _bar() -> Progress:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )

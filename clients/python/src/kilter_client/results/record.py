@@ -30,7 +30,6 @@ class Record:
     """
 
     RENAMED: ClassVar[Mapping[str, str]] = {}
-    ALSO: ClassVar[Sequence[str]] = ()  # properties that stand in a table beside the fields
 
     document: Mapping[str, Any]
     """What it was read from."""
@@ -105,8 +104,7 @@ class Records(Sequence[T], Tabular, Generic[T]):
 
     def to_dict(self) -> dict[str, list[Any]]:
         """Return the columns by name: fields that are numbers or words, units in their names or in ``unit``."""
-        names = (*scalar_names(self._kind), *self._kind.ALSO)
-        return {name: [getattr(record, name) for record in self._records] for name in names}
+        return {name: [getattr(record, name) for record in self._records] for name in scalar_names(self._kind)}
 
     def __repr__(self) -> str:
         lines = [f"{len(self)} {self._kind.__name__}", *(f"  {record!r}" for record in self._records[:MOST_SHOWN])]

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from kilter_client.errors import MissingPackageError, UsageError
 from kilter_client.results.tables import Tabular
@@ -29,10 +29,8 @@ ERRORS = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "orientation_deg")
 class ShownParameter:
     """A parameter; ``change`` is its value minus nominal, in its unit, None where one of them is not there."""
 
-    ALSO: ClassVar[Sequence[str]] = ("change",)
     nominal: float | None
     value: float | None
-
     change: float | None
 
     def __post_init__(self) -> None:
