@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import OptionError
+from kilter_core.types import Ints
 
 # Why a prior at all: without one a rank-deficient fit wandered to 1e13. These widths hold for machined arms; the data
 # outweigh them a thousandfold wherever they see the parameter.
@@ -35,7 +35,7 @@ class Parameter:
         return self.lower <= value <= self.upper
 
 
-def indices(names: Sequence[str], wanted: Iterable[str]) -> NDArray[np.int64]:
+def indices(names: Sequence[str], wanted: Iterable[str]) -> Ints:
     """Positions of ``wanted`` in ``names``.
 
     Raises:

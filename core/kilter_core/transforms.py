@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-Floats = NDArray[np.float64]
+from kilter_core.types import Floats
 
 
 def pose_from_xyz_rpy(xyz_m: Floats, rpy_rad: Floats) -> Floats:

@@ -54,19 +54,19 @@ class Gate:
 
 
 GATES = (
-    Gate("adequacy.ADEQUATE", "adequate", "adequate", least=True),
-    Gate("verdict.SURE_GAIN", "held_out", "held_out", least=True),
-    Gate("select.MARGIN", "no_empirical_alias", "no_empirical_alias", least=True),
-    Gate("verdict.SHADOWED", "shadowed", "no_empirical_alias", least=False),
-    Gate("verdict.CONTRADICTS", "plausible", "plausible", least=False),
-    Gate("verdict.INCLUDED", "inclusion", "inclusion", least=True, complement=True),
-    Gate("control.SURVIVING", "negative_control", "negative_control", least=False),
-    Gate("replication.AGREES", "confirmation", "confirmation", least=False),
+    Gate("evidence.adequacy.ADEQUATE", "adequate", "adequate", least=True),
+    Gate("evidence.verdict.SURE_GAIN", "held_out", "held_out", least=True),
+    Gate("search.select.MARGIN", "no_empirical_alias", "no_empirical_alias", least=True),
+    Gate("evidence.verdict.SHADOWED", "shadowed", "no_empirical_alias", least=False),
+    Gate("evidence.verdict.CONTRADICTS", "plausible", "plausible", least=False),
+    Gate("evidence.verdict.INCLUDED", "inclusion", "inclusion", least=True, complement=True),
+    Gate("evidence.control.SURVIVING", "negative_control", "negative_control", least=False),
+    Gate("evidence.replication.AGREES", "confirmation", "confirmation", least=False),
 )
 SEARCH = (
-    "select.MARGIN", "select.FAMILY_MARGIN", "select.MOST_JOINTS", "select.SMALLEST_GAIN", "select.CLEARLY_WRONG",
-    "select.HIDING", "scan.CAUTION", "scan.STRICTER", "outliers.CHANCE", "outliers.MOST", "outliers.SUPPLE",
-    "noise.SPIKE", "noise.SPHERICAL", "bases.SEEN", "shadow.FAIR", "testability.BARELY", "holding.SHARE",
+    "search.select.MARGIN", "search.select.FAMILY_MARGIN", "search.select.MOST_JOINTS", "search.select.SMALLEST_GAIN", "search.select.CLEARLY_WRONG",
+    "search.select.HIDING", "search.scan.CAUTION", "search.scan.STRICTER", "search.outliers.CHANCE", "search.outliers.MOST", "search.outliers.SUPPLE",
+    "noise.from_repeats.SPIKE", "noise.from_repeats.SPHERICAL", "search.bases.SEEN", "evidence.shadow.FAIR", "evidence.testability.BARELY", "evidence.holding.SHARE",
 )  # fmt: skip
 
 

@@ -15,9 +15,9 @@ import typer
 
 from kilter_client.cli import run
 from kilter_client.cli.catalogue import CATALOGUE, ENTRIES
+from kilter_core.arm.presets import preset_names
 from kilter_core.effects import EFFECTS
-from kilter_core.identify.methods import ESTIMATORS
-from kilter_core.robots import preset_names
+from kilter_core.identify.methods.registry import METHODS
 from kilter_service.campaigns import columns as contract
 from kilter_service.exporters.registry import FORMATS as EXPORTS
 
@@ -92,7 +92,7 @@ def test_lists_hold_what_there_is(no_settings: None, capsys: Capture) -> None:
     assert effects["backlash"]["acts_on"] == "joints"
     assert effects["measurement_scale"]["acts_on"] == "instrument"
     assert all((effect["needs"] != "") == bool(EFFECTS[name].needs) for name, effect in effects.items())
-    assert [method["id"] for method in listed(capsys, "methods")] == list(ESTIMATORS)
+    assert [method["id"] for method in listed(capsys, "methods")] == list(METHODS)
     presets = {preset["id"]: preset for preset in listed(capsys, "presets")}
     assert set(presets) == set(preset_names())
     assert (presets["panda"]["joints"], presets["irb120"]["masses"]) == ("7", "no masses")

@@ -28,9 +28,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.effects.base import Batch, Effect, Floats, Local
+from kilter_core.arm.robot import Robot
+from kilter_core.effects.base import Batch, Effect, Local
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
+from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
@@ -53,11 +54,12 @@ class ToyWobble(Effect):
 USE_EFFECT = """
 import numpy as np
 from kilter_core.effects import make_effect
-from kilter_core.gap.candidates import library_of
+from kilter_core.gap.search.candidates import library_of
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from tests.contract.test_docs import test_every_effect_is_documented
 from kilter_service.jobs.registry import kind_of
 from kilter_service.jobs.refusals import read_options
@@ -104,7 +106,8 @@ import numpy as np
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_service.jobs.registry import kind_of
 from kilter_service.jobs.refusals import read_options
 
@@ -207,7 +210,8 @@ COUNT_JOB = '''class CountJob(_Job):
 USE_KIND = """
 import numpy as np
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from pydantic import TypeAdapter
 from kilter_service.contract.jobs.job import NewJob
 from kilter_service.jobs.kind import JobInput
@@ -235,7 +239,8 @@ def names_txt(version: Exportable) -> Written:
 USE_EXPORT = """
 from types import SimpleNamespace
 from kilter_core.model import Calibration
-from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_service.exporters.registry import FORMATS, export
 
 about = SimpleNamespace(robot="arm", id="ver_1")
@@ -254,7 +259,7 @@ def lined(path: str, *lines: tuple[str, str]) -> str:
     return text
 
 
-METHODS, EFFECTS = "core/kilter_core/identify/methods.py", "core/kilter_core/effects/registry.py"
+METHODS, EFFECTS = "core/kilter_core/identify/methods/registry.py", "core/kilter_core/effects/registry.py"
 FILES = "clients/files/kilter_files/__init__.py"
 KINDS, FORMATS = "service/kilter_service/jobs/registry.py", "service/kilter_service/exporters/registry.py"
 JOBS = "service/kilter_service/contract/jobs/job.py"
@@ -275,10 +280,8 @@ ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
         PAGE: lined(PAGE, ("| `encoder_scale` |", ROW)),
     }, USE_EFFECT),
     "method": (2, {
-        "core/kilter_core/identify/toy_twice.py": METHOD,
-        METHODS: lined(METHODS, ("from kilter_core.measurement import",
-                                  "from kilter_core.identify.toy_twice import toy_twice\n"),
-                       ('    "kalman": Method', '    "toy_twice": Method(toy_twice, minimum=True, lets_rows_go=True),\n')),
+        "core/kilter_core/identify/methods/toy_twice.py": METHOD,
+        METHODS: lined(METHODS, ('    "kalman": Method', '    "toy_twice": Method("methods.toy_twice:toy_twice", "twice", True, True),\n')),
     }, USE_METHOD),
     "reader": (2, {
         "clients/files/kilter_files/toy.py": READER,
@@ -308,8 +311,8 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("copy")
     for folder in COPIED:
         shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__", "kernels"))
-    kernels = "core/kilter_core/kernels"
-    (root / kernels).symlink_to(REPOSITORY / kernels, target_is_directory=True)
+    for kernels in (REPOSITORY / "core/kilter_core").glob("*/kernels"):
+        (root / kernels.relative_to(REPOSITORY)).symlink_to(kernels, target_is_directory=True)
     shutil.copy(REPOSITORY / "pyproject.toml", root / "pyproject.toml")
     return root
 

@@ -120,7 +120,8 @@ site = Path(sys.argv[1])
 import kilter, kilter_client, kilter_core, kilter_files, kilter_service
 for package in (kilter, kilter_client, kilter_core, kilter_files, kilter_service):
     assert Path(package.__file__).is_relative_to(site), package.__file__
-from kilter_core.robots import preset_document, preset_names, robot_from_document
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document, preset_names
 for name in preset_names():
     robot_from_document({"name": "arm", **preset_document(name)})
 from kilter_files import prepare

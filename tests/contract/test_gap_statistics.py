@@ -9,7 +9,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = REPOSITORY / "docs/explanation/gap-statistics.md"
-ROW = re.compile(r"^\| `(\w+\.[A-Z_]+)` \| ([-0-9.e+, ]+) \|", re.MULTILINE)
+ROW = re.compile(r"^\| `([\w.]+\.[A-Z_]+)` \| ([-0-9.e+, ]+) \|", re.MULTILINE)
 
 
 def shown(value: object) -> str | None:
@@ -23,14 +23,16 @@ def shown(value: object) -> str | None:
 def constants() -> dict[str, str]:
     """Numbers in capitals of the gap finder's modules."""
     found = {}
-    for path in sorted((REPOSITORY / "core/kilter_core/gap").glob("[a-z]*.py")):
-        module = importlib.import_module(f"kilter_core.gap.{path.stem}")
+    gap = REPOSITORY / "core/kilter_core/gap"
+    for path in sorted(gap.rglob("[a-z]*.py")):
+        place = ".".join(path.relative_to(gap).with_suffix("").parts)
+        module = importlib.import_module(f"kilter_core.gap.{place}")
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
             for target in targets:
                 if isinstance(target, ast.Name) and target.id.isupper():
                     text = shown(getattr(module, target.id))
-                    found |= {} if text is None else {f"{path.stem}.{target.id}": text}
+                    found |= {} if text is None else {f"{place}.{target.id}": text}
     return found
 
 

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document, preset_names
 from kilter_core.effects import EFFECTS, Effect
-from kilter_core.identify.methods import ESTIMATORS
-from kilter_core.robots import preset_document, preset_names, robot_from_document
+from kilter_core.identify.methods.registry import METHODS
 from kilter_service.exporters.registry import FORMATS
 
 COLUMNS_PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "columns.md"
@@ -46,7 +47,7 @@ def _place(kind: type[Effect]) -> str:
 
 
 def _methods() -> Iterator[dict[str, str]]:
-    for name, method in ESTIMATORS.items():
+    for name, method in METHODS.items():
         yield {"id": name, "summary": method.summary}
 
 

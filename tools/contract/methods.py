@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from kilter_core.identify.methods import ESTIMATORS
+from kilter_core.identify.methods.registry import METHODS
 
-HEAD = '''"""The methods of an identification, made by `make contract` from core/kilter_core/identify/methods.py."""
+HEAD = '''"""The methods of an identification, made by `make contract` from core/kilter_core/identify/methods/registry.py."""
 
 from __future__ import annotations
 
@@ -15,4 +15,4 @@ from typing import Literal
 
 def methods_module() -> str:
     """Return the module's text."""
-    return f"{HEAD}MethodName = Literal[{', '.join(map(repr, ESTIMATORS))}]\n"
+    return f"{HEAD}MethodName = Literal[{', '.join(map(repr, METHODS))}]\n"

@@ -8,12 +8,12 @@ from typing import Self
 
 import numpy as np
 
+from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import (
     SOFTENING,
     Batch,
     Derivative,
     Effect,
-    Floats,
     Local,
     linear,
     option,
@@ -21,7 +21,7 @@ from kilter_core.effects.base import (
     width_of,
 )
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
+from kilter_core.types import Floats
 
 NO_MOMENT_NM = 1e-9  # below this the sign would be that of rounding noise
 

@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kilter_core.compare import poses_of, thinned
-from kilter_core.gap.candidates import Library, Untestable
-from kilter_core.gap.holding import parted
+from kilter_core.arm.robot import Robot
+from kilter_core.gap.evidence.holding import parted
+from kilter_core.gap.evidence.replication import refuse_unfit
+from kilter_core.gap.evidence.testability import Testability, Visible, testability, untestable, visible
+from kilter_core.gap.find import beginning, of_this_robot
+from kilter_core.gap.noise.motion import is_trajectory
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.prepare import Workshop
-from kilter_core.gap.replication import refuse_unfit
-from kilter_core.gap.run import beginning, of_this_robot
-from kilter_core.gap.testability import Testability, Visible, testability, untestable, visible
-from kilter_core.gap.trajectory import is_trajectory
+from kilter_core.gap.search.candidates import Library, Untestable
+from kilter_core.gap.search.prepare import Workshop
+from kilter_core.identify.compare import poses_of, thinned
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
 
 MOST_POSES = 500  # looked at: half a second
 

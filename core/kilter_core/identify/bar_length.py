@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.arm.robot import Robot
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-
-Floats = NDArray[np.float64]
+from kilter_core.types import Floats
 
 SHARE, LEAST_M = 0.01, 1e-3  # robots are truer than one part in a hundred
 FEWEST = 8

@@ -7,17 +7,16 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import TooFewPosesError
 from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, normal_equations, solve
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.redescending import redescend
 from kilter_core.measurement import Measurement, Residual
+from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.registration import register
+from kilter_core.types import Floats, Ints
 
-Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 START_SIGMA_M = 1e-4
@@ -151,7 +150,7 @@ def prepared(
 
 
 def _start_frames(
-    model: RobotModel, values: Floats, measurement: Measurement, options: IdentifyOptions, free: NDArray[np.int64]
+    model: RobotModel, values: Floats, measurement: Measurement, options: IdentifyOptions, free: Ints
 ) -> tuple[Floats, Floats]:
     """Base and tool (4, 4) to start from. Where the base has no place its registration still finds the tool."""
     o, tool = measurement.observations, _any(model, free, "tool_")
@@ -196,7 +195,7 @@ def _returned(fit: Fit, blind: Floats, anchor: Floats) -> Floats:
     return values
 
 
-def refuse_too_few(model: RobotModel, measurement: Measurement, free: NDArray[np.int64]) -> None:
+def refuse_too_few(model: RobotModel, measurement: Measurement, free: Ints) -> None:
     """Raise :class:`TooFewPosesError` unless the distinct poses give at least as many numbers as there are unknowns."""
     poses, numbers = int(measurement.observations.pose_groups().max()) + 1, measurement.numbers()
     needed = poses + math.ceil((len(free) - numbers) / measurement.each)
@@ -210,7 +209,7 @@ def refuse_too_few(model: RobotModel, measurement: Measurement, free: NDArray[np
         )
 
 
-def _any(model: RobotModel, free: NDArray[np.int64], prefix: str) -> bool:
+def _any(model: RobotModel, free: Ints, prefix: str) -> bool:
     return any(model.names[k].startswith(prefix) for k in free)
 
 

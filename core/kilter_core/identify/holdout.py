@@ -6,12 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.observations import Observations
-
-Ints = NDArray[np.int64]
+from kilter_core.types import Ints
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.identify.report import WIRE
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter, indices
-
-Floats = NDArray[np.float64]
+from kilter_core.types import Floats
 
 STEP_RAD = math.radians(0.05)  # the deviations of thesis 3.5
 STEP_M = 1e-4

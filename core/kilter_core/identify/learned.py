@@ -8,17 +8,15 @@ from typing import Any
 
 import numpy as np
 import scipy.stats
-from numpy.typing import NDArray
 
 from kilter_core.identify.holdout import fold_splits
-from kilter_core.identify.kalman import Prior
-from kilter_core.identify.methods import fit_by_method
+from kilter_core.identify.methods.fit import fit_by_method
+from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-
-Floats = NDArray[np.float64]
+from kilter_core.types import Floats
 
 FRAMES = tuple(f"{frame}_{k}" for frame in ("base", "tool") for k in FRAME_NAMES)
 FOLDS = 5

@@ -12,16 +12,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.effects import Batch
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.solver import BEND, Minimum, Progress, minimise
 from kilter_core.measurement import Measurement, Residual
 from kilter_core.model import RobotModel
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from kilter_core.types import Floats, Ints
 
 HUBER_SIGMAS = 3.0
 STILL_MOVING = 3

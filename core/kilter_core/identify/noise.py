@@ -11,16 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
 from kilter_core.identify.robust import scale_of
 from kilter_core.measurement import Residual
 from kilter_core.observations import Observations
-from kilter_core.poses import last_motion
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from kilter_core.observations.repeats import last_motion
+from kilter_core.types import Bools, Floats, Ints
 
 CHANCE = 0.01  # of calling one good reading of a campaign wrong
 PASSES = 10
@@ -108,7 +105,7 @@ def _lost(count: Ints) -> float:
     return float(np.mean(1.0 - 1.0 / count)) if len(count) else 0.0
 
 
-def _pooled(values: Floats, group: Ints) -> tuple[float | None, int, NDArray[np.bool_]]:
+def _pooled(values: Floats, group: Ints) -> tuple[float | None, int, Bools]:
     """Standard deviation of a coordinate within groups, its freedom, and which values (N,) are too far off to count."""
     kept = np.ones(len(values), dtype=bool)
     width = values.shape[1] if len(values) else 1

@@ -8,11 +8,12 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.effects import Effect, effect_from_document
 from kilter_core.errors import OptionError
+from kilter_core.identify.methods.registry import METHODS
 from kilter_core.model import RobotModel
+from kilter_core.types import Ints
 
 FULL_TILTING = ("clearance_tilt", "backlash_load", "axial_compliance")
 
@@ -86,10 +87,8 @@ class IdentifyOptions:
 
     def _check_method(self) -> None:
         """Refuse a method that there is not, and what does not go with the one there is."""
-        from kilter_core.identify.methods import ESTIMATORS  # the methods need this module: here it is complete
-
-        self._one_of("method", tuple(ESTIMATORS))
-        method = ESTIMATORS[self.method]
+        self._one_of("method", tuple(METHODS))
+        method = METHODS[self.method]
         if self.intervals is not None and not method.minimum:
             raise OptionError(
                 f"Intervals are those of a least-squares minimum, which {self.method} does not end at. Leave intervals "
@@ -97,7 +96,7 @@ class IdentifyOptions:
                 option="intervals",
             )
         if self.loss == "tukey" and not method.lets_rows_go:
-            fitting = " or ".join(name for name, other in ESTIMATORS.items() if other.lets_rows_go)
+            fitting = " or ".join(name for name, other in METHODS.items() if other.lets_rows_go)
             raise OptionError(
                 f'Loss "tukey" goes with method {fitting}, not with {self.method}: take loss "huber".',
                 option="loss",
@@ -125,9 +124,7 @@ class IdentifyOptions:
         chosen: Sequence[str | Mapping[str, Any]] = self.effects or (FULL_TILTING if self.level == 3 else ())
         return tuple(effect_from_document({"id": e} if isinstance(e, str) else e) for e in chosen)
 
-    def free_parameters(
-        self, model: RobotModel, *, sees_orientation: bool, sees_base: bool = True
-    ) -> NDArray[np.int64]:
+    def free_parameters(self, model: RobotModel, *, sees_orientation: bool, sees_base: bool = True) -> Ints:
         """Indices of the parameters to identify in ``model``.
 
         Raises:

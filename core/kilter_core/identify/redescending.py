@@ -9,13 +9,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.identify.least_squares import HUBER_SIGMAS, Fit, Problem, Weights, solve
 from kilter_core.identify.robust import Loss, Robust, redescended
 from kilter_core.measurement import Residual
-
-Floats = NDArray[np.float64]
+from kilter_core.types import Floats
 
 ENOUGH = 1e-3  # share of the loss below which a step no longer changes which rows are let go
 SET_ASIDE = 0.5  # rows that count less are named

@@ -6,7 +6,6 @@ One way for every fit that makes a version: what identifies and what hunts must 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import OptionError
 from kilter_core.identify.estimate import registration_only
@@ -14,8 +13,8 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.transforms import rotation_log
+from kilter_core.types import Floats
 
-Floats = NDArray[np.float64]
 Frames = tuple[Floats, Floats]
 
 NEAR_M = 0.010  # frames nearer than this to the robot's own are taken to be the robot's own

@@ -7,19 +7,17 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kilter_core.identifiability import NullDirection, identifiable
-from kilter_core.identify.intervals import Intervals
+from kilter_core.identify.identifiability import NullDirection, identifiable
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.noise import Repeats
-from kilter_core.identify.spread import spread_of
-from kilter_core.marker_checks import bending
+from kilter_core.identify.uncertainty.intervals import Intervals
+from kilter_core.identify.uncertainty.workspace_uncertainty import spread_of
+from kilter_core.measurement.marker_checks import bending
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.transforms import xyz_rpy_from_pose
-
-Floats = NDArray[np.float64]
+from kilter_core.types import Bools, Floats
 
 WIRE = {
     "m": ("mm", 1e3),
@@ -51,9 +49,7 @@ def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | No
     return rows
 
 
-def rows_of(
-    calibration: Calibration, names: Sequence[str], sigma: Floats, known: NDArray[np.bool_]
-) -> list[dict[str, Any]]:
+def rows_of(calibration: Calibration, names: Sequence[str], sigma: Floats, known: Bools) -> list[dict[str, Any]]:
     """One row for each of the parameters ``names``, with its ``sigma (F,)`` SI and whether it is ``known (F,)``."""
     values, nominal = _absolute(calibration), _nominal(calibration)
     rows: list[dict[str, Any]] = []

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
-Floats = NDArray[np.float64]
+from kilter_core.types import Floats
 
 EFFICIENCY = 0.95  # of the fit where no row is wrong
 COARSEST = 4.0  # times the last limit at which the descent begins, at least

@@ -6,15 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kilter_core.frames import increment
+from kilter_core.arm.frames import increment
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.transforms import inverse
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from kilter_core.types import Floats, Ints
 
 FITTED = "identified"
 

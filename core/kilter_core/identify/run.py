@@ -7,40 +7,38 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError, OptionError
-from kilter_core.identifiability import NullDirection, null_directions
-from kilter_core.identify.clustered import clustered
 from kilter_core.identify.holdout import Folds, fold_splits, split
+from kilter_core.identify.identifiability import NullDirection, null_directions
 from kilter_core.identify.influence import influence_of
-from kilter_core.identify.intervals import Intervals, bootstrap, profile
-from kilter_core.identify.kalman import Prior
 from kilter_core.identify.learned import Learned, gated
 from kilter_core.identify.least_squares import Fit
-from kilter_core.identify.marker_turns import refuse_feigned_turns
-from kilter_core.identify.methods import fit_by_method
+from kilter_core.identify.load_model import far_from_stated, load_rows
+from kilter_core.identify.methods.fit import fit_by_method
+from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.noise import Repeats
+from kilter_core.identify.observability import correlated_groups, observability
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.plausibility import refuse_foreign
-from kilter_core.identify.predictive import Predictive, left_of, predictive
+from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
+from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.redescending import set_aside
 from kilter_core.identify.reference import named, refuse_contradicted, registered, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
 from kilter_core.identify.row_errors import RowErrors
 from kilter_core.identify.seeing import seen
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
+from kilter_core.identify.uncertainty.clustered import clustered
+from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
+from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
 from kilter_core.identify.worse import PoseErrors, geometry_alone
-from kilter_core.load_model import far_from_stated, load_rows
 from kilter_core.measurement import Measurement
-from kilter_core.metrics import Errors, metrics_document
+from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
-from kilter_core.observability import correlated_groups, observability
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
+from kilter_core.types import Floats, Ints
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Progress = Callable[[float, str], None]
 Validation = Observations | float | Folds | None
 

@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kilter_core.constraints import Contacts
+from kilter_core.arm.frames import FRAME_ANGLE_PRIOR_RAD, FRAME_LENGTH_PRIOR_M, increment
+from kilter_core.arm.robot import Robot
 from kilter_core.effects import BASE, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
-from kilter_core.frames import FRAME_ANGLE_PRIOR_RAD, FRAME_LENGTH_PRIOR_M, increment
 from kilter_core.identify.estimate import bounded, estimate
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
@@ -25,15 +24,15 @@ from kilter_core.identify.row_errors import RowErrors
 from kilter_core.identify.seeing import seen
 from kilter_core.identify.worse import PoseErrors
 from kilter_core.measurement import Measurement
-from kilter_core.metrics import Errors
+from kilter_core.measurement.contacts import Contacts
+from kilter_core.measurement.metrics import Errors
+from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
-from kilter_core.registration import register
-from kilter_core.robot import Robot
 from kilter_core.transforms import inverse, rotation_log
+from kilter_core.types import Bools, Floats, Ints
 
-Floats = NDArray[np.float64]
 Stages = Mapping[str, Calibration]
 
 FEWEST_POSES = 4  # three fit any triangle: nothing would be left to see an error by
@@ -167,7 +166,7 @@ def _lays(begin: Calibration, train: Observations, codes: list[int]) -> list[Flo
     return lays
 
 
-def _moved(rows: Observations, T: Floats, which: NDArray[np.bool_]) -> Observations:
+def _moved(rows: Observations, T: Floats, which: Bools) -> Observations:
     """Rows with what was measured in ``which`` of them moved by the pose T (4, 4)."""
     R, p = T[:3, :3], T[:3, 3]
     changes: dict[str, Any] = {}
@@ -194,7 +193,7 @@ def without_frames(calibration: Calibration) -> Calibration:
     return calibration if len(effects) == len(calibration.model.effects) else calibration.with_effects(effects)
 
 
-def of_the_arm(fit: Fit) -> NDArray[np.bool_]:
+def of_the_arm(fit: Fit) -> Bools:
     """Which of a fit's free parameters (F,) are not frames of later set-ups."""
     frames = {p.name for e in fit.problem.model.effects if isinstance(e, SetupFrames)
               for p in e.parameters(fit.problem.model.robot)}  # fmt: skip
@@ -258,7 +257,7 @@ def _new_codes(frames: Frames | None, rows: Observations) -> list[int]:
     return [int(code) for code in np.unique(rows.setup) if int(code) not in frames.lays]
 
 
-def _of(setup: NDArray[np.int64], code: int | None, new: list[int]) -> NDArray[np.bool_]:
+def _of(setup: Ints, code: int | None, new: list[int]) -> Bools:
     return ~np.isin(setup, new) if code is None else setup == code
 
 

@@ -19,11 +19,10 @@ from functools import partial
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import NotConvergedError
+from kilter_core.types import Floats
 
-Floats = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 
 MAX_ITERATIONS = 60

@@ -8,15 +8,13 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.errors import CoreError
-from kilter_core.identify.methods import fit_by_method
+from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
-
-Floats = NDArray[np.float64]
+from kilter_core.types import Floats
 
 BY_CHANCE = 1.0  # standard errors of the mean difference of poses
 MUCH = 1.01  # times the rms error: worse however few poses made it so

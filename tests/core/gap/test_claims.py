@@ -8,23 +8,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.adequacy import Adequacy
-from kilter_core.gap.candidates import with_testable
-from kilter_core.gap.holding import held_out, parted, shared_rows
-from kilter_core.gap.hunt import Hunt
-from kilter_core.gap.matters import Misfit
-from kilter_core.gap.prepare import Workshop
-from kilter_core.gap.replication import Confirmation, replication
-from kilter_core.gap.scan import Scorer, null_of
-from kilter_core.gap.select import Selector
-from kilter_core.gap.stored import stored
-from kilter_core.gap.testability import testability as judged
-from kilter_core.gap.world import refit
+from kilter_core.gap.evidence.adequacy import Adequacy
+from kilter_core.gap.evidence.holding import held_out, parted, shared_rows
+from kilter_core.gap.evidence.matters import Misfit
+from kilter_core.gap.evidence.replication import Confirmation, replication
+from kilter_core.gap.evidence.testability import testability as judged
+from kilter_core.gap.report.stored import stored
+from kilter_core.gap.search.candidates import with_testable
+from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.scan import Scorer, null_of
+from kilter_core.gap.search.select import Selector
+from kilter_core.gap.search.world import refit
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
 from tests.core.gap.simulated import campaign, katana
 
 EFFECTS = ("eccentricity", "encoder_scale", "second_harmonic", "axial_compliance", "backlash")

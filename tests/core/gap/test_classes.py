@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.aliases import aliases_of
-from kilter_core.gap.cancelling import cancelling_members
-from kilter_core.gap.candidates import library_of, with_testable
-from kilter_core.gap.hunt import Hunt, hunt
-from kilter_core.gap.prepare import Prepared, Workshop
-from kilter_core.gap.report import effect_row
-from kilter_core.gap.scan import Scorer
-from kilter_core.gap.testability import testability as judged
-from kilter_core.gap.world import refit
+from kilter_core.gap.evidence.aliases import aliases_of
+from kilter_core.gap.evidence.cancelling import cancelling_members
+from kilter_core.gap.evidence.testability import testability as judged
+from kilter_core.gap.report.report import effect_row
+from kilter_core.gap.search.candidates import library_of, with_testable
+from kilter_core.gap.search.hunt import Hunt, hunt
+from kilter_core.gap.search.prepare import Prepared, Workshop
+from kilter_core.gap.search.scan import Scorer
+from kilter_core.gap.search.world import refit
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana

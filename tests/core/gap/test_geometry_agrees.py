@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kilter_core.arm.robot import Robot
 from kilter_core.gap import GapOptions
-from kilter_core.gap.heldout import train_rms
-from kilter_core.gap.prepare import Workshop
-from kilter_core.gap.source import ToolSource
+from kilter_core.gap.search.in_space import train_rms
+from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.source import ToolSource
 from kilter_core.identify import identify
-from kilter_core.metrics import Errors
+from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
 from tests.blind.generator import generate
 from tests.blind.generator.cases import Hidden, cases
 from tests.blind.to_core import observations_of, robot_of

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kilter_core.arm.robot import Payload
 from kilter_core.errors import OptionError
 from kilter_core.gap import find_gap, plan_separation
-from kilter_core.gap.candidates import with_testable
-from kilter_core.gap.next_poses import Proposal, _Question, rows_of, separate
+from kilter_core.gap.evidence.testability import testability as judged
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.plan import imagined, undecided
-from kilter_core.gap.prepare import Workshop
-from kilter_core.gap.testability import testability as judged
+from kilter_core.gap.report.next_poses import Proposal, _Question, rows_of, separate
+from kilter_core.gap.report.separation import imagined, undecided
+from kilter_core.gap.search.candidates import with_testable
+from kilter_core.gap.search.prepare import Workshop
 from kilter_core.model import Calibration
-from kilter_core.robot import Payload
 from tests.core.gap.simulated import campaign, katana
 
 

@@ -7,10 +7,10 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from kilter_core.gap import source
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.prepare import Workshop
-from kilter_core.gap.world import world_at
+from kilter_core.gap.search import source
+from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.world import world_at
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, plan_separation
-from kilter_core.gap.next_poses import _Question
-from kilter_core.gap.plan import _found
-from kilter_core.gap.prepare import Workshop
+from kilter_core.gap.report.next_poses import _Question
+from kilter_core.gap.report.separation import _found
+from kilter_core.gap.search.prepare import Workshop
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.blind.generator import Options, tracker
 from tests.blind.generator.arm import Arm, Deflection, built
 from tests.blind.generator.arms import ARMS

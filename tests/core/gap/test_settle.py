@@ -9,7 +9,7 @@ import pytest
 
 from kilter_core.effects import make_effect
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.select import Selector
+from kilter_core.gap.search.select import Selector
 from kilter_core.model import RobotModel
 from tests.blind.generator import cases, generate
 from tests.blind.to_core import observations_of, robot_of

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.gap.candidates import with_testable
-from kilter_core.gap.hunt import Hunt
+from kilter_core.gap.evidence.stability import inclusion, reweighted
+from kilter_core.gap.evidence.testability import testability as judged
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.prepare import Workshop
-from kilter_core.gap.scan import Scorer, null_of
-from kilter_core.gap.select import Selector
-from kilter_core.gap.stability import inclusion, reweighted
-from kilter_core.gap.testability import testability as judged
+from kilter_core.gap.search.candidates import with_testable
+from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.scan import Scorer, null_of
+from kilter_core.gap.search.select import Selector
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from kilter_core.gap.candidates import with_testable
-from kilter_core.gap.gram import Gram
-from kilter_core.gap.hunt import hunt
-from kilter_core.gap.likeness import correlation, correlations
+from kilter_core.gap.evidence.likeness import correlation, correlations
+from kilter_core.gap.evidence.testability import testability as judged
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.prepare import Workshop
-from kilter_core.gap.scan import Scorer, null_of, residual_given
-from kilter_core.gap.select import Selector
-from kilter_core.gap.tails import tail
-from kilter_core.gap.testability import testability as judged
-from kilter_core.gap.world import fitted, refit
+from kilter_core.gap.search.candidates import with_testable
+from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.hunt import hunt
+from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.scan import Scorer, null_of, residual_given
+from kilter_core.gap.search.select import Selector
+from kilter_core.gap.search.tails import tail
+from kilter_core.gap.search.world import fitted, refit
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 

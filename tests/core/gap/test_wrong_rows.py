@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.prepare import Workshop
-from kilter_core.gap.renewal import renewed
-from kilter_core.gap.world import refit
+from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.renewal import renewed
+from kilter_core.gap.search.world import refit
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 

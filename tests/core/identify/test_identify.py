@@ -11,11 +11,11 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.robot import Robot
 from kilter_core.errors import CancelledError, ObservationError, TooFewPosesError
 from kilter_core.identify import Folds, Identification, IdentifyOptions, identify
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.truth import Arm, Step, small_pose, some_pose, ur10, with_hidden_errors
 

@@ -11,14 +11,14 @@ import pytest
 import scipy.optimize
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import OptionError
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.intervals import bootstrap, profile
 from kilter_core.identify.least_squares import Fit, Problem, Weights, solve
+from kilter_core.identify.observability import correlated_groups, observability
+from kilter_core.identify.uncertainty.intervals import bootstrap, profile
 from kilter_core.measurement import Measurement
 from kilter_core.model import RobotModel
-from kilter_core.observability import correlated_groups, observability
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.truth import small_pose, ur10
 

@@ -14,15 +14,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError
 from kilter_core.gap import find_gap
-from kilter_core.identify import identify, plausibility
-from kilter_core.identify.plausibility import refuse_foreign
+from kilter_core.identify import identify
+from kilter_core.identify.plausibility import plausibility
+from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import robot_from_document
 from tests.blind.generator import generate
 from tests.blind.generator.cases import Hidden, cases
 from tests.blind.to_core import observations_of, robot_of

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.spread import spread_of
+from kilter_core.identify.uncertainty.workspace_uncertainty import spread_of
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import measured, table_errors
 from tests.core.truth import ur10
 

@@ -17,13 +17,13 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import estimate, prepared
 from kilter_core.identify.least_squares import Linearised, solve
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import measured
 from tests.core.truth import UR10_ROWS, Arm, Body, Step, dh_steps, small_pose, some_pose, with_hidden_errors
 

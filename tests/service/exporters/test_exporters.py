@@ -17,12 +17,13 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from kilter_core.conversions.closest import arm_poses
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.loads.wrenches import joint_loads
+from kilter_core.arm.presets import preset_document
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
-from kilter_core.moments import joint_loads
+from kilter_core.model.closest_table import arm_poses
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
 from kilter_core.transforms import pose_from_xyz_rpy
 from kilter_core.twin import Twin, thesis_katana
 from kilter_service.contract.versions import CorrectionLimits, Version

@@ -1,0 +1,1 @@
+"""Compiled correction of setpoints. Flat numba functions over float64 arrays."""

@@ -1,0 +1,295 @@
+"""Errors before and after in mm, on what was fitted and what was not: validation rows, or poses left out in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.stats import binom
+
+from kilter_core.gap.evidence.adequacy import gain, left_out_errors, left_out_floor
+from kilter_core.gap.evidence.foretold import surely_foretold
+from kilter_core.gap.evidence.intervals import inflation, interval_width
+from kilter_core.gap.evidence.posterior import SMALLEST, Posterior
+from kilter_core.gap.noise.motion import blocks, is_trajectory, motion_blocks, segments
+from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.in_space import fit_rms, noise_rms, rms, root_of
+from kilter_core.gap.search.prepare import Prepared, windowed
+from kilter_core.gap.search.source import LinkSource, Source, ToolSource
+from kilter_core.gap.search.world import Setting, solved
+from kilter_core.measurement import Measurement
+from kilter_core.observations import Observations
+from kilter_core.types import Bools, Floats, Ints
+
+SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is no measurement
+SPIKES = 0.02  # share of such rows, or that of the search, above which the model cannot predict them: all then count
+SPIKES_SURE = 0.99  # chance that so many broken beams at that share are no more than counted
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Whitened errors (V, m) by the fits before and after, and how they came about.
+
+    ``lower (m, m)`` turns them back into m or rad; ``floor`` is the variance a perfect model's would have, in units of
+    noise: a little above 1, since the model was estimated. ``set_aside`` rows were left out as spikes. Whitening
+    correlated samples took ``inflation`` off their variance too.
+    """
+
+    before: Floats
+    after: Floats
+    lower: Floats
+    floor: float
+    how: str
+    set_aside: int = 0
+    inflation: float = 1.0
+    predictive: dict[str, Any] | None = None
+
+
+class Bench:
+    """Predicts held-out poses by any set of library columns, fitted to the training rows only.
+
+    ``fit`` is what the data say of all that was fitted: how far predictions of other poses may be off for it.
+    """
+
+    def __init__(
+        self, hunt: Hunt, prepared: Prepared, validation: Observations | None, fit: Posterior | None = None
+    ) -> None:
+        self.hunt, self.prepared, self.fit = hunt, prepared, fit
+        self.rows = validation
+        self.moving = prepared.moving and validation is not None and is_trajectory(validation)
+        if self.moving and validation is not None:
+            source, values = on_rows(hunt.world.setting.source, validation, hunt, hunt.world.values)
+            self.rows = windowed(validation, source, values, prepared.width)
+        self._known: dict[tuple[int, ...], Floats] = {}
+
+    def errors(self, columns: Sequence[int]) -> Floats:
+        """Whitened errors (V, m) of the held-out poses; each set of columns is fitted once."""
+        key = tuple(columns)
+        if key not in self._known:
+            self._known[key] = self._errors(columns)
+        return self._known[key]
+
+    def _errors(self, columns: Sequence[int]) -> Floats:
+        if self.rows is None:
+            world = self.hunt.world if len(columns) else self.prepared.world
+            return left_out_errors(world, columns)[world.setting.used]
+        world = self.hunt.world
+        begin = world if len(columns) else self.prepared.world
+        source = on_rows(world.setting.source, self.rows, self.hunt, solved(world.setting, begin.values, columns)[0])
+        r = np.nan_to_num(source[0].residual(source[1]))
+        if self.moving and isinstance(source[0], LinkSource):
+            r = referenced(r, segments(self.rows))
+        return np.asarray(r @ np.linalg.inv(self._lower()).T)
+
+    def rms(self, columns: Sequence[int]) -> float:
+        """Rms error (m; rad of a joint) of the held-out rows that are measurements, by a set of columns."""
+        joint = isinstance(self.hunt.world.setting.source, LinkSource)
+        return rms(self.errors(columns)[self.kept], self._lower(), joint)
+
+    @property
+    def poses(self) -> int:
+        """Held-out poses (of motions blocks) that took no part in choosing."""
+        return 0 if self.rows is None else len(np.unique(self._groups()))
+
+    def _lower(self) -> Floats:
+        """Root (m, m) of the noise covariance of a held-out row."""
+        setting = self.hunt.world.setting
+        return root_of(setting.noise.row * (setting.inflation if self.moving else 1.0))
+
+    def report(self) -> HeldOut:
+        """Geometry only, and everything named."""
+        before, after = self.errors([]), self.errors(self.hunt.columns)
+        world, columns = self.hunt.world, self.hunt.columns
+        noise, used = world.setting.noise, world.setting.used
+        if self.rows is None:
+            lower = root_of(np.mean(noise.visit[used], axis=0) * world.setting.inflation)
+            floor = left_out_floor(world, columns)
+            return HeldOut(before, after, lower, floor, "leave one pose out", 0, world.setting.inflation)
+        spike = ~self.kept
+        spread = self._spread()
+        floor = 1.0 + (world.U.shape[1] + len(columns)) / max(world.rows, 1)
+        if spread is not None:
+            floor = _floor(spread[~spike] / max(inflation(self.hunt), SMALLEST) ** 2, self._lower())
+        how = "validation observations"
+        if self.moving and isinstance(world.setting.source, LinkSource):
+            how += ", with the encoder offsets of each motion fitted to it"
+        grown = world.setting.inflation if self.moving else 1.0
+        told = None if spread is None else self._predictive(after, spread, ~spike)
+        return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), grown, told)
+
+    @cached_property
+    def kept(self) -> Bools:
+        """Held-out rows that are measurements: all but spikes, unless those are more than broken beams make by chance.
+
+        A share alone would call one broken beam among thirty rows structure, and let it decide what the others cannot. Where
+        more of the rows of the search were wrong, as many are to be expected here.
+        """
+        before, after = self.errors([]), self.errors(self.hunt.columns)
+        spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
+        share = max(SPIKES, 1.0 - float(np.mean(self.hunt.world.setting.used)))
+        if self.rows is None or np.sum(spike) > binom.ppf(SPIKES_SURE, len(spike), share):
+            return np.ones(len(spike), dtype=bool)
+        return np.asarray(~spike)
+
+    def _spread(self) -> Floats | None:
+        """Covariance (N, m, m) of the predictions of the held-out rows by that of the fit; None for joint data."""
+        source, world = self.hunt.world.setting.source, self.hunt.world
+        if self.rows is None or self.fit is None or not isinstance(source, ToolSource):
+            return None
+        other, values = on_rows(source, self.rows, self.hunt, world.values)
+        assert isinstance(other, ToolSource)
+        return predicted_covariance(other, values, self.fit)
+
+    def _predictive(self, after: Floats, spread: Floats, kept: Bools) -> dict[str, Any]:
+        """How many held-out coordinates lie in their 95 % intervals: fit, noise, and what the noise does not explain."""
+        lower, grown = self._lower(), max(1.0, inflation(self.hunt))
+        noise = lower @ lower.T * grown**2
+        sigma = np.sqrt(np.diagonal(spread + noise, axis1=1, axis2=2))
+        seen = np.isfinite(self._measured()) & kept[:, None]
+        inside = (np.abs(after @ lower.T) <= interval_width(self.hunt) * sigma) & seen
+        group = np.unique(self._groups(), return_inverse=True)[1]
+        by_pose = [np.bincount(group, np.sum(m, axis=1)).astype(int).tolist() for m in (inside, seen)]
+        poses = [list(pose) for pose in zip(*by_pose, strict=True) if pose[1]]
+        return {"inside": int(inside.sum()), "of": int(seen.sum()), "poses": poses}
+
+    def _measured(self) -> Floats:
+        """Residuals (N, m) of the held-out rows, NaN where nothing was seen."""
+        assert self.rows is not None
+        source, values = on_rows(self.hunt.world.setting.source, self.rows, self.hunt, self.hunt.world.values)
+        return source.residual(values)
+
+    def by_pose(self) -> tuple[Floats, Floats]:
+        """Whitened rms errors (G,) of the held-out poses by geometry alone and by everything named."""
+        group = np.unique(self._groups(), return_inverse=True)[1]
+        count = np.bincount(group)
+        both = (self.errors([]), self.errors(self.hunt.columns))
+        before, after = (np.sqrt(np.bincount(group, np.sum(e**2, axis=1)) / count) for e in both)
+        return before, after
+
+    def gain_of(self, place: int) -> tuple[float, float, float]:
+        """Gain by one chosen candidate beyond the others, its standard error, and how surely it was foretold."""
+        rest = self.hunt.selector.columns([k for k in self.hunt.chosen if k != place])
+        without, with_ = self.errors(rest)[self.kept], self.errors(self.hunt.columns)[self.kept]
+        group = self._groups()[self.kept]
+        return (*gain(without, with_, group), surely_foretold(without, with_, group))
+
+    def _groups(self) -> Ints:
+        """Pose of each held-out row; of motions the block."""
+        setting = self.hunt.world.setting
+        if self.rows is None:
+            return setting.group[setting.used]
+        if self.moving:
+            return motion_blocks(self.rows, setting.inflation)
+        if setting.inflation > 1.0:  # a part of the poses in the order they were measured
+            share = len(self.rows) / (len(self.rows) + len(setting.used))
+            return blocks(len(self.rows), share * setting.inflation)
+        return self.rows.pose_groups()
+
+
+def predicted_covariance(source: ToolSource, values: Floats, fit: Posterior) -> Floats:
+    """Covariance (N, m, m) of a model's predictions of its rows, by the covariance of what was fitted."""
+    index = [k for k, name in enumerate(source.model.names) if name in fit.names]
+    own = [fit.names.index(source.model.names[k]) for k in index]
+    J = replace(source, free=np.array(index, dtype=np.int64)).linear(values, None, []).G
+    return np.asarray(J @ fit.covariance[np.ix_(own, own)] @ J.transpose(0, 2, 1))
+
+
+def _floor(spread: Floats, lower: Floats) -> float:
+    """Variance of held-out errors in units of noise when the model is perfect: the noise, and its estimation."""
+    back = np.linalg.inv(lower)
+    white = back @ spread @ back.T
+    return 1.0 + float(np.mean(np.trace(white, axis1=1, axis2=2))) / len(lower)
+
+
+def referenced(residual: Floats, motion: Ints) -> Floats:
+    """Residuals (V, m) of joints less their mean in each motion: encoders are referenced anew, as a tool registered."""
+    count = np.bincount(motion)
+    mean = np.stack([np.bincount(motion, c) for c in residual.T], axis=1) / count[:, None]
+    return np.asarray(residual - mean[motion])
+
+
+def on_rows(source: Source, rows: Observations, hunt: Hunt, fitted: Floats) -> tuple[Source, Floats]:
+    """The fitted model on other rows: only the effects in use, so that only their columns are needed."""
+    effects = tuple(e for k in hunt.chosen for e in hunt.selector.scorer.candidates[k].effects)
+    if isinstance(source, ToolSource):
+        started = len(source.model.effects) - _library_effects(source)
+        model = replace(source.model, effects=(*source.model.effects[:started], *effects))
+        known = dict(zip(source.model.names, fitted, strict=True))
+        values = np.array([known[p.name] for p in model.parameters])
+        measurement = Measurement.of(rows, source.measurement.marker_points)
+        return ToolSource.of(model, measurement, source.free, 0).blurred(source.batch.blur), values
+    assert isinstance(source, LinkSource)
+    return source.on(rows), fitted
+
+
+def _library_effects(source: ToolSource) -> int:
+    left, count = source.n_library, 0
+    for effect in reversed(source.model.effects):
+        if left <= 0:
+            break
+        left -= len(effect.parameters(source.model.robot))
+        count += 1
+    return count
+
+
+def noise_document(setting: Setting) -> dict[str, Any]:
+    """The noise: standard deviations of a coordinate, and the covariance of a single row (of poses mm, then deg)."""
+    noise, joint = setting.noise, isinstance(setting.source, LinkSource)
+    unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
+    scales = np.full(len(noise.row), scale)
+    scales[noise.lengths or len(scales) :] = 180.0 / np.pi
+    return {
+        "source": noise.source, "absolute": noise.absolute,
+        "freedom": float(noise.freedom) if np.isfinite(noise.freedom) else None,
+        f"within_visit_{unit}": None if noise.within is None else noise.within * scale,
+        f"re_approach_{unit}": None if noise.between is None else noise.between * scale,
+        "covariance": (noise.row * np.outer(scales, scales)).tolist(),
+        "correlated_samples": setting.inflation,
+        "drift": None if noise.drift is None else noise.drift.to_document(unit, scale),
+    }  # fmt: skip
+
+
+def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any]:
+    """The gap before and after in mm (rms of the 3-D error), on training and held-out poses, beside the noise.
+
+    ``noise_mm`` is the standard deviation of one coordinate of a row, as everywhere. ``noise_rms_mm`` and
+    ``validation_noise_rms_mm`` are what the noise alone would give where before and after stand: lengths in space.
+    """
+    world = hunt.world
+    size = world.setting.whitener.shape[-1]
+    joint = isinstance(world.setting.source, LinkSource)
+    coordinate = world.setting.noise.coordinate
+    noise = noise_rms(world.setting)
+    r0, r1 = rms(held.before, held.lower, joint), rms(held.after, held.lower, joint)
+    sigma = rms(np.eye(size) * np.sqrt(size * held.floor), held.lower / np.sqrt(held.inflation), joint)
+    if not world.setting.trusted:
+        # The scatter of the first fit holds the gap itself: the floor is that of the last fit.
+        last = world.gram.given(hunt.columns)
+        share = np.sqrt(last.yy / max(last.nu, 1.0))
+        coordinate, noise, sigma = coordinate * share, noise * share, sigma * share
+    # Against a noise that was read from the fit itself, a closed gap means nothing.
+    known = world.setting.noise.absolute and r0**2 > sigma**2 and bool(hunt.chosen)
+    closure = (r0**2 - r1**2) / (r0**2 - sigma**2) if known else None
+    numbers = {
+        "before": fit_rms(prepared.world), "after": fit_rms(world), "noise": coordinate, "noise_rms": noise,
+        "validation_before": r0, "validation_after": r1, "validation_noise_rms": sigma,
+    }  # fmt: skip
+    unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
+    out: dict[str, Any] = {f"{k}_{unit}": v * scale for k, v in numbers.items()}
+    if joint:
+        out |= {f"{k}_mm": None for k in ("before", "after", "noise", "validation_before", "validation_after")}
+    steps = [{"names": list(s.names), "chi2_per_freedom": s.chi2_per_freedom} for s in hunt.steps]
+    return out | {
+        "closure": closure,
+        "held_out": held.how,
+        "held_out_set_aside": held.set_aside,
+        "predictive": held.predictive,
+        "steps": steps,
+    }
+
+
+def _scale(errors: Floats) -> float:
+    return float(np.median(np.abs(errors)) / 0.6745)

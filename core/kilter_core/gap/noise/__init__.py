@@ -1,0 +1,1 @@
+"""Noise of a campaign from its repeats: visits, drift, covariances."""

@@ -1,0 +1,64 @@
+"""The order in which rows were measured, and what a clock says of it: clocks run backwards, restart, or are missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.observations import Observations
+from kilter_core.types import Bools, Ints
+
+RESTARTS = (
+    0.02  # share of rows at which the time falls, up to which the clock was set back; above, rows are sorted otherwise
+)
+PAUSE = 0.5  # of the usual time between poses, above which the arm may have left and come back
+RESTING = 10  # rows at rest that say how far joint readings wander there
+LEFT = 0.8  # share of the long pauses that must show a motion before any of them counts as one
+
+
+@dataclass(frozen=True)
+class Clock:
+    """``order (N,)`` in which the rows were measured; ``fell`` the first row whose time is before the last one's.
+
+    ``trusted`` says that times may be subtracted within a session.
+    """
+
+    order: Ints
+    trusted: bool
+    fell: int | None = None
+
+
+def clock_of(rows: Observations) -> Clock:
+    """Order of the rows by session and time; the order given where there is no clock, or one that was set back."""
+    given = np.arange(len(rows), dtype=np.int64)
+    if rows.t is None or len(rows) < 2:
+        return Clock(given, rows.t is not None)
+    session = np.zeros(len(rows), dtype=np.int64) if rows.session is None else rows.session
+    falls = np.flatnonzero((np.diff(rows.t) < 0.0) & (np.diff(session) == 0)) + 1
+    if not len(falls):
+        return Clock(given, True)
+    if len(falls) <= max(1.0, RESTARTS * len(rows)):
+        return Clock(given, False, int(falls[0]))
+    backwards = int(falls[0]) if bool(np.all(np.diff(rows.t)[np.diff(session) == 0] <= 0.0)) else None
+    return Clock(np.lexsort((rows.t, session)).astype(np.int64), True, backwards)
+
+
+def came_back(rows: Observations, clock: Clock, condition: Ints) -> Bools:
+    """Where (N - 1,), in the clock's order, the arm left a pose and came back to it with nothing measured in between.
+
+    A pause alone proves nothing: the next shot may simply have come late. It counts when joint readings changed over
+    nearly every long pause by more than they ever do at rest.
+    """
+    same = condition[1:] == condition[:-1]
+    none = np.zeros(len(same), dtype=bool)
+    if rows.t is None or not clock.trusted or same.all() or not same.any():
+        return none
+    pause = np.abs(np.diff(rows.t[clock.order]))
+    long = same & (pause > PAUSE * np.median(pause[~same]))
+    rest = same & ~long
+    if rest.sum() < RESTING or not long.any():
+        return none
+    moved = np.max(np.abs(np.diff(rows.q[clock.order], axis=0)), axis=1)
+    left = long & (moved > np.max(moved[rest]))
+    return left if left.sum() >= LEFT * long.sum() else none

@@ -1,0 +1,88 @@
+"""Whether a calibration predicts unseen poses worse than another, base and tool fitted anew to them.
+
+The frames are fitted because they are no property of the arm: a tracker that was set up anew, or a tool that was put on
+anew, must not count against a calibration. A pose counts once, however often it was measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+
+import numpy as np
+
+from kilter_core.errors import NotConvergedError
+from kilter_core.identify.estimate import registration_only
+from kilter_core.identify.worse import Difference
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.types import Bools, Floats
+
+FEWEST_POSES = 8  # base and tool have 9 to 12 unknowns: fewer poses are explained by them whatever the arm is like
+ROWS_OF_A_POSE = 4  # repeats beyond tell nothing about the calibration
+
+
+def errors_by_pose(calibration: Calibration, observations: Observations) -> Floats:
+    """Mean distance (P,) m between measured and predicted points of each pose, in frames fitted to these rows.
+
+    Raises:
+        TooFewPosesError: too few poses for the frames. NotConvergedError: they have no best place.
+
+    """
+    observations = observations.select(_measured(observations))
+    measurement = Measurement.of(observations)
+    try:
+        fitted = registration_only(calibration, measurement, "huber")  # a few wrong rows must not move all the others
+    except NotConvergedError:
+        fitted = registration_only(calibration, measurement)
+    points = measurement.residual(fitted.predict(observations)).points
+    rows = np.nanmean(np.linalg.norm(points, axis=-1), axis=1)
+    groups = observations.pose_groups()
+    return np.asarray(np.bincount(groups, weights=rows) / np.bincount(groups))
+
+
+def _measured(observations: Observations) -> Bools:
+    if observations.markers is None:
+        return np.ones(len(observations), dtype=bool)
+    return np.asarray(np.isfinite(observations.markers[:, :, 0]).any(axis=1))
+
+
+def lacking(calibration: Calibration, observations: Observations) -> list[str]:
+    """Columns that the effects of a calibration need and the rows do not have."""
+    present = {f.name for f in fields(observations) if getattr(observations, f.name) is not None}
+    available = frozenset({"moments"} | present)
+    return sorted({name for effect in calibration.model.effects for name in effect.missing(available)})
+
+
+def setups(observations: Observations) -> list[Observations]:
+    """The rows by session: between sessions instrument and tool may have been set up anew."""
+    if observations.session is None:
+        return [observations]
+    return [observations.select(observations.session == code) for code in np.unique(observations.session)]
+
+
+def thinned(observations: Observations, poses: int) -> Observations:
+    """At most so many poses, evenly chosen in their order, and a few rows of each."""
+    groups = observations.pose_groups()
+    first = np.unique(groups, return_index=True)[1]
+    in_order = groups[np.sort(first)]
+    chosen = in_order[np.linspace(0, len(in_order) - 1, min(poses, len(in_order))).round().astype(np.int64)]
+    by_pose = np.argsort(groups, kind="stable")
+    starts = np.searchsorted(groups[by_pose], np.arange(len(in_order)))
+    repeat = np.empty(len(groups), dtype=np.int64)
+    repeat[by_pose] = np.arange(len(groups)) - starts[groups[by_pose]]
+    return observations.select(np.flatnonzero(np.isin(groups, chosen) & (repeat < ROWS_OF_A_POSE)))
+
+
+def poses_of(observations: Observations) -> int:
+    """Number of distinct poses."""
+    return int(observations.pose_groups().max()) + 1 if len(observations) else 0
+
+
+def pooled(errors: Sequence[Floats]) -> Floats:
+    """Errors of several set-ups as one."""
+    return np.concatenate(errors) if errors else np.zeros(0)
+
+
+__all__ = ["Difference", "errors_by_pose", "lacking", "pooled", "poses_of", "setups", "thinned"]

@@ -1,0 +1,1 @@
+"""The methods of identification, one per file."""

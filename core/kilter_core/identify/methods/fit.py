@@ -1,0 +1,94 @@
+"""A fit by the method that the options name, taken again while the loads on the fitted chain differ from those it took."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kilter_core.errors import NotConvergedError
+from kilter_core.identify.estimate import Progress, estimate
+from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.methods.kalman import Prior, kalman
+from kilter_core.identify.methods.loads import ROUNDS, continued, reloaded
+from kilter_core.identify.methods.registry import METHODS
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration, RobotModel
+
+
+def fit_by_method(
+    start: Calibration,
+    measurement: Measurement,
+    options: IdentifyOptions,
+    progress: Progress | None = None,
+    prior: Prior | None = None,
+) -> Fit:
+    """Fit by the method the options name, and again while loads on the fitted chain differ from those it took.
+
+    Only ``kalman`` continues from a ``prior``. With ``tilt_first`` the effects of the start are held (thesis 4.22, 5.20);
+    a start that has none of their values gets them fitted first, the chain held as drawn.
+    """
+    fit = _fitted(start, measurement, options, progress, prior)
+    for _ in range(ROUNDS - 1):
+        model = reloaded(fit)
+        if model is None:
+            break
+        try:
+            fit = _again(start, model, fit, measurement, options, prior)
+        except NotConvergedError:  # the fit that ended stands, at the loads that it took
+            break
+    return fit
+
+
+def _again(
+    start: Calibration,
+    model: RobotModel,
+    fit: Fit,
+    measurement: Measurement,
+    options: IdentifyOptions,
+    prior: Prior | None,
+) -> Fit:
+    """The fit with the loads of ``model``: from where it ended, or by a method that has to begin anew from the start."""
+    if options.method in ("least_squares", "global_search") and options.loss != "tukey" and not options.tilt_first:
+        found = continued(fit, model, options)
+    else:
+        begin = replace(start, model=replace(start.model, load_chain=model.load_chain))
+        method = "least_squares" if options.method == "global_search" else options.method
+        found = _fitted(begin, measurement, replace(options, method=method), None, prior)
+    return replace(found, iterations=fit.iterations + found.iterations, report={**fit.report, **found.report})
+
+
+def _fitted(
+    start: Calibration,
+    measurement: Measurement,
+    options: IdentifyOptions,
+    progress: Progress | None,
+    prior: Prior | None,
+) -> Fit:
+    begin = start
+    if options.tilt_first and _knows_no_effect(start):
+        begin = _tilted(start, measurement, options)
+    if options.method == "kalman":
+        fit = kalman(begin, measurement, options, progress, prior)
+    else:
+        fit = METHODS[options.method].fitter()(begin, measurement, options, progress)
+    if not options.tilt_first:
+        return fit
+    return replace(fit, report={**fit.report, "effects": "held" if begin is start else "fitted first"})
+
+
+def _knows_no_effect(start: Calibration) -> bool:
+    effects = slice(start.model.n_geometric, None)
+    some = len(start.names) > start.model.n_geometric
+    return some and np.array_equal(start.values[effects], start.model.values0()[effects])
+
+
+def _tilted(start: Calibration, measurement: Measurement, options: IdentifyOptions) -> Calibration:
+    """The start with its effects fitted beside base and tool, the chain held."""
+    model = start.model
+    chain = model.names[6 : model.n_geometric - 6]
+    fit = estimate(start, measurement, replace(options, tilt_first=False, method="least_squares", free=(), fix=chain))
+    values = start.values.copy()
+    values[model.n_geometric :] = fit.values[model.n_geometric :]
+    return replace(start, values=values)

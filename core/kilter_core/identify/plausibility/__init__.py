@@ -1,0 +1,1 @@
+"""Whether observations belong to the robot: units, order, sign, orientation, numbering."""

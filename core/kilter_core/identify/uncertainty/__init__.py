@@ -1,0 +1,1 @@
+"""How far parameters and predictions are known."""

@@ -1,0 +1,175 @@
+"""How far a calibrated arm may be from where its calibration says: 95 % intervals of the tool position, row by row.
+
+Three things add up: what is not known of everything that was fitted (J C Jᵀ), what the fit leaves beyond the noise, for the
+model is not the arm, and, where a single measurement is predicted, its noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import f
+
+from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.noise import Repeats
+from kilter_core.identify.options import FRAME_NAMES
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.types import Bools, Floats, Ints
+
+QUANTILE = 1.959963984540054  # of the standard normal at 97.5 %
+CHANCE = 0.1  # that what is left is taken to be beyond the noise although both only scatter; F test
+EXACT = 10_000  # freedom of a noise that is stated
+SLICE = 4096  # rows whose Jacobians are held at once
+
+
+@dataclass(frozen=True)
+class Predictive:
+    """What a version knows of itself: ``covariance (K, K)`` SI of the parameters ``names``, and standard deviations (m) of
+    a coordinate: ``inadequacy``, what its fit left beyond the noise, and ``noise``. Without repeats nothing tells them
+    apart: then all that is left counts as inadequacy, and ``noise`` is 0.
+    """
+
+    names: tuple[str, ...]
+    covariance: Floats
+    inadequacy: float
+    noise: float
+
+    @staticmethod
+    def from_document(known: Mapping[str, Any], report: Mapping[str, Any] | None = None) -> Predictive | None:
+        """Read a version's covariance; None where it has none. Older versions say in their ``report`` what they left."""
+        if not known.get("names"):
+            return None
+        matrix = np.array(known["matrix"], dtype=np.float64)
+        if known.get("inadequacy_m") is not None:
+            found = float(known["inadequacy_m"]), float(known["noise_m"])
+        else:
+            found = _of_report(report or {})
+        return Predictive(tuple(known["names"]), matrix, *found)
+
+    def to_document(self) -> dict[str, Any]:
+        """JSON-able, SI."""
+        return {
+            "names": list(self.names), "matrix": self.covariance.tolist(), "units": "SI",
+            "inadequacy_m": self.inadequacy, "noise_m": self.noise,
+        }  # fmt: skip
+
+    def of_the_tool(self, calibration: Calibration, rows: Observations, axes: Floats | None = None) -> Floats:
+        """Half widths (N, 3) m for where the tool is when the joints are at ``rows``, along the axes (3, 3) of a frame.
+
+        Without ``axes`` they are those of the measurements. Effects whose columns the rows lack, and those that are only
+        of the measurement, are left out.
+        """
+        arm = acting(calibration, rows)
+        free, C = self._of(arm.names)
+        out = np.empty((len(rows), 3))
+        for part in _slices(len(rows)):
+            J = arm.model.jacobian(rows.select(part), arm.values, free, False)[1][:, :3]
+            out[part] = _widths(J if axes is None else np.einsum("ji,njp->nip", axes, J), C, self.inadequacy**2)
+        return out
+
+    def of_measured(self, calibration: Calibration, measurement: Measurement, refit: Sequence[str] = ()) -> Floats:
+        """Half widths (N, 3) m for the error of each measured row: mean of its markers, or its point; noise included.
+
+        ``refit`` frames were fitted to these rows: what they take up is no uncertainty any more.
+        """
+        frames = {f"{frame}_{k}" for frame in refit for k in FRAME_NAMES}
+        free, C = self._of(calibration.names, frames)
+        noise = self.noise**2 + self.inadequacy**2
+        if refit:
+            J = np.concatenate([part for _, part in _mean_jacobians(calibration, measurement, free)])
+            J, lever = _beside(J, np.array([calibration.names[k] in frames for k in free]))
+            return _widths(J, C, noise * (1.0 - lever))
+        out = np.empty((len(measurement.observations), 3))
+        for where, J in _mean_jacobians(calibration, measurement, free):
+            out[where] = _widths(J, C, noise)
+        return out
+
+    def _of(self, names: Sequence[str], more: Collection[str] = ()) -> tuple[Ints, Floats]:
+        """Where the known of these names stand, with ``more`` that count as known exactly, and their covariance."""
+        free = [k for k, name in enumerate(names) if name in self.names or name in more]
+        place = [c for c, k in enumerate(free) if names[k] in self.names]
+        own = [self.names.index(names[free[c]]) for c in place]
+        C = np.zeros((len(free), len(free)))
+        C[np.ix_(place, place)] = self.covariance[np.ix_(own, own)]
+        return np.array(free, dtype=np.int64), C
+
+
+def acting(calibration: Calibration, rows: Observations) -> Calibration:
+    """The calibration with the effects that act on the arm and whose columns the rows have."""
+    available = frozenset({"moments"} | set(rows._present()))
+    effects = [e for e in calibration.model.effects if e.stage != "measurement" and not e.missing(available)]
+    return calibration if len(effects) == len(calibration.model.effects) else calibration.with_effects(effects)
+
+
+def predictive(fit: Fit, repeats: Repeats, stated: float | None = None) -> Predictive:
+    """What a clustered ``fit`` knows, with the noise of its ``repeats``, or as ``stated`` (m) for a coordinate."""
+    left, freedom = left_of(fit), repeats.freedom
+    sigma = fit.problem.measurement.observations.sigma
+    noise = stated if stated is not None else repeats.between
+    if noise is None and sigma is not None:
+        noise = float(np.sqrt(np.mean(sigma**2)))
+    if noise is None:
+        return Predictive(fit.names, fit.covariance, left, 0.0)
+    known = EXACT if stated is not None or repeats.between is None else freedom
+    by_chance = noise**2 * float(f.isf(CHANCE, max(fit.freedom or 1.0, 1.0), known))
+    beyond = np.sqrt(left**2 - noise**2) if left**2 > by_chance else 0.0
+    return Predictive(fit.names, fit.covariance, float(beyond), noise)
+
+
+def left_of(fit: Fit) -> float:
+    """Standard deviation (m) of a coordinate about the fit, corrected for what the parameters took from the poses."""
+    problem, points = fit.problem, fit.residual.points
+    groups = problem.measurement.observations.pose_groups()
+    if problem.loss != "linear" or len(points) != len(groups):
+        return float(np.mean(problem.weights.points))
+    flat = points.reshape(len(points), -1)
+    seen = ~np.isnan(flat)
+    count = np.maximum(np.stack([np.bincount(groups, weights=c) for c in seen.T], axis=1), 1.0)
+    filled = np.where(seen, flat, 0.0)
+    mean = (np.stack([np.bincount(groups, weights=c) for c in filled.T], axis=1) / count)[groups]
+    poses = len(count) * problem.measurement.each
+    lost = poses / max(poses - fit.effective, 1.0)
+    square = np.sum(seen * ((filled - mean) ** 2 + lost * mean**2))
+    return float(np.sqrt(square / max(seen.sum(), 1)))
+
+
+def _of_report(report: Mapping[str, Any]) -> tuple[float, float]:
+    """Inadequacy and noise (m) of a version that does not say them, from its errors on the rows it was fitted to."""
+    found = ((report.get("metrics") or {}).get("train") or {}).get("identified") or {}
+    left = float(found.get("rms_mm") or 0.0) * 1e-3 / np.sqrt(3.0)
+    noise = float(report.get("noise_mm") or 0.0) * 1e-3 if report.get("noise_source") == "repeats" else 0.0
+    return float(np.sqrt(max(left**2 - noise**2, 0.0))), noise
+
+
+def _mean_jacobians(calibration: Calibration, measurement: Measurement, free: Ints) -> Iterator[tuple[slice, Floats]]:
+    """Jacobians (n, 3, F) of the mean of the markers that a row shows, or of its point, slice by slice."""
+    for part in _slices(len(measurement.observations)):
+        here = replace(measurement, observations=measurement.observations.select(part))
+        found = here.residual(*calibration.model.jacobian(here.observations, calibration.values, free))
+        assert found.d_points is not None
+        seen = ~np.isnan(found.points).any(axis=2)
+        share = seen / np.maximum(seen.sum(axis=1, keepdims=True), 1)
+        yield part, np.einsum("nmip,nm->nip", found.d_points, share)
+
+
+def _widths(J: Floats, C: Floats, more: float | Floats) -> Floats:
+    variance = np.einsum("nip,nip->ni", J @ C, J)
+    return np.asarray(QUANTILE * np.sqrt(np.maximum(variance, 0.0) + more))
+
+
+def _slices(count: int) -> Iterator[slice]:
+    for start in range(0, count, SLICE):
+        yield slice(start, min(start + SLICE, count))
+
+
+def _beside(J: Floats, frames: Bools) -> tuple[Floats, Floats]:
+    """Jacobian (N, 3, P) of what frames fitted to the same rows leave, and their leverage (N, 3)."""
+    flat = J.reshape(-1, J.shape[2])
+    Q = np.linalg.qr(flat[:, frames])[0]
+    left = np.where(frames, 0.0, flat - Q @ (Q.T @ flat))
+    return left.reshape(J.shape), np.sum(Q**2, axis=1).reshape(J.shape[:2])

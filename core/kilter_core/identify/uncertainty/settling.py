@@ -1,0 +1,72 @@
+"""How the scatter of poses differs from pose to pose: joints come to rest a little off, and far poses show more of it.
+
+A joint that settles with the same scatter everywhere moves the tool by its lever, which is what its compliance does too:
+taken as the same scatter at every pose it would leave compliances far too sure.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.optimize
+
+from kilter_core.identify.least_squares import Fit
+from kilter_core.types import Floats
+
+ROUNDS = 10  # of scoring, each half a step
+LEAST = 0.003  # share of what is the same at every pose: without any, poses would be taken as exact across their levers
+FEWEST = 4  # poses for each share that is estimated
+
+
+def levers(fit: Fit) -> Floats:
+    """What a turn of each joint moves of every row (N, R, n), whitened as the residuals are."""
+    problem = fit.problem
+    prediction, J = problem.model.joint_jacobian(problem.batch, fit.values)
+    moved = problem.measurement.residual(prediction, J)
+    assert moved.d_points is not None
+    sigma = problem.weights.points if isinstance(problem.weights.points, float) else problem.weights.points[..., None]
+    points = np.where(np.isnan(moved.points)[..., None], 0.0, moved.d_points / sigma)
+    parts = [points.reshape(len(points), -1, J.shape[2])]
+    if moved.d_turns is not None:
+        parts.append(moved.d_turns / problem.weights.turns)
+    whole = np.concatenate(parts, axis=1)
+    return whole if problem.weights.rows is None else whole * np.sqrt(problem.weights.rows)[:, None, None]
+
+
+def scatter_of_poses(mean: Floats, lever: Floats, common: Floats, known: Floats) -> Floats:
+    """Covariance (G, R, R) of what the rows of each pose share, by scoring of variance components.
+
+    ``mean (G, R)`` are the residuals of the poses, ``lever (G, R, n)`` what the joints move there. A share of ``common
+    (R, R)``, the same at every pose, and of each joint's settling adds to what is ``known (G, R, R)`` of the rows' own.
+    """
+    G, _, n = lever.shape
+    flat = np.broadcast_to(common, (G, *common.shape))
+    if FEWEST * (n + 1) > G or np.linalg.eigvalsh(common)[0] <= 0.0:
+        return flat
+    size = np.einsum("gij,gij->j", lever, lever) / np.trace(common) / G
+    scaled = lever / np.sqrt(np.where(size > 0.0, size, np.inf))  # a joint that moves nothing has no share
+    share = np.concatenate([[1.0], np.zeros(n)])
+    for _ in range(ROUNDS):
+        inverse = np.asarray(np.linalg.inv(_together(share, flat, scaled) + known), dtype=np.float64)
+        share = 0.5 * (share + _scored(inverse, mean, scaled, common))
+        share[0] = max(share[0], LEAST)
+    return _together(share, flat, scaled)
+
+
+def _together(share: Floats, flat: Floats, scaled: Floats) -> Floats:
+    return np.asarray(share[0] * flat + (scaled * share[1:]) @ scaled.transpose(0, 2, 1))
+
+
+def _scored(inverse: Floats, mean: Floats, scaled: Floats, common: Floats) -> Floats:
+    """Shares (1 + n,), none negative, that the residuals of the poses ask for under these inverse covariances."""
+    n = scaled.shape[2]
+    turned = inverse @ scaled
+    through = inverse @ common
+    M = np.empty((n + 1, n + 1))
+    M[0, 0] = np.einsum("gij,gji->", through, through)
+    M[0, 1:] = M[1:, 0] = np.einsum("gij,ik,gkj->j", turned, common, turned)
+    M[1:, 1:] = np.sum((scaled.transpose(0, 2, 1) @ turned) ** 2, axis=0)
+    weighed = np.einsum("gij,gj->gi", inverse, mean)
+    v = np.concatenate([[np.einsum("gi,ij,gj->", weighed, common, weighed)],
+                        np.sum(np.einsum("gij,gi->gj", scaled, weighed) ** 2, axis=0)])  # fmt: skip
+    root = np.linalg.cholesky(M + 1e-9 * np.trace(M) * np.eye(n + 1))
+    return np.asarray(scipy.optimize.nnls(root.T, np.linalg.solve(root, v))[0])

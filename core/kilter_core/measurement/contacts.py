@@ -1,0 +1,263 @@
+"""Calibration without an instrument: the tool's ball held in a socket, on a plane, or at the end of a ball bar.
+
+Where sockets, planes and bars stand is not known and not wanted: for every guess of the robot they are put where they fit
+best, and the Jacobian is cleared of what their own moves would explain (variable projection, Kaufman 1975).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kilter_core.errors import ObservationError
+from kilter_core.measurement import Measurement, Residual
+from kilter_core.model import Calibration, Prediction
+from kilter_core.observations import Observations
+from kilter_core.types import Floats, Ints
+
+UNKNOWNS = {"socket": 3, "plane": 3, "bar": 3}
+LEAST_ROWS = {"socket": 2, "plane": 4, "bar": 4}
+STEPS = 20
+SETTLED_M = 1e-12
+LEVEL = 1e-3  # share of the best seen move of a place below which lengths leave it where it is, smoothly
+CLEARLY = 4.0  # a foot off the plane must fit so many times better
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Rows of one socket, plane or bar, ``name`` "socket 1"; ``length (K,)`` m that a bar reads."""
+
+    kind: str
+    number: int
+    rows: Ints
+    length: Floats | None = None
+
+    @property
+    def name(self) -> str:
+        """Kind and number."""
+        return f"{self.kind} {self.number}"
+
+
+@dataclass(frozen=True)
+class Contacts(Measurement):
+    """Rows that were held, each by one contact. ``distances`` m are known between pairs of sockets.
+
+    ``anchor`` are the rows that say where the contacts stand, the rows' own when None.
+    """
+
+    contacts: tuple[Contact, ...] = ()
+    distances: Mapping[tuple[int, int], float] = field(default_factory=dict)
+    anchor: Contacts | None = None
+
+    @staticmethod
+    def held(observations: Observations) -> bool:
+        """Whether rows say what held them."""
+        return any(getattr(observations, kind) is not None for kind in UNKNOWNS)
+
+    @staticmethod
+    def among(
+        observations: Observations, distances: Mapping[tuple[int, int], float], anchor: Contacts | None = None
+    ) -> Contacts:
+        """Group the rows by what held them.
+
+        Raises:
+            ObservationError: a contact with fewer rows than it has unknowns, or a distance of a socket that has none.
+
+        """
+        contacts = tuple(_contacts(observations))
+        _refuse_small(contacts, anchor)
+        numbers = {c.number for c in contacts if c.kind == "socket"}
+        for pair in distances:
+            if anchor is None and not set(pair) <= numbers:
+                raise ObservationError(
+                    f"socket_distances_mm names socket {min(set(pair) - numbers)}, of which there are no rows.",
+                    code="contact_too_small",
+                )
+        return Contacts(observations, None, contacts, {} if anchor else dict(distances), anchor)
+
+    @property
+    def sees_base(self) -> bool:
+        """No: nothing is measured from outside."""
+        return False
+
+    @property
+    def sees_orientation(self) -> bool:
+        """No: a ball has none."""
+        return False
+
+    @property
+    def settled(self) -> float:
+        """Where a bar's foot is hardly seen a fit creeps along for ever; a ten-thousandth is far below what noise tells."""
+        return 1e-4 if any(c.kind == "bar" for c in self.contacts) else super().settled
+
+    @property
+    def each(self) -> int:
+        """Three numbers in a socket, one on a plane or a bar."""
+        return 3 if all(c.kind == "socket" for c in self.contacts) else 1
+
+    def numbers(self) -> int:
+        """Numbers left when every contact has its place."""
+        each = sum(len(c.rows) * (3 if c.kind == "socket" else 1) - UNKNOWNS[c.kind] for c in self.contacts)
+        return each + len(self.distances)
+
+    def scalars(self) -> int:
+        """As :meth:`numbers`: what the contacts' places take is lost."""
+        return max(self.numbers(), 1)
+
+    @property
+    def redundancy(self) -> float:
+        """Residuals for each number left."""
+        size = sum(len(c.rows) * (3 if c.kind == "socket" else 1) for c in self.contacts) + len(self.distances)
+        return size / self.scalars()
+
+    def residual(self, prediction: Prediction, J: Floats | None = None) -> Residual:
+        """What is left (S, 1, 1) m when each contact stands where it fits best, and the projected Jacobian."""
+        p = prediction.position
+        left, slopes, centres = [], [], {}
+        for c in self.contacts:
+            place = _place(c, p[c.rows])
+            r, D = _left(c, p[c.rows], place)
+            left.append(r)
+            if c.kind == "socket":
+                centres[c.number] = c
+            if J is not None:
+                slopes.append(_projected(D, _slope(c, p[c.rows], place, J[c.rows, :3])))
+        for (a, b), known in self.distances.items():
+            r, slope = _between(centres[a].rows, centres[b].rows, known, p, J)
+            left.append(r)
+            slopes += [] if slope is None else [slope]
+        points = np.concatenate(left)[:, None, None]
+        return Residual(points, None if J is None else np.concatenate(slopes)[:, None, None, :], None, None)
+
+    def misses(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
+        """Errors of a calibration: (K, 1) m, of a socket the distance from its place."""
+        p = calibration.predict(self.observations).position
+        places = {} if self.anchor is None else _places(self.anchor, calibration)
+        out = []
+        for c in self.contacts:
+            r = _left(c, p[c.rows], places[c.name] if self.anchor else _place(c, p[c.rows]))[0]
+            out.append(np.linalg.norm(r.reshape(-1, 3), axis=1) if c.kind == "socket" else r)
+        return np.concatenate(out)[:, None], None
+
+
+def _contacts(o: Observations) -> Iterator[Contact]:
+    for kind in UNKNOWNS:
+        numbers = getattr(o, kind)
+        for number in [] if numbers is None else sorted(set(numbers[numbers > 0].tolist())):
+            rows = np.flatnonzero(numbers == number)
+            yield Contact(
+                kind, int(number), rows, o.bar_length[rows] if kind == "bar" and o.bar_length is not None else None
+            )
+
+
+def _refuse_small(contacts: tuple[Contact, ...], anchor: Contacts | None) -> None:
+    known = set() if anchor is None else {c.name for c in anchor.contacts}
+    for c in contacts:
+        if anchor is not None and c.name not in known:
+            raise ObservationError(
+                f"{c.name.capitalize()} is only in the rows held out: hold out poses of every contact, or none.",
+                code="contact_too_small",
+            )
+        if anchor is None and len(c.rows) < LEAST_ROWS[c.kind]:
+            raise ObservationError(
+                f"{c.name.capitalize()} holds {len(c.rows)} rows: {LEAST_ROWS[c.kind]} or more are needed, for its own place "
+                "is found from them. Measure more poses in it, or leave it out.",
+                code="contact_too_small",
+                contact=c.name,
+            )
+
+
+def _left(c: Contact, p: Floats, place: Floats) -> tuple[Floats, Floats]:
+    """Residuals (S,) of a contact's rows ``p (K, 3)`` and the derivative (S, U) by its place."""
+    if c.kind == "socket":
+        return (place - p).reshape(-1), np.tile(np.eye(3), (len(p), 1))
+    if c.kind == "plane":
+        normal, along = place[:3], p - p.mean(axis=0)
+        u, v = _square_to(normal)
+        return place[3] - p @ normal, np.column_stack([np.ones(len(p)), along @ u, along @ v])
+    assert c.length is not None
+    ray = p - place
+    size = np.linalg.norm(ray, axis=1)
+    return c.length - size, ray / size[:, None]
+
+
+def _slope(c: Contact, p: Floats, place: Floats, J: Floats) -> Floats:
+    """Derivative (S, P) of what the rows' residuals compare, from the points' ``J (K, 3, P)``."""
+    if c.kind == "socket":
+        return J.reshape(-1, J.shape[2])
+    if c.kind == "plane":
+        return np.asarray(np.einsum("i,kip->kp", place[:3], J))
+    ray = p - place
+    return np.asarray(np.einsum("ki,kip->kp", ray / np.linalg.norm(ray, axis=1)[:, None], J))
+
+
+def _projected(D: Floats, slope: Floats) -> Floats:
+    """The slope without what moves ``D`` of the place take up; moves that hardly show take up nothing."""
+    U, s, _ = np.linalg.svd(D, full_matrices=False)
+    share = s**2 / (s**2 + (LEVEL * s[0]) ** 2)
+    return np.asarray(slope - (U * share) @ (U.T @ slope))
+
+
+def _place(c: Contact, p: Floats) -> Floats:
+    """Where a contact fits the points best: a socket's centre (3,), a plane's normal and distance (4,), a bar's foot (3,)."""
+    if c.kind == "socket":
+        return np.asarray(p.mean(axis=0))
+    if c.kind == "plane":
+        normal = np.linalg.svd(p - p.mean(axis=0), full_matrices=len(p) < 3)[2][2]
+        return np.append(normal, normal @ p.mean(axis=0))
+    assert c.length is not None
+    return _foot(p, c.length)
+
+
+def _foot(p: Floats, length: Floats) -> Floats:
+    """Centre (3,) from which the points are ``length (K,)`` away: linear first, then Gauss-Newton."""
+    middle = p.mean(axis=0)
+    local = p - middle
+    A = np.column_stack([2.0 * local, -np.ones(len(p))])
+    foot = np.linalg.lstsq(A, np.sum(local**2, axis=1) - length**2, rcond=0.03)[0][:3]
+    flat, *others = [_settled(local, length, start) for start in (foot, *_mirrored(local, foot))]
+    best = min(others, key=lambda found: found[1], default=flat)
+    return np.asarray((best if CLEARLY * best[1] < flat[1] else flat)[0] + middle)
+
+
+def _settled(local: Floats, length: Floats, foot: Floats) -> tuple[Floats, float]:
+    """Foot by damped Gauss-Newton steps, and its sum of squares. What lengths hardly see hardly moves."""
+    for _ in range(STEPS):
+        ray = local - foot
+        size = np.maximum(np.linalg.norm(ray, axis=1), SETTLED_M)
+        D = ray / size[:, None]
+        H = D.T @ D
+        step = np.linalg.solve(H + LEVEL**2 * np.trace(H) * np.eye(3), D.T @ (size - length))
+        foot = foot + step
+        if np.linalg.norm(step) < SETTLED_M:
+            break
+    return foot, float(np.sum((np.linalg.norm(local - foot, axis=1) - length) ** 2))
+
+
+def _mirrored(local: Floats, foot: Floats) -> Iterator[Floats]:
+    """Starts on either side of the points: lying near a plane they cannot tell a foot from its mirror image at first."""
+    _, s, Vt = np.linalg.svd(local, full_matrices=False)
+    if s[2] < 0.2 * s[1]:
+        reach = max(float(s[0]) / np.sqrt(len(local)), 1e-3)
+        yield foot + reach * Vt[2]
+        yield foot - reach * Vt[2]
+
+
+def _between(a: Ints, b: Ints, known: float, p: Floats, J: Floats | None) -> tuple[Floats, Floats | None]:
+    apart = p[a].mean(axis=0) - p[b].mean(axis=0)
+    size = float(np.linalg.norm(apart))
+    slope = None if J is None else (apart / size) @ (J[a, :3].mean(axis=0) - J[b, :3].mean(axis=0))
+    return np.array([known - size]), None if slope is None else slope[None]
+
+
+def _places(anchor: Contacts, calibration: Calibration) -> dict[str, Floats]:
+    p = calibration.predict(anchor.observations).position
+    return {c.name: _place(c, p[c.rows]) for c in anchor.contacts}
+
+
+def _square_to(normal: Floats) -> tuple[Floats, Floats]:
+    u = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    u /= np.linalg.norm(u)
+    return u, np.cross(normal, u)

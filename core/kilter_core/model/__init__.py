@@ -1,0 +1,5 @@
+"""The robot model: chain, effects and frames together; poses, exact Jacobian, calibrations."""
+
+from kilter_core.model.robot_model import Calibration, Prediction, RobotModel
+
+__all__ = ["Calibration", "Prediction", "RobotModel"]

@@ -1,0 +1,99 @@
+"""Load errors in a model: the loads the other effects read, and how their corrections follow errors of the masses."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kilter_core.effects import Batch, Effect, Local
+from kilter_core.types import Floats
+
+STEP = (
+    1e-3  # of the rms load over which slopes are taken: effects are linear in the loads, or smooth over more than that
+)
+LEAST_NM = 1e-9
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Derivative of the corrections ``local`` by component ``part`` of the loads ``name``, each joint by its own load."""
+
+    name: str
+    part: int
+    local: Local
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Effects of a model with their places among its values, as ``slices`` lists them."""
+
+    effects: Sequence[Effect]
+    slices: Mapping[str, slice]
+
+    def __iter__(self) -> Iterator[tuple[Effect, slice]]:
+        return zip(self.effects, self.slices.values(), strict=True)
+
+    def loaded(self, batch: Batch, values: Floats) -> Batch:
+        """The batch with the loads that the load errors in ``values`` leave."""
+        change = self._change(batch, values)
+        return batch if change is None else batch.with_loads(change)
+
+    def read(self, batch: Batch, values: Floats, effects: Iterable[Effect]) -> Batch:
+        """The same with those loads alone that any of the ``effects`` reads: all of them take most of a fit's time."""
+        change = self._change(batch, values)
+        if change is None:
+            return batch
+        following = [e for e in effects if "moments" in e.needs and not e.changes_loads]
+        if not all(e.reads for e in following):  # one that names none may read any
+            return batch.with_loads(change)
+        named: dict[str, set[int]] = {}
+        for name, parts in (read for e in following for read in e.reads):
+            named.setdefault(name, set()).update(parts)
+        return batch.with_loads(change, {name: tuple(sorted(parts)) for name, parts in named.items()})
+
+    def _change(self, batch: Batch, values: Floats) -> Floats | None:
+        """Load errors (K,) in ``values``; None without any."""
+        if batch.slopes is None:
+            return None
+        change = np.zeros(len(batch.slopes))
+        for place, column in self._places(batch):
+            change[column] += values[place]
+        return change if np.any(change) else None
+
+    def load_errors(self, batch: Batch, wanted: Container[int]) -> list[tuple[int, int]]:
+        """Parameter and load error, of those among the ``wanted`` parameters that these rows have."""
+        return [] if batch.slopes is None else [(p, c) for p, c in self._places(batch) if p in wanted]
+
+    def slopes(self, here: Batch, values: Floats) -> Iterator[Slope]:
+        """How the corrections of effects with values follow the loads of the batch: exact where they are linear in them."""
+        for effect, where in self:
+            if effect.reads and np.any(values[where]):
+                yield from _slopes(effect, here, values[where])
+
+    def _places(self, batch: Batch) -> Iterator[tuple[int, int]]:
+        """Parameter and load error of each effect that changes loads."""
+        assert batch.slopes is not None
+        for effect, where in self:
+            if effect.changes_loads:
+                columns = effect.load_columns(batch.slopes)
+                yield from ((where.start + k, c) for k, c in enumerate(columns) if c >= 0)
+
+
+def _slopes(effect: Effect, batch: Batch, values: Floats) -> Iterator[Slope]:
+    for name, parts in effect.reads:
+        load = getattr(batch, name)
+        for part in parts:
+            step = np.zeros_like(load)
+            here = ... if name == "axial" else (..., part)
+            step[here] = max(STEP * float(np.sqrt(np.mean(load[here] ** 2))) if load.size else 0.0, LEAST_NM)
+            ahead, behind = (effect.local(replace(batch, **{name: load + way * step}), values) for way in (1.0, -1.0))
+            yield Slope(name, part, _over(ahead, behind, 2.0 * float(step[here].flat[0]) if load.size else 1.0))
+
+
+def _over(ahead: Local, behind: Local, width: float) -> Local:
+    def slope(one: Floats | None, other: Floats | None) -> Floats | None:
+        return None if one is None or other is None else (one - other) / width
+
+    return Local(slope(ahead.dq, behind.dq), slope(ahead.xi, behind.xi), slope(ahead.base, behind.base))

@@ -1,0 +1,5 @@
+"""What was measured, as arrays, and which rows are repeats of one pose."""
+
+from kilter_core.observations.rows import Observations
+
+__all__ = ["Observations"]

@@ -1,0 +1,1 @@
+"""Compiled search for rows that lie near each other."""

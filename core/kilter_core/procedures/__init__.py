@@ -1,0 +1,1 @@
+"""Campaigns that measure joint by joint: circle points, inclinometers, two encoders, a digitised frame."""
