@@ -64,10 +64,24 @@ GATES = (
     Gate("evidence.replication.AGREES", "confirmation", "confirmation", least=False),
 )
 SEARCH = (
-    "search.select.MARGIN", "search.select.FAMILY_MARGIN", "search.select.MOST_JOINTS", "search.select.SMALLEST_GAIN", "search.select.CLEARLY_WRONG",
-    "search.select.HIDING", "search.scan.CAUTION", "search.scan.STRICTER", "search.outliers.CHANCE", "search.outliers.MOST", "search.outliers.SUPPLE",
-    "noise.from_repeats.SPIKE", "noise.from_repeats.SPHERICAL", "search.bases.SEEN", "evidence.shadow.FAIR", "evidence.testability.BARELY", "evidence.holding.SHARE",
-)  # fmt: skip
+    "search.select.MARGIN",
+    "search.select.FAMILY_MARGIN",
+    "search.select.MOST_JOINTS",
+    "search.select.SMALLEST_GAIN",
+    "search.select.CLEARLY_WRONG",
+    "search.select.HIDING",
+    "search.scan.CAUTION",
+    "search.scan.STRICTER",
+    "search.outliers.CHANCE",
+    "search.outliers.MOST",
+    "search.outliers.SUPPLE",
+    "noise.from_repeats.SPIKE",
+    "noise.from_repeats.SPHERICAL",
+    "search.bases.SEEN",
+    "evidence.shadow.FAIR",
+    "evidence.testability.BARELY",
+    "evidence.holding.SHARE",
+)
 
 
 def known(constants: Iterable[str]) -> list[str]:

@@ -281,7 +281,8 @@ ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
     }, USE_EFFECT),
     "method": (2, {
         "core/kilter_core/identify/methods/toy_twice.py": METHOD,
-        METHODS: lined(METHODS, ('    "kalman": Method', '    "toy_twice": Method("methods.toy_twice:toy_twice", "twice", True, True),\n')),
+        METHODS: lined(METHODS, ('    "kalman": Method',
+                                  '    "toy_twice": Method("methods.toy_twice:toy_twice", "twice", True, True),\n')),
     }, USE_METHOD),
     "reader": (2, {
         "clients/files/kilter_files/toy.py": READER,
