@@ -78,9 +78,9 @@ SEARCH = (
     "noise.from_repeats.SPIKE",
     "noise.from_repeats.SPHERICAL",
     "search.bases.SEEN",
-    "evidence.shadow.FAIR",
+    "evidence.local_bump.FAIR",
     "evidence.testability.BARELY",
-    "evidence.holding.SHARE",
+    "evidence.holding_out.SHARE",
 )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from kilter_core.effects import Batch
 from kilter_core.errors import NotConvergedError
-from kilter_core.identify.solver import BEND, Minimum, Progress, minimise
+from kilter_core.identify.solver import BEND, Minimum, StepProgress, minimise
 from kilter_core.measurement import Measurement, Residual
 from kilter_core.model import RobotModel
 from kilter_core.types import Floats, Ints
@@ -192,7 +192,7 @@ class Fit:
 def solve(
     problem: Problem,
     start: Floats,
-    progress: Progress | None = None,
+    progress: StepProgress | None = None,
     known: Residual | None = None,
     enough: float = 0.0,
 ) -> Fit:

@@ -23,7 +23,7 @@ import numpy as np
 from kilter_core.errors import NotConvergedError
 from kilter_core.types import Floats
 
-Progress = Callable[[int, float], None]
+StepProgress = Callable[[int, float], None]
 
 MAX_ITERATIONS = 60
 PATIENCE = 8  # slow steps before the second derivative is taken, which costs a look at the model for every direction
@@ -108,7 +108,7 @@ class _Step(Generic[P]):
 
 
 def minimise(
-    objective: Objective[P], start: Floats, here: P, progress: Progress | None = None, enough: float = 0.0,
+    objective: Objective[P], start: Floats, here: P, progress: StepProgress | None = None, enough: float = 0.0,
     patience: int = PATIENCE,
 ) -> Minimum[P]:  # fmt: skip
     """Walk downhill from ``start``, where ``here`` is known, to a minimum; the loss never rises.

@@ -14,13 +14,13 @@ import numpy as np
 import scipy.optimize
 
 from kilter_core.errors import NotConvergedError, OptionError
-from kilter_core.identify.estimate import Progress, estimate, prepared
+from kilter_core.identify.estimate import estimate, prepared
 from kilter_core.identify.least_squares import Fit, Problem
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.transforms import nearest_rotation
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Floats, Ints, Progress
 
 POSES = 40  # enough to tell valleys apart; the least squares afterwards uses all
 POPULATION = 4
@@ -111,7 +111,7 @@ def _search(problem: Problem, values: Floats, options: IdentifyOptions) -> _Sear
 def _evolved(search: _Search, seed: int, progress: Progress | None) -> Any:
     generation = 0
 
-    def tell(intermediate_result: Any) -> None:
+    def grown(intermediate_result: Any) -> None:
         nonlocal generation
         generation += 1
         if progress is not None:
@@ -120,7 +120,7 @@ def _evolved(search: _Search, seed: int, progress: Progress | None) -> Any:
     one = np.ones(len(search.span))
     return scipy.optimize.differential_evolution(
         search, scipy.optimize.Bounds(-one, one), maxiter=GENERATIONS, popsize=POPULATION, polish=False,
-        x0=0.0 * one, callback=tell, tol=1e-6, rng=np.random.default_rng(seed),
+        x0=0.0 * one, callback=grown, tol=1e-6, rng=np.random.default_rng(seed),
     )  # fmt: skip
 
 

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.identify.estimate import Progress, prepared, weights_of
+from kilter_core.identify.estimate import prepared, weights_of
 from kilter_core.identify.least_squares import Fit, fit_at, normal_equations
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
+from kilter_core.types import Progress
 
 
 def linear_least_squares(

@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.errors import NotConvergedError
-from kilter_core.identify.estimate import Progress, prepared, weights_of
+from kilter_core.identify.estimate import prepared, weights_of
 from kilter_core.identify.influence import relative_influence, step_of
 from kilter_core.identify.least_squares import Fit, Linearised, Problem, fit_at
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
-from kilter_core.types import Floats
+from kilter_core.types import Floats, Progress
 
 SWEEPS = 400
 SETTLED = 1e-5  # largest mean step, in prior sigmas, that ends the sweeps: 50 nm, 10 millionths of a degree
