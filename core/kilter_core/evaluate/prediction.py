@@ -102,4 +102,4 @@ def _refitted(calibration: Calibration, measurement: Measurement, frames: tuple[
     held = model.names[6 : model.n_geometric - 6] + model.names[model.n_geometric :]
     options = IdentifyOptions(fix=held, tool="free" if "tool" in frames else "fixed")
     fit = estimate(Calibration(model, values), measurement, options)
-    return Calibration(*fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points)
+    return fit.calibration()

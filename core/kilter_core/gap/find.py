@@ -85,7 +85,7 @@ def find_gap(
 
     """
     options = options or GapOptions()
-    progress = progress or (unheard)
+    progress = progress or unheard
     begin = beginning(robot, start)
     if confirmation is not None:
         for rows in (observations, validation):

@@ -37,7 +37,7 @@ def registration_only(start: Calibration, measurement: Measurement, loss: str = 
         loss=bounded(loss), fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :]
     )
     fit = estimate(start, measurement, options)
-    return Calibration(*fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points)
+    return fit.calibration()
 
 
 def bounded(loss: str) -> str:

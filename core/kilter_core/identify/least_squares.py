@@ -17,7 +17,7 @@ from kilter_core.effects import Batch
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.solver import BEND, Minimum, StepProgress, minimise
 from kilter_core.measurement import Measurement, Residual
-from kilter_core.model import RobotModel
+from kilter_core.model import Calibration, RobotModel
 from kilter_core.types import Floats, Ints
 
 HUBER_SIGMAS = 3.0
@@ -187,6 +187,12 @@ class Fit:
     def sigma(self) -> Floats:
         """Posterior standard deviations (F,) of the free parameters."""
         return np.sqrt(np.diag(self.covariance))
+
+    def calibration(self, *wanted: Floats | None) -> Calibration:
+        """What was fitted, the increments of base and tool absorbed in their poses; ``wanted`` as a calibration has them."""
+        problem = self.problem
+        model, values = problem.model.absorb_frame_increments(self.values)
+        return Calibration(model, values, problem.measurement.marker_points, *wanted)
 
 
 def solve(

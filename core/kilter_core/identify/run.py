@@ -138,7 +138,7 @@ def identify(
 
     """
     options = options or IdentifyOptions()
-    progress = progress or (unheard)
+    progress = progress or unheard
     begin = begin_with(robot, train, options, start)
     nominal = Calibration.nominal(robot)
     refuse_missing_columns(begin, train)
@@ -160,9 +160,7 @@ def identify(
     wanted = wanted_frames(begin, found, measurement, options, _continues(options, prior))
     begin, learned = gated(begin, train, options, prior)
     fit = fit_by_method(begin, measurement, options, lambda f, s: progress(0.5 + 0.4 * f, s), prior)
-    calibration = Calibration(
-        *fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points, *wanted
-    )
+    calibration = fit.calibration(*wanted)
     stages = {"nominal": nominal, "registration_only": found, "identified": calibration}
     own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):

@@ -267,7 +267,7 @@ def with_base(calibration: Calibration, measurement: Measurement, loss: str) -> 
     model, values = alone.model.absorb_frame_increments(alone.values)
     options = IdentifyOptions(fix=model.names[6:], tool="fixed", loss=bounded(loss))
     fit = estimate(Calibration(model, values, measurement.marker_points), measurement, options)
-    return Calibration(*fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points)
+    return fit.calibration()
 
 
 def _apart(code: int, use: str, before: Floats, after: Floats) -> OwnFrame:

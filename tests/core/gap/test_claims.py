@@ -123,8 +123,8 @@ def test_a_confirmation_without_the_effect_contradicts_it(robot, small):
 
 def test_a_confirmation_that_cannot_show_the_effect_says_so(robot):
     rows = campaign(robot, [("backlash", (1,), (6e-4,))], poses=45, revisits=15, seed=3, arm=1)
-    unobservable = replace(again(robot, [("backlash", (1,), (6e-4,))]), direction=None)
-    (effect,) = find_gap(robot, rows, QUICK, confirmation=unobservable).effects
+    blind = replace(again(robot, [("backlash", (1,), (6e-4,))]), direction=None)
+    (effect,) = find_gap(robot, rows, QUICK, confirmation=blind).effects
     assert effect.evidence.replication.outcome == "not_testable"
     assert "no direction" in effect.evidence.replication.reason
     assert effect.verdict == "provisional"

@@ -7,9 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.unobservable.generator import generate
-from tests.unobservable.generator.cases import Hidden, cases
-from tests.unobservable.to_core import observations_of, robot_of
 
 from kilter_core.arm.robot import Robot
 from kilter_core.gap import GapOptions
@@ -20,6 +17,9 @@ from kilter_core.identify import identify
 from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from tests.blind.generator import generate
+from tests.blind.generator.cases import Hidden, cases
+from tests.blind.to_core import observations_of, robot_of
 from tests.core.gap.simulated import campaign, katana
 from tests.core.real import WITH_TOOL, real_campaign
 

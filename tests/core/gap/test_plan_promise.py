@@ -6,9 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.unobservable.generator import Options, tracker
-from tests.unobservable.generator.arm import Arm, Deflection, built
-from tests.unobservable.generator.arms import ARMS
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, plan_separation
@@ -17,6 +14,9 @@ from kilter_core.gap.report.separation import _found
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from tests.blind.generator import Options, tracker
+from tests.blind.generator.arm import Arm, Deflection, built
+from tests.blind.generator.arms import ARMS
 
 COMPLIANCE = 2e-6  # rad / N m
 POSES, REPEATS = 30, 3
