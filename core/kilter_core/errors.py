@@ -1,4 +1,4 @@
-"""Errors of the science. They carry a code, a sentence and a context; nothing here knows HTTP."""
+"""Errors that the core raises: each carries a code, a sentence and a context, and knows nothing of HTTP."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Estimators and the identification that runs them: from observations to a calibration with its uncertainty."""
+"""From observations to a calibration: the methods, how far it is known, and the report."""
 
 from kilter_core.identify.holdout import Folds
 from kilter_core.identify.methods.kalman import Prior
