@@ -248,6 +248,51 @@ nominal = Calibration.nominal(robot_from_document(preset_document("panda")))
 made = export("names", SimpleNamespace(version=about, calibration=nominal))
 assert (made.name, made.media_type, made.text.split()[0]) == ("arm-ver_1.txt", "text/plain", "base_x"), made
 """
+USE_CONDITION = """
+from dataclasses import dataclass
+import numpy as np
+import pyarrow as pa
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
+from kilter_core.effects.base import Effect
+from kilter_core.errors import ObservationError
+from kilter_core.model import Calibration
+from kilter_core.parameters import Parameter
+from kilter_service.campaigns.assemble import observations
+from kilter_service.campaigns.columns import read_columns
+
+
+@dataclass(frozen=True)
+class Swelling(Effect):
+    id, summary, source, remedy, needs = "swelling", "swells", "a test", "wait for rain", frozenset({"humidity_pct"})
+
+    def parameters(self, robot):
+        return self.per_joint(robot, "swelling", "rad", 1e-3, -0.02, 0.02, "per percent")
+
+    def local(self, batch, values):
+        damp = self.column(batch, "humidity_pct")
+        return self.joint_angle(batch, values, np.tile(damp[:, None], (1, batch.q.shape[1])))
+
+
+robot = robot_from_document(preset_document("panda"))
+cells = {f"q{j + 1}_deg": np.zeros(3) for j in range(7)} | {"humidity_pct": np.array([0.0, 50.0, 100.0])}
+columns = read_columns(list(cells), ["revolute"] * 7)
+rows = observations(pa.table(cells), columns, {})
+assert rows.humidity_pct.tolist() == [0.0, 50.0, 100.0] and rows.select(slice(1)).humidity_pct.tolist() == [0.0]
+moved = Calibration.nominal(robot, (Swelling(joints=(0,)),))
+base = len(moved.values) - 1
+values = moved.values.copy()
+values[base] = 1e-3
+there, here = moved.model.predict(rows, values).rotation, Calibration.nominal(robot).predict(rows).rotation
+turned = np.arccos(np.clip((np.trace(here.transpose(0, 2, 1) @ there, axis1=1, axis2=2) - 1) / 2, -1, 1))
+assert np.allclose(turned, [0.0, 0.05, 0.1]), turned
+try:
+    moved.model.predict(rows.__class__(rows.q), values)
+except ObservationError as error:
+    assert "upload humidity_pct" in str(error), error
+else:
+    raise AssertionError("a missing condition was not missed")
+"""
 
 
 def lined(path: str, *lines: tuple[str, str]) -> str:
@@ -263,6 +308,8 @@ METHODS, EFFECTS = "core/kilter_core/identify/methods/registry.py", "core/kilter
 FILES = "clients/files/kilter_files/__init__.py"
 KINDS, FORMATS = "service/kilter_service/jobs/registry.py", "service/kilter_service/exporters/registry.py"
 JOBS = "service/kilter_service/contract/jobs/job.py"
+ROWS, UNITS = "core/kilter_core/observations/rows.py", "service/kilter_service/contract/columns.py"
+COLUMNS_PAGE = "docs/reference/columns.md"
 PAGE, ROW = "docs/reference/effects.md", "| `toy_wobble` | a test | dq = w sin 3q | `toy_wobble`, deg | |\n"
 LOADER = """def _toy(path: Path) -> Table:
     from kilter_files.toy import read_toy
@@ -279,6 +326,12 @@ ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
                        ("    UnknownSmoothCurve,\n", "    ToyWobble,\n")),
         PAGE: lined(PAGE, ("| `encoder_scale` |", ROW)),
     }, USE_EFFECT),
+    "condition": (3, {
+        ROWS: lined(ROWS, ('    payload_kg: Annotated',
+                           '    humidity_pct: Annotated[Floats | None, "humidity_pct"] = None\n')),
+        UNITS: lined(UNITS, ('    "temperature": {', '    "humidity": {"pct": 1.0},\n')),
+        COLUMNS_PAGE: lined(COLUMNS_PAGE, ("| `temperature_c` |", "| `humidity_pct` | humidity |\n")),
+    }, USE_CONDITION),
     "method": (2, {
         "core/kilter_core/identify/methods/toy_twice.py": METHOD,
         METHODS: lined(METHODS, ('    "kalman": Method',

@@ -14,23 +14,14 @@ from numpy.typing import NDArray
 from kilter_core.arm.loads.slopes import LoadSlopes
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError, OptionError
-from kilter_core.observations import Observations
+from kilter_core.observations import CONDITIONS, Conditions, Observations
 from kilter_core.parameters import Parameter
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Floats
 
 PRISMATIC_LEVER_M = 0.1  # what the prior of a radian becomes at a prismatic joint
 _PRISMATIC_UNITS = {
     "rad": "m", "rad/(N m)": "m/N", "rad/(N m)2": "m/N2", "rad/s": "m/s", "rad/K": "m/K",
 }  # fmt: skip
-_COLUMNS = {
-    "direction": "dir1 ... dirn",
-    "qd": "qd1_deg_s ... qdn_deg_s",
-    "t": "t_s",
-    "temperature_c": "temperature_c",
-    "payload_kg": "payload_kg",
-    "session": "session",
-}
-
 
 WRENCH = (0, 1, 2, 3, 4, 5)
 ALL_LOADS = {"axial": (0,), "wrench": WRENCH, "end_wrench": WRENCH, "base_wrench": WRENCH}  # of a batch, by component
@@ -38,7 +29,7 @@ NOT_OF_ROWS = ("link_vectors", "blur")  # arrays of a batch that have no row for
 
 
 @dataclass(frozen=True)
-class Batch:
+class Batch(Conditions):
     """The conditions of N rows as effects may read them, SI.
 
     ``wrench (N, n, 6)`` is the load on each joint; ``axial (N, n)`` its part that works on the joint: the moment about
@@ -60,15 +51,7 @@ class Batch:
     base_wrench: Floats
     tool_point: Floats
     link_vectors: Floats
-    direction: Floats | None = None
-    qd: Floats | None = None
-    qdd: Floats | None = None
-    t: Floats | None = None
-    temperature_c: Floats | None = None
-    payload_kg: Floats | None = None
-    session: Ints | None = None
     payload_axial: Floats | None = None
-    setup: Ints | None = None
     slopes: LoadSlopes | None = None
     blur: Floats | None = None
 
@@ -335,7 +318,9 @@ class Effect(ABC):
         """Return a measured column of the batch; a missing one raises :class:`ObservationError`."""
         found: NDArray[Any] | None = getattr(batch, name)
         if found is None:
-            raise ObservationError(f"{self.id} needs {name}: upload {_COLUMNS[name]}.", effect=self.id, missing=[name])
+            raise ObservationError(
+                f"{self.id} needs {name}: upload {CONDITIONS[name]}.", effect=self.id, missing=[name]
+            )
         return found
 
     def joint_angle(self, batch: Batch, values: Floats, *signals: Floats) -> Local:

@@ -127,9 +127,8 @@ class RobotModel:
         return Batch(
             q=o.q, wrench=loads.joints, axial=axial_loads(robot, loads),
             end_wrench=loads.ends, base_wrench=loads.base, tool_point=loads.tool_point,
-            link_vectors=robot.chain.link_vectors, direction=o.direction, qd=o.qd, qdd=o.qdd, t=o.t,
-            temperature_c=o.temperature_c, payload_kg=o.payload_kg, session=o.session,
-            payload_axial=payload_sensitivity(robot, o) if "payload_kg" in self._needs else None, setup=o.setup,
+            link_vectors=robot.chain.link_vectors, **o.under(),
+            payload_axial=payload_sensitivity(robot, o) if "payload_kg" in self._needs else None,
             slopes=LoadSlopes(robot, o) if any(e.changes_loads for e in self.effects) else None,
         )  # fmt: skip
 

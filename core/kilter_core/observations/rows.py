@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +15,44 @@ from kilter_core.observations.repeats import numbered_poses, numbered_rows
 from kilter_core.types import Floats, Ints
 
 
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """Under which each row was measured: what effects may read by name, with the columns that state it.
+
+    ``direction (N, n)`` in {-1, 0, +1} is the last motion of each joint, ``qd`` and ``qdd (N, n)`` are velocities (rad/s or
+    m/s) and accelerations; ``t (N,)`` s, ``temperature_c (N,)`` deg C, ``payload_kg (N,)`` kg; ``session (N,)`` numbers the
+    times that tracker and markers were set up, ``setup (N,)`` the set-ups of an instrument that each have a frame of
+    their own.
+    """
+
+    direction: Annotated[Floats | None, "dir1 ... dirn"] = None
+    qd: Annotated[Floats | None, "qd1_deg_s ... qdn_deg_s"] = None
+    qdd: Annotated[Floats | None, "qdd1_deg_s2 ... qddn_deg_s2"] = None
+    t: Annotated[Floats | None, "t_s"] = None
+    temperature_c: Annotated[Floats | None, "temperature_c"] = None
+    payload_kg: Annotated[Floats | None, "payload_kg"] = None
+    session: Annotated[Ints | None, "session"] = None
+    setup: Annotated[Ints | None, "session"] = None
+
+
+# The columns of an upload that state each of them.
+CONDITIONS: dict[str, str] = {
+    name: hint.__metadata__[0] for name, hint in get_type_hints(Conditions, include_extras=True).items()
+}
+
+
 @dataclass(frozen=True)
-class Observations:
+class Observations(Conditions):
     """Rows of one or more campaigns, SI and radians, batch axis first.
 
     Shapes: ``q (N, n)``; ``position (N, 3)`` m; ``rotation (N, 3, 3)``; ``markers (N, m, 3)`` m with NaN where a marker
     was not seen; ``tip (N, 3)`` m a point of the tool digitised while the markers were seen, NaN elsewhere; ``link_q
-    (N, n)`` the joint angle behind gear and play; ``direction (N, n)`` in {-1, 0, +1}, the last
-    motion of each joint; ``sigma (N, 3)`` m, the standard deviation of each position coordinate; ``wrench (N, 6)`` force N
-    and moment N·m on the tool point in the tool frame; ``payload_com (N, 3)`` m, where the payload has its centre in the
-    tool frame, the tool point when None. Without an instrument: ``socket``, ``plane`` and ``bar (N,)`` the
-    number of the ball socket, plane or ball bar that the tool's ball is held by in a row, 0 for none; ``bar_length (N,)``
-    m that the bar reads. ``setup (N,)`` numbers the set-ups of the instrument where each has a frame of its own.
-    ``tilt (N, n, 3)`` what each joint turned about x, y and z of its frame beyond its command, up to a constant, as
-    inclinometers read it, NaN where none did.
+    (N, n)`` the joint angle behind gear and play; ``sigma (N, 3)`` m, the standard deviation of each position coordinate;
+    ``wrench (N, 6)`` force N and moment N·m on the tool point in the tool frame; ``payload_com (N, 3)`` m, where the
+    payload has its centre in the tool frame, the tool point when None. Without an instrument: ``socket``, ``plane`` and
+    ``bar (N,)`` the number of the ball socket, plane or ball bar that the tool's ball is held by in a row, 0 for none;
+    ``bar_length (N,)`` m that the bar reads. ``tilt (N, n, 3)`` what each joint turned about x, y and z of its frame
+    beyond its command, up to a constant, as inclinometers read it, NaN where none did.
     """
 
     q: Floats
@@ -36,15 +60,8 @@ class Observations:
     rotation: Floats | None = None
     markers: Floats | None = None
     link_q: Floats | None = None
-    direction: Floats | None = None
-    qd: Floats | None = None
-    qdd: Floats | None = None
     tau: Floats | None = None
-    t: Floats | None = None
-    payload_kg: Floats | None = None
     payload_com: Floats | None = None
-    temperature_c: Floats | None = None
-    session: Ints | None = None
     pose_id: Ints | None = None
     sigma: Floats | None = None
     tip: Floats | None = None
@@ -53,16 +70,13 @@ class Observations:
     plane: Ints | None = None
     bar: Ints | None = None
     bar_length: Floats | None = None
-    setup: Ints | None = None
     tilt: Floats | None = None
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is not None and len(value) != len(self.q):
+        for name, value in self._present().items():
+            if len(value) != len(self.q):
                 raise ObservationError(
-                    f"{field.name} has {len(value)} rows where q has {len(self.q)}: give every row its own value.",
-                    field=field.name,
+                    f"{name} has {len(value)} rows where q has {len(self.q)}: give every row its own value.", field=name
                 )
 
     def __len__(self) -> int:
@@ -114,6 +128,10 @@ class Observations:
             payload_kg=np.full(len(self), payload_kg),
             payload_com=com if self.payload_com is None else self.payload_com,
         )
+
+    def under(self) -> dict[str, Any]:
+        """The conditions by name, None where they are not known."""
+        return {name: getattr(self, name) for name in CONDITIONS}
 
     def pose_groups(self) -> Ints:
         """Number the poses, shape (N,): rows of one ``pose_id``, else rows with nearly the same joint readings, share one."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.observations import Observations
+from kilter_core.observations import CONDITIONS, Observations
 from kilter_service.campaigns.columns import Column
-from kilter_service.contract.columns import PAYLOAD_CENTRE, TILTS
+from kilter_service.contract.columns import PAYLOAD_CENTRE, PLAIN_UNITS, TILTS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -21,7 +21,13 @@ Floats = NDArray[np.float64]
 
 MM = 1e-3
 BY_JOINT = {"q": "q", "link": "link_q", "dir": "direction", "qd": "qd", "qdd": "qdd", "tau": "tau"}
-PLAIN = {"t": "t", "payload": "payload_kg", "temperature": "temperature_c", "bar": "bar_length"}
+# Plain columns of whole numbers and others whose field has another name; a condition's field is named as its column.
+PLAIN = {"bar": "bar_length"} | {
+    quantity: field
+    for quantity, units in PLAIN_UNITS.items()
+    for field in (quantity, *(f"{quantity}_{unit}" for unit in units))
+    if field in CONDITIONS and field != "session"
+}
 WHOLE = {"session": "session", "pose_id": "pose_id", "socket_id": "socket", "plane_id": "plane", "bar_id": "bar"}
 
 

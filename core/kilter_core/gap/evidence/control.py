@@ -12,6 +12,7 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import columns_at
 from kilter_core.gap.search.scan import grouping, residual_given
 from kilter_core.gap.search.tails import tail
+from kilter_core.observations import CONDITIONS
 from kilter_core.types import Floats, Ints
 
 LABELS = {
@@ -23,6 +24,7 @@ LABELS = {
     "session": ("session",),
     "qd": ("qd",),
 }
+LABELS |= {name: (name,) for name in CONDITIONS if name not in LABELS}
 WORDS = {"moments": "load", "payload_kg": "load", "temperature_c": "temperature", "t": "time", "qd": "speed"}
 SURVIVING = 0.1  # share of shuffles in which a name may come back before the control counts as failed
 LARGE = 3000  # visits above which fewer shuffles do

@@ -14,7 +14,7 @@ from kilter_core.gap.search.candidates import FAMILY, Candidate, Library, Untest
 from kilter_core.gap.search.gram import VISIBLE
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.identify.report import WIRE
-from kilter_core.observations import Observations
+from kilter_core.observations import CONDITIONS, Observations
 from kilter_core.types import Bools, Floats
 
 DETECTED = 30.0  # post-geometry non-centrality that a 1 % family-wise test finds in 95 % of cases
@@ -181,4 +181,8 @@ def _constant(c: Candidate, rows: Observations) -> str:
         return "one session only"
     if "qd" in needs and rows.qd is not None and not np.any(rows.qd):
         return "nothing moved"
+    for name in sorted(needs & CONDITIONS.keys()):
+        values = getattr(rows, name)
+        if values is not None and not np.any(np.ptp(values, axis=0)):
+            return f"{CONDITIONS[name]} was constant"
     return ""
