@@ -57,6 +57,22 @@ def nearest_rotation(M: Floats) -> Floats:
     return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt)
 
 
+def rotation_along(k: int, angle: float) -> Floats:
+    """Rotation (3, 3) by ``angle`` about coordinate axis ``k``: 0 for x, 1 for y, 2 for z."""
+    a, b = (k + 1) % 3, (k + 2) % 3
+    out = np.eye(3)
+    out[a, a] = out[b, b] = np.cos(angle)
+    out[b, a] = np.sin(angle)
+    out[a, b] = -out[b, a]
+    return out
+
+
+def rotations_about(axis: Floats, angles: Floats) -> Floats:
+    """Rotations (N, 3, 3) by ``angles (N,)`` about a unit vector (3,): Rodrigues' formula."""
+    W = skew(axis[None])[0]
+    return np.asarray(np.eye(3) + np.sin(angles)[:, None, None] * W + (1.0 - np.cos(angles))[:, None, None] * (W @ W))
+
+
 def rotation_log(R: Floats) -> Floats:
     """Rotation vectors (N, 3) of rotations (N, 3, 3)."""
     return np.asarray(Rotation.from_matrix(R).as_rotvec())

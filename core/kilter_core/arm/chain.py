@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.errors import RobotError
 from kilter_core.parameters import ANGLE_PRIOR_RAD, LENGTH_PRIOR_M, Parameter, refuse_collisions
+from kilter_core.transforms import rotation_along
 from kilter_core.types import Floats, Ints
 
 
@@ -27,6 +28,15 @@ class Axis(IntEnum):
     def rotates(self) -> bool:
         """Whether the motion is a rotation."""
         return self >= Axis.RX
+
+    def motion(self, amount: float) -> Floats:
+        """Pose (4, 4) of the motion by ``amount``, rad or m."""
+        out = np.eye(4)
+        if self.rotates:
+            out[:3, :3] = rotation_along(self % 3, amount)
+        else:
+            out[self % 3, 3] = amount
+        return out
 
 
 @dataclass(frozen=True)
@@ -113,12 +123,7 @@ class Chain:
                 if not e.axis.rotates:
                     reach = reach + turn[:, k] * e.value
                 elif e.joint is None:
-                    a, b = (k + 1) % 3, (k + 2) % 3
-                    step = np.eye(3)
-                    step[a, a] = step[b, b] = np.cos(e.value)
-                    step[b, a] = np.sin(e.value)
-                    step[a, b] = -step[b, a]
-                    turn = turn @ step
+                    turn = turn @ rotation_along(k, e.value)
             out[j] = reach if start < 0 else _joint_frame(self.elements[start]).T @ reach
         return out
 

@@ -32,13 +32,5 @@ def increment(six: Floats) -> Floats:
     """Tx Ty Tz Rx Ry Rz of six increments as a pose (4, 4)."""
     T = np.eye(4)
     for (axis, _), amount in zip(FRAME_AXES, six, strict=True):
-        step = np.eye(4)
-        k = axis % 3
-        if axis.rotates:
-            a, b = (k + 1) % 3, (k + 2) % 3
-            c, s = np.cos(amount), np.sin(amount)
-            step[a, a], step[a, b], step[b, a], step[b, b] = c, -s, s, c
-        else:
-            step[k, 3] = amount
-        T = T @ step
+        T = T @ axis.motion(amount)
     return T

@@ -12,6 +12,7 @@ from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, o
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
+from kilter_core.transforms import rotation_along
 from kilter_core.types import Floats
 
 
@@ -73,14 +74,5 @@ def _tool_axis(robot: Robot) -> Floats:
     turn = chain.program.joint_frame[-1].T
     for e in chain.elements[chain.primary[-1] + 1 :]:
         if e.axis.rotates and e.joint is None:
-            turn = turn @ _turn(e.axis % 3, e.value)
+            turn = turn @ rotation_along(e.axis % 3, e.value)
     return np.asarray(turn @ robot.T_tool[:3, 2])
-
-
-def _turn(k: int, angle: float) -> Floats:
-    a, b = (k + 1) % 3, (k + 2) % 3
-    out = np.eye(3)
-    out[a, a] = out[b, b] = np.cos(angle)
-    out[b, a] = np.sin(angle)
-    out[a, b] = -out[b, a]
-    return out

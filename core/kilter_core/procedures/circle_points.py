@@ -20,7 +20,7 @@ from kilter_core.errors import ObservationError, TooFewPosesError
 from kilter_core.measurement.markers import fit_poses, marker_shape
 from kilter_core.procedures.circle_coupling import PARALLEL as COUPLED
 from kilter_core.procedures.circle_coupling import checked_follows, keeps_direction, leader_point, refuse_coupled
-from kilter_core.transforms import aligned, inverse, nearest_rotation
+from kilter_core.transforms import aligned, inverse, nearest_rotation, rotations_about
 from kilter_core.types import Bools, Floats, Ints
 
 LEAST_ROWS = 5
@@ -218,7 +218,7 @@ def _turn(angle: Floats, points: Floats, others: Floats, j: int) -> AxisFit:
 
     def left(x: Floats) -> Floats:
         z, P = place(x)
-        back = _rotations(z, -angle)
+        back = rotations_about(z, -angle)
         local = np.einsum("kij,kmj->kmi", back, points - P)
         return np.asarray((local - local.mean(axis=0)).ravel())
 
@@ -340,8 +340,3 @@ def _on_first_axis(screws: Screws) -> Floats:
         towards = screws.point[1] if abs(bend) < PARALLEL else p + z * ((screws.point[1] - p) @ across / bend)
     base[:3, 3] = p + z * (z @ (towards - p))
     return base
-
-
-def _rotations(z: Floats, angle: Floats) -> Floats:
-    W = np.array([[0.0, -z[2], z[1]], [z[2], 0.0, -z[0]], [-z[1], z[0], 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle)[:, None, None] * W + (1.0 - np.cos(angle))[:, None, None] * (W @ W))

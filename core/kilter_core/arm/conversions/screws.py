@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kilter_core.arm.chain import Chain, Element
+from kilter_core.arm.chain import Chain
 from kilter_core.errors import RobotError
+from kilter_core.transforms import rotations_about
 from kilter_core.types import Bools, Floats, Ints
 
 
@@ -50,8 +51,7 @@ class Screws:
         if self.prismatic[k]:
             out[:, :3, 3] = amount[:, None] * w
             return out
-        W = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-        out[:, :3, :3] += np.sin(amount)[:, None, None] * W + (1.0 - np.cos(amount))[:, None, None] * (W @ W)
+        out[:, :3, :3] = rotations_about(w, amount)
         out[:, :3, 3] = self.point[k] - out[:, :3, :3] @ self.point[k]
         return out
 
@@ -85,7 +85,7 @@ def chain_frames(chain: Chain, values: Floats | None = None) -> Floats:
         constants[list(chain.named)] = values
     frames = [np.eye(4)]
     for e, value in zip(chain.elements, constants, strict=True):
-        frames.append(frames[-1] @ _step(e, float(value)))
+        frames.append(frames[-1] @ e.axis.motion(float(value)))
     return np.array(frames)
 
 
@@ -102,15 +102,3 @@ def screws_of_chain(chain: Chain, values: Floats | None = None) -> Screws:
         ratio=np.array([e.ratio for e in elements]),
         home=frames[-1],
     )
-
-
-def _step(element: Element, value: float) -> Floats:
-    out, k = np.eye(4), element.axis % 3
-    if not element.axis.rotates:
-        out[k, 3] = value
-        return out
-    a, b = (k + 1) % 3, (k + 2) % 3
-    out[a, a] = out[b, b] = np.cos(value)
-    out[b, a] = np.sin(value)
-    out[a, b] = -out[b, a]
-    return out

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from kilter_core.arm.chain import Axis
 from kilter_core.arm.conventions import PARALLEL_RAD, Row
 from kilter_core.arm.conversions.screws import Screws
 from kilter_core.transforms import aligned, inverse
@@ -31,7 +32,7 @@ class Link:
 
     def pose(self) -> Floats:
         """The motion (4, 4)."""
-        return _rx(self.alpha) @ _ry(self.beta or 0.0) @ _tx(self.a)
+        return Axis.RX.motion(self.alpha) @ Axis.RY.motion(self.beta or 0.0) @ Axis.TX.motion(self.a)
 
 
 @dataclass(frozen=True)
@@ -183,22 +184,6 @@ def _angle(frame: Floats, x: Floats) -> float:
 
 def _about(x: Floats, z0: Floats, z: Floats) -> float:
     return math.atan2(float(np.cross(z0, z) @ x), float(z0 @ z))
-
-
-def _rx(angle: float) -> Floats:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[1, 0, 0, 0], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1.0]])
-
-
-def _ry(angle: float) -> Floats:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1.0]])
-
-
-def _tx(length: float) -> Floats:
-    out = np.eye(4)
-    out[0, 3] = length
-    return out
 
 
 def angles_and_lengths(row: Row) -> Iterator[tuple[str, float | None]]:
