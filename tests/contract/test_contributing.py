@@ -86,11 +86,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from kilter_core.identify.estimate import Progress, estimate
+from kilter_core.identify.estimate import estimate
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
+from kilter_core.types import Progress
 
 
 def toy_twice(
@@ -98,7 +99,7 @@ def toy_twice(
 ) -> Fit:
     """Fit, and fit again."""
     first = estimate(start, measurement, options, progress)
-    again = estimate(Calibration(*first.problem.model.folded(first.values), start.marker_points), measurement, options)
+    again = estimate(first.calibration(), measurement, options)
     return replace(again, report={"looks": 2})
 '''
 USE_METHOD = """
