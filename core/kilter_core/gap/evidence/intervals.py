@@ -12,6 +12,7 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import fitted, solved
 from kilter_core.gap.search.source import LinkSource, ToolSource
 from kilter_core.gap.search.tails import tail
+from kilter_core.identify.uncertainty.intervals import profile_end
 
 LEVEL = 0.95
 MOST_ROWS = 3000  # scalars above which the likelihood is so narrow that its own curvature cannot matter
@@ -76,10 +77,13 @@ def inflation(search: SearchResult) -> float:
 def _end(search: SearchResult, k: int, best: float, end: float, least: float, target: float) -> float:
     """End of the profile interval: where chi-square has risen by ``target``², one secant step from the linear end."""
     others = [c for c in search.columns if c != k]
-    rise = solved(search.problem.settings, search.problem.values, others, (k, end))[1] - least
-    if rise <= 0.0:
-        return end
-    return best + (end - best) * float(np.clip(target / np.sqrt(rise), 0.5, 2.0))
+
+    def root(move: float) -> float:
+        rise = solved(search.problem.settings, search.problem.values, others, (k, best + move))[1] - least
+        return float(np.sqrt(max(rise, 0.0)))
+
+    move = profile_end(root, end - best, target, 1)
+    return end if move is None else best + move
 
 
 def seen_joints(search: SearchResult, place: int) -> tuple[tuple[int, ...] | None, bool]:

@@ -34,7 +34,7 @@ class Evidence:
     amplitudes: tuple[Amplitude, ...]
     p_value: float
     gain_mm: float
-    local_bump_test: bool = False  # a local bump of its joint does as well
+    local_bump: bool = False  # a local bump of its joint does as well
     unseen_poses: int = 0  # held-out poses that took no part in choosing
     seen_joints: tuple[int, ...] | None = None  # of those it acts at, where the data show it; None: acts at none
     seen: bool = True  # whether the data show any of it
@@ -64,7 +64,7 @@ def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, misfit: Misfi
         "held_out": evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN,
         "unseen_poses": evidence.unseen_poses > 0 or (told is not None and told.replicated),
         "no_empirical_alias": len(rivals) == len(evidence.aliases)
-        and not evidence.local_bump_test
+        and not evidence.local_bump
         and not _shadowed(search, evidence),
         "plausible": _plausible(evidence, library),
         "seen": evidence.seen,
@@ -97,7 +97,7 @@ def _numbers(
         "held_out": foretold if gain > 0.0 else min(foretold, 0.0),
         "unseen_poses": float(evidence.unseen_poses),
         "no_empirical_alias": nearest_shape(search, evidence.place),
-        "bumped": float(evidence.local_bump_test),
+        "bumped": float(evidence.local_bump),
         "shadowed": _shadow(search, evidence),
         "plausible": max((_beyond(a, library, evidence.candidate) for a in evidence.amplitudes), default=0.0),
         "seen": float(evidence.seen),

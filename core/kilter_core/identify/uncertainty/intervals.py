@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,18 +89,25 @@ def _by_pose(fit: Fit, groups: Ints) -> tuple[Floats, Floats]:
 
 
 def _end(fit: Fit, c: int, sigma: float) -> float | None:
-    """Move of parameter ``c`` at which the root of twice the loss reaches the quantile, by secants; None if it never does."""
-    move = QUANTILE * sigma
-    for _ in range(TRIALS):
-        try:
-            root = _root(fit, c, move)
-        except NotConvergedError:
+    """Move of parameter ``c`` at which the root of twice the loss reaches the quantile; None if it never does."""
+    try:
+        return profile_end(lambda move: _root(fit, c, move), QUANTILE * sigma, QUANTILE, TRIALS)
+    except NotConvergedError:
+        return None
+
+
+def profile_end(root: Callable[[float], float], move: float, target: float, trials: int) -> float | None:
+    """Move at which the ``root`` of what a profile rises by reaches its ``target``, from the linear guess ``move``.
+
+    By secants, at most ``trials`` of them, each a fit; None where the profile does not rise.
+    """
+    for _ in range(trials):
+        risen = root(move)
+        if not risen > 0.0:
             return None
-        if not root > 0.0:
-            return None
-        if abs(root / QUANTILE - 1.0) < CLOSE:
+        if abs(risen / target - 1.0) < CLOSE:
             break
-        move *= min(max(QUANTILE / root, 0.5), 2.0)
+        move *= min(max(target / risen, 0.5), 2.0)
     return move
 
 
