@@ -10,7 +10,7 @@ TESTERS ?= 2
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract rooms coverage bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds frozen thesis silent-rows image fmt clean
+.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract licences rooms coverage bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds frozen thesis silent-rows image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -62,10 +62,14 @@ check: $(KERNELS) ## style, types, import rules
 	$(BIN)/lint-imports
 	$(BIN)/python -m tools.contract --check
 	$(BIN)/python -m tools.draw_rooms --check
+	$(BIN)/python -m tools.licences --check
 	$(BIN)/python -m pytest -q tests/contract/test_layout.py tests/contract/test_docs.py tests/contract/test_openapi.py
 
 rooms: $(READY) ## draw the rooms of the core and their table from the imports
 	$(BIN)/python -m tools.draw_rooms
+
+licences: $(READY) ## list the licences of what is needed at run time
+	$(BIN)/python -m tools.licences
 
 contract: $(KERNELS) ## write the effects of the contract, the tables of options and the help of commands anew
 	$(BIN)/python -m tools.contract
