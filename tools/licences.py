@@ -73,15 +73,19 @@ def closure(name: str, extras: frozenset[str] = frozenset()) -> set[str]:
 def licence_of(name: str) -> str:
     """Licence that an installed package states, in the words of SPDX where it can be told."""
     about = metadata.distribution(name).metadata
-    stated = about.get("License-Expression") or READ_BY_HAND.get(name)
+    stated = _field(about, "License-Expression") or READ_BY_HAND.get(name)
     if stated:
         return stated
     classified = [
         line.rpartition("::")[2].strip() for line in about.get_all("Classifier") or [] if line.startswith("License ::")
     ]
-    given = (about.get("License") or "").strip()
+    given = _field(about, "License")
     words = [given] if given and "\n" not in given and len(given) < 60 else classified
     return " OR ".join(_normal(word) for word in words) or "not stated"
+
+
+def _field(about: metadata.PackageMetadata, name: str) -> str:
+    return str((about.get_all(name) or [""])[0]).strip()
 
 
 def _normal(words: str) -> str:
