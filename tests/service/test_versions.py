@@ -19,8 +19,8 @@ from kilter_core.correction import CorrectionOptions, Track, compile_program
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.poses import last_motion
 from kilter_core.twin import Twin, thesis_katana
-from kilter_service.correction.follow import last_motion
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.frames import Answer, Flag, decode_answer, encode_setpoints
 from kilter_service.corrector.queries import correct_trajectory, decode_trajectory, encode_trajectory
@@ -364,8 +364,3 @@ def test_what_is_no_trajectory_is_refused(client: httpx.Client, versions: Versio
         assert answer.status_code == 400
         assert message in answer.json()["detail"]
     assert client.post("/v1/robots/nobody/correct", json=columns).status_code == 404
-
-
-def test_last_motion_is_remembered_while_a_joint_rests() -> None:
-    q = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, -1.0], [1.0, -1.0], [0.5, -1.0]])
-    assert last_motion(q).tolist() == [[0, 0], [1, 0], [1, -1], [1, -1], [-1, -1]]

@@ -14,8 +14,8 @@ from kilter_service.corrector.frames import Status
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from kilter_core.correct.walker import CorrectedTrajectory
     from kilter_core.correction import CorrectionOptions
-    from kilter_service.correction.follow import Corrected
 
 Floats = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def options_of(limits: CorrectionLimits, temperature_c: float | None) -> Correct
     )
 
 
-def with_verdict(table: pa.Table, done: Corrected, u95: Floats) -> pa.Table:
+def with_verdict(table: pa.Table, done: CorrectedTrajectory, u95: Floats) -> pa.Table:
     """Add to a trajectory what was removed of the error, half the interval that is left, and the status."""
     removed = done.error_removed * 1e3
     for k, axis in enumerate("xyz"):

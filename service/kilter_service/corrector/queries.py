@@ -14,7 +14,9 @@ from multiprocessing.connection import Connection
 import numpy as np
 import zenoh
 
-from kilter_core.correction import Track, warm_up
+from kilter_core.correct.walker import walk_from_rest
+from kilter_core.correction import warm_up
+from kilter_core.errors import ObservationError
 from kilter_service.corrector import frames, keys
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.frames import Flag, Floats, FrameError, Header, Kind, Status
@@ -98,21 +100,20 @@ def correct_trajectory(request: Trajectory, active: Active | None) -> bytes:
             Status.VERSION_MISMATCH.name,
             f"The active version is {active.version_id} for {active.program.n_joints} joints: ask for that one.",
         )
-    steps = np.diff(request.t, prepend=request.t[:1])
-    backwards = np.flatnonzero(~(steps >= 0.0))
-    if len(backwards):
-        raise QueryError(Status.SEQ_BACK.name, "The times go back or are not numbers.", int(backwards[0]))
     began = time.monotonic_ns()
-    track = Track(active.program, settled=True)
-    done, out, info, status = track.follow(request.values, frames.width(request.header.flags), steps)
-    if done < len(out):
-        name = Status(int(status[done])).name
-        raise QueryError(name, f"Point {done} is refused: {name}.", done, int(info[done, 1]))
-    flags = int(np.bitwise_or.reduce(info[:, 0].astype(np.int64)))
+    try:
+        walked = walk_from_rest(active.program, request.values, frames.width(request.header.flags), request.t)
+    except ObservationError as error:
+        index = error.context["row"] - 1
+        raise QueryError(Status.SEQ_BACK.name, "The times go back or are not numbers.", index) from error
+    refused = walked.refusal
+    if refused is not None:
+        name = Status(refused.status).name
+        raise QueryError(name, f"Point {refused.index} is refused: {name}.", refused.index, refused.limit_mask)
     spent = min(time.monotonic_ns() - began, 0xFFFFFFFF)
-    head = frames.HEADER.pack(frames.MAGIC, Kind.TRAJECTORY, joints, flags, request.header.seq, 0, 0)
+    head = frames.HEADER.pack(frames.MAGIC, Kind.TRAJECTORY, joints, walked.flags, request.header.seq, 0, 0)
     verdict = frames.VERDICT.pack(active.number, active.epoch, Status.OK, 0, spent, 0)
-    return b"".join([head, verdict, frames.BLOCK.pack(len(out), joints), request.t.tobytes(), out.tobytes()])
+    return b"".join([head, verdict, frames.BLOCK.pack(len(walked.q), joints), request.t.tobytes(), walked.q.tobytes()])
 
 
 def describe(robot: str, active: Active | None) -> bytes:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from kilter_core.correct.walker import walk_whole
 from kilter_core.correction import Track
 from kilter_service.corrector import frames
 from kilter_service.corrector.active import Active
@@ -135,15 +135,18 @@ class Stream:
         dt = clock.elapsed_s(at, arrival_ns, self.rules.time_slack_s)
         if header.kind == Kind.POINT:
             status = track.step(request.values[0], width, dt)
-            info, numbers = track.info, track.out
+            flags, mask, numbers = int(track.info[0]), int(track.info[1]), track.out
         else:
-            status, info, numbers = self._chunk(track, request, width, dt)
+            steps = np.full(len(request.values), request.step_ns * 1e-9)
+            steps[0] = dt
+            walked = walk_whole(track, request.values, width, steps)
+            refused, flags, numbers = walked.refusal, walked.flags, walked.q
+            status, mask = (refused.status, refused.limit_mask) if refused else (0, 0)
         if status != Status.OK:
-            return self._refused(header, Status(status), active, int(info[1]), arrival_ns)
+            return self._refused(header, Status(status), active, mask, arrival_ns)
         points = len(request.values)
         clock.applied_ns = at + (points - 1) * request.step_ns
         clock.answered_ns = arrival_ns
-        flags = int(info[0])
         self.counters.count_flags(flags)
         return frames.encode_answer(
             header,
@@ -155,20 +158,6 @@ class Stream:
             points=points,
             step_ns=request.step_ns,
         )
-
-    @staticmethod
-    def _chunk(
-        track: Track, request: Setpoints, width: int, dt: float
-    ) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
-        """All points or none: a refused point refuses the chunk and leaves the memory as it was."""
-        steps = np.full(len(request.values), request.step_ns * 1e-9)
-        steps[0] = dt
-        done, out, info, status = track.follow(request.values, width, steps, atomic=True)
-        if done < len(out):
-            return int(status[done]), info[done], out
-        whole = info[-1].copy()
-        whole[0] = np.bitwise_or.reduce(info[:, 0].astype(np.int64))
-        return 0, whole, out
 
     def _refused(
         self, header: frames.Header | None, status: Status, active: Active | None, mask: int, arrival_ns: int

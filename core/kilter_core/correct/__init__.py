@@ -1,0 +1,1 @@
+"""From a version to corrected setpoints: program, walker, limits, reference."""
