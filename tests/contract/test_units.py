@@ -28,7 +28,7 @@ AT_THE_EDGE = (
     "core/kilter_core/conversions/*.py",
 )
 # Times of the stream, in nanoseconds and microseconds.
-NO_LENGTHS = ("service/kilter_service/corrector/short_way.py",)
+NO_LENGTHS = ("service/kilter_service/corrector/fast_path.py",)
 # Where the core still speaks mm and degrees: options and reports whose names are promised, sentences' numbers, and the
 # simulated arm's data. Number of lines; only ever fewer.
 STILL = {

@@ -16,9 +16,9 @@ from pyarrow import parquet
 from kilter_core.correction import CorrectionOptions, compile_program
 from kilter_core.twin import Twin, thesis_katana
 from kilter_service.corrector.active import Active
-from kilter_service.corrector.frames import Answer, Flag, Status, decode_answer, encode_setpoints
 from kilter_service.corrector.queries import QueryError, correct_trajectory, decode_trajectory, encode_trajectory
 from kilter_service.corrector.stream import Stream
+from kilter_service.corrector.wire import Answer, Flag, Status, decode_answer, encode_setpoints
 from kilter_service.db import Database
 from kilter_service.ros2 import cdr
 from kilter_service.ros2.relay import TrajectoryRelay

@@ -22,9 +22,9 @@ from kilter_core.observations import Observations
 from kilter_core.poses import last_motion
 from kilter_core.twin import Twin, thesis_katana
 from kilter_service.corrector.active import Active
-from kilter_service.corrector.frames import Answer, Flag, decode_answer, encode_setpoints
 from kilter_service.corrector.queries import correct_trajectory, decode_trajectory, encode_trajectory
 from kilter_service.corrector.stream import Stream
+from kilter_service.corrector.wire import Answer, Flag, decode_answer, encode_setpoints
 from kilter_service.db import Database
 from kilter_service.db.tables import JobRow, VersionRow
 from kilter_service.versions import store

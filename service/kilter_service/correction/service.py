@@ -65,7 +65,7 @@ def correct(
     stated = observations(table, columns, {})
     rows = load.under(stated, carried, calibration.robot)
     done = correct_trajectory(calibration, rows, options)
-    notes = load.remarks(calibration, stated.payload_kg is not None, done.not_corrected, carried)
+    notes = load.load_notes(calibration, stated.payload_kg is not None, done.not_corrected, carried)
     if form == ROS2:
         names = [joint.name for joint in calibration.robot.joints]
         return Answer(joint_trajectory(names, rows.t, done), done.not_corrected, notes)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.corrector.frames import Status
+from kilter_service.corrector.wire import Status
 
 if TYPE_CHECKING:
     from kilter_core.correct.walker import CorrectedTrajectory

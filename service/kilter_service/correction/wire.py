@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.corrector.frames import Status
+from kilter_service.corrector.wire import Status
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from kilter_core.conversions import flange_screws, joint_frames, wanted_tool
 from kilter_service.exporters.exportable import Exportable, Written
+from kilter_service.exporters.omissions import omissions
 from kilter_service.exporters.registry import program_name
-from kilter_service.exporters.remarks import remarks
 
 if TYPE_CHECKING:
     from kilter_core.robot import Joint
@@ -29,7 +29,7 @@ def matlab(version: Exportable) -> Written:
     """
     calibration = version.calibration
     screws = flange_screws(calibration).one_axis_per_joint()
-    frames, notes = joint_frames(screws), remarks(calibration)
+    frames, notes = joint_frames(screws), omissions(calibration)
     name = program_name(f"{version.version.robot}-{version.version.id}")
     lines = [f"function robot = {name}()"]
     lines += [f"% Robot {version.version.robot} as calibrated by Kilter, version {version.version.id}."]

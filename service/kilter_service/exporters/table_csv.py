@@ -15,7 +15,7 @@ from kilter_core.conversions.tables import angles_and_lengths
 from kilter_core.robot import STANDARD_GRAVITY
 from kilter_core.transforms import xyz_rpy_from_pose
 from kilter_service.exporters.exportable import Exportable, Written
-from kilter_service.exporters.remarks import distance, left_out, masses_as_stated
+from kilter_service.exporters.omissions import distance, left_out, masses_as_stated
 
 if TYPE_CHECKING:
     from kilter_core.conventions import Row

@@ -15,10 +15,10 @@ import numpy as np
 
 from kilter_core.correct.walker import side_by_side, walk_from_rest
 from kilter_core.errors import ObservationError
-from kilter_service.corrector import frames
+from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
-from kilter_service.corrector.frames import Flag, Floats, Status
 from kilter_service.corrector.stream import Stream
+from kilter_service.corrector.wire import Flag, Floats, Status
 from kilter_service.ros2 import cdr
 from kilter_service.ros2.names import Attachment
 
@@ -95,11 +95,11 @@ class StateRelay:
         stamp = max(0, sec * 1_000_000_000 + nanosec)
         self._seq = attachment.seq if attachment else self._seq + 1
         sent = attachment.sent_ns if attachment else (stamp or arrival_ns)
-        frame = frames.encode_setpoints(
+        frame = wire.encode_setpoints(
             values[None], joints=len(columns), seq=self._seq, t_send_ns=sent, t_apply_ns=0, flags=flags
         )
         raw = self._stream.answer(frame, arrival_ns, active)
-        answer = frames.decode_answer(raw) if raw else None
+        answer = wire.decode_answer(raw) if raw else None
         if answer is None or answer.status != Status.OK:
             raise RefusedError(answer.status.name if answer else Status.BAD_FRAME.name)
         position = state.position.copy()
