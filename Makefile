@@ -21,7 +21,7 @@ $(READY): pyproject.toml core/pyproject.toml clients/files/pyproject.toml client
 	sh tools/make_environment.sh "$(PYTHON)"
 	touch $@
 
-$(KERNELS): $(READY) $(wildcard core/kilter_core/*/kernels/*.py) service/kilter_service/corrector/short_way.py
+$(KERNELS): $(READY) $(wildcard core/kilter_core/*/kernels/*.py) service/kilter_service/corrector/fast_path.py
 	$(BIN)/python -m tools.compile_kernels
 	touch $@
 

@@ -33,12 +33,12 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.program import CorrectionOptions, CorrectionProgram, Track, compile_program
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
-from kilter_service.corrector import frames
+from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active, version_number
-from kilter_service.corrector.frames import Flag
 from kilter_service.corrector.loop import ask_for_real_time
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.session import config, open_listening
+from kilter_service.corrector.wire import Flag
 from kilter_service.settings import Settings
 
 ROBOT, SITE = "ur10", "bench"
@@ -139,7 +139,7 @@ class Line:
         """Send a point, or a chunk when ``step_ns`` is given."""
         self.seq += 1
         flags = Flag.RESET | Flag.SETTLED if self.seq == 1 else 0
-        data = frames.encode_setpoints(
+        data = wire.encode_setpoints(
             values, joints=6, seq=self.seq, t_send_ns=time.monotonic_ns(), t_apply_ns=0, flags=flags, step_ns=step_ns
         )
         self.sent[self.seq] = time.perf_counter_ns()
@@ -153,7 +153,7 @@ class Line:
 
     def round_trips_us(self) -> np.ndarray:
         """Round trips of the frames that came back, µs."""
-        trips = [at - self.sent[frames.decode_header(data).seq] for at, data in self.arrived]
+        trips = [at - self.sent[wire.decode_header(data).seq] for at, data in self.arrived]
         return np.array(trips[100:]) / 1000.0  # the first ones meet cold caches
 
 
@@ -187,7 +187,7 @@ def throughput(line: Line, points: int = 200, window: int = 8, seconds: float = 
         else:
             time.sleep(0.0001)
     line.wait()
-    good = sum(frames.decode_answer(data).status == 0 for _, data in line.arrived[first:])
+    good = sum(wire.decode_answer(data).status == 0 for _, data in line.arrived[first:])
     return points * good / (time.perf_counter() - begin)
 
 
@@ -307,7 +307,7 @@ def run_round(active: Active, samples: int, rate: float) -> Round:
         take_turns(lines, samples, rate)
         for line in lines:
             line.wait()
-        answers = [frames.decode_answer(data) for _, data in lines[1].arrived]
+        answers = [wire.decode_answer(data) for _, data in lines[1].arrived]
         done = Round(
             lines[0].round_trips_us(),
             lines[1].round_trips_us(),

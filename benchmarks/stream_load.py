@@ -26,7 +26,7 @@ import zenoh
 from benchmarks.stream import POSTURE, ROBOT, SITE, Fixed, Line, calibration, path, running
 from kilter_client.stream import CorrectedStream
 from kilter_core.correct.program import CorrectionOptions, compile_program
-from kilter_service.corrector import frames
+from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active, version_number
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.queries import encode_trajectory
@@ -84,7 +84,7 @@ def robots(count: int, rate: float, seconds: float) -> None:
         for line in lines:
             line.wait()
         used = processor_s(pid) - used
-        verdicts = Counter(frames.decode_answer(data).status.name for line in lines for _, data in line.arrived)
+        verdicts = Counter(wire.decode_answer(data).status.name for line in lines for _, data in line.arrived)
         trips = np.concatenate([line.round_trips_us() for line in lines])
         sent = sum(line.seq for line in lines)
         print(f"{count} robots at {rate:g} Hz for {seconds:g} s: {sent} setpoints, {dict(verdicts)}")
@@ -99,7 +99,7 @@ def _tick(corrector: Corrector, session: zenoh.Session, line: Line, request: byt
     answers = list(session.get(f"kilter/@v1/{SITE}/{ROBOT}/@rpc/correct", payload=request, timeout=5.0))
     if not any(answer.ok is not None for answer in answers):
         raise SystemExit("the trajectory query was not answered")
-    session.put(f"kilter/@v1/{SITE}/{ROBOT}/stream/rubbish/in", frames.MAGIC + os.urandom(60))
+    session.put(f"kilter/@v1/{SITE}/{ROBOT}/stream/rubbish/in", wire.MAGIC + os.urandom(60))
     corrector.poll()
     line.arrived.clear()  # what has been counted is let go: the memory watched is not ours, but a soak is long
 

@@ -17,7 +17,7 @@ import zenoh
 
 from benchmarks.stream import POSTURE, ROBOT, SITE, beside_an_echo, calibration
 from kilter_core.correct.program import CorrectionOptions, Track, compile_program
-from kilter_service.corrector import frames
+from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active, version_number
 from kilter_service.corrector.keys import RobotKeys
 from kilter_service.corrector.queries import encode_trajectory
@@ -70,7 +70,7 @@ def measure(session: zenoh.Session, active: Active, rounds: int) -> None:
     out = np.frombuffer(data, offset=len(data) - 8 * q.size).reshape(q.shape)
     _, expected, _, _ = Track(active.program, settled=True).follow(q, 1, np.diff(t, prepend=t[:1]))
     print(f"largest difference from the kernel {np.max(np.abs(out - expected)):.1e} rad")
-    inside = frames.VERDICT.unpack_from(data, frames.HEADER.size)[4] / 1e6
+    inside = wire.VERDICT.unpack_from(data, wire.HEADER.size)[4] / 1e6
     p50, base = np.median(ours) * 1e3, np.median(bare) * 1e3
     allowed = 1.5 * base + POINTS * 3e-3
     print(f"{POINTS} points, {len(request)} bytes; kernel {inside:.1f} ms, {1e3 * inside / POINTS:.2f} µs a point")

@@ -8,7 +8,7 @@ from kilter_core.correct.program import warm_up
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.twin import thesis_katana
-from kilter_service.corrector import short_way
+from kilter_service.corrector import fast_path
 
 POSES = 30
 
@@ -18,7 +18,7 @@ def main() -> None:
     start = time.monotonic()
     print("Compiling the kernels: a minute or two, once after each change of them.", flush=True)
     warm_up()
-    short_way.warm_up()
+    fast_path.warm_up()
     twin = thesis_katana()
     seen = twin.observe(iso_poses(twin.robot, POSES), noise_m=1e-5)
     identify(twin.robot, seen, None, IdentifyOptions(level=3, base="fixed", tool="fixed"))

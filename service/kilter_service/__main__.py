@@ -42,6 +42,7 @@ def api(settings: Settings, arguments: argparse.Namespace) -> None:
     check_binding(settings)
     admin_token(settings)
     with serving.listener(settings) as opened, ServerFile(settings.server_file) as file:
+        serving.check_database(settings)
         document = {"url": serving.url_of(opened), "pid": os.getpid(), "zenoh": None, "data": str(settings.data)}
         file.write(document)
         print(json.dumps(document), flush=True)

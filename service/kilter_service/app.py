@@ -29,17 +29,14 @@ SUMMARY = "Keeps a serial robot arm true: identifies its errors from measured po
 
 ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction, frames, references)
 
-# How long the API waits at its start for `kilterd serve` to migrate the database beside it.
-MIGRATION_WAIT_S = 30.0
 
-
-def create_app(settings: Settings, *, migration_wait_s: float = 0.0) -> FastAPI:
+def create_app(settings: Settings) -> FastAPI:
     """Build the application; nothing is opened before it starts."""
     app = FastAPI(
         title="Kilter",
         version=code_version(),
         summary=SUMMARY,
-        lifespan=lambda app: _life(app, settings, migration_wait_s),
+        lifespan=lambda app: _life(app, settings),
         responses=problems.RESPONSES,
         docs_url=None,
         redoc_url=None,
@@ -54,13 +51,13 @@ def create_app(settings: Settings, *, migration_wait_s: float = 0.0) -> FastAPI:
 
 
 @asynccontextmanager
-async def _life(app: FastAPI, settings: Settings, migration_wait_s: float) -> AsyncIterator[None]:
+async def _life(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     app.state.settings = settings
     app.state.token = admin_token(settings)
     app.state.database = Database(settings.database)
     app.state.queue = JobQueue(settings)
     try:
-        revision.wait(app.state.database, migration_wait_s)
+        revision.check(app.state.database)
         yield
     finally:
         app.state.queue.close()

@@ -26,7 +26,7 @@ JSON_TYPES = ("/json", "+json")
 PIECE_BYTES = 1 << 20
 
 
-async def receive(request: Request, path: Path, limit_mb: int, setting: str = UPLOAD) -> str:
+async def spool_upload(request: Request, path: Path, limit_mb: int, setting: str = UPLOAD) -> str:
     """Write the body to ``path`` and return its SHA-256.
 
     Raises:
@@ -53,7 +53,7 @@ async def parts(request: Request, limit_mb: int, setting: str) -> AsyncIterator[
     """Yield the body piece by piece, as far as it may go, whatever its length is said to be.
 
     Raises:
-        ServiceError: as for `receive`.
+        ServiceError: as for `spool_upload`.
 
     """
     encoding = request.headers.get("content-encoding", "identity").strip().lower()
@@ -91,7 +91,7 @@ async def read_document(request: Request, limit_mb: int) -> bytes:
     """Return the whole body of a request that holds a document.
 
     Raises:
-        ServiceError: as for `receive`.
+        ServiceError: as for `spool_upload`.
 
     """
     return b"".join([part async for part in parts(request, limit_mb, DOCUMENT)])

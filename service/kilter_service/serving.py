@@ -17,6 +17,7 @@ log = logging.getLogger("kilter.api")
 
 BACKLOG = 512
 GRACE_S = 3
+MIGRATION_WAIT_S = 30.0  # for `kilterd serve`, which migrates the database while the API starts
 
 
 def listener(settings: Settings) -> socket.socket:
@@ -74,14 +75,36 @@ def lasting() -> Iterator[None]:
         gc.enable()
 
 
+def check_database(settings: Settings, wait_s: float = 0.0) -> None:
+    """Wait for the database to have the revision of this Kilter. uvicorn would show a traceback instead of the sentence.
+
+    Raises:
+        ServiceError: it has another one after ``wait_s``.
+
+    """
+    from kilter_service.db import Database, revision
+
+    database = Database(settings.database)
+    try:
+        revision.wait(database, wait_s)
+    finally:
+        database.close()
+
+
 def serve(settings: Settings, opened: socket.socket) -> None:
-    """Serve the API until SIGTERM or SIGINT."""
+    """Serve the API until SIGTERM or SIGINT.
+
+    Raises:
+        ServiceError: the database is not of the revision of this Kilter.
+
+    """
     with lasting():
         import uvicorn
 
-        from kilter_service.app import MIGRATION_WAIT_S, create_app
+        from kilter_service.app import create_app
 
-        app = create_app(settings, migration_wait_s=MIGRATION_WAIT_S)
+        app = create_app(settings)
+    check_database(settings, MIGRATION_WAIT_S)
     config = uvicorn.Config(
         app,
         log_config=None,

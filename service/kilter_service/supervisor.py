@@ -139,12 +139,7 @@ def serve(settings: Settings) -> None:
         try:
             _start(settings, children, stop)
             if _wait_until_ready(settings, children, url_of(opened), stop):
-                document = {
-                    "url": url_of(opened),
-                    "pid": os.getpid(),
-                    "zenoh": _zenoh(settings),
-                    "data": str(settings.data),
-                }
+                document = _document(settings, url_of(opened))
                 file.write(document)
                 print(json.dumps(document), flush=True)
             while not stop.wait(CHECK_S):

@@ -172,7 +172,7 @@ def test_every_error_of_the_client_is_documented() -> None:
 
 
 def test_statuses_and_flags_of_the_stream_are_documented() -> None:
-    from kilter_service.corrector.frames import Flag, Status
+    from kilter_service.corrector.wire import Flag, Status
 
     page = text_of("reference/stream.md")
     statuses = re.findall(r"^\| `(\w+)` \| (\d+) \|", page, re.MULTILINE)

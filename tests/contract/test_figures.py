@@ -10,10 +10,10 @@ import pytest
 from pydantic import BaseModel
 
 from kilter_service.contract.figures import Figure, GapFigures, IdentifyFigures
-from kilter_service.jobs import pictures
-from kilter_service.jobs.arrow_pictures import _from_three_sides, _in_space, _sides, _space
-from kilter_service.jobs.drawing import signed
-from kilter_service.jobs.parameter_pictures import changes
+from kilter_service.jobs.plotly_figures.arrows import _from_three_sides, _in_space, _sides, _space
+from kilter_service.jobs.plotly_figures.gap import gap_figures
+from kilter_service.jobs.plotly_figures.layout import captioned
+from kilter_service.jobs.plotly_figures.parameters import changes
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -60,11 +60,11 @@ def identify_figures() -> dict[str, Any]:
         "residual_arrows": {"data": _from_three_sides(tails, heads, red), "layout": _sides("sides")},
         "parameter_changes": changes(parameters),
     }
-    return dict(signed(drawn, "arm", ["rows"], "ver_1"))
+    return dict(captioned(drawn, "arm", ["rows"], "ver_1"))
 
 
 @pytest.mark.parametrize(
-    ("model", "drawn"), [(GapFigures, pictures.pictures(gap_report())), (IdentifyFigures, identify_figures())]
+    ("model", "drawn"), [(GapFigures, gap_figures(gap_report())), (IdentifyFigures, identify_figures())]
 )
 def test_an_answer_holds_all_that_was_drawn(model: type[BaseModel], drawn: dict[str, Any]) -> None:
     assert model.model_validate(drawn).model_dump(mode="json") == drawn
@@ -78,8 +78,8 @@ def test_a_figure_of_another_kind_is_refused() -> None:
 
 def test_every_figure_that_an_identification_draws_has_its_field() -> None:
     text = "".join(
-        (REPOSITORY / f"service/kilter_service/jobs/{name}.py").read_text(encoding="utf-8")
-        for name in ("identify_pictures", "arrow_pictures", "worst_rows")
+        (REPOSITORY / f"service/kilter_service/jobs/plotly_figures/{name}.py").read_text(encoding="utf-8")
+        for name in ("identify", "arrows", "worst_rows")
     )
     for name in IdentifyFigures.model_fields:
         assert f'"{name}"' in text, name

@@ -71,13 +71,13 @@ def test_the_contract_knows_pydantic_and_itself_only() -> None:
     assert not strange
 
 
-def test_only_kernels_and_the_short_way_are_compiled() -> None:
+def test_only_kernels_and_the_fast_path_are_compiled() -> None:
     outside = [
         str(path.relative_to(REPOSITORY))
         for path in modules("core", "service")
         if "numba" in imported_packages(path) and path.parent.name != "kernels"
     ]
-    assert outside == ["service/kilter_service/corrector/short_way.py"]  # docs/decisions/0010
+    assert outside == ["service/kilter_service/corrector/fast_path.py"]  # docs/decisions/0010
 
 
 def test_modules_are_short_and_say_what_they_are_for() -> None:

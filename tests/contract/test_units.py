@@ -28,7 +28,7 @@ AT_THE_EDGE = (
     "core/kilter_core/arm/conversions/*.py",
 )
 # Times of the stream, in nanoseconds and microseconds.
-NO_LENGTHS = ("service/kilter_service/corrector/short_way.py",)
+NO_LENGTHS = ("service/kilter_service/corrector/fast_path.py",)
 # Where the core still speaks mm and degrees: options and reports whose names are promised, sentences' numbers, and the
 # simulated arm's data. Number of lines; only ever fewer.
 STILL = {
@@ -64,7 +64,6 @@ STILL = {
     "core/kilter_core/identify/load_model.py": 3,
     "core/kilter_core/measurement/metrics.py": 3,
     "core/kilter_core/twin.py": 4,
-    "service/kilter_service/versions/store.py": 2,
 }
 SHARES = (
     "core/kilter_core/plan/iso9283_poses.py",

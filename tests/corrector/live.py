@@ -9,7 +9,7 @@ import numpy as np
 import zenoh
 
 from kilter_client.stream import CorrectedStream
-from kilter_service.corrector import frames
+from kilter_service.corrector import wire
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.session import config
 
@@ -34,7 +34,7 @@ def open_stream(corrector: Corrector, name: str, **options: object) -> Corrected
 
 def point(seq: int, flags: int = 0, q: tuple[float, ...] = Q) -> bytes:
     """A setpoint sent now."""
-    return frames.encode_setpoints(
+    return wire.encode_setpoints(
         np.array([q]), joints=len(q), seq=seq, t_send_ns=time.monotonic_ns(), t_apply_ns=0, flags=flags
     )
 
@@ -51,18 +51,18 @@ class Line:
     def send(self, data: bytes) -> None:
         self._way.put(data)
 
-    def ask(self, data: bytes) -> frames.Answer:
+    def ask(self, data: bytes) -> wire.Answer:
         """The answer to a frame, which is sent once."""
         self.send(data)
         return self.take(1)[0]
 
-    def take(self, count: int) -> list[frames.Answer]:
+    def take(self, count: int) -> list[wire.Answer]:
         """The next answers."""
-        taken: list[frames.Answer] = []
+        taken: list[wire.Answer] = []
 
         def enough() -> bool:
             while len(taken) < count and (sample := self.answers.handler.try_recv()) is not None:
-                taken.append(frames.decode_answer(sample.payload.to_bytes()))
+                taken.append(wire.decode_answer(sample.payload.to_bytes()))
             return len(taken) == count
 
         until(enough)

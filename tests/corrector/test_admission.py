@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from kilter_core.model import Calibration
-from kilter_service.corrector import frames
+from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
-from kilter_service.corrector.frames import Answer, Flag, Status
 from kilter_service.corrector.stream import Stream
+from kilter_service.corrector.wire import Answer, Flag, Status
 
 Q = (0.1, 0.6, 0.4, 0.3, 0.2)
 MS = 1_000_000
@@ -37,7 +37,7 @@ class Moving:
 
     def frame(self, flags: int = 0, **other: int) -> bytes:
         given = {"seq": self.seq, "t_send_ns": self.arrival + self.clock, "t_apply_ns": 0, "flags": flags, **other}
-        return frames.encode_setpoints(self.wanted(given["t_send_ns"] - self.clock), joints=5, **given)
+        return wire.encode_setpoints(self.wanted(given["t_send_ns"] - self.clock), joints=5, **given)
 
     def wanted(self, at_ns: int | None = None) -> np.ndarray:
         """Where it is then, or now; it moves at half a rad per second at most."""
@@ -46,7 +46,7 @@ class Moving:
     def send(self, data: bytes) -> Answer:
         answer = self.stream.answer(data, self.arrival, self.active)
         assert answer is not None
-        return frames.decode_answer(answer)
+        return wire.decode_answer(answer)
 
     def cycle(self, flags: int = 0) -> Answer:
         self.seq += 1
@@ -114,12 +114,12 @@ def bad_frames(controller: Moving) -> list[bytes]:
         for sent in (0, now - HOUR, now, now + HOUR, 2**63, 2**64 - 1)
     ]
     made += [
-        frames.encode_setpoints(far, joints=5, seq=following, t_send_ns=now, t_apply_ns=apply, flags=START)
+        wire.encode_setpoints(far, joints=5, seq=following, t_send_ns=now, t_apply_ns=apply, flags=START)
         for apply in (0, 1, now + HOUR, 2**64 - 1)
     ]
-    made += [made[2][:40], made[2] + b"\0", frames.MAGIC + b"\xff" * 80, b"", b"KLT1"]
-    made.append(frames.encode_setpoints(np.full((1, 5), np.nan), joints=5, seq=following, t_send_ns=now, t_apply_ns=0))
-    made.append(frames.encode_setpoints(np.zeros((1, 6)), joints=6, seq=following, t_send_ns=now, t_apply_ns=0))
+    made += [made[2][:40], made[2] + b"\0", wire.MAGIC + b"\xff" * 80, b"", b"KLT1"]
+    made.append(wire.encode_setpoints(np.full((1, 5), np.nan), joints=5, seq=following, t_send_ns=now, t_apply_ns=0))
+    made.append(wire.encode_setpoints(np.zeros((1, 6)), joints=6, seq=following, t_send_ns=now, t_apply_ns=0))
     return made
 
 
@@ -133,7 +133,7 @@ def test_one_bad_frame_costs_one_cycle_at_most(active: Active, resets: bool) -> 
     for k in range(len(bad_frames(Moving(active)))):
         controller = Moving(active)
         answer = controller.stream.answer(bad_frames(controller)[k], controller.arrival, active)
-        values = frames.decode_answer(answer).values if answer else np.empty((0, 5))
+        values = wire.decode_answer(answer).values if answer else np.empty((0, 5))
         if not resets and values.size and np.abs(values - controller.wanted()).max() > 0.03:
             continue
         statuses, flags = [], 0

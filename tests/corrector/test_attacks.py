@@ -18,11 +18,11 @@ import pytest
 import zenoh
 
 from kilter_client.stream import CorrectedStream
-from kilter_service.corrector import frames
+from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
-from kilter_service.corrector.frames import Flag
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.session import config
+from kilter_service.corrector.wire import Flag
 from tests.corrector import forger
 from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
 
@@ -228,7 +228,7 @@ def test_one_bad_frame_on_the_way_in_costs_one_cycle_at_most(corrector: Correcto
                     _, _, _, _, seq, sent, _ = forger.HEADER.unpack_from(heard[-1])
                     bad = 2**64 - 1 if seq_by is None else seq + seq_by
                     before = len(heard)
-                    put(frames.encode_setpoints(
+                    put(wire.encode_setpoints(
                         np.array([far]), joints=5, seq=bad, t_send_ns=(sent + time_by) % 2**64, t_apply_ns=0, flags=flags,
                     ))  # fmt: skip
                     until(lambda before=before: len(heard) > before)  # type: ignore[misc]

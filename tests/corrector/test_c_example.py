@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kilter_service.corrector import frames
-from kilter_service.corrector.frames import Status
+from kilter_service.corrector import wire
+from kilter_service.corrector.wire import Status
 from tests.corrector import forger
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "c" / "controller.c"
@@ -38,25 +38,25 @@ def talk(controller: Path, lines: list[str]) -> list[str]:
 def test_the_byte_tables_of_the_header_file_are_those_of_the_frames() -> None:
     rows = re.findall(r"^ \* +(\d+) +(\d+) +(char\[4\]|u?int\d+) ", HEADER.read_text(), re.MULTILINE)
     codes = {"char[4]": "4s", "uint8": "B", "uint16": "H", "uint32": "I", "uint64": "Q", "int32": "i"}
-    assert "<" + "".join(codes[kind] for _, _, kind in rows[:7]) == frames.HEADER.format
-    assert "<" + "".join(codes[kind] for _, _, kind in rows[7:]) == frames.VERDICT.format
+    assert "<" + "".join(codes[kind] for _, _, kind in rows[:7]) == wire.HEADER.format
+    assert "<" + "".join(codes[kind] for _, _, kind in rows[7:]) == wire.VERDICT.format
     at = 0
     for offset, size, kind in rows:
         assert (int(offset), int(size)) == (at, struct.calcsize(f"<{codes[kind]}"))
         at += int(size)
-    assert at == frames.HEADER.size + frames.VERDICT.size
+    assert at == wire.HEADER.size + wire.VERDICT.size
 
 
 def test_c_writes_the_bytes_of_a_setpoint(controller: Path) -> None:
     q = [1.0, -0.5, 0.1, 1e-300]
-    expected = frames.encode_setpoints(np.array([q]), joints=4, seq=7, t_send_ns=100, t_apply_ns=200)
+    expected = wire.encode_setpoints(np.array([q]), joints=4, seq=7, t_send_ns=100, t_apply_ns=200)
     assert talk(controller, ["q " + " ".join(map(repr, q))]) == [expected.hex()]
 
 
 def test_c_reads_an_answer_and_a_refusal(controller: Path) -> None:
-    header = frames.Header(0, 2, 0, 9, 100, 200)
-    good = frames.encode_answer(header, np.array([0.1, -2.5]).tobytes(), version=0xABC, epoch=5)
-    bad = frames.encode_refusal(header, Status.JOINT_LIMIT, version=0xABC, epoch=5, limit_mask=3)
+    header = wire.Header(0, 2, 0, 9, 100, 200)
+    good = wire.encode_answer(header, np.array([0.1, -2.5]).tobytes(), version=0xABC, epoch=5)
+    bad = wire.encode_refusal(header, Status.JOINT_LIMIT, version=0xABC, epoch=5, limit_mask=3)
     said = talk(controller, [f"a {good.hex()}", f"a {bad.hex()}"])
     assert said[0].split()[:10] == ["seq", "9", "status", "0", "epoch", "5", "version", "0000000000000abc", "mask", "0"]
     assert [float(x) for x in said[0].split()[10:]] == [0.1, -2.5]
@@ -65,8 +65,8 @@ def test_c_reads_an_answer_and_a_refusal(controller: Path) -> None:
 
 def test_c_and_python_refuse_the_same_frames(controller: Path) -> None:
     rng = random.Random(2)
-    header = frames.Header(0, 3, 0, 9, 100, 200)
-    good = frames.encode_answer(header, np.zeros(3).tobytes(), version=1, epoch=5)
+    header = wire.Header(0, 3, 0, 9, 100, 200)
+    good = wire.encode_answer(header, np.zeros(3).tobytes(), version=1, epoch=5)
     lines, expected = [], []
     for _ in range(2000):
         data = bytearray(good)
@@ -74,8 +74,8 @@ def test_c_and_python_refuse_the_same_frames(controller: Path) -> None:
         if rng.random() < 0.2:
             data = data[: rng.randrange(len(data))]
         try:
-            taken = frames.decode_answer(bytes(data)).header.kind == 0
-        except frames.FrameError:
+            taken = wire.decode_answer(bytes(data)).header.kind == 0
+        except wire.FrameError:
             taken = False
         lines.append(f"a {data.hex()}")
         expected.append(taken)

@@ -21,11 +21,11 @@ import zenoh
 from kilter_client.stream import CorrectedStream
 from kilter_core.model import Calibration
 from kilter_service.contract.versions import ActivationWish
-from kilter_service.corrector import frames
+from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
-from kilter_service.corrector.frames import Flag, Status
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.session import config
+from kilter_service.corrector.wire import Flag, Status
 from kilter_service.db import Database, revision
 from kilter_service.db.tables import JobRow
 from kilter_service.robots import service as robots
@@ -139,7 +139,7 @@ def test_a_controller_stopped_for_eight_seconds_gets_no_old_numbers(corrector: C
     ages: list[float] = []
 
     def heard(sample: zenoh.Sample) -> None:
-        answer = frames.decode_answer(sample.payload.to_bytes())
+        answer = wire.decode_answer(sample.payload.to_bytes())
         if answer.status == Status.OK:
             ages.append((time.monotonic_ns() - answer.header.t_send_ns) * 1e-9)
 
@@ -193,7 +193,7 @@ def test_no_numbers_and_an_unknown_version_get_none_back(corrector: Corrector) -
         line.ask(point(1, Flag.RESET | Flag.SETTLED))
         refused = line.ask(point(2, q=(*Q[:4], float("nan"))))
         assert (refused.status, refused.values.size) == (Status.NOT_FINITE, 0)
-        unknown = frames.encode_setpoints(
+        unknown = wire.encode_setpoints(
             np.array([Q]), joints=5, seq=3, t_send_ns=time.monotonic_ns(), t_apply_ns=0, version=12345
         )
         assert line.ask(unknown).status == Status.VERSION_MISMATCH

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kilter_client import frames as client
-from kilter_service.corrector import frames
-from kilter_service.corrector.frames import Flag, Kind, Status
+from kilter_service.corrector import wire
+from kilter_service.corrector.wire import Flag, Kind, Status
 
 POINT = bytes.fromhex(
     "4b4c5431"  # KLT1
@@ -36,31 +36,31 @@ u64 = st.integers(0, 2**64 - 1)
 
 def test_a_point_has_these_bytes() -> None:
     values = np.array([[1.0, -0.5]])
-    assert frames.encode_setpoints(values, joints=2, seq=7, t_send_ns=100, t_apply_ns=200) == POINT
-    decoded = frames.decode_setpoints(POINT)
+    assert wire.encode_setpoints(values, joints=2, seq=7, t_send_ns=100, t_apply_ns=200) == POINT
+    decoded = wire.decode_setpoints(POINT)
     assert decoded.header == (Kind.POINT, 2, 0, 7, 100, 200)
     assert decoded.values.tolist() == [[1.0, -0.5]]
     assert decoded.version is None
 
 
 def test_an_answer_has_these_bytes() -> None:
-    header = frames.decode_header(POINT)
-    made = frames.encode_answer(
+    header = wire.decode_header(POINT)
+    made = wire.encode_answer(
         header, POINT[32:], version=0x0123456789ABCDEF, epoch=5, flags=Flag.DYNAMIC, processing_ns=12345
     )
     assert made == ANSWER
-    answer = frames.decode_answer(ANSWER)
+    answer = wire.decode_answer(ANSWER)
     assert (answer.version, answer.epoch, answer.status) == (0x0123456789ABCDEF, 5, Status.OK)
     assert answer.values.tolist() == [[1.0, -0.5]]
 
 
 def test_a_refusal_has_these_bytes_and_no_numbers() -> None:
-    made = frames.encode_refusal(
-        frames.decode_header(POINT), Status.JOINT_LIMIT, version=0x0123456789ABCDEF, epoch=5, limit_mask=3,
+    made = wire.encode_refusal(
+        wire.decode_header(POINT), Status.JOINT_LIMIT, version=0x0123456789ABCDEF, epoch=5, limit_mask=3,
         processing_ns=12345,
     )  # fmt: skip
     assert made == REFUSAL
-    assert frames.decode_answer(made).values.size == 0
+    assert wire.decode_answer(made).values.size == 0
     answer = client.decode(made)
     assert answer is not None
     assert (answer.status, answer.q, answer.limit_mask) == ("JOINT_LIMIT", (), 3)
@@ -81,7 +81,7 @@ def test_both_codecs_make_the_same_bytes(
 ) -> None:
     flags = (0, Flag.QD, Flag.QD | Flag.QDD)[width - 1]
     values = np.tile(q, (points or 1, width))
-    ours = frames.encode_setpoints(
+    ours = wire.encode_setpoints(
         values, joints=len(q), seq=seq, t_send_ns=sent, t_apply_ns=apply, flags=flags, version=version,
         step_ns=None if points is None else step,
     )  # fmt: skip
@@ -90,7 +90,7 @@ def test_both_codecs_make_the_same_bytes(
         version=version, points=points, step_ns=step if points else 0,
     )  # fmt: skip
     assert ours == theirs
-    back = frames.decode_setpoints(ours)
+    back = wire.decode_setpoints(ours)
     assert np.array_equal(back.values, values)
     assert back.version == version
 
@@ -100,13 +100,13 @@ def test_both_codecs_make_the_same_bytes(
 )
 def test_the_client_reads_what_the_corrector_writes(q: list[float], points: int | None, epoch: int) -> None:
     kind = Kind.POINT if points is None else Kind.CHUNK
-    header = frames.Header(kind, len(q), 0, 1, 2, 3)
+    header = wire.Header(kind, len(q), 0, 1, 2, 3)
     numbers = np.tile(q, (points or 1, 1)).tobytes()
-    data = frames.encode_answer(header, numbers, version=9, epoch=epoch, points=points or 1, step_ns=4)
+    data = wire.encode_answer(header, numbers, version=9, epoch=epoch, points=points or 1, step_ns=4)
     answer = client.decode(data)
     assert answer is not None
     assert answer.q == tuple(q) * (points or 1)
-    assert np.array_equal(frames.decode_answer(data).values.ravel(), answer.q)
+    assert np.array_equal(wire.decode_answer(data).values.ravel(), answer.q)
 
 
 @pytest.mark.parametrize(
@@ -123,27 +123,27 @@ def test_the_client_reads_what_the_corrector_writes(q: list[float], points: int 
     ],
 )  # fmt: skip
 def test_malformed_frames_are_refused(data: bytes) -> None:
-    with pytest.raises(frames.FrameError):
-        frames.decode_setpoints(data)
+    with pytest.raises(wire.FrameError):
+        wire.decode_setpoints(data)
 
 
 @settings(max_examples=500)
 @given(data=st.binary(max_size=300) | st.binary(max_size=300).map(lambda tail: b"KLT1" + tail))
 def test_random_bytes_never_crash_a_codec(data: bytes) -> None:
-    for decode in (frames.decode_setpoints, frames.decode_answer):
+    for decode in (wire.decode_setpoints, wire.decode_answer):
         try:
             decode(data)
-        except frames.FrameError:
+        except wire.FrameError:
             continue
     client.decode(data)
 
 
 @given(status=st.integers(1, 20), joints=st.integers(0, 3))
 def test_a_refusal_with_numbers_is_not_an_answer(status: int, joints: int) -> None:
-    head = frames.HEADER.pack(b"KLT1", 0, joints, 0, 1, 2, 3) + frames.VERDICT.pack(1, 1, status, 0, 0, 0)
+    head = wire.HEADER.pack(b"KLT1", 0, joints, 0, 1, 2, 3) + wire.VERDICT.pack(1, 1, status, 0, 0, 0)
     data = head + struct.pack(f"<{joints}d", *[math.pi] * joints)
     answer = client.decode(data)
     assert answer is None or answer.q == ()
     if joints:
-        with pytest.raises(frames.FrameError):
-            frames.decode_answer(data)
+        with pytest.raises(wire.FrameError):
+            wire.decode_answer(data)

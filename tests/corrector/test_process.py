@@ -19,7 +19,7 @@ import zenoh
 from kilter_client.stream import CorrectedStream, Statistics, StreamError, corrected
 from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
-from kilter_service.corrector import frames
+from kilter_service.corrector import wire
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.queries import encode_trajectory
 from kilter_service.corrector.session import config
@@ -90,16 +90,16 @@ def test_streams_in_any_order_get_their_own_answers(corrector: Corrector) -> Non
         order = names * 30 + [names[k] for k in rng.integers(0, 4, 200)]
         for sent, name in enumerate(order, 1):
             seq[name] += 1
-            flags = frames.Flag.RESET | frames.Flag.SETTLED if seq[name] == 1 else 0
+            flags = wire.Flag.RESET | wire.Flag.SETTLED if seq[name] == 1 else 0
             now = time.monotonic_ns()
-            publishers[name].put(frames.encode_setpoints(
+            publishers[name].put(wire.encode_setpoints(
                 rests[name][None], joints=5, seq=seq[name], t_send_ns=now, t_apply_ns=0, flags=flags,
             ))  # fmt: skip
             until(lambda sent=sent: len(heard) == sent)  # type: ignore[misc]
     for key, data in heard:
-        name, answer = key.split("/")[-2], frames.decode_answer(data)
-        assert answer.status in (frames.Status.OK, frames.Status.STALE)  # a loaded machine may be late
-        if answer.status == frames.Status.OK:
+        name, answer = key.split("/")[-2], wire.decode_answer(data)
+        assert answer.status in (wire.Status.OK, wire.Status.STALE)  # a loaded machine may be late
+        if answer.status == wire.Status.OK:
             assert np.abs(answer.values[0] - rests[name]).max() < 0.02
     assert [key.split("/")[-2] for key, _ in heard] == order
 
@@ -177,7 +177,7 @@ def test_a_trajectory_by_query_equals_the_kernel(corrector: Corrector, source: o
         reply = ask(session, f"{ROOT}/@rpc/correct", encode_trajectory(t, q, joints=5))
     assert reply.ok is not None
     data = reply.ok.payload.to_bytes()
-    numbers = np.frombuffer(data, offset=frames.HEADER.size + frames.VERDICT.size + frames.BLOCK.size)
+    numbers = np.frombuffer(data, offset=wire.HEADER.size + wire.VERDICT.size + wire.BLOCK.size)
     track = Track(source.versions[ROBOT].program, settled=True)  # type: ignore[attr-defined]
     done, out, _, _ = track.follow(q, 1, np.diff(t, prepend=t[:1]))
     assert done == len(t)
@@ -219,7 +219,7 @@ def test_malformed_frames_get_no_numbers_and_stop_nothing(corrector: Corrector) 
 
             def refused() -> bool:
                 sample = answers.handler.try_recv()
-                return sample is not None and frames.decode_answer(sample.payload.to_bytes()).values.size == 0
+                return sample is not None and wire.decode_answer(sample.payload.to_bytes()).values.size == 0
 
             until(refused)
         assert stream.correct(Q).source == "corrected"

@@ -12,11 +12,11 @@ import pytest
 
 from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
-from kilter_service.corrector import frames
+from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
-from kilter_service.corrector.frames import Answer, Flag, Kind, Status
 from kilter_service.corrector.specs import Rules
 from kilter_service.corrector.stream import Stream
+from kilter_service.corrector.wire import Answer, Flag, Kind, Status
 
 Q = [0.1, 0.6, 0.4, 0.3, 0.2]
 MS = 1_000_000
@@ -41,8 +41,8 @@ class Controller:
         self.seq = self.seq + 1 if seq is None else seq
         self.now += 2 * MS
         sent = self.now + self.clock
-        width = frames.width(flags)
-        data = frames.encode_setpoints(
+        width = wire.width(flags)
+        data = wire.encode_setpoints(
             np.array([q]), joints=len(q) // width, seq=self.seq, t_send_ns=sent, t_apply_ns=0, flags=flags,
             version=version,
         )  # fmt: skip
@@ -51,7 +51,7 @@ class Controller:
     def raw(self, data: bytes, late_ns: int = 0, overloaded: bool = False) -> Answer:
         answer = self.stream.answer(data, self.now + late_ns, self.active, overloaded)
         assert answer is not None
-        decoded = frames.decode_answer(answer)
+        decoded = wire.decode_answer(answer)
         assert (decoded.values.size > 0) == (decoded.status == Status.OK)
         return decoded
 
@@ -84,7 +84,7 @@ def test_a_chunk_equals_its_points(active: Active) -> None:
     many = Controller(active)
     many.send(list(points[0]), flags=RESET)
     many.now += 2 * MS
-    data = frames.encode_setpoints(
+    data = wire.encode_setpoints(
         points[1:], joints=5, seq=2, t_send_ns=many.now + many.clock, t_apply_ns=0, step_ns=2 * MS
     )
     answer = many.raw(data)
@@ -99,7 +99,7 @@ def test_a_chunk_with_one_bad_point_is_refused_as_a_whole(active: Active) -> Non
     first = controller.send(flags=RESET)
     controller.now += 2 * MS
     sent = controller.now + controller.clock
-    data = frames.encode_setpoints(points, joints=5, seq=2, t_send_ns=sent, t_apply_ns=0, step_ns=MS)
+    data = wire.encode_setpoints(points, joints=5, seq=2, t_send_ns=sent, t_apply_ns=0, step_ns=MS)
     refused = controller.raw(data)
     assert (refused.status, refused.limit_mask) == (Status.JOINT_LIMIT, 0b10)
     assert np.allclose(controller.send(seq=3).values, first.values, rtol=0, atol=1e-9)
@@ -243,10 +243,8 @@ def test_of_two_controllers_on_one_key_one_at_most_gets_numbers(active: Active) 
 def damage(stream: Stream, active: Active, count: int, seed: int) -> int:
     """Send ``count`` damaged frames: no crash, numbers only where the frame was a good one after all; how many were."""
     rng = random.Random(seed)
-    points = frames.encode_setpoints(np.array([Q]), joints=5, seq=1, t_send_ns=0, t_apply_ns=0, flags=RESET)
-    chunk = frames.encode_setpoints(
-        np.array([Q, Q]), joints=5, seq=1, t_send_ns=0, t_apply_ns=0, flags=RESET, step_ns=MS
-    )
+    points = wire.encode_setpoints(np.array([Q]), joints=5, seq=1, t_send_ns=0, t_apply_ns=0, flags=RESET)
+    chunk = wire.encode_setpoints(np.array([Q, Q]), joints=5, seq=1, t_send_ns=0, t_apply_ns=0, flags=RESET, step_ns=MS)
     taken = 0
     for k in range(count):
         data = bytearray(chunk if k % 8 == 0 else points)
@@ -258,10 +256,10 @@ def damage(stream: Stream, active: Active, count: int, seed: int) -> int:
         if answer is None:
             continue
         if answer[5] == 0:  # no joints: the length says that there are no numbers
-            assert len(answer) == frames.HEADER.size + frames.VERDICT.size
-            assert frames.VERDICT.unpack_from(answer, frames.HEADER.size)[2] != Status.OK
+            assert len(answer) == wire.HEADER.size + wire.VERDICT.size
+            assert wire.VERDICT.unpack_from(answer, wire.HEADER.size)[2] != Status.OK
             continue
-        decoded = frames.decode_answer(answer)
+        decoded = wire.decode_answer(answer)
         assert decoded.status == Status.OK
         assert np.all(np.isfinite(decoded.values))
         assert decoded.values.shape[1] == 5
@@ -279,17 +277,17 @@ def test_a_million_malformed_frames_are_answered_without_numbers(active: Active)
     assert 0 < damage(Stream(), active, 1_000_000, 2) < 1_000_000
 
 
-def test_the_short_way_of_plain_setpoints_is_the_long_way(active: Active, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fast_path_of_plain_setpoints_is_the_full_path(active: Active, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(8)
-    short, long = Stream(), Stream()
-    monkeypatch.setattr(long._short, "take", lambda clock: False)
-    rest, refused = short._long_way, [0]
+    fast, full = Stream(), Stream()
+    monkeypatch.setattr(full._fast, "take", lambda clock: False)
+    rest, refused = fast._full_path, [0]
 
     def counting(*frame: Any) -> bytes | None:
         refused[0] += 1
         return rest(*frame)
 
-    monkeypatch.setattr(short, "_long_way", counting)
+    monkeypatch.setattr(fast, "_full_path", counting)
     seq, now, clock = 0, 10**12, 10**13
     for k in range(6000):
         what = rng.integers(0, 40)
@@ -299,8 +297,8 @@ def test_the_short_way_of_plain_setpoints_is_the_long_way(active: Active, monkey
         flags = RESET if k == 0 or what == 2 else int(rng.choice([0, Flag.QD, Flag.QD | Flag.QDD]))
         q = np.array(Q) + 0.2 * np.sin(0.01 * k)
         q[1] = {3: math.nan, 4: 9.0}.get(int(what), q[1])
-        values = np.concatenate([q, *(0.1 * rng.normal(size=5) for _ in range(frames.width(flags) - 1))])
-        data = frames.encode_setpoints(
+        values = np.concatenate([q, *(0.1 * rng.normal(size=5) for _ in range(wire.width(flags) - 1))])
+        data = wire.encode_setpoints(
             values[None], joints=5, seq=seq, t_send_ns=now + clock, t_apply_ns=now if what % 2 else 0, flags=flags,
             version=active.number + (k % 2) if what == 5 else None,
         )  # fmt: skip
@@ -314,12 +312,12 @@ def test_the_short_way_of_plain_setpoints_is_the_long_way(active: Active, monkey
             data = data[:8] + rng.bytes(8) + data[16:]
         late = 80 * MS if what == 8 else 0
         version = None if what == 9 else active
-        one, other = (stream.answer(data, now + late, version, what == 10) for stream in (short, long))
+        one, other = (stream.answer(data, now + late, version, what == 10) for stream in (fast, full))
         assert (one is None) == (other is None)
         if one is not None and other is not None:  # all but the time spent on it
             assert (one[:48], one[52:]) == (other[:48], other[52:]), k
-        seq = max(seq, long._course.clock.seq)
+        seq = max(seq, full._course.clock.seq)
     assert refused[0] < 3000
-    first, second = short.counters, long.counters
+    first, second = fast.counters, full.counters
     assert (first.by_status, first.limited, first.damped) == (second.by_status, second.limited, second.damped)
     assert sum(count > 0 for count in first.by_status) >= 7

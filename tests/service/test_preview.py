@@ -11,6 +11,7 @@ import pytest
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_service.db import Database
+from kilter_service.versions.preview import drawn
 from tests.service.test_versions import Versions, thesis_katana
 
 
@@ -33,6 +34,21 @@ def test_a_version_is_looked_at_without_activating_it(client: httpx.Client, vers
     assert found["mean_mm"] < found["largest_mm"]
     assert [joint["joint"] for joint in found["joints"]] == [joint.name for joint in twin.robot.joints]
     assert all(joint["largest_deg"] > 0 and joint["largest_mm"] is None for joint in found["joints"])
+
+
+def test_it_reckons_with_the_default_load_as_a_correction_does(
+    client: httpx.Client, database: Database, katana: Any
+) -> None:
+    carrying = katana.document | {"load": {"payload_kg": 0.4, "payload_com_mm": [0.0, 0.0, 50.0]}}
+    client.post("/v1/robots", json=carrying).raise_for_status()
+    twin = thesis_katana()
+    version = Versions(database).add("loaded", twin.truth)
+    found = client.get(f"/v1/versions/{version}/preview").raise_for_status().json()
+    poses = {f"q{j + 1}_rad": column.tolist() for j, column in enumerate(drawn(twin.robot).T)}
+    answer = client.post("/v1/robots/katana/correct", params={"version": version}, json=poses).raise_for_status()
+    assert answer.headers["Kilter-Notes"].startswith("The path states no payload: the robot's default load was taken")
+    removed = np.array([answer.json()[f"d{axis}_mm"] for axis in "xyz"], dtype=float)
+    assert found["mean_mm"] == pytest.approx(float(np.nanmean(np.linalg.norm(removed, axis=0))), rel=1e-9)
 
 
 def test_what_its_limits_refuse_is_counted(client: httpx.Client, versions: Versions) -> None:

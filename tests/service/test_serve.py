@@ -138,3 +138,21 @@ def test_help_has_an_example_for_every_command() -> None:
 def test_migrate_says_what_it_did(tmp_path: Path) -> None:
     assert "was brought to revision" in run("migrate", KILTER_DATA=str(tmp_path)).stdout
     assert "is at revision" in run("migrate", KILTER_DATA=str(tmp_path)).stdout
+
+
+def test_an_api_without_its_tables_says_so_in_one_sentence(tmp_path: Path) -> None:
+    settings = {"KILTER_DATA": str(tmp_path), "KILTER_PORT": "0"}
+    refused = run("api", **settings)
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert refused.stderr.startswith("kilterd: The database is at revision none, this Kilter needs ")
+    assert "run `kilterd migrate`" in refused.stderr
+    assert refused.stderr.count("\n") == 1
+    assert run("migrate", **settings).returncode == 0
+    command = [sys.executable, "-m", "kilter_service", "api"]
+    with subprocess.Popen(
+        command, env={**os.environ, **settings}, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True
+    ) as api:
+        assert api.stdout is not None
+        url = json.loads(api.stdout.readline())["url"]
+        assert httpx.get(f"{url}/v1/health/live", timeout=60.0).status_code == 200
+        api.terminate()

@@ -19,16 +19,15 @@ from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.repeats import last_motion
 from kilter_core.twin import Twin, thesis_katana
-from kilter_service.correction.follow import last_motion
 from kilter_service.corrector.active import Active
-from kilter_service.corrector.frames import Answer, Flag, decode_answer, encode_setpoints
 from kilter_service.corrector.queries import correct_trajectory, decode_trajectory, encode_trajectory
 from kilter_service.corrector.stream import Stream
+from kilter_service.corrector.wire import Answer, Flag, decode_answer, encode_setpoints
 from kilter_service.db import Database
 from kilter_service.db.tables import JobRow, VersionRow
 from kilter_service.versions import store
-from kilter_service.versions.service import active_calibrations
 from kilter_service.versions.store import NewVersion
 
 
@@ -119,14 +118,15 @@ def test_activation_names_what_is_not_corrected_at_run_time(
 
 def test_the_active_version_comes_back_as_core_knows_it(client: httpx.Client, versions: Versions, twin: Twin) -> None:
     with versions.database.transaction() as session:
-        assert active_calibrations(session) == {}
+        assert store.robots_with_active(session) == []
         assert store.active_version(session, "katana") is None
     version = versions.add("a", twin.truth, max_joint_deg=2.0)
     client.post(f"/v1/versions/{version}/activate")
     with versions.database.transaction() as session:
-        found = active_calibrations(session)["katana"]
-    assert (found.id, found.max_position) == (version, 0.005)
-    assert found.max_joint == pytest.approx(np.radians(2.0))
+        assert store.robots_with_active(session) == ["katana"]
+        found = store.active_version(session, "katana")
+    assert found is not None
+    assert (found.id, found.limits.max_position_mm, found.limits.max_joint_deg) == (version, 5.0, 2.0)
     rows = twin.observe(np.full((1, 5), 0.3))
     assert np.allclose(found.calibration.predict(rows).position, twin.truth.predict(rows).position, atol=1e-12)
     assert found.calibration.model.load_chain is not None  # the loads of the version come back with it
@@ -364,8 +364,3 @@ def test_what_is_no_trajectory_is_refused(client: httpx.Client, versions: Versio
         assert answer.status_code == 400
         assert message in answer.json()["detail"]
     assert client.post("/v1/robots/nobody/correct", json=columns).status_code == 404
-
-
-def test_last_motion_is_remembered_while_a_joint_rests() -> None:
-    q = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, -1.0], [1.0, -1.0], [0.5, -1.0]])
-    assert last_motion(q).tolist() == [[0, 0], [1, 0], [1, -1], [1, -1], [-1, -1]]

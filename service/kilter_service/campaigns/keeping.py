@@ -31,14 +31,14 @@ def change(database: Database, campaign_id: str, wanted: Change) -> Campaign:
             if not wanted.name:
                 raise ServiceError("A campaign needs a name: give one.", code="name_invalid")
             references.check_name(session, "campaign", campaign.robot_id, wanted.name, campaign.id)
-        store.change(session, campaign_id, wanted.name, wanted.notes)
+        references.change(session, "campaign", campaign_id, wanted.name, wanted.notes)
         return shown(session, campaign_id)
 
 
 def retire(database: Database, campaign_id: str, actor: str) -> Campaign:
     """Take a campaign out of use: no list shows it and no job uses it; what cites it stays as it is."""
     with database.transaction() as session:
-        store.retire(session, store.whole(session, campaign_id).id, actor)
+        references.retire(session, "campaign", store.whole(session, campaign_id).id, actor)
         return shown(session, campaign_id)
 
 
@@ -50,10 +50,7 @@ def restore(database: Database, campaign_id: str) -> Campaign:
 
     """
     with database.transaction() as session:
-        campaign = store.whole(session, campaign_id)
-        if campaign.retired_at is not None:
-            references.check_name(session, "campaign", campaign.robot_id, campaign.name, campaign.id)
-            store.restore(session, campaign_id)
+        references.restore(session, "campaign", store.whole(session, campaign_id).id)
         return shown(session, campaign_id)
 
 

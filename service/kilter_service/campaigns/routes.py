@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from kilter_service.auth.access import Admin
-from kilter_service.bodies import receive
+from kilter_service.bodies import spool_upload
 from kilter_service.campaigns import keeping, reading, service
 from kilter_service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
 from kilter_service.contract.references import Change, Tombstone
@@ -107,7 +107,7 @@ async def upload(
     await run_in_threadpool(service.get, database, campaign)
     with tempfile.TemporaryDirectory(prefix="kilter-upload-") as folder:
         path = Path(folder) / "body"
-        sha256 = await receive(request, path, settings.max_upload_mb)
+        sha256 = await spool_upload(request, path, settings.max_upload_mb)
         done = await compute(request, service.upload, database, campaign, path, media, sha256)
     response.status_code = 201 if done.new else 200
     return done

@@ -120,25 +120,6 @@ def usable(session: Session, campaign_id: str) -> CampaignRecord:
     return found
 
 
-def change(session: Session, campaign_id: str, name: str | None, notes: str | None) -> None:
-    """Write what people call a campaign and note on it; None stays as it is."""
-    row = _row(session, campaign_id)
-    row.name, row.notes = row.name if name is None else name, row.notes if notes is None else notes
-    session.flush()
-
-
-def retire(session: Session, campaign_id: str, actor: str) -> None:
-    """Take a campaign out of use; again changes nothing."""
-    retired.retire(_row(session, campaign_id), actor)
-    session.flush()
-
-
-def restore(session: Session, campaign_id: str) -> None:
-    """Bring a campaign back into use."""
-    retired.restore(_row(session, campaign_id))
-    session.flush()
-
-
 def commit(session: Session, campaign_id: str) -> None:
     """Make a staged campaign one that is listed and used; a name that was taken meanwhile gets a number."""
     row = _row(session, campaign_id)

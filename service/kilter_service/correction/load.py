@@ -48,7 +48,7 @@ def under(rows: Observations, carried: Carried, robot: Robot) -> Observations:
     return rows.carrying(carried.payload_kg, [to_metres(value) for value in carried.payload_com_mm or (0.0, 0.0, 0.0)])
 
 
-def remarks(
+def load_notes(
     calibration: Calibration, stated: bool, not_corrected: Collection[str], carried: Carried
 ) -> tuple[str, ...]:
     """Say which load was taken where the path states none, and what that means for effects that follow the load."""

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
-from kilter_service.corrector.frames import Status
+from kilter_service.corrector.wire import Status
 
 if TYPE_CHECKING:
-    from kilter_service.correction.follow import Corrected
+    from kilter_core.correct.walker import CorrectedTrajectory
 
 NANO = 1_000_000_000
 
 
-def joint_trajectory(names: Sequence[str], t: NDArray[np.float64] | None, done: Corrected) -> bytes:
+def joint_trajectory(names: Sequence[str], t: NDArray[np.float64] | None, done: CorrectedTrajectory) -> bytes:
     """Write positions (rad, m) over the time from the first row.
 
     Raises:
@@ -34,7 +34,7 @@ def joint_trajectory(names: Sequence[str], t: NDArray[np.float64] | None, done: 
     return "".join(_lines(names, t - t[0], done.q)).encode()
 
 
-def _refuse_gaps(done: Corrected) -> None:
+def _refuse_gaps(done: CorrectedTrajectory) -> None:
     bad = np.flatnonzero(done.status != Status.OK)
     if len(bad):
         word = Status(int(done.status[bad[0]])).name

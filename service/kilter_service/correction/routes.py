@@ -12,7 +12,7 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
 from kilter_core.errors import OptionError
-from kilter_service.bodies import receive
+from kilter_service.bodies import spool_upload
 from kilter_service.campaigns import reading
 from kilter_service.correction import service
 from kilter_service.correction.load import Carried
@@ -75,7 +75,7 @@ async def correct(
     media = reading.media_type(request.headers.get("content-type"))
     with tempfile.TemporaryDirectory(prefix="kilter-correct-") as folder:
         path = Path(folder) / "body"
-        await receive(request, path, settings.max_upload_mb)
+        await spool_upload(request, path, settings.max_upload_mb)
         carried = Carried(payload_kg, _point(payload_com_mm))
         file, left_out, notes = await compute(
             request, _corrected, database, robot, version, path, media, format, settings.temperature_c, carried

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from kilter_service.campaigns.assemble import observations
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.correction import load
-from kilter_service.correction.follow import corrected
 from kilter_service.correction.formats import read_trajectory, write_trajectory
 from kilter_service.correction.ros2 import joint_trajectory
 from kilter_service.correction.uncertainty import uncertainty
@@ -56,6 +55,8 @@ def correct(
         ServiceError: no such robot or version, or none is active.
 
     """
+    from kilter_core.correct.walker import correct_trajectory  # loads compiled kernels: not at the start of the process
+
     with database.reading() as session:
         row, options = _version(session, robot, version, temperature_c)
         calibration, known = versions.calibration(session, row.id), versions.known(session, row.id)
@@ -63,8 +64,8 @@ def correct(
     table, columns = read_trajectory(path, media, kinds, MAX_ROS2_ROWS if form == ROS2 else MAX_TRAJECTORY_ROWS)
     stated = observations(table, columns, {})
     rows = load.under(stated, carried, calibration.robot)
-    done = corrected(calibration, rows, options)
-    notes = load.remarks(calibration, stated.payload_kg is not None, done.not_corrected, carried)
+    done = correct_trajectory(calibration, rows, options)
+    notes = load.load_notes(calibration, stated.payload_kg is not None, done.not_corrected, carried)
     if form == ROS2:
         names = [joint.name for joint in calibration.robot.joints]
         return Answer(joint_trajectory(names, rows.t, done), done.not_corrected, notes)
@@ -72,7 +73,7 @@ def correct(
     for k, column in enumerate(joints):
         readings = cells(done.q[:, k] / column.factor)
         table = table.set_column(table.column_names.index(column.name), column.name, readings)
-    u95 = uncertainty(calibration, rows, done, known, temperature_c)
+    u95 = uncertainty(calibration, done, known, temperature_c)
     return Answer(write_trajectory(with_verdict(table, done, u95), media), done.not_corrected, notes)
 
 

@@ -8,21 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_service.correction.follow import Corrected, last_motion
-from kilter_service.corrector.frames import Status
+from kilter_service.corrector.wire import Status
 
 if TYPE_CHECKING:
+    from kilter_core.correct.walker import CorrectedTrajectory
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
-    from kilter_core.observations import Observations
 
 Floats = NDArray[np.float64]
 
 
 def uncertainty(
     calibration: Calibration,
-    rows: Observations,
-    done: Corrected,
+    done: CorrectedTrajectory,
     known: Predictive | None,
     temperature_c: float | None = None,
 ) -> Floats:
@@ -31,11 +29,12 @@ def uncertainty(
     NaN for rows that were refused, and everywhere when nothing is ``known`` of the version. An effect that is left out of
     the correction is left out here.
     """
+    rows = done.wanted
     out = np.full((len(rows), 3), np.nan)
     good = done.status == Status.OK
     if known is None or not good.any():
         return out
-    there = replace(rows, q=done.q, direction=last_motion(rows.q) if rows.direction is None else rows.direction)
+    there = replace(rows, q=done.q, direction=done.direction)
     if rows.temperature_c is None and temperature_c is not None:
         there = replace(there, temperature_c=np.full(len(rows), temperature_c))
     corrected = [e for key, e in zip(calibration.model.effect_slices(), calibration.model.effects, strict=True)

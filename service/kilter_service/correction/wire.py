@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.corrector.frames import Status
+from kilter_service.corrector.wire import Status
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from kilter_core.correct.program import CorrectionOptions
-    from kilter_service.correction.follow import Corrected
+    from kilter_core.correct.walker import CorrectedTrajectory
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def options_of(limits: CorrectionLimits, temperature_c: float | None) -> Correct
     )
 
 
-def with_verdict(table: pa.Table, done: Corrected, u95: Floats) -> pa.Table:
+def with_verdict(table: pa.Table, done: CorrectedTrajectory, u95: Floats) -> pa.Table:
     """Add to a trajectory what was removed of the error, half the interval that is left, and the status."""
     removed = done.error_removed * 1e3
     for k, axis in enumerate("xyz"):

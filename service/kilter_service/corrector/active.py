@@ -55,7 +55,7 @@ def version_number(sha256: str) -> int:
     return int(sha256[:16], 16)
 
 
-class Source(Protocol):
+class VersionSource(Protocol):
     """Where the versions in use come from."""
 
     def stamp(self) -> Hashable:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kilter_service.corrector.frames import Status
 from kilter_service.corrector.specs import Rules
+from kilter_service.corrector.wire import Status
 
 
 @dataclass(frozen=True)

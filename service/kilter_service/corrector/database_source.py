@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from kilter_core.errors import CoreError
 from kilter_service.corrector.active import Active, version_number
-from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_service.db import Database
@@ -72,22 +71,18 @@ class DatabaseSource:
 
 
 def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Active:
-    from kilter_core.correct.program import CorrectionOptions, compile_program
+    from kilter_core.correct.program import compile_program
+    from kilter_service.correction.wire import options_of
 
-    options = CorrectionOptions(
-        largest_rad=version.max_joint,
-        largest_m=version.max_position,
-        farthest_m=version.max_position,
-        temperature_c=temperature_c,
-    )
+    options = options_of(version.limits, temperature_c)
     return Active(
         robot=version.robot,
         version_id=version.id,
         number=version_number(version.sha256),
         epoch=version.epoch,
         program=compile_program(version.calibration, options),
-        largest_deg=to_deg(version.max_joint),
-        largest_mm=to_mm(version.max_position),
+        largest_deg=version.limits.max_joint_deg,
+        largest_mm=version.limits.max_position_mm,
         ramp_s=options.ramp_s,
         joint_names=tuple(joint.name for joint in version.calibration.robot.joints),
         joint_kinds=tuple(joint.kind for joint in version.calibration.robot.joints),

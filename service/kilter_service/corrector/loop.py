@@ -1,4 +1,4 @@
-"""The stream process: one session, one ring of samples, one thread that corrects; a second one keeps house.
+"""The stream process: one session, one ring of samples, one thread that corrects; a second one does the housekeeping.
 
 Nothing else runs here: 10 ms of Python elsewhere in the process would raise the stream's 99th percentile to 6-7 ms.
 """
@@ -21,23 +21,23 @@ from typing import Any
 import zenoh
 
 from kilter_core.correct.program import warm_up
-from kilter_service.corrector import frames, keys, short_way
+from kilter_service.corrector import fast_path, keys, wire
 from kilter_service.corrector.active import Active, nothing_active
-from kilter_service.corrector.frames import Status
 from kilter_service.corrector.session import ENCODING, close, open_listening
 from kilter_service.corrector.slots import Served, Slots, names_of
 from kilter_service.corrector.specs import StreamSpec
+from kilter_service.corrector.wire import Status
 from kilter_service.errors import ServiceError
 
 log = logging.getLogger("kilter.corrector.stream")
 
 STATUS_PERIOD_S = 0.5
-BETWEEN_RINGS_NS = 50_000_000  # a verdict that flips at every setpoint must not keep the house-keeping awake
+BETWEEN_RINGS_NS = 50_000_000  # a verdict that flips at every setpoint must not keep the housekeeping awake
 REAL_TIME_PRIORITY = 40
 
 
 class Bell:
-    """Wakes the house-keeping thread, which sleeps otherwise: what it does meanwhile would delay a setpoint."""
+    """Wakes the housekeeping thread, which sleeps otherwise: what it does meanwhile would delay a setpoint."""
 
     def __init__(self) -> None:
         self.waits, self._pull = os.pipe()
@@ -69,7 +69,7 @@ class StreamLoop:
         )
 
     def run(self) -> None:
-        """Correct until the session is closed by the house-keeping thread."""
+        """Correct until the session is closed by the housekeeping thread."""
         ring, most, active, now = self._subscriber.handler, self.spec.rules.ring, self.active, time.monotonic_ns
         backlog, rung_ns = 0, 0
         last: Served | None = None
@@ -112,8 +112,8 @@ class StreamLoop:
         if names is None:
             return None
         try:
-            header = frames.decode_setpoints(data).header
-        except frames.FrameError as error:
+            header = wire.decode_setpoints(data).header
+        except wire.FrameError as error:
             self._refuse(names[1], error.header, Status.BAD_FRAME)
             return None
         served = self.slots.take(key, names, arrival_ns) if names[0] in self.active else None
@@ -121,25 +121,25 @@ class StreamLoop:
             self._refuse(names[1], header, Status.OVERLOAD if names[0] in self.active else Status.NO_VERSION)
         return served
 
-    def _refuse(self, out: str, header: frames.Header | None, status: Status) -> None:
+    def _refuse(self, out: str, header: wire.Header | None, status: Status) -> None:
         if header is not None:
             self.session.put(
-                out, frames.encode_refusal(header, status), encoding=zenoh.Encoding(ENCODING),
+                out, wire.encode_refusal(header, status), encoding=zenoh.Encoding(ENCODING),
                 priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.DROP,
             )  # fmt: skip
 
 
-class House(threading.Thread):
+class HousekeepingThread(threading.Thread):
     """Takes versions from the supervisor, announces them, reports status; closes the session when told to stop."""
 
     def __init__(self, loop: StreamLoop, bell: Bell, pipe: Connection) -> None:
-        super().__init__(name="house")
+        super().__init__(name="housekeeping")
         self._loop = loop
         self._bell = bell
         self._pipe = pipe
         self._queries: deque[zenoh.Query] = deque(maxlen=64)
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
-        self._said = 0.0
+        self._reported_s = 0.0
         loop.session.declare_queryable(
             keys.every_active(loop.spec.site), zenoh.handlers.Callback(self._asked, indirect=False)
         )
@@ -155,7 +155,7 @@ class House(threading.Thread):
                 self._answer_queries()
                 self._report()
         except Exception:
-            log.exception("the house-keeping of the corrector failed; the process stops and is started anew")
+            log.exception("the housekeeping of the corrector failed; the process stops and is started anew")
         finally:
             close(self._loop.session)
 
@@ -210,9 +210,9 @@ class House(threading.Thread):
 
     def _report(self) -> None:
         """Publish the status of streams that moved, twice a second, and at once when their verdict changes."""
-        due = time.monotonic() - self._said >= STATUS_PERIOD_S
+        due = time.monotonic() - self._reported_s >= STATUS_PERIOD_S
         if due:
-            self._said = time.monotonic()
+            self._reported_s = time.monotonic()
         for served in self._loop.slots.served.values():
             counters = served.stream.counters
             now = (counters.last, sum(counters.by_status))
@@ -249,7 +249,7 @@ def stream_main(spec: StreamSpec, pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the supervisor stops us in order
     sys.setswitchinterval(0.0005)
     warm_up()
-    short_way.warm_up()  # before real time: a first compilation takes seconds
+    fast_path.warm_up()  # before real time: a first compilation takes seconds
     real_time = ask_for_real_time()
     try:
         session, endpoint = open_listening(spec.listen, spec.zenoh_config, spec.door)
@@ -259,14 +259,14 @@ def stream_main(spec: StreamSpec, pipe: Connection) -> None:
     with session:
         bell = Bell()
         loop = StreamLoop(session, spec, bell)
-        house = House(loop, bell, pipe)
+        housekeeping = HousekeepingThread(loop, bell, pipe)
         pipe.send(("listening", endpoint, real_time))
         gc.collect()
         gc.freeze()
         gc.disable()
-        house.start()
+        housekeeping.start()
         try:
             loop.run()
         finally:
             close(session)
-            house.join()
+            housekeeping.join()

@@ -22,7 +22,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from kilter_service.corrector.active import Active, Source
+from kilter_service.corrector.active import Active, VersionSource
 from kilter_service.corrector.database_source import DatabaseSource
 from kilter_service.corrector.endpoints import Door, check_listening
 from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec, enter
@@ -140,7 +140,7 @@ class Corrector:
     def __init__(
         self,
         settings: Settings,
-        source: Source,
+        source: VersionSource,
         rules: Rules | None = None,
         stopped: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -233,19 +233,19 @@ class Corrector:
     def _take_over(self, versions: Mapping[str, Active]) -> None:
         for robot in [robot for robot in self._active if robot not in versions]:
             del self._active[robot]
-            self._tell("drop", robot)
+            self._send_all("drop", robot)
         for robot, active in versions.items():
             known = self._active.get(robot)
             if known is not None and (known.epoch, known.number) == (active.epoch, active.number):
                 continue
             self._active[robot] = active
-            self._tell("use", active)
+            self._send_all("use", active)
             if active.program.unsupported:
                 names = ", ".join(active.program.unsupported)
                 log.warning("version %s of %s: not corrected at run time: %s", active.version_id, robot, names)
             log.info("robot %s follows version %s, epoch %d", robot, active.version_id, active.epoch)
 
-    def _tell(self, *message: Any) -> None:
+    def _send_all(self, *message: Any) -> None:
         for child in self._children.values():
             if child.listens:
                 child.send(*message)

@@ -14,12 +14,14 @@ from multiprocessing.connection import Connection
 import numpy as np
 import zenoh
 
-from kilter_core.correct.program import Track, warm_up
-from kilter_service.corrector import frames, keys
+from kilter_core.correct.program import warm_up
+from kilter_core.correct.walker import walk_from_rest
+from kilter_core.errors import ObservationError
+from kilter_service.corrector import keys, wire
 from kilter_service.corrector.active import Active
-from kilter_service.corrector.frames import Flag, Floats, FrameError, Header, Kind, Status
 from kilter_service.corrector.session import ENCODING, close, open_behind
 from kilter_service.corrector.specs import QuerySpec, Rules
+from kilter_service.corrector.wire import Flag, Floats, FrameError, Header, Kind, Status
 
 log = logging.getLogger("kilter.corrector.queries")
 
@@ -49,10 +51,10 @@ def encode_trajectory(
     """Bytes of a request: header, version when given, N and J, t[N], then q, qd, qdd side by side [N, width J]."""
     if version is not None:
         flags |= Flag.VERSION
-    parts = [frames.HEADER.pack(frames.MAGIC, Kind.TRAJECTORY, joints, flags, seq, 0, 0)]
+    parts = [wire.HEADER.pack(wire.MAGIC, Kind.TRAJECTORY, joints, flags, seq, 0, 0)]
     if version is not None:
-        parts.append(frames.VERSION.pack(version))
-    parts += [frames.BLOCK.pack(len(t), joints), t.astype("<f8").tobytes(), values.astype("<f8").tobytes()]
+        parts.append(wire.VERSION.pack(version))
+    parts += [wire.BLOCK.pack(len(t), joints), t.astype("<f8").tobytes(), values.astype("<f8").tobytes()]
     return b"".join(parts)
 
 
@@ -63,21 +65,21 @@ def decode_trajectory(data: bytes) -> Trajectory:
         FrameError: anything that is not exactly such a frame.
 
     """
-    header = frames.decode_header(data)
-    offset = frames.HEADER.size
+    header = wire.decode_header(data)
+    offset = wire.HEADER.size
     version = None
     try:
         if header.flags & Flag.VERSION:
-            (version,) = frames.VERSION.unpack_from(data, offset)
-            offset += frames.VERSION.size
-        points, joints = frames.BLOCK.unpack_from(data, offset)
+            (version,) = wire.VERSION.unpack_from(data, offset)
+            offset += wire.VERSION.size
+        points, joints = wire.BLOCK.unpack_from(data, offset)
     except struct.error:
         raise FrameError("cut off", header) from None
-    offset += frames.BLOCK.size
-    wide = joints * frames.width(header.flags)
-    if header.kind != Kind.TRAJECTORY or joints != header.joints or not 0 < joints <= frames.MAX_JOINTS:
+    offset += wire.BLOCK.size
+    wide = joints * wire.width(header.flags)
+    if header.kind != Kind.TRAJECTORY or joints != header.joints or not 0 < joints <= wire.MAX_JOINTS:
         raise FrameError("not a trajectory, or another number of joints in the header", header)
-    if not 0 < points <= frames.MAX_TRAJECTORY or len(data) != offset + 8 * points * (1 + wide):
+    if not 0 < points <= wire.MAX_TRAJECTORY or len(data) != offset + 8 * points * (1 + wide):
         raise FrameError(f"{len(data)} bytes do not hold {points} points of {joints} joints", header)
     numbers = np.frombuffer(bytearray(data), dtype="<f8", offset=offset)
     return Trajectory(header, version, numbers[:points], numbers[points:].reshape(points, wide))
@@ -98,21 +100,20 @@ def correct_trajectory(request: Trajectory, active: Active | None) -> bytes:
             Status.VERSION_MISMATCH.name,
             f"The active version is {active.version_id} for {active.program.n_joints} joints: ask for that one.",
         )
-    steps = np.diff(request.t, prepend=request.t[:1])
-    backwards = np.flatnonzero(~(steps >= 0.0))
-    if len(backwards):
-        raise QueryError(Status.SEQ_BACK.name, "The times go back or are not numbers.", int(backwards[0]))
     began = time.monotonic_ns()
-    track = Track(active.program, settled=True)
-    done, out, info, status = track.follow(request.values, frames.width(request.header.flags), steps)
-    if done < len(out):
-        name = Status(int(status[done])).name
-        raise QueryError(name, f"Point {done} is refused: {name}.", done, int(info[done, 1]))
-    flags = int(np.bitwise_or.reduce(info[:, 0].astype(np.int64)))
+    try:
+        walked = walk_from_rest(active.program, request.values, wire.width(request.header.flags), request.t)
+    except ObservationError as error:
+        index = error.context["row"] - 1
+        raise QueryError(Status.SEQ_BACK.name, "The times go back or are not numbers.", index) from error
+    refused = walked.refusal
+    if refused is not None:
+        name = Status(refused.status).name
+        raise QueryError(name, f"Point {refused.index} is refused: {name}.", refused.index, refused.limit_mask)
     spent = min(time.monotonic_ns() - began, 0xFFFFFFFF)
-    head = frames.HEADER.pack(frames.MAGIC, Kind.TRAJECTORY, joints, flags, request.header.seq, 0, 0)
-    verdict = frames.VERDICT.pack(active.number, active.epoch, Status.OK, 0, spent, 0)
-    return b"".join([head, verdict, frames.BLOCK.pack(len(out), joints), request.t.tobytes(), out.tobytes()])
+    head = wire.HEADER.pack(wire.MAGIC, Kind.TRAJECTORY, joints, walked.flags, request.header.seq, 0, 0)
+    verdict = wire.VERDICT.pack(active.number, active.epoch, Status.OK, 0, spent, 0)
+    return b"".join([head, verdict, wire.BLOCK.pack(len(walked.q), joints), request.t.tobytes(), walked.q.tobytes()])
 
 
 def describe(robot: str, active: Active | None) -> bytes:
@@ -120,7 +121,7 @@ def describe(robot: str, active: Active | None) -> bytes:
     rules = Rules()
     document = {
         "robot": robot,
-        "frame": {"magic": frames.MAGIC.decode(), "header_bytes": frames.HEADER.size, "units": "rad, m, rad/s, m/s"},
+        "frame": {"magic": wire.MAGIC.decode(), "header_bytes": wire.HEADER.size, "units": "rad, m, rad/s, m/s"},
         "statuses": {status.name: int(status) for status in Status},
         "flags": {str(flag.name): int(flag) for flag in Flag},
         "max_age_ms": rules.max_age_ns / 1e6,

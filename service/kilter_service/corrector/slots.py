@@ -35,7 +35,7 @@ class Served:
 
 
 class Slots:
-    """Streams by the key of their setpoints; a new dictionary with every change, for the house-keeping reads it too."""
+    """Streams by the key of their setpoints; a new dictionary with every change, for the housekeeping reads it too."""
 
     def __init__(self, session: zenoh.Session, rules: Rules) -> None:
         self.served: dict[str, Served] = {}

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kilter_core.correct.program import Track
-from kilter_service.corrector import frames
+from kilter_core.correct.walker import walk_whole
+from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.admission import Clock
-from kilter_service.corrector.frames import Flag, Kind, Setpoints, Status
-from kilter_service.corrector.short_way import ShortWay
+from kilter_service.corrector.fast_path import FastPath
 from kilter_service.corrector.specs import Rules
+from kilter_service.corrector.wire import Flag, Kind, Setpoints, Status
 
 
 @dataclass
@@ -31,10 +31,10 @@ class Stream:
 
     def __init__(self, rules: Rules | None = None) -> None:
         self.rules = rules or Rules()
-        self._short = ShortWay(self.rules)
-        self.counters = self._short.counters
-        self._active: Active | None = None  # what the short way answers with
-        self._flows = False  # the short way holds the clock
+        self._fast = FastPath(self.rules)
+        self.counters = self._fast.counters
+        self._active: Active | None = None  # what the fast path answers with
+        self._flows = False  # the fast path holds the clock
         self._course = Course()
         self._before: Course | None = None  # what a RESET ended; it comes back when its sender goes on
 
@@ -42,13 +42,13 @@ class Stream:
         """Bytes to publish for a frame that arrived at ``arrival_ns`` (monotonic clock), or None without a header."""
         if self._flows:
             if active is self._active:
-                answer = self._short.answer(data, arrival_ns)
+                answer = self._fast.answer(data, arrival_ns)
                 if answer is not None:
                     return answer
-            self._short.give(self._course.clock)
-        answer = self._long_way(data, arrival_ns, active, overloaded)
+            self._fast.give(self._course.clock)
+        answer = self._full_path(data, arrival_ns, active, overloaded)
         certain = self._before is None and self._course.track is not None
-        self._flows = certain and self._short.take(self._course.clock)
+        self._flows = certain and self._fast.take(self._course.clock)
         return answer
 
     @property
@@ -59,12 +59,12 @@ class Stream:
     @property
     def seen_ns(self) -> int:
         """When the last frame in order arrived; 0 before the first."""
-        return self._short.seen_ns if self._flows else self._course.clock.seen_ns
+        return self._fast.seen_ns if self._flows else self._course.clock.seen_ns
 
-    def _long_way(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool) -> bytes | None:
+    def _full_path(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool) -> bytes | None:
         try:
-            request = frames.decode_setpoints(data)
-        except frames.FrameError as error:
+            request = wire.decode_setpoints(data)
+        except wire.FrameError as error:
             return self._refused(error.header, Status.BAD_FRAME, active, 0, arrival_ns)
         status = self._admit(request, arrival_ns, active, overloaded)
         if status != Status.OK or active is None:
@@ -111,7 +111,7 @@ class Stream:
 
     def _use(self, track: Track, active: Active) -> None:
         self._active = self._course.active = active
-        self._short.follow(track, active)
+        self._fast.follow(track, active)
 
     def _follow_version(self, active: Active) -> Track:
         """The track for this version: the old one goes on, its difference ramped, unless the joints changed."""
@@ -129,23 +129,26 @@ class Stream:
     def _correct(self, request: Setpoints, arrival_ns: int, active: Active) -> bytes | None:
         track = self._follow_version(active)
         header = request.header
-        width = frames.width(header.flags)
+        width = wire.width(header.flags)
         at = header.t_apply_ns or header.t_send_ns
         clock = self._course.clock
         dt = clock.elapsed_s(at, arrival_ns, self.rules.time_slack_s)
         if header.kind == Kind.POINT:
             status = track.step(request.values[0], width, dt)
-            info, numbers = track.info, track.out
+            flags, mask, numbers = int(track.info[0]), int(track.info[1]), track.out
         else:
-            status, info, numbers = self._chunk(track, request, width, dt)
+            steps = np.full(len(request.values), request.step_ns * 1e-9)
+            steps[0] = dt
+            walked = walk_whole(track, request.values, width, steps)
+            refused, flags, numbers = walked.refusal, walked.flags, walked.q
+            status, mask = (refused.status, refused.limit_mask) if refused else (0, 0)
         if status != Status.OK:
-            return self._refused(header, Status(status), active, int(info[1]), arrival_ns)
+            return self._refused(header, Status(status), active, mask, arrival_ns)
         points = len(request.values)
         clock.applied_ns = at + (points - 1) * request.step_ns
         clock.answered_ns = arrival_ns
-        flags = int(info[0])
         self.counters.count_flags(flags)
-        return frames.encode_answer(
+        return wire.encode_answer(
             header,
             numbers.tobytes(),
             version=active.number,
@@ -156,28 +159,14 @@ class Stream:
             step_ns=request.step_ns,
         )
 
-    @staticmethod
-    def _chunk(
-        track: Track, request: Setpoints, width: int, dt: float
-    ) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
-        """All points or none: a refused point refuses the chunk and leaves the memory as it was."""
-        steps = np.full(len(request.values), request.step_ns * 1e-9)
-        steps[0] = dt
-        done, out, info, status = track.follow(request.values, width, steps, atomic=True)
-        if done < len(out):
-            return int(status[done]), info[done], out
-        whole = info[-1].copy()
-        whole[0] = np.bitwise_or.reduce(info[:, 0].astype(np.int64))
-        return 0, whole, out
-
     def _refused(
-        self, header: frames.Header | None, status: Status, active: Active | None, mask: int, arrival_ns: int
+        self, header: wire.Header | None, status: Status, active: Active | None, mask: int, arrival_ns: int
     ) -> bytes | None:
         """Count a refusal and answer with it, if there is a header to answer to."""
         spent = self.counters.count(status, arrival_ns)
         if header is None:
             return None
-        return frames.encode_refusal(
+        return wire.encode_refusal(
             header,
             status,
             version=active.number if active else 0,

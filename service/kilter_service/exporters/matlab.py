@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from kilter_core.arm.conversions import joint_frames
 from kilter_core.model.geometry import flange_screws, wanted_tool
 from kilter_service.exporters.exportable import Exportable, Written
+from kilter_service.exporters.omissions import omissions
 from kilter_service.exporters.registry import program_name
-from kilter_service.exporters.remarks import remarks
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Joint
@@ -30,7 +30,7 @@ def matlab(version: Exportable) -> Written:
     """
     calibration = version.calibration
     screws = flange_screws(calibration).one_axis_per_joint()
-    frames, notes = joint_frames(screws), remarks(calibration)
+    frames, notes = joint_frames(screws), omissions(calibration)
     name = program_name(f"{version.version.robot}-{version.version.id}")
     lines = [f"function robot = {name}()"]
     lines += [f"% Robot {version.version.robot} as calibrated by Kilter, version {version.version.id}."]

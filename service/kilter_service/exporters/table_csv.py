@@ -15,7 +15,7 @@ from kilter_core.arm.robot import STANDARD_GRAVITY
 from kilter_core.model.closest_table import ClosestTable, closest_table
 from kilter_core.transforms import xyz_rpy_from_pose
 from kilter_service.exporters.exportable import Exportable, Written
-from kilter_service.exporters.remarks import distance, left_out, masses_as_stated
+from kilter_service.exporters.omissions import distance, left_out, masses_as_stated
 
 if TYPE_CHECKING:
     from kilter_core.arm.conventions import Row

@@ -12,7 +12,7 @@ from kilter_core.errors import RobotError
 from kilter_core.model.geometry import arm_screws, flange_screws, wanted_tool
 from kilter_core.transforms import inverse, xyz_rpy_from_pose
 from kilter_service.exporters.exportable import Exportable, Written
-from kilter_service.exporters.remarks import remarks
+from kilter_service.exporters.omissions import omissions
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def ur_yaml(version: Exportable) -> Written:
     before = _first_parent(version)
     frames = _with_the_flange(joint_frames(_level_with_the_flange(flange.moved(inverse(before), np.eye(4)))))
     tool = frames.end @ wanted_tool(calibration)
-    notes = (*remarks(calibration, arm_screws(calibration)), *_tool_note(frames.end, tool))
+    notes = (*omissions(calibration, arm_screws(calibration)), *_tool_note(frames.end, tool))
     notes = (*notes, "The driver compares the hash with the arm's own and will say that they differ: they should.")
     lines = [f"# {note}" for note in notes] + ["kinematics:"]
     for name, origin in zip(LINKS, frames.origin, strict=True):

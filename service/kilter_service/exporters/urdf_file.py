@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kilter_core.model.geometry import FlangeFrames, flange_frames
 from kilter_core.transforms import inverse
 from kilter_service.exporters.exportable import Exportable, Written
-from kilter_service.exporters.remarks import remarks
+from kilter_service.exporters.omissions import omissions
 from kilter_service.exporters.urdf_new import new_urdf
 from kilter_service.exporters.urdf_words import set_origin
 from kilter_service.importers.urdf import chain_document
@@ -24,7 +24,7 @@ SAME = 1e-12
 
 def urdf_file(version: Exportable) -> Written:
     """Write the URDF; what geometry cannot say stands in a comment at its head."""
-    notes = remarks(version.calibration)
+    notes = omissions(version.calibration)
     if version.robot["convention"] == "urdf":
         root = _corrected(version.robot, flange_frames(version.calibration))
     else:

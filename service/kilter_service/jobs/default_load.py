@@ -8,7 +8,7 @@ from typing import Any
 from kilter_service.jobs.kind import JobInput, JobOutput
 
 
-def with_load_remark(output: JobOutput, job: JobInput) -> JobOutput:
+def with_load_warning(output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version that the default load was taken, and for which campaigns."""
     load = job.robot.load
     if load is None or not job.default_load:

@@ -15,7 +15,7 @@ from kilter_core.errors import CancelledError, CoreError
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.db import Database
 from kilter_service.jobs import store
-from kilter_service.jobs.default_load import with_load_remark
+from kilter_service.jobs.default_load import with_load_warning
 from kilter_service.jobs.kind import JobKind, VersionContent
 from kilter_service.jobs.records import UsedRecord
 from kilter_service.jobs.registry import kind_of
@@ -25,7 +25,7 @@ log = logging.getLogger("kilter.worker")
 
 Outcome = dict[str, Any]
 
-TELL_S = 0.2  # at most so often progress is stored and the wish to cancel is read
+REPORT_S = 0.2  # at most so often progress is stored and the wish to cancel is read
 MAX_ATTEMPTS = 10  # a job that took the worker down so often would do it for ever
 
 
@@ -38,13 +38,13 @@ class Runner:
 
     def compute(self, job_id: str) -> Outcome:
         """First step: the outcome of a job, JSON-able; it is checkpointed and not computed again."""
-        tell = Teller(self._database, job_id)
+        report = ProgressReporter(self._database, job_id)
         try:
             slot = self._slots[self._kind(job_id).long]
-            while not slot.acquire(timeout=TELL_S):
-                tell(0.0, "waiting for another job")
+            while not slot.acquire(timeout=REPORT_S):
+                report(0.0, "waiting for another job")
             try:
-                return self._compute(job_id, tell)
+                return self._compute(job_id, report)
             finally:
                 slot.release()
                 give_back()
@@ -60,7 +60,7 @@ class Runner:
         with self._database.reading() as session:
             return kind_of(store.get(session, job_id).kind)
 
-    def _compute(self, job_id: str, tell: Teller) -> Outcome:
+    def _compute(self, job_id: str, report: ProgressReporter) -> Outcome:
         kind = self._kind(job_id)
         with self._database.transaction() as session:
             attempt = store.begin(session, job_id)
@@ -68,11 +68,11 @@ class Runner:
             return {"state": "over"}
         if attempt > MAX_ATTEMPTS:
             return _failed("internal_error", f"The worker died {MAX_ATTEMPTS} times in this job: see its log.")
-        tell(0.0, "loading", now=True)
+        report(0.0, "loading", now=True)
         with self._database.reading() as session:
             job, used = store.load(session, job_id), store.used_by(session, job_id)
-        output = with_load_remark(kind.run(job, tell), job)
-        tell(1.0, "storing", now=True)
+        output = with_load_warning(kind.run(job, report), job)
+        report(1.0, "storing", now=True)
         version = None if output.version is None else _as_document(output.version)
         return {
             "state": "succeeded",
@@ -96,7 +96,7 @@ class Runner:
                 store.cancel(session, job_id)
 
 
-class Teller:
+class ProgressReporter:
     """The progress callback of one job."""
 
     def __init__(self, database: Database, job_id: str) -> None:
@@ -114,7 +114,7 @@ class Teller:
         time_s = time.monotonic()
         if time_s < self._next and not now:
             return
-        self._next = time_s + TELL_S
+        self._next = time_s + REPORT_S
         with self._database.transaction() as session:
             stop = store.advance(session, self._job_id, fraction, stage)
         if stop:

@@ -16,9 +16,9 @@ from kilter_service.contract.versions import Objection
 from kilter_service.db import Session
 from kilter_service.db.tables import JobRow, RobotRow, VersionRow, now
 from kilter_service.errors import ServiceError
-from kilter_service.jobs.drawing import signed
 from kilter_service.jobs.durations import PastRun
 from kilter_service.jobs.kind import JobInput, JobKind, VersionContent
+from kilter_service.jobs.plotly_figures.layout import captioned
 from kilter_service.jobs.records import JobRecord, JobRequest, UsedRecord
 from kilter_service.jobs.refusals import read_options
 from kilter_service.jobs.registry import kind_of
@@ -228,7 +228,7 @@ def succeed(
         result = {**result, "version_id": version_id, "objections": [one.model_dump() for one in objections]}
         if "figures" in result:
             robot = session.get_one(RobotRow, row.robot_id).name
-            result["figures"] = signed(result["figures"], robot, [c.name or c.id for c in used], version_id)
+            result["figures"] = captioned(result["figures"], robot, [c.name or c.id for c in used], version_id)
     row.result = result
     _finish(row, "succeeded", "done", 1.0)
 

@@ -3,28 +3,8 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Protocol
 
-from kilter_service.db.tables import now
 from kilter_service.errors import ServiceError
-
-
-class Retirable(Protocol):
-    """A row that may be retired."""
-
-    retired_at: datetime | None
-    retired_by: str
-
-
-def retire(row: Retirable, actor: str) -> None:
-    """Take something out of use; again changes nothing."""
-    if row.retired_at is None:
-        row.retired_at, row.retired_by = now(), actor
-
-
-def restore(row: Retirable) -> None:
-    """Bring something back into use."""
-    row.retired_at, row.retired_by = None, ""
 
 
 def refuse(kind: str, id_: str, retired_at: datetime | None) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import datetime
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from sqlalchemy import ColumnElement, Select, and_, func, or_, select
 
 from kilter_service.contract.references import Kind
 from kilter_service.db import Session
-from kilter_service.db.tables import CampaignRow, JobRow, RobotRow, TombstoneRow, VersionRow
+from kilter_service.db.tables import CampaignRow, JobRow, RobotRow, TombstoneRow, VersionRow, now
 from kilter_service.errors import ServiceError
 from kilter_service.paging import Page
 from kilter_service.references.records import TombstoneRecord, Whose
@@ -19,6 +19,7 @@ from kilter_service.references.records import TombstoneRecord, Whose
 Table = type[CampaignRow] | type[VersionRow] | type[JobRow]
 TABLES: Mapping[Kind, Table] = {"campaign": CampaignRow, "version": VersionRow, "job": JobRow}
 PREFIXES: Mapping[Kind, str] = {"campaign": "cmp_", "version": "ver_", "job": "job_"}
+KEPT: Mapping[Whose, type[Any]] = {"campaign": CampaignRow, "version": VersionRow, "robot": RobotRow}
 LATEST = "latest"
 NOMINAL = "nominal"  # of versions: the robot as drawn, which a comparison may name
 
@@ -124,6 +125,39 @@ def free_name(session: Session, kind: Kind, robot_id: int, name: str) -> str:
         number += 1
         tried = f"{name[:190]} ({number})"
     return tried
+
+
+def change(
+    session: Session, kind: Literal["campaign", "version"], id_: str, name: str | None, notes: str | None
+) -> None:
+    """Write the name and the notes that people give something; None leaves them as they are."""
+    row = session.get_one(KEPT[kind], id_)
+    row.name, row.notes = row.name if name is None else name, row.notes if notes is None else notes
+    session.flush()
+
+
+def retire(session: Session, whose: Whose, key: str | int, actor: str) -> None:
+    """Take something out of use; nothing changes when it already is."""
+    row = session.get_one(KEPT[whose], key)
+    if row.retired_at is None:
+        row.retired_at, row.retired_by = now(), actor
+        session.flush()
+
+
+def restore(session: Session, whose: Whose, key: str | int) -> None:
+    """Bring something back into use; nothing changes when it already is.
+
+    Raises:
+        ServiceError: another one has its name now.
+
+    """
+    row = session.get_one(KEPT[whose], key)
+    if row.retired_at is None:
+        return
+    if whose != "robot":  # no two robots have one name, in use or not
+        check_name(session, whose, row.robot_id, row.name, row.id)
+    row.retired_at, row.retired_by = None, ""
+    session.flush()
 
 
 def bury(session: Session, record: TombstoneRecord) -> None:

@@ -17,7 +17,7 @@ from kilter_service.contract.robot_reports import AxisReport, RobotCheck, Zero
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.contract.units import Pose
 from kilter_service.robots.documents import core_document
-from kilter_service.robots.suspicion import suspicions
+from kilter_service.robots.plausibility import implausible
 from kilter_service.robots.wire import joint_summary
 from kilter_service.wire import to_deg, to_mm
 
@@ -50,7 +50,7 @@ def check(document: RobotDocument) -> RobotCheck:
         axes=_axes(robot, placed),
         zero=_zero(robot, placed),
         reach_mm=to_mm(reach),
-        suspicious=suspicions(robot, placed, reach, posted),
+        suspicious=implausible(robot, placed, reach, posted),
         notes=understood.notes,
     )
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Request, Response
 
 from kilter_service.auth.access import Admin
-from kilter_service.bodies import receive
+from kilter_service.bodies import spool_upload
 from kilter_service.campaigns import reading
 from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import FoundRobot, RobotCheck, RobotList, RobotReport
@@ -80,7 +80,7 @@ async def from_circles(
     media = reading.media_type(request.headers.get("content-type"))
     with tempfile.TemporaryDirectory(prefix="kilter-circles-") as folder:
         path = Path(folder) / "body"
-        await receive(request, path, min(settings.max_upload_mb, MAX_CIRCLE_MB))
+        await spool_upload(request, path, min(settings.max_upload_mb, MAX_CIRCLE_MB))
         return await compute(request, _found, path, media, name, to, base, follows or [])
 
 

@@ -64,14 +64,14 @@ def remark(database: Database, name: str, remarks: str) -> RobotReport:
 def retire(database: Database, name: str, actor: str) -> RobotReport:
     """Take a robot out of use: no list shows it, nothing new is made of it. What is active goes on correcting."""
     with database.transaction() as session:
-        store.retire(session, name, actor)
+        references.retire(session, "robot", store.get(session, name).id, actor)
     return get(database, name)
 
 
 def restore(database: Database, name: str) -> RobotReport:
     """Bring a robot back into use."""
     with database.transaction() as session:
-        store.restore(session, name)
+        references.restore(session, "robot", store.get(session, name).id)
     return get(database, name)
 
 

@@ -133,16 +133,6 @@ def remark(session: Session, name: str, remarks: str) -> None:
     _row(session, name).remarks = remarks
 
 
-def retire(session: Session, name: str, actor: str) -> None:
-    """Take a robot out of use; again changes nothing."""
-    retired.retire(_row(session, name), actor)
-
-
-def restore(session: Session, name: str) -> None:
-    """Bring a robot back into use."""
-    retired.restore(_row(session, name))
-
-
 def _row(session: Session, name: str) -> RobotRow:
     return session.get_one(RobotRow, get(session, name).id)
 

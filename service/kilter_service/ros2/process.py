@@ -19,7 +19,7 @@ import zenoh
 
 from kilter_core.correct.program import warm_up
 from kilter_service.corrector import keys
-from kilter_service.corrector.active import Active, Source
+from kilter_service.corrector.active import Active, VersionSource
 from kilter_service.corrector.database_source import DatabaseSource
 from kilter_service.corrector.session import close, config
 from kilter_service.errors import ServiceError
@@ -169,7 +169,7 @@ def opened(settings: Settings, stopped: Callable[[float], bool]) -> zenoh.Sessio
 class Versions:
     """The active versions, read again when they change."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: VersionSource) -> None:
         self._source = source
         self._stamp: object = object()
         self._reading = True
@@ -190,7 +190,7 @@ class Versions:
         return found
 
 
-def follow(settings: Settings, source: Source, stopped: Callable[[float], bool]) -> None:
+def follow(settings: Settings, source: VersionSource, stopped: Callable[[float], bool]) -> None:
     """Relay, and follow the active versions, until ``stopped(seconds)`` says so."""
     warm_up()
     session = opened(settings, stopped)

@@ -13,11 +13,12 @@ from typing import Protocol
 
 import numpy as np
 
-from kilter_core.correct.program import Track
-from kilter_service.corrector import frames
+from kilter_core.correct.walker import side_by_side, walk_from_rest
+from kilter_core.errors import ObservationError
+from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
-from kilter_service.corrector.frames import Flag, Floats, Status
 from kilter_service.corrector.stream import Stream
+from kilter_service.corrector.wire import Flag, Floats, Status
 from kilter_service.ros2 import cdr
 from kilter_service.ros2.names import Attachment
 
@@ -94,11 +95,11 @@ class StateRelay:
         stamp = max(0, sec * 1_000_000_000 + nanosec)
         self._seq = attachment.seq if attachment else self._seq + 1
         sent = attachment.sent_ns if attachment else (stamp or arrival_ns)
-        frame = frames.encode_setpoints(
+        frame = wire.encode_setpoints(
             values[None], joints=len(columns), seq=self._seq, t_send_ns=sent, t_apply_ns=0, flags=flags
         )
         raw = self._stream.answer(frame, arrival_ns, active)
-        answer = frames.decode_answer(raw) if raw else None
+        answer = wire.decode_answer(raw) if raw else None
         if answer is None or answer.status != Status.OK:
             raise RefusedError(answer.status.name if answer else Status.BAD_FRAME.name)
         position = state.position.copy()
@@ -156,20 +157,15 @@ def corrected_positions(trajectory: cdr.JointTrajectory, active: Active, joints:
         if not len(trajectory.time):
             return trajectory.positions  # the empty trajectory tells a controller to stop
         raise RefusedError(Status.BAD_FRAME.name)
-    t = trajectory.t
-    steps = np.diff(t, prepend=t[:1])
-    if (steps < 0.0).any():
-        raise RefusedError(Status.SEQ_BACK.name)
-    given = [trajectory.positions]
-    for part in (trajectory.velocities, trajectory.accelerations):
-        if part.shape[1] != len(names):
-            break
-        given.append(part)
-    # In C order: for any other the kernel would be compiled anew, for seconds.
-    values = np.ascontiguousarray(np.hstack([part[:, columns] for part in given]))
-    done, out, _, status = Track(active.program, settled=True).follow(values, len(given), steps)
-    if done < len(out):
-        raise RefusedError(Status(int(status[done])).name)
+    motion = (trajectory.velocities, trajectory.accelerations)
+    qd, qdd = (part[:, columns] if part.shape[1] == len(names) else None for part in motion)
+    values, width = side_by_side(trajectory.positions[:, columns], qd, qdd)
+    try:
+        walked = walk_from_rest(active.program, values, width, trajectory.t)
+    except ObservationError as error:
+        raise RefusedError(Status.SEQ_BACK.name) from error
+    if walked.refusal is not None:
+        raise RefusedError(Status(walked.refusal.status).name)
     positions = trajectory.positions.copy()
-    positions[:, columns] = out
+    positions[:, columns] = walked.q
     return positions

@@ -25,7 +25,7 @@ def change(database: Database, version_id: str, wanted: Change) -> Version:
         version = store.get(session, version_id)
         if wanted.name is not None and wanted.name != version.name:
             references.check_name(session, "version", version.robot_id, wanted.name, version.id)
-        store.change(session, version_id, wanted.name, wanted.notes)
+        references.change(session, "version", version_id, wanted.name, wanted.notes)
         return wire.version(store.get(session, version_id))
 
 
@@ -38,7 +38,7 @@ def retire(database: Database, version_id: str, actor: str) -> Version:
     """
     with database.transaction() as session:
         _refuse_active(store.get(session, version_id), "retired")
-        store.retire(session, version_id, actor)
+        references.retire(session, "version", version_id, actor)
         return wire.version(store.get(session, version_id))
 
 
@@ -50,10 +50,7 @@ def restore(database: Database, version_id: str) -> Version:
 
     """
     with database.transaction() as session:
-        version = store.get(session, version_id)
-        if version.retired_at is not None:
-            references.check_name(session, "version", version.robot_id, version.name, version.id)
-            store.restore(session, version_id)
+        references.restore(session, "version", store.get(session, version_id).id)
         return wire.version(store.get(session, version_id))
 
 

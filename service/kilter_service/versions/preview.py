@@ -13,15 +13,15 @@ from kilter_core.observations import Observations
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.correction.follow import Corrected, corrected
 from kilter_service.correction.wire import options_of
-from kilter_service.corrector.frames import Status
+from kilter_service.corrector.wire import Status
 from kilter_service.db import Database
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import Foreseen, VersionRecord
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
+    from kilter_core.correct.walker import CorrectedTrajectory
 
 Floats = NDArray[np.float64]
 
@@ -38,14 +38,16 @@ def preview(database: Database, version_id: str, temperature_c: float | None) ->
         ServiceError: no such version.
 
     """
+    from kilter_core.correct.walker import correct_trajectory  # loads compiled kernels: not at the start of the process
+
     with database.reading() as session:
         record = store.get(session, version_id)
         calibration = store.calibration(session, version_id)
         driven = campaigns.driven(session, record.robot_id, calibration.robot, MOST_POSES)
     q = drawn(calibration.robot) if driven is None else driven[:MOST_POSES]
     rows = Observations(q=q)
-    wide = corrected(calibration, rows, options_of(WIDEST, temperature_c))
-    narrow = corrected(calibration, rows, options_of(CorrectionLimits(**record.limits), temperature_c))
+    wide = correct_trajectory(calibration, rows, options_of(WIDEST, temperature_c))
+    narrow = correct_trajectory(calibration, rows, options_of(CorrectionLimits(**record.limits), temperature_c))
     found = _found(record, calibration.robot, rows.q, wide, narrow)
     return wire.preview(found, within="limits" if driven is None else "campaigns", temperature_c=temperature_c)
 
@@ -59,7 +61,9 @@ def drawn(robot: Robot) -> Floats:
     return np.random.default_rng(0).uniform(low, high, (DRAWN_POSES, len(free)))
 
 
-def _found(record: VersionRecord, robot: Robot, q: Floats, wide: Corrected, narrow: Corrected) -> Foreseen:
+def _found(
+    record: VersionRecord, robot: Robot, q: Floats, wide: CorrectedTrajectory, narrow: CorrectedTrajectory
+) -> Foreseen:
     good, taken = wide.status == Status.OK, narrow.status == Status.OK
     moved = np.linalg.norm(wide.error_removed, axis=1)
     worst = int(np.nanargmax(moved)) if good.any() else None

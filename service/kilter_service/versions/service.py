@@ -6,19 +6,12 @@ from collections.abc import Sequence
 
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import ActivationList, Version, VersionList
-from kilter_service.db import Database, Session
+from kilter_service.db import Database
 from kilter_service.exporters.exportable import Exportable
 from kilter_service.exporters.registry import Exported, export
 from kilter_service.paging import Page, in_time
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
-from kilter_service.versions.store import ActiveVersion
-
-
-def active_calibrations(session: Session) -> dict[str, ActiveVersion]:
-    """Return the active version of every robot that has one, by robot name."""
-    found = {name: store.active_version(session, name) for name in store.robots_with_active(session)}
-    return {name: version for name, version in found.items() if version is not None}
 
 
 def listed(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:

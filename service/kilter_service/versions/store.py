@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
@@ -46,7 +45,7 @@ class ActiveVersion:
     """The version a robot is corrected with, ready for core.
 
     ``epoch`` grows with every activation on this server; ``sha256`` is the version's, its number in the stream.
-    ``max_joint`` (rad) and ``max_position`` (m) are the largest correction the version may make.
+    ``limits`` are the largest correction the version may make.
     """
 
     robot: str
@@ -54,8 +53,7 @@ class ActiveVersion:
     sha256: str
     epoch: int
     calibration: Calibration
-    max_joint: float
-    max_position: float
+    limits: CorrectionLimits
 
 
 HELD_OUT = "held_out_fraction"  # what a job held out by itself, in the report of its version
@@ -153,25 +151,6 @@ def usable(session: Session, version_id: str) -> VersionRecord:
     return found
 
 
-def change(session: Session, version_id: str, name: str | None, notes: str | None) -> None:
-    """Write what people call a version and note on it; None stays as it is."""
-    row = _row(session, version_id)
-    row.name, row.notes = row.name if name is None else name, row.notes if notes is None else notes
-    session.flush()
-
-
-def retire(session: Session, version_id: str, actor: str) -> None:
-    """Take a version out of use; again changes nothing."""
-    retired.retire(_row(session, version_id), actor)
-    session.flush()
-
-
-def restore(session: Session, version_id: str) -> None:
-    """Bring a version back into use."""
-    retired.restore(_row(session, version_id))
-    session.flush()
-
-
 def remove(session: Session, version_id: str) -> None:
     """Delete a version."""
     session.delete(_row(session, version_id))
@@ -229,8 +208,8 @@ def known(session: Session, version_id: str) -> Predictive | None:
 def active_stamp(session: Session) -> int:
     """Return a number that changes whenever any robot's active version does; cheap enough to poll every 100 ms.
 
-    The corrector's way to follow activations without HTTP: poll this, and when it differs from the last one, call
-    `active_version` for the robots it serves (or `kilter_service.versions.service.active_calibrations` for all).
+    The corrector follows activations by it: it polls this number, and calls `active_version` for every robot when the
+    number has changed.
     """
     return session.execute(select(func.coalesce(func.max(ActivationRow.id), 0))).scalar_one()
 
@@ -242,15 +221,7 @@ def active_version(session: Session, robot: str) -> ActiveVersion | None:
         return None
     row = _row(session, last.version_id)
     limits = CorrectionLimits(**row.limits)
-    return ActiveVersion(
-        robot=robot,
-        id=row.id,
-        sha256=row.sha256,
-        epoch=last.id,
-        calibration=calibration(session, row.id),
-        max_joint=math.radians(limits.max_joint_deg),
-        max_position=limits.max_position_mm * 1e-3,
-    )
+    return ActiveVersion(robot, row.id, row.sha256, last.id, calibration(session, row.id), limits)
 
 
 def active_entry(session: Session, robot_id: int) -> ActivationRecord | None:

@@ -9,11 +9,11 @@ import numpy as np
 
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.jobs.attended import attended
+from kilter_service.jobs.cancellable import cancellable
 from kilter_service.jobs.foresight import Foresight, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
-from kilter_service.jobs.pictures import pictures
 from kilter_service.jobs.plain import plain
+from kilter_service.jobs.plotly_figures.gap import gap_figures
 from kilter_service.jobs.poses import Pose, document_of
 from kilter_service.versions.store import HELD_OUT
 from kilter_service.wire import to_metres
@@ -40,7 +40,7 @@ def check(options: GapOptions) -> None:
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Hunt through the campaigns; a cancelled hunt is left at once."""
-    return attended(lambda tell: _hunt(job, tell), progress)
+    return cancellable(lambda report: _hunt(job, report), progress)
 
 
 def _hunt(job: JobInput, progress: Progress) -> JobOutput:
@@ -58,7 +58,7 @@ def _hunt(job: JobInput, progress: Progress) -> JobOutput:
     result = plain(
         {
             **found,
-            "figures": pictures(found),
+            "figures": gap_figures(found),
             "next_poses_csv": _file(job, found["next_poses"]),
             "start": job.version_id,
             "version_id": None,

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.jobs.foresight import Foresight, Lack
-from kilter_service.jobs.identify_pictures import pictures, workspace_picture
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.plain import plain
+from kilter_service.jobs.plotly_figures.identify import identify_figures, uncertainty_figure
 from kilter_service.jobs.setups import Setups
 from kilter_service.jobs.sheets import bar_lengths, doubts
 
@@ -52,7 +52,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     content = VersionContent(
         found.calibration.to_document(), report, covariance, job.options.limits or CorrectionLimits()
     )
-    drawn = pictures(found, report, job) | workspace_picture(found, train, options.seed)
+    drawn = identify_figures(found, report, job) | uncertainty_figure(found, train, options.seed)
     return JobOutput({**report, "figures": plain(drawn)}, content)
 
 

@@ -1,4 +1,4 @@
-"""What the pictures of every job share: Plotly layouts, colours, bounds, and whose picture it is."""
+"""What the figures of every job share: layouts, colours, bounds, and captions that say where a figure comes from."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def layout(title: str, x: str, y: str, **more: Any) -> Document:
     return {"title": {"text": title}, **axes, "margin": {"t": 90}, "legend": LEGEND, **more}
 
 
-def lying(title: str, x: str, labels: Sequence[str], each: int = 1, **more: Any) -> Document:
+def bar_layout(title: str, x: str, labels: Sequence[str], each: int = 1, **more: Any) -> Document:
     """Return the layout of bars that lie, ``each`` so many to a label, the first on top, labels clear of each other."""
     height = FRAME_PX + round(ROW_PX * max(4, len(labels)) * (0.6 + 0.4 * each))
     made = layout(title, x, "", height=height, **more)
@@ -36,7 +36,7 @@ def lying(title: str, x: str, labels: Sequence[str], each: int = 1, **more: Any)
     return made
 
 
-def short(text: str, longest: int = LONGEST) -> str:
+def shortened(text: str, longest: int = LONGEST) -> str:
     """Return a text with its middle left out where it is too long for a label."""
     if len(text) <= longest:
         return text
@@ -49,37 +49,37 @@ def plain_text(text: str) -> str:
     return escape(text).replace("$", "&#36;")
 
 
-def apart(labels: Sequence[str]) -> list[str]:
+def distinct_labels(labels: Sequence[str]) -> list[str]:
     """Return short labels, those that came out alike numbered: alike they would be one bar."""
     seen: dict[str, int] = {}
     out = []
-    for label in map(short, labels):
+    for label in map(shortened, labels):
         seen[label] = seen.get(label, 0) + 1
         out.append(label if seen[label] == 1 else f"{label} ({seen[label]})")
     return out
 
 
-def evenly(count: int, most: int) -> NDArray[np.int64]:
+def evenly_spaced(count: int, most: int) -> NDArray[np.int64]:
     """Return at most so many of the numbers below ``count``, evenly chosen."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
 def rounded(values: Floats, digits: int = 4) -> list[float | None]:
-    """Return numbers short enough for a picture, None where there is none."""
+    """Return numbers short enough for a figure, None where there is none."""
     return [round(float(v), digits) if np.isfinite(v) else None for v in values]
 
 
-def told(value: float) -> str:
+def three_digits(value: float) -> str:
     """Return a number with three digits, never with an exponent people must read."""
     return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
 
 
-def signed(figures: Mapping[str, Document], robot: str, campaigns: Sequence[str], version: str) -> Any:
-    """Return the pictures with robot, campaigns and version under their titles and in ``layout.meta``."""
+def captioned(figures: Mapping[str, Document], robot: str, campaigns: Sequence[str], version: str) -> Any:
+    """Return the figures with robot, campaigns and version under their titles and in ``layout.meta``."""
     meta = {"robot": robot, "campaigns": list(campaigns), "version": version}
-    named = ", ".join(short(name) for name in campaigns[:MOST_CAMPAIGNS])
+    named = ", ".join(shortened(name) for name in campaigns[:MOST_CAMPAIGNS])
     more = f" and {len(campaigns) - MOST_CAMPAIGNS} more" if len(campaigns) > MOST_CAMPAIGNS else ""
-    under = f"<br><sup>{plain_text(short(robot))}, version {version}<br>measured: {plain_text(named)}{more}</sup>"
+    under = f"<br><sup>{plain_text(shortened(robot))}, version {version}<br>measured: {plain_text(named)}{more}</sup>"
     return {
         name: {**figure, "layout": {
             **figure["layout"], "meta": meta, "title": {"text": figure["layout"]["title"]["text"] + under},

@@ -7,30 +7,30 @@ import threading
 import pytest
 
 from kilter_core.errors import CancelledError
-from kilter_service.jobs.attended import attended
+from kilter_service.jobs.cancellable import cancellable
 from kilter_service.jobs.kind import Progress
 
 
 def test_the_result_and_the_error_come_through() -> None:
     told: list[tuple[float, str]] = []
 
-    def compute(tell: Progress) -> int:
-        tell(0.5, "half")
+    def compute(report: Progress) -> int:
+        report(0.5, "half")
         return 7
 
-    assert attended(compute, lambda fraction, stage: told.append((fraction, stage))) == 7
+    assert cancellable(compute, lambda fraction, stage: told.append((fraction, stage))) == 7
     assert told[-1] == (0.5, "half")
     with pytest.raises(ZeroDivisionError):
-        attended(lambda tell: 1 / 0, lambda fraction, stage: None)
+        cancellable(lambda report: 1 / 0, lambda fraction, stage: None)
 
 
 def test_a_cancelled_job_is_left_though_a_step_goes_on() -> None:
     going_on, ended = threading.Event(), threading.Event()
 
-    def compute(tell: Progress) -> None:
+    def compute(report: Progress) -> None:
         try:
             going_on.wait(30)
-            tell(0.9, "late")
+            report(0.9, "late")
         finally:
             ended.set()
 
@@ -38,7 +38,7 @@ def test_a_cancelled_job_is_left_though_a_step_goes_on() -> None:
         raise CancelledError("cancelled")
 
     with pytest.raises(CancelledError):
-        attended(compute, cancel)
+        cancellable(compute, cancel)
     assert not ended.is_set()
     going_on.set()
     assert ended.wait(10)

@@ -1,4 +1,4 @@
-"""Pictures of an identification: plain JSON, bounded, and true to the rows; on arms that share no code with Kilter."""
+"""Figures of an identification: plain JSON, bounded, and true to the rows; on arms that share no code with Kilter."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify.row_errors import RowErrors
 from kilter_core.observations import Observations
 from kilter_service.contract.jobs.identify import IdentifyOptions
-from kilter_service.jobs.arrow_pictures import LONGEST, MOST_ARROWS, arrows, magnification
-from kilter_service.jobs.drawing import LONGEST as LONGEST_LABEL
-from kilter_service.jobs.drawing import apart, lying, short, signed
 from kilter_service.jobs.kind import JobInput
 from kilter_service.jobs.kinds.identify import run
-from kilter_service.jobs.parameter_pictures import MOST_PARAMETERS, changes
-from kilter_service.jobs.worst_rows import WORST
+from kilter_service.jobs.plotly_figures.arrows import LONGEST, MOST_ARROWS, arrows, magnification
+from kilter_service.jobs.plotly_figures.layout import LONGEST as LONGEST_LABEL
+from kilter_service.jobs.plotly_figures.layout import bar_layout, captioned, distinct_labels, shortened
+from kilter_service.jobs.plotly_figures.parameters import MOST_PARAMETERS, changes
+from kilter_service.jobs.plotly_figures.worst_rows import WORST
 from tests.core.campaigns import joints, measured
 from tests.core.truth import Arm, some_arm, some_pose, ur10, with_hidden_errors
 
@@ -64,7 +64,7 @@ def counted(figure: Figures) -> list[int]:
 
 @pytest.mark.parametrize("poses", [8, 500])
 @pytest.mark.parametrize("joints_", [6, 7])
-def test_every_picture_for_six_and_seven_axes_few_and_many_poses(joints_: int, poses: int) -> None:
+def test_every_figure_for_six_and_seven_axes_few_and_many_poses(joints_: int, poses: int) -> None:
     arm = ur10() if joints_ == 6 else some_arm(np.random.default_rng(7), 7)
     figures = drawn(arm, {"a": rows(arm, poses, 2, "pose")}, 0.25, level=1)
     assert set(figures) == EVERY | {"held_out_errors"}
@@ -162,13 +162,13 @@ def test_changes_have_a_panel_for_each_unit_and_the_interval_that_was_found() ->
 
 def test_names_stay_names() -> None:
     """No marks and no mathematics: Plotly would read both, and a title between two dollars is gone."""
-    layout = lying("title", "x", ["a"])
+    layout = bar_layout("title", "x", ["a"])
     used = ["a < b $x$", "b", "c", "d"]
-    title = signed({"f": {"data": [], "layout": layout}}, "<b>$y$", used, "ver_1")["f"]["layout"]["title"]["text"]
+    title = captioned({"f": {"data": [], "layout": layout}}, "<b>$y$", used, "ver_1")["f"]["layout"]["title"]["text"]
     assert "<b>" not in title
     assert "$" not in title
     assert "and 1 more" in title
     assert "ver_1" in title
     long = "x" * 100
-    assert len(short(long)) == LONGEST_LABEL
-    assert apart([long, long, "a"])[1:] == [short(long) + " (2)", "a"]
+    assert len(shortened(long)) == LONGEST_LABEL
+    assert distinct_labels([long, long, "a"])[1:] == [shortened(long) + " (2)", "a"]

@@ -22,7 +22,7 @@ LOW_G, HIGH_G = 9.7, 9.9
 ONE_TURN, TWO_TURNS = to_rad(7.0), to_rad(800.0)
 
 
-def suspicions(robot: Robot, screws: Screws, reach_m: float, posted: dict[str, Any]) -> list[str]:
+def implausible(robot: Robot, screws: Screws, reach_m: float, posted: dict[str, Any]) -> list[str]:
     """Return a sentence for each thing that looks wrong, with its remedy; none of them is an error."""
     return [
         *_sizes(reach_m, posted.get("convention")),

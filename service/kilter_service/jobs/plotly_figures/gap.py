@@ -5,10 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_service.jobs.drawing import BLUE, FRAME_PX, GREEN, GREY, ORANGE, RED, ROW_PX, Document, apart, layout, lying
+from kilter_service.jobs.plotly_figures.layout import (
+    BLUE,
+    FRAME_PX,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    ROW_PX,
+    Document,
+    bar_layout,
+    distinct_labels,
+    layout,
+)
 
 
-def pictures(report: Mapping[str, Any]) -> dict[str, Document]:
+def gap_figures(report: Mapping[str, Any]) -> dict[str, Document]:
     """Draw a gap report: the gap bar, residuals by angle, direction and load, contributions, the alias matrix."""
     numbers = report["figures"]
     unit = "deg" if "before_deg" in report["gap"] else "mm"
@@ -29,7 +41,7 @@ def pictures(report: Mapping[str, Any]) -> dict[str, Document]:
 
 def _gap_bar(bars: Sequence[Mapping[str, Any]], unit: str) -> Document:
     """Error after each step; rows that took no part in the fit beside those that did."""
-    labels = apart([bar["label"] for bar in bars])
+    labels = distinct_labels([bar["label"] for bar in bars])
 
     def trace(name: str, key: str, colour: str) -> Document:
         return {
@@ -41,7 +53,7 @@ def _gap_bar(bars: Sequence[Mapping[str, Any]], unit: str) -> Document:
     if bars[0]["held_out"] is not None:
         data.append(trace("held-out rows", "held_out", ORANGE))
     title = "The gap, step by step: what is left with each effect added to those above it"
-    return {"data": data, "layout": lying(title, f"rms error, {unit}", labels, len(data), barmode="group")}
+    return {"data": data, "layout": bar_layout(title, f"rms error, {unit}", labels, len(data), barmode="group")}
 
 
 def _by_angle(one: Mapping[str, Any], unit: str) -> Document:
@@ -70,13 +82,13 @@ def _by_label(rows: Sequence[Mapping[str, Any]], what: str, unit: str) -> Docume
         }  # fmt: skip
 
     title = f"Residual by {what[0].lower()}{what[1:]}: mean and standard deviation"
-    made = lying(title, f"residual, {unit}", names, 2, barmode="group")
+    made = bar_layout(title, f"residual, {unit}", names, 2, barmode="group")
     made["yaxis"]["title"] = {"text": what}
     return {"data": [bars("before", GREY), bars("after", BLUE)], "layout": made}
 
 
 def _contribution(rows: Sequence[Mapping[str, Any]], unit: str) -> Document:
-    labels = apart([r["label"] for r in rows])
+    labels = distinct_labels([r["label"] for r in rows])
 
     def bars(name: str, colour: str) -> Document:
         return {
@@ -84,12 +96,12 @@ def _contribution(rows: Sequence[Mapping[str, Any]], unit: str) -> Document:
             "marker": {"color": colour},
         }  # fmt: skip
 
-    made = lying("How far each named effect moves the tool", f"displacement, {unit}", labels, 2, barmode="group")
+    made = bar_layout("How far each named effect moves the tool", f"displacement, {unit}", labels, 2, barmode="group")
     return {"data": [bars("rms", GREEN), bars("largest", GREY)], "layout": made}
 
 
 def _aliases(matrix: Mapping[str, Any]) -> Document:
-    labels = apart(matrix["labels"])
+    labels = distinct_labels(matrix["labels"])
     trace = {
         "type": "heatmap", "x": labels, "y": labels, "z": matrix["values"], "zmin": 0, "zmax": 1, "colorscale": "Blues",
     }  # fmt: skip

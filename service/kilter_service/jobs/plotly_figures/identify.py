@@ -7,10 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_service.jobs.arrow_pictures import arrows
-from kilter_service.jobs.drawing import BLUE, GREY, LEGEND, ORANGE, RED, Document, evenly, layout, rounded, told
-from kilter_service.jobs.parameter_pictures import changes
-from kilter_service.jobs.worst_rows import worst_rows
+from kilter_service.jobs.plotly_figures.arrows import arrows
+from kilter_service.jobs.plotly_figures.layout import (
+    BLUE,
+    GREY,
+    LEGEND,
+    ORANGE,
+    RED,
+    Document,
+    evenly_spaced,
+    layout,
+    rounded,
+    three_digits,
+)
+from kilter_service.jobs.plotly_figures.parameters import changes
+from kilter_service.jobs.plotly_figures.worst_rows import worst_rows
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
@@ -26,7 +37,7 @@ SMALLEST_MM = 1e-6
 MOST_MEASURED, FEW_MEASURED = 300, 50
 
 
-def pictures(found: Identification, report: Mapping[str, Any], job: JobInput) -> dict[str, Document]:
+def identify_figures(found: Identification, report: Mapping[str, Any], job: JobInput) -> dict[str, Document]:
     """Draw an identification; ``report`` is its result, with the rows set aside by campaign."""
     drawn = {}
     errors, kind = (found.held_rows, "held-out") if found.held_rows else (found.fitted_rows, "fitted")
@@ -39,12 +50,12 @@ def pictures(found: Identification, report: Mapping[str, Any], job: JobInput) ->
     return drawn
 
 
-def workspace_picture(found: Identification, rows: Observations, seed: int) -> dict[str, Document]:
+def uncertainty_figure(found: Identification, rows: Observations, seed: int) -> dict[str, Document]:
     """Draw the uncertainty of the fit at poses within the limits, from the side and from above."""
     from kilter_core.identify.uncertainty.workspace import Workspace
 
     space = Workspace.of(found.calibration, found.predictive, rows, seed).worst_last()
-    some = evenly(len(space.measured), MOST_MEASURED)
+    some = evenly_spaced(len(space.measured), MOST_MEASURED)
     low, high = to_mm(float(space.u95.min())), to_mm(float(space.u95.max()))
     data: list[Document] = []
     for n, (i, j) in enumerate(((0, 2), (0, 1))):
@@ -61,7 +72,7 @@ def workspace_picture(found: Identification, rows: Observations, seed: int) -> d
             "x": rounded(to_mm(space.measured[some, i]), 1), "y": rounded(to_mm(space.measured[some, j]), 1),
             "marker": {"size": 4 if len(some) > FEW_MEASURED else 9, "color": RED, "symbol": "x"},
         })  # fmt: skip
-    title = f"Where the tool is known to, 95 %: ±{told(low)} to ±{told(high)} mm per coordinate"
+    title = f"Where the tool is known to, 95 %: ±{three_digits(low)} to ±{three_digits(high)} mm per coordinate"
     return {"predicted_error": {"data": data, "layout": _two_views(title)}}
 
 
@@ -91,7 +102,7 @@ def _histogram(errors: RowErrors, kind: str) -> Document:
         rms, median = np.sqrt(np.mean(sizes[name] ** 2)), np.median(sizes[name])
         data.append({
             "type": "scatter", "mode": "lines", "x": rounded(edges, 7),
-            "name": f"{label}: median {told(median)}, rms {told(rms)} mm", "y": [*counts.tolist(), 0],
+            "name": f"{label}: median {three_digits(median)}, rms {three_digits(rms)} mm", "y": [*counts.tolist(), 0],
             "line": {"color": colour, "shape": "hv"}, "fill": "tozeroy",
         })  # fmt: skip
     number = len(sizes["identified"])

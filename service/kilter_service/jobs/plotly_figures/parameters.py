@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_service.jobs.drawing import BLUE, FRAME_PX, GREY, RED, ROW_PX, Document, apart
+from kilter_service.jobs.plotly_figures.layout import BLUE, FRAME_PX, GREY, RED, ROW_PX, Document, distinct_labels
 
 FRAMES = ("base_", "tool_")
 LEARNED = "residual_"  # weights of a learned function: no physics, and hundreds of them
@@ -60,7 +60,7 @@ def _interval(p: Row) -> tuple[float, float]:
 def _bars(panel: Sequence[Row], n: int, drawn: Sequence[Row]) -> list[Document]:
     """One trace for each kind that is in the panel, over all its names so that their order stays."""
     axes = {} if n == 0 else {"xaxis": f"x{n + 1}", "yaxis": f"y{n + 1}"}
-    names = apart([str(p["name"]) for p in panel])
+    names = distinct_labels([str(p["name"]) for p in panel])
     out = []
     for kind, colour in KINDS:
         own = [_kind(p) == kind for p in panel]

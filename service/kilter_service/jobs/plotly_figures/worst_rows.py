@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_service.jobs.drawing import BLUE, ORANGE, RED, Document, lying, plain_text, short
+from kilter_service.jobs.plotly_figures.layout import BLUE, ORANGE, RED, Document, bar_layout, plain_text, shortened
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def worst_rows(found: Identification, job: JobInput, aside: Sequence[Mapping[str
         return {}
     names = _names(job)
     labels = [plain_text(f"{names[row.campaign]} row {row.number}") for row in worst]
-    made = lying(
+    made = bar_layout(
         f"The {len(worst)} rows that are left with most", "error of the identified model, mm", labels, barmode="overlay"
     )
     return {"worst_rows": {"data": list(_bars(worst, labels)), "layout": made}}
@@ -88,7 +88,7 @@ def _place_of(row: int, campaigns: Mapping[str, int]) -> tuple[str, int]:
 def _names(job: JobInput) -> dict[str, str]:
     """Campaigns by their names, by their ids where two names look alike."""
     every = [*job.campaigns, *(job.validation if isinstance(job.validation, dict) else ())]
-    names = {campaign: short(job.names.get(campaign) or campaign) for campaign in every}
+    names = {campaign: shortened(job.names.get(campaign) or campaign) for campaign in every}
     count = Counter(names.values())
     return {campaign: name if count[name] == 1 else campaign for campaign, name in names.items()}
 

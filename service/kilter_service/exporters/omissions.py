@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 SAID_MM = 1e-6  # smaller differences are rounding
 
 
-def remarks(calibration: Calibration, arm: Screws | None = None) -> tuple[str, ...]:
+def omissions(calibration: Calibration, arm: Screws | None = None) -> tuple[str, ...]:
     """Say which effects a file of the identified geometry (or ``arm``, base to tool) leaves out, and the distance left."""
     return (*left_out(calibration), distance(geometry_loss(calibration, arm)))
 

@@ -14,17 +14,17 @@ T = TypeVar("T")
 LOOK_S = 0.25
 
 
-def attended(compute: Callable[[Progress], T], progress: Progress) -> T:
-    """Run ``compute(progress)`` in a thread and tell its progress several times a second.
+def cancellable(compute: Callable[[Progress], T], progress: Progress) -> T:
+    """Run ``compute(progress)`` in a thread and report its progress several times a second.
 
-    When the job is cancelled this raises at once; the thread ends at the next progress it tells.
+    When the job is cancelled this raises at once; the thread ends when it reports progress the next time.
 
     Raises:
         CancelledError: the job was cancelled. Whatever ``compute`` raises.
 
     """
     work = _Work(compute)
-    thread = threading.Thread(target=work, name="attended", daemon=True)
+    thread = threading.Thread(target=work, name="cancellable", daemon=True)
     thread.start()
     try:
         running = True
@@ -50,7 +50,7 @@ class _Work(Generic[T]):
 
     def __call__(self) -> None:
         try:
-            self._done.append(self._compute(self._tell))
+            self._done.append(self._compute(self._report))
         except BaseException as error:  # raised again where it is waited for
             self._error = error
 
@@ -59,7 +59,7 @@ class _Work(Generic[T]):
             raise self._error
         return self._done[0]
 
-    def _tell(self, fraction: float, stage: str) -> None:
+    def _report(self, fraction: float, stage: str) -> None:
         self.latest = (fraction, stage)
         if self.stop.is_set():
             raise CancelledError("The job was cancelled.")

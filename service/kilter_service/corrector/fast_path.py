@@ -1,12 +1,12 @@
-"""The short way of a stream: a plain setpoint from bytes to bytes in one compiled call.
+"""The fast path of a stream: a plain setpoint from bytes to bytes in one compiled call.
 
-Nearly every frame is the next in order, on time and good. Between two setpoints at 1 kHz the processor forgets the
-interpreter's paths, so every line of Python costs several times what a loop would show: 19 µs this way, 38 µs the long way
-(`Stream.answer` in stream.py), of which the correction itself is 2 µs warm and 8 µs cold. Whatever is not plain is declined
-untouched, and a test holds both ways to the same answers.
+Nearly every frame is the next in order, on time and good. Between two setpoints at 1 kHz the processor's caches go
+cold, so every line of Python costs several times what a loop would show: an answer takes 19 µs on this path and 38 µs on
+the full one (`Stream.answer` in stream.py), of which the correction itself is 2 µs warm and 8 µs cold. Whatever is not plain
+is declined untouched, and a test holds both paths to the same answers.
 
 A frame is a row of 8-byte words, little-endian like every machine numba compiles for: the first holds magic, kind,
-joints and flags, then come sequence, time sent and time to apply (service/kilter_service/corrector/frames.py).
+joints and flags, then come sequence, time sent and time to apply (service/kilter_service/corrector/wire.py).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from numba import njit
 from kilter_core.correct.kernels import correction
 from kilter_core.correct.kernels.correction import EXACT, _one
 from kilter_core.correct.program import Track
-from kilter_service.corrector import frames
+from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.admission import Clock
-from kilter_service.corrector.frames import Flag, Kind, Status
 from kilter_service.corrector.specs import Rules
+from kilter_service.corrector.wire import Flag, Kind, Status
 
 # words of a stream's memory: its clock, what it answers with, what it has counted, the frames
 SEQ, WAY, SEEN, SENT, PACE, APPLIED, ANSWERED = range(7)
@@ -36,11 +36,11 @@ MOST_AGE, SET_BACK, DRIFT, SLACK = 7, 8, 9, 10  # the last two are floats
 ROWS, JOINTS, VERSION, EPOCH, OUT_HEAD, IN_HEAD = 11, 12, 13, 14, 15, 15  # IN_HEAD + number of vectors, 1 to 3
 COUNTS, LIMITED, DAMPED, SPENT, LONGEST, LAST = 19, 35, 36, 37, 38, 39  # COUNTS + status
 OUT = 40
-OUT_WORDS = 7 + frames.MAX_JOINTS
+OUT_WORDS = 7 + wire.MAX_JOINTS
 IN = OUT + OUT_WORDS
-HEADER = frames.HEADER.size
-WORDS = IN + 4 + 3 * frames.MAX_JOINTS
-MOST = 2**63 - 1  # what is larger than this goes the long way, where integers have no end
+HEADER = wire.HEADER.size
+WORDS = IN + 4 + 3 * wire.MAX_JOINTS
+MOST = 2**63 - 1  # what is larger than this takes the full path, where integers have no end
 MOST_NS = 0xFFFFFFFF  # of the time that fits into an answer
 IS_LIMITED, IS_DAMPED = int(Flag.LIMITED), int(Flag.DAMPED)
 FLAGS = {1: 0, 2: int(Flag.QD), 3: Flag.QD | Flag.QDD}
@@ -119,7 +119,7 @@ def _entry() -> Callable[[Any, Any, bytes, int], int]:
 
 
 class Counters:
-    """What a stream has done, for its status document; the numbers stand in the memory of its short way."""
+    """What a stream has done, for its status document; the numbers stand in the memory of its fast path."""
 
     def __init__(self, words: Any) -> None:
         self._words = words
@@ -151,7 +151,7 @@ class Counters:
         return int(self._words[LAST])
 
     def count(self, status: int, arrival_ns: int) -> int:
-        """Count an answer of the long way; returns the time spent on it, ns, as it fits into the frame."""
+        """Count an answer of the full path; returns the time spent on it, ns, as it fits into the frame."""
         spent = max(0, min(time.monotonic_ns() - arrival_ns, MOST_NS))
         self._words[COUNTS + status] += 1
         self._words[SPENT] += spent
@@ -160,7 +160,7 @@ class Counters:
         return spent
 
     def count_flags(self, flags: int) -> None:
-        """Count how an answer of the long way was made."""
+        """Count how an answer of the full path was made."""
         self._words[LIMITED] += bool(flags & Flag.LIMITED)
         self._words[DAMPED] += bool(flags & Flag.DAMPED)
 
@@ -182,7 +182,7 @@ class Counters:
         }
 
 
-class ShortWay:
+class FastPath:
     """Memory of one stream's plain setpoints.
 
     ``answer(data, arrival_ns)`` gives the answer to a plain setpoint that is the next in order and good, and None for
@@ -200,7 +200,7 @@ class ShortWay:
         """Answer with this version from now on, in the memory of this track."""
         n = track.program.n_joints
         self._words[ROWS], self._words[JOINTS] = len(track.program.array), n
-        head = int.from_bytes(frames.MAGIC, "little") | Kind.POINT << 32 | n << 40
+        head = int.from_bytes(wire.MAGIC, "little") | Kind.POINT << 32 | n << 40
         for width, flags in FLAGS.items():
             self._words[IN_HEAD + width] = head | flags << 48
         self.answer = self._bind(track.memory, n)
@@ -209,7 +209,7 @@ class ShortWay:
         self._words[EPOCH] = active.epoch
 
     def take(self, clock: Clock) -> bool:
-        """Take the clock over; False when it does not fit, and the stream has to keep to its long way."""
+        """Take the clock over; False when it does not fit, and the stream has to keep to its full path."""
         if clock.way_ns is None:
             return False
         words = (
@@ -235,7 +235,7 @@ class ShortWay:
         # A function with everything at hand: each look into an object costs a tenth of a microsecond, cold.
         words, compiled, now = self._words, _entry(), time.monotonic_ns
         out = words.data.cast("B")[8 * OUT : 8 * (OUT + 7 + joints)]
-        spent = out[48:52].cast("I")  # processing ns, as frames.VERDICT has it
+        spent = out[48:52].cast("I")  # processing ns, as wire.VERDICT has it
 
         def answer(data: bytes, arrival_ns: int) -> bytes | None:
             if compiled(memory, words, data, arrival_ns):
@@ -248,5 +248,5 @@ class ShortWay:
 
 
 def warm_up() -> None:
-    """Compile the short way, or load it from the cache."""
+    """Compile the fast path, or load it from the cache."""
     _entry()

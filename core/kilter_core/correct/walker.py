@@ -1,0 +1,264 @@
+"""The one way along a trajectory, whether a file, a query, a message of ROS 2 or a chunk of a stream brought it.
+
+:meth:`Track.follow` decides what is continuous: directions, ramps, rates, limits. This module decides the rest: how times
+become steps, what a refused point means for the others, when load and temperature change. Whoever calls it only
+decodes and encodes, so that a trajectory gives the same numbers however it came.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from kilter_core.correct.kernels import correction as kernel
+from kilter_core.correct.program import CorrectionOptions, CorrectionProgram, Track, compile_program
+from kilter_core.errors import ObservationError
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.types import Floats, Ints
+
+Stretches = Sequence[tuple[slice, CorrectionProgram]]  # rows under one load and temperature, with their program
+
+MOST_CONDITIONS = 200
+SLICE = 64
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """The first point that was refused: its index from 0, its status, the bits of the joints concerned."""
+
+    index: int
+    status: int
+    limit_mask: int
+
+
+@dataclass(frozen=True)
+class Walked:
+    """N corrected points: ``q (N, n)`` rad or m, NaN where refused; ``info (N, INFO)`` of the kernel; ``status (N,)``.
+
+    ``done`` points came before the first refusal.
+    """
+
+    q: Floats
+    info: Floats
+    status: Ints
+    done: int
+
+    @property
+    def refusal(self) -> Refusal | None:
+        """The first refusal, if there is one."""
+        if self.done == len(self.q):
+            return None
+        return Refusal(self.done, int(self.status[self.done]), int(self.info[self.done, 1]))
+
+    @property
+    def flags(self) -> int:
+        """How the points before the first refusal were corrected, all flags together."""
+        return int(np.bitwise_or.reduce(self.info[: self.done, 0].astype(np.int64)))
+
+
+@dataclass(frozen=True)
+class CorrectedTrajectory:
+    """Rows as they were wanted, and corrected; effects that were left out, by id.
+
+    ``q (N, n)`` rad or m and ``error_removed (N, 3)`` m are NaN where ``status (N,)`` is not 0.
+    """
+
+    wanted: Observations
+    q: Floats
+    error_removed: Floats
+    status: Ints
+    not_corrected: tuple[str, ...]
+    reversal_band: float
+
+    @cached_property
+    def direction(self) -> Floats:
+        """Last motion (N, n) of each joint that the correction reckoned with; 0 in rows of a stream that were refused."""
+        if not _follow_one_another(self.wanted):
+            return _named(self.wanted, self.reversal_band)
+        direction, good = np.zeros_like(self.q), self.status == kernel.OK
+        direction[good] = headings(self.wanted.q[good], self.reversal_band)
+        return direction
+
+
+def side_by_side(q: Floats, qd: Floats | None, qdd: Floats | None) -> tuple[Floats, int]:
+    """Joints, speeds and accelerations as the kernel takes them, with the number of vectors; no qdd without qd."""
+    parts = [q] if qd is None else [q, qd] if qdd is None else [q, qd, qdd]
+    # In C order: for any other the kernel would be compiled anew, for seconds.
+    return np.ascontiguousarray(np.hstack(parts), dtype=np.float64), len(parts)
+
+
+def time_steps(t: Floats) -> Floats:
+    """Seconds (N,) since the point before, 0 for the first.
+
+    Raises:
+        ObservationError: the time goes back, or is not a number.
+
+    """
+    steps = np.diff(t, prepend=t[:1])
+    wrong = np.flatnonzero(~(steps >= 0.0))
+    if len(wrong):
+        row = int(wrong[0]) + 1
+        raise ObservationError(f"Row {row}, column 't_s': the time goes back.", row=row, column="t_s")
+    return steps
+
+
+def walk_whole(track: Track, x: Floats, width: int, steps: Floats) -> Walked:
+    """Correct all points ``x (N, width * n)`` or none: a refusal leaves the memory of the track as it was."""
+    done, q, info, status = track.follow(x, width, steps, atomic=True)
+    if done < len(q):
+        q[:] = np.nan
+    return Walked(q, info, status, done)
+
+
+def walk_from_rest(program: CorrectionProgram, x: Floats, width: int, t: Floats) -> Walked:
+    """Correct a motion at times ``t (N,)`` s, all points or none; the arm rests at the first of them.
+
+    Raises:
+        ObservationError: the time goes back.
+
+    """
+    return walk_whole(Track(program, settled=True), x, width, time_steps(t))
+
+
+def walk_on(stretches: Stretches, x: Floats, width: int, t: Floats) -> Walked:
+    """Correct a motion as :func:`walk_from_rest`, but go on after a refusal, from the last point that was answered.
+
+    Raises:
+        ObservationError: the time goes back.
+
+    """
+    time_steps(t)
+    track = Track(stretches[0][1], settled=True)
+    q, info = np.empty((len(x), track.program.n_joints)), np.empty((len(x), kernel.INFO))
+    status = np.empty(len(x), dtype=np.int64)
+    answered = t[0]
+    for where, program in stretches:
+        if program is not track.program:
+            track.change(program)
+        at, size = where.start, SLICE
+        while at < where.stop:
+            end = min(at + size, where.stop)
+            done, *found = track.follow(x[at:end], width, np.diff(t[at:end], prepend=answered))
+            taken = slice(at, min(at + done + 1, end))  # the refused point as well
+            for whole, part in zip((q, info, status), found, strict=True):
+                whole[taken] = part[: taken.stop - at]
+            if done:
+                answered = t[at + done - 1]
+            # Where many are refused the kernel is called often: small slices keep what it leaves out small.
+            size = 4 * size if done == end - at else SLICE
+            at = taken.stop
+    return _each(q, info, status)
+
+
+def walk_apart(stretches: Stretches, x: Floats, width: int, direction: Floats) -> Walked:
+    """Correct points that do not follow one another: each as the first of a stream, with the direction it names."""
+    parts = [_apart(program, x[where], width, direction[where]) for where, program in stretches]
+    q, info, status = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return _each(q, info, status)
+
+
+def _apart(program: CorrectionProgram, x: Floats, width: int, direction: Floats) -> tuple[Floats, Floats, Ints]:
+    n = program.n_joints
+    given = [x[:, k * n : (k + 1) * n] for k in range(width)]
+    found = program.correct_rows(
+        given[0], qd=given[1] if width == 3 else None, qdd=given[2] if width == 3 else None, direction=direction
+    )
+    info = np.zeros((len(x), kernel.INFO))
+    info[:, 0], info[:, 1], info[:, 4:7] = found.flags, found.limit_mask, -found.error_removed
+    # What a stream refuses before it corrects is refused here too.
+    joints = program.array[program.moves + 1 : program.moves + 1 + n]
+    outside = ~((given[0] >= joints[:, kernel.LOWER]) & (given[0] <= joints[:, kernel.UPPER]))
+    info[:, 1] = np.where(outside.any(axis=1), outside @ (1 << np.arange(n)), info[:, 1])
+    status = np.where(outside.any(axis=1), kernel.JOINT_LIMIT, found.status)
+    return found.q, info, np.where(np.isfinite(x).all(axis=1), status, kernel.NOT_FINITE)
+
+
+def _each(q: Floats, info: Floats, status: Ints) -> Walked:
+    """Points that are refused one by one: those keep no numbers."""
+    refused = status != kernel.OK
+    q[refused], info[refused, 4:7] = np.nan, np.nan
+    return Walked(q, info, status, int(refused.argmax()) if refused.any() else len(q))
+
+
+def headings(q: Floats, band: float) -> Floats:
+    """Direction {-1, 0, 1} in which each joint moved last, (N, n), by the rule of the stream.
+
+    A joint turns when it comes back by more than ``band``; 0 before it moved that far.
+    """
+    return np.array([_heading(column, band) for column in q.T.tolist()]).T.reshape(q.shape)
+
+
+def _heading(places: Sequence[float], band: float) -> list[float]:
+    sign, signs = 0.0, []
+    turn = places[0] if places else 0.0
+    for x in places:
+        if x > turn + band or (sign > 0.0 and x > turn):
+            sign, turn = 1.0, x
+        elif x < turn - band or (sign < 0.0 and x < turn):
+            sign, turn = -1.0, x
+        signs.append(sign)
+    return signs
+
+
+def correct_trajectory(
+    calibration: Calibration, rows: Observations, options: CorrectionOptions | None = None
+) -> CorrectedTrajectory:
+    """Correct rows: with times as a stream that rests at the first of them, without times each by itself.
+
+    Rows that name directions are also taken by themselves, for a stream finds out directions from its own past. Rows
+    that name no load carry that of the options, else the robot's default load.
+
+    Raises:
+        ObservationError: times that go back, or load and temperature that change too often.
+
+    """
+    options = options or CorrectionOptions()
+    stretches = _stretches(calibration, rows, options)
+    x, width = side_by_side(rows.q, rows.qd, rows.qdd)
+    if _follow_one_another(rows):
+        walked = walk_on(stretches, x, width, np.asarray(rows.t))
+    else:
+        walked = walk_apart(stretches, x, width, _named(rows, options.reversal_band))
+    left_out = tuple(sorted({name for _, program in stretches for name in program.unsupported}))
+    removed = -walked.info[:, 4:7]
+    return CorrectedTrajectory(rows, walked.q, removed, walked.status, left_out, options.reversal_band)
+
+
+def _follow_one_another(rows: Observations) -> bool:
+    return rows.t is not None and rows.direction is None
+
+
+def _named(rows: Observations, band: float) -> Floats:
+    return headings(rows.q, band) if rows.direction is None else rows.direction
+
+
+def _stretches(calibration: Calibration, rows: Observations, options: CorrectionOptions) -> Stretches:
+    """Rows under one load and temperature, each stretch with its program."""
+    conditions = np.column_stack(
+        [
+            np.full(len(rows), math.nan) if rows.payload_kg is None else rows.payload_kg,
+            np.zeros((len(rows), 3)) if rows.payload_com is None else rows.payload_com,
+            np.full(len(rows), math.nan) if rows.temperature_c is None else rows.temperature_c,
+        ]
+    )
+    same = (conditions[1:] == conditions[:-1]) | (np.isnan(conditions[1:]) & np.isnan(conditions[:-1]))
+    starts = [0, *(np.flatnonzero(~same.all(axis=1)) + 1).tolist()]
+    if len(starts) > MOST_CONDITIONS:
+        raise ObservationError(
+            f"Payload or temperature changes {len(starts) - 1} times: a trajectory may do so {MOST_CONDITIONS - 1} times. "
+            "Round them, or split the trajectory."
+        )
+    programs = []
+    for start in starts:
+        payload, x, y, z, temperature = conditions[start].tolist()
+        here = options if math.isnan(payload) else replace(options, payload_kg=payload, payload_com=(x, y, z))
+        if not math.isnan(temperature):
+            here = replace(here, temperature_c=temperature)
+        programs.append(compile_program(calibration, here))
+    slices = [slice(start, end) for start, end in zip(starts, [*starts[1:], len(rows)], strict=True)]
+    return list(zip(slices, programs, strict=True))
