@@ -39,34 +39,36 @@ PICTURE = (
 )
 PAGE = """# How late a corrected setpoint is
 
-A controller sends a setpoint over zenoh and waits for the corrected one. Most of that time is the way there and back;
-this page says what the correction adds to it. An echo that only sends back what it gets is measured beside it, in the
-same run and in turns, so that whatever else the machine does meets both, and both are started anew in every of
-{rounds} rounds: two processes of the same program differ by several per cent, by where their memory happens to lie.
+A controller sends a setpoint over zenoh and waits for the corrected one.
+Most of this time is transport; this page says what the correction adds to it.
+For comparison an echo that only returns what it receives is measured in the same run, alternating with the corrector,
+so that other load of the machine affects both. Both are restarted in each of {rounds} rounds,
+because two processes of the same program differ by several per cent, depending on the layout of their memory.
 
 {table}
 
-Corrected to bare: **{p50:.3f} at the median, {p99:.3f} at 99 %**; {lost} of {sent} were lost. Setpoints of 6 joints,
-{rate:.0f} a second on each line, one at a time, over TCP on one machine with {cores} cores ({system}, load {load:.1f}; the
-run itself makes about 0.5). Round by round the ratio of the medians was {ratios}.
+Corrected to bare: **{p50:.3f} at the median, {p99:.3f} at 99 %**; {lost} of {sent} were lost.
+The run sent setpoints of 6 joints, {rate:.0f} a second on each line, one at a time, over TCP on one machine with
+{cores} cores ({system}, load {load:.1f}; the run itself makes about 0.5).
+Round by round the ratio of the medians was {ratios}.
 
 {picture}
 
 ## What the correction adds
 
-- Inside the corrector a setpoint takes {inside50:.0f} µs at the median and {inside99:.0f} µs at 99 %, from the
-  arrival of its bytes to those of its answer: key, decoding, the rules, the kernel, encoding. The kernel takes 2 µs
-  of that when it is called again and again, 8 µs when it is called every millisecond and the processor's caches went to
-  others meanwhile.
+- Inside the corrector a setpoint takes {inside50:.0f} µs at the median and {inside99:.0f} µs at 99 %,
+  from the arrival of its bytes to the departure of its answer: key, decoding, rules, kernel, encoding.
+  The kernel takes 2 µs of this when it is called continuously, and 8 µs when it is called every millisecond and other
+  programs used the processor's caches meanwhile.
 - Added jitter: the round trips scatter by {echo_jitter:.0f} µs (bare) and {jitter:.0f} µs (corrected) between the
   median and 99 %, so {added:+.0f} µs. From one answer to the next the difference is {echo_step:.0f} and {step:.0f} µs
   at the median.
 - In chunks of 200 one stream corrects {chunks} setpoints a second.
 
-The slowest of a hundred thousand round trips belong to the machine: a sleep of one millisecond on it is late by as
-much. `SCHED_FIFO`, which the corrector asks for where it is allowed to, helped these most of all that was tried. On a
-machine without a real-time kernel a deadline must allow for them; `kilter_client.stream` holds the last correction
-then.
+The machine causes the slowest of a hundred thousand round trips: a sleep of one millisecond on it is late by as much.
+Of everything we tried, `SCHED_FIFO` helped them most; the corrector asks for it where it is allowed to.
+On a machine without a real-time kernel a deadline must allow for them; `kilter_client.stream` then holds the last
+correction.
 
 ## How to repeat it
 
@@ -81,7 +83,7 @@ python -m benchmarks.stream --samples 100000 --rounds 10 --save samples.npz
 python -m benchmarks.latency_page samples.npz
 ```
 
-on a machine that does nothing else meanwhile; with 100 000 setpoints on each line that takes about four minutes.
+on an otherwise idle machine; with 100 000 setpoints on each line this takes about four minutes.
 [What the correction costs and why it is built so](../reference/stream.md#rules).
 """
 

@@ -160,7 +160,7 @@ def test_a_cut_and_a_folded_sheet(paper: Paper, tmp_path: Path) -> None:
     pixels = np.asarray(scan).copy()
     third = pixels[: height // 3]
     pixels[: height // 3] = np.roll(third, 22, axis=1)  # a fold moved the upper third 3.4 mm aside
-    refused(save(Image.fromarray(pixels), tmp_path / "fold.png"), "mm from where the sheet has it")
+    refused(save(Image.fromarray(pixels), tmp_path / "fold.png"), "mm from its printed position")
 
 
 def test_command_says_it_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

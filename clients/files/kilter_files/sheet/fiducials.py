@@ -208,7 +208,7 @@ def place_sheet(picture: Picture, marks: Marks) -> tuple[Camera, Marks, list[str
     except (ValueError, np.linalg.LinAlgError) as error:
         raise fault(picture.path, "its marks do not span a sheet", REPRINT) from error
     if off.max() > MOST_OFF_MM or not np.isfinite(off).all():
-        what = f"{marks.names[int(np.argmax(off))]} is {off.max():.2f} mm from where the sheet has it"
+        what = f"{marks.names[int(np.argmax(off))]} is {off.max():.2f} mm from its printed position"
         raise fault(picture.path, what, "Is it another sheet, cut, or folded? Scan it flat, or print it again.")
     return camera, marks, left_out
 
