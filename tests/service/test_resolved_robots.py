@@ -15,7 +15,7 @@ import pytest
 from alembic import command
 from sqlalchemy import text
 
-import kilter_core.arm.documents
+import kilter_core.arm.presets
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.effects import make_effect
@@ -57,7 +57,7 @@ def canonical(document: Any) -> str:
 def edited_presets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Let the presets be those of a later release, in which every length is another, once it is called."""
     folder = tmp_path / "presets"
-    shutil.copytree(Path(kilter_core.arm.documents.__file__).parent, folder)
+    shutil.copytree(Path(kilter_core.arm.presets.__file__).parent, folder)
 
     def edit() -> None:
         for file in folder.glob("*.json"):
