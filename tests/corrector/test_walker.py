@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from kilter_core.correct.kernels.correction import HEADING
+from kilter_core.correct.program import CorrectionOptions, Track, compile_program
 from kilter_core.correct.walker import correct_trajectory, headings
-from kilter_core.correction import CorrectionOptions, Track, compile_program
-from kilter_core.kernels.correction import HEADING
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 

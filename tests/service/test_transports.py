@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from kilter_core.correction import CorrectionOptions, compile_program
+from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_core.twin import Twin, thesis_katana
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.queries import QueryError, correct_trajectory, decode_trajectory, encode_trajectory

@@ -14,12 +14,12 @@ import pytest
 import yaml
 from pyarrow import parquet
 
-from kilter_core.compensate import CorrectOptions, correct
-from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_core.correct.program import CorrectionOptions, Track, compile_program
+from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.poses import last_motion
+from kilter_core.observations.repeats import last_motion
 from kilter_core.twin import Twin, thesis_katana
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.queries import correct_trajectory, decode_trajectory, encode_trajectory

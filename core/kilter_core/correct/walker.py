@@ -15,9 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.correction import CorrectionOptions, CorrectionProgram, Track, compile_program
+from kilter_core.correct.kernels import correction as kernel
+from kilter_core.correct.program import CorrectionOptions, CorrectionProgram, Track, compile_program
 from kilter_core.errors import ObservationError
-from kilter_core.kernels import correction as kernel
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 

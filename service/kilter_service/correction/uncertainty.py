@@ -12,7 +12,7 @@ from kilter_service.corrector.wire import Status
 
 if TYPE_CHECKING:
     from kilter_core.correct.walker import CorrectedTrajectory
-    from kilter_core.identify.predictive import Predictive
+    from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
 
 Floats = NDArray[np.float64]

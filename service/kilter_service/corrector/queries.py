@@ -14,8 +14,8 @@ from multiprocessing.connection import Connection
 import numpy as np
 import zenoh
 
+from kilter_core.correct.program import warm_up
 from kilter_core.correct.walker import walk_from_rest
-from kilter_core.correction import warm_up
 from kilter_core.errors import ObservationError
 from kilter_service.corrector import keys, wire
 from kilter_service.corrector.active import Active

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from kilter_core.correct.program import Track
 from kilter_core.correct.walker import walk_whole
-from kilter_core.correction import Track
 from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.admission import Clock

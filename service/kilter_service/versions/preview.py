@@ -20,8 +20,8 @@ from kilter_service.versions import store, wire
 from kilter_service.versions.records import Foreseen, VersionRecord
 
 if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
     from kilter_core.correct.walker import CorrectedTrajectory
-    from kilter_core.robot import Robot
 
 Floats = NDArray[np.float64]
 
