@@ -23,7 +23,7 @@ Command = Callable[[Settings, argparse.Namespace], None]
 
 
 def serve(settings: Settings, _: argparse.Namespace) -> None:
-    """Run API, worker and corrector together."""
+    """Run API, worker and corrector together, and the ROS 2 adaptor where topics are set."""
     from kilter_service.supervisor import serve
 
     serve(settings)

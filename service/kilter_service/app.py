@@ -25,7 +25,7 @@ from kilter_service.slots import Slots
 from kilter_service.version import code_version
 from kilter_service.versions.routes import router as versions
 
-SUMMARY = "Keeps a serial robot arm true: identifies its errors from measured poses and corrects its setpoints."
+SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from measured poses and corrects its setpoints."
 
 ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction, frames, references)
 

@@ -1,4 +1,4 @@
-"""Bodies of requests: measured before and while they are read, taken apart in a thread."""
+"""Bodies of requests: measured before and while they are read, and parsed in a thread."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ REMEDY = {
     UPLOAD: "split it (`kilter upload` sends long recordings in parts), or raise KILTER_MAX_UPLOAD_MB",
     DOCUMENT: "leave out what is not needed, or raise KILTER_MAX_DOCUMENT_MB",
 }
-SILENT_S = 60.0  # a sender that says nothing for so long has gone
+SILENT_S = 60.0  # a sender that is silent for so long has gone
 JSON_TYPES = ("/json", "+json")
 PIECE_BYTES = 1 << 20
 
@@ -104,17 +104,17 @@ def is_json(request: Request) -> bool:
 
 
 async def parsed(body: bytes) -> Any:
-    """Take a JSON document apart, not on the event loop.
+    """Parse a JSON document in a thread, not on the event loop.
 
     Raises:
-        ServiceError: it is no JSON, or of a shape that no document of Kilter has.
+        ServiceError: it is not JSON, or has a shape that no document of Kilter has.
 
     """
     return await run_in_threadpool(_parsed, body)
 
 
 def _parsed(body: bytes) -> Any:
-    # The parser lets no other thread run, so what has too many parts is counted, not parsed.
+    # No other thread runs while the parser does, so a document with too many parts is counted and refused, not parsed.
     if max(body.count(b":"), body.count(b"{") + body.count(b"[")) > MAX_DOCUMENT_PARTS:
         raise ServiceError(
             f"The body has more than {MAX_DOCUMENT_PARTS} fields, lists and objects: leave out what is not needed.",
@@ -131,7 +131,8 @@ def _parsed(body: bytes) -> Any:
 def _few(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(pairs) > MAX_DOCUMENT_KEYS:
         raise ServiceError(
-            f"An object of the body has {len(pairs)} fields, {MAX_DOCUMENT_KEYS} are taken.", code="payload_invalid"
+            f"An object of the body has {len(pairs)} fields, at most {MAX_DOCUMENT_KEYS} are allowed.",
+            code="payload_invalid",
         )
     return dict(pairs)
 

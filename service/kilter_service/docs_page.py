@@ -1,7 +1,7 @@
 """`/docs`: the description of the HTTP interface to read and to try, without internet and without inline script.
 
 The page that FastAPI makes loads Swagger UI from a host on the internet and starts it from a script in the page. Servers
-stand in halls without internet, and beside a page that may set the arm in motion no foreign script should run.
+run in halls without internet, and no foreign script should run beside a page that can set the arm in motion.
 """
 
 from __future__ import annotations

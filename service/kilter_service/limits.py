@@ -24,7 +24,7 @@ MAX_PAGES = 100_000
 MAX_PAGES_BYTES = 256 << 20  # the largest pages of all columns of a Parquet file, which are in memory together
 
 MAX_CIRCLE_MB = 64
-MAX_DOCUMENT_PARTS = 200_000  # fields, lists and objects of a JSON document, which are parsed in one breath
+MAX_DOCUMENT_PARTS = 200_000  # fields, lists and objects of a JSON document, which are parsed in one call
 MAX_DOCUMENT_KEYS = 1000  # fields of one object in a JSON document
 
 # Robots: a serial arm; a URDF may hold a whole machine around it.

@@ -9,7 +9,7 @@ from fastapi import Depends, Query
 from kilter_service.paging import Page, key_of
 
 MOST = 1000
-JOBS = 100  # newest jobs that are listed unasked
+JOBS = 100  # newest jobs that are listed by default
 
 Limit = Annotated[int | None, Query(ge=1, le=MOST, description="Entries of a page, 1 to 1000; left out: all.")]
 JobsLimit = Annotated[int, Query(ge=1, le=MOST, description="Jobs of a page, 1 to 1000.")]

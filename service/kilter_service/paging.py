@@ -1,4 +1,4 @@
-"""Lists page by page: cursors that stay right when something is added meanwhile."""
+"""Pages of lists: cursors stay valid when entries are added meanwhile."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def key_of(cursor: str) -> tuple[str, ...]:
 
 def _no_cursor() -> ServiceError:
     return ServiceError(
-        "after is no cursor of this list: give `next` of the page before, or nothing for the first.",
+        "after is not a cursor of this list: give `next` of the page before, or nothing for the first.",
         code="payload_invalid",
-        errors=[{"place": "query.after", "message": "no cursor of this list", "type": "cursor"}],
+        errors=[{"place": "query.after", "message": "not a cursor of this list", "type": "cursor"}],
     )

@@ -20,8 +20,8 @@ Handler = Callable[[Request], Awaitable[Response]]
 class GuardedRoute(APIRoute):
     """A route of Kilter.
 
-    Whatever is no plain read needs the token, which is asked for before the body is looked at. A JSON document is received
-    up to the setting, parsed and checked in a thread, and answered when it is its turn. Files the endpoint receives itself.
+    Everything but a plain read needs the token, which is checked before the body is read. A JSON document is read up to the
+    size limit, parsed and validated in a thread, and answered in its turn. Endpoints receive files themselves.
     """
 
     def get_route_handler(self) -> Callable[[Request], Any]:

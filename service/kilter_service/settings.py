@@ -20,7 +20,7 @@ CORRECTOR_FILE = "corrector.json"
 
 
 def default_data() -> Path:
-    """Return the data folder of somebody who set none."""
+    """Return the default data folder."""
     return Path.home() / ".kilter"
 
 

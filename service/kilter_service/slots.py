@@ -1,4 +1,4 @@
-"""How many requests may hold memory at once: more wait for their turn, and too many are sent away."""
+"""How many requests may hold memory at once: more wait for their turn, and too many are refused."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Room:
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """Be inside.
+        """Take a place.
 
         Raises:
             ServiceError: the room is full.

@@ -1,4 +1,4 @@
-"""`kilterd serve`: API, worker and corrector as processes of their own, restarted when they die."""
+"""`kilterd serve`: API, worker, corrector and, where topics are set, the ROS 2 adaptor; each is restarted when it dies."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S = 0.2, 10.0, 30.0
 
 
 class Child:
-    """A process of Kilter; `watch` starts it anew when it has ended."""
+    """A process of Kilter; `watch` restarts it when it has ended."""
 
     def __init__(self, name: str, settings: Settings, *arguments: str, keep: tuple[int, ...] = ()) -> None:
         self.name = name
@@ -67,7 +67,7 @@ class Child:
         return None if self._process is None else self._process.pid
 
     def watch(self) -> None:
-        """Start the process anew when it has ended: at once, and more slowly when it keeps ending."""
+        """Restart the process when it has ended: at once, and more slowly when it keeps ending."""
         if self._process is None or self._process.poll() is None:
             return
         time_s = time.monotonic()

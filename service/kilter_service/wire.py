@@ -1,6 +1,6 @@
 """Lengths and angles between the service, which counts in m and rad, and the wire, which counts in mm and degrees.
 
-Numbers and arrays alike. Whoever draws a figure or writes a sentence takes these too: no other module multiplies.
+They take numbers and arrays. Figures and sentences use them too: no other module converts units.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def to_rad(degrees: T) -> T:
 
 
 def joint_units(robot: Robot) -> list[str]:
-    """Return the unit of each joint's reading: "deg", or "mm" of one that slides."""
+    """Return the unit of each joint's reading: "deg", or "mm" of a prismatic one."""
     return ["mm" if joint.kind == "prismatic" else "deg" for joint in robot.joints]
 
 

@@ -316,7 +316,7 @@ def test_the_fast_path_of_plain_setpoints_is_the_full_path(active: Active, monke
         assert (one is None) == (other is None)
         if one is not None and other is not None:  # all but the time spent on it
             assert (one[:48], one[52:]) == (other[:48], other[52:]), k
-        seq = max(seq, full._course.clock.seq)
+        seq = max(seq, full._sequence.clock.seq)
     assert refused[0] < 3000
     first, second = fast.counters, full.counters
     assert (first.by_status, first.limited, first.damped) == (second.by_status, second.limited, second.damped)

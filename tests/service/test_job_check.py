@@ -186,7 +186,7 @@ def test_what_a_hunt_cannot_test_is_what_its_result_says(
     assert done["result"]["not_testable"] == told
     # The next check of this kind rests on what this job took.
     again = check(client, "gap", [campaign], options=options)["duration_s"]
-    assert "1 earlier gap job asked alike" in again["basis"]
+    assert "1 earlier gap job with the same options" in again["basis"]
     assert again["low"] <= again["expected"] <= again["high"]
 
 

@@ -318,7 +318,7 @@ def test_a_robot_is_purged_when_nothing_was_measured_on_it(shelf: Shelf) -> None
     shelf.campaign("646e", "monday")
     refused(shelf.client.post("/v1/robots/katana/purge"), 409, "robot_in_use", "kilter robot retire katana")
     digest = shelf.client.get("/v1/robots/other").json()["sha256"]
-    for _ in range(2):  # a name may be purged, used anew and purged again
+    for _ in range(2):  # a name may be purged, used again and purged again
         left = shelf.client.post("/v1/robots/other/purge").json()
         assert (left["kind"], left["id"], left["sha256"]) == ("robot", "other", digest)
         shelf.client.post("/v1/robots", json=OTHER).raise_for_status()

@@ -179,7 +179,7 @@ def test_a_robot_that_no_longer_resolves_stops_nobody_else(settings: Settings) -
     revision.migrate(database)
     with database.reading() as session:
         assert store.robots.core_robot(session, 2).n_joints == 5
-        with pytest.raises(store.ServiceError, match="add the robot anew under another name") as refused:
+        with pytest.raises(store.ServiceError, match="add the robot again under another name") as refused:
             store.robots.core_robot(session, 1)
     assert refused.value.code == "robot_invalid"
     database.close()

@@ -46,7 +46,7 @@ def test_taken(shared_client: httpx.Client, columns: dict[str, Any]) -> None:
         ({"socket_id": [1, 1.5]}, "is not a whole number"),
         ({"socket_id": [1, -1]}, "is negative"),
         ({"bar_id": [1, 1]}, "'bar' is missing"),
-        ({"bar_id": [1, 1], "bar_mm": [250, 0]}, "Row 2, column 'bar_mm' is no length"),
+        ({"bar_id": [1, 1], "bar_mm": [250, 0]}, "Row 2, column 'bar_mm' is not the length"),
         ({"socket_id": [1, 1], "x_mm": [1, 2], "y_mm": [1, 2], "z_mm": [1, 2]}, "beside a measured tool"),
         ({"x_mm": [1, 2], "y_mm": [1, 2], "z_mm": [1, 2], "tipx_mm": [1, 2], "tipy_mm": [1, 2], "tipz_mm": [1, 2]},
          "missing its markers"),

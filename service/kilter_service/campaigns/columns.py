@@ -39,15 +39,15 @@ class Column:
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Check what must hold of all names before one of them is understood.
+    """Check the names as a whole before any of them is parsed.
 
     Raises:
-        ObservationError: too many or too long names, an empty one, or one that stands twice.
+        ObservationError: too many or too long names, an empty one, or one that appears twice.
 
     """
     if len(names) > MAX_COLUMNS:
         raise ObservationError(
-            f"The upload has {len(names)} columns, {MAX_COLUMNS} are taken: leave out what is no measurement."
+            f"The upload has {len(names)} columns, at most {MAX_COLUMNS} are allowed: leave out what is not a measurement."
         )
     seen: set[str] = set()
     for name in names:
@@ -58,12 +58,12 @@ def check_names(names: Sequence[str]) -> None:
         if not name.strip() or name != name.strip():
             raise refuse(f"Column {name!r} is empty or has spaces around it: name it without.", name)
         if name in seen:
-            raise refuse(f"Column {name!r} stands twice: keep one of them.", name)
+            raise refuse(f"Column {name!r} appears twice: keep one of them.", name)
         seen.add(name)
 
 
 def read_columns(names: Sequence[str], kinds: Sequence[str]) -> tuple[Column, ...]:
-    """Understand the columns of a file for a robot with joints of these ``kinds``.
+    """Parse the column names of a file for a robot with joints of these ``kinds``.
 
     Raises:
         ObservationError: a column twice, unknown, without a unit or with a wrong one, or a group that is not complete.
@@ -75,7 +75,7 @@ def read_columns(names: Sequence[str], kinds: Sequence[str]) -> tuple[Column, ..
         key = (column.quantity, column.number)
         if key in columns:
             other = columns[key].name
-            what = "stands twice" if other == name else f"says the same as {other!r}"
+            what = "appears twice" if other == name else f"says the same as {other!r}"
             raise refuse(f"Column {name!r} {what}: keep one of them.", name)
         columns[key] = column
     _complete(columns, kinds)

@@ -1,4 +1,4 @@
-"""What people call campaigns and note on them; campaigns out of use, and gone."""
+"""Names and notes of campaigns; retiring, restoring and purging them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parquet uploads: looked at before they are decoded, and decoded in pieces, for a few kilobytes may unfold to gigabytes."""
+"""Parquet uploads: checked first, then decoded in pieces, because a few kilobytes may unpack to gigabytes."""
 
 from __future__ import annotations
 
@@ -59,7 +59,9 @@ def _opened(path: Path) -> Iterator[ParquetFile]:
         file = parquet.ParquetFile(path, buffer_size=BUFFER_BYTES)
     with file:
         if file.metadata.num_columns > MAX_COLUMNS:
-            raise ObservationError(f"The upload has {file.metadata.num_columns} columns, {MAX_COLUMNS} are taken.")
+            raise ObservationError(
+                f"The upload has {file.metadata.num_columns} columns, at most {MAX_COLUMNS} are allowed."
+            )
         with _explained():
             schema = file.schema_arrow
             names = schema.names
@@ -70,7 +72,7 @@ def _opened(path: Path) -> Iterator[ParquetFile]:
 
 @contextmanager
 def _explained() -> Iterator[None]:
-    """Say what Arrow says in Kilter's words."""
+    """Put an error of Arrow into Kilter's words."""
     import pyarrow as pa
 
     try:

@@ -79,7 +79,8 @@ def _footer(file: BinaryIO, size: int) -> bytes | None:
         return None
     if length > MAX_FOOTER_BYTES:
         raise ObservationError(
-            f"The Parquet file describes itself in {length} bytes, {MAX_FOOTER_BYTES} are taken: write fewer row groups."
+            f"The Parquet file describes itself in {length} bytes, at most {MAX_FOOTER_BYTES} are allowed: write fewer "
+            "row groups."
         )
     file.seek(-8 - length, 2)
     return file.read(length)
@@ -90,7 +91,7 @@ def _groups(footer: bytes, size: int) -> Iterator[list[Chunk]]:
         groups = Thrift(footer).struct().get(GROUPS, [])
         found = [[_chunk(k, column[ABOUT], size) for k, column in enumerate(group[COLUMNS])] for group in groups]
     except DAMAGED as error:
-        raise ObservationError(f"The Parquet file's footer is damaged ({error}): write the file anew.") from error
+        raise ObservationError(f"The Parquet file's footer is damaged ({error}): write the file again.") from error
     yield from found
 
 
@@ -114,7 +115,8 @@ def _largest(file: BinaryIO, chunk: Chunk, most_pages: int) -> tuple[int, int]:
         largest[is_dictionary] = max(largest[is_dictionary], page.unpacked)
     if values != chunk.values:
         raise ObservationError(
-            f"Column {chunk.column + 1} of the Parquet file states {chunk.values} values and has {values}: write the file anew."
+            f"Column {chunk.column + 1} of the Parquet file states {chunk.values} values and has {values}: "
+            "write the file again."
         )
     return sum(largest.values()), count
 
@@ -138,6 +140,6 @@ def _page(data: bytes, column: int) -> Page:
             raise ValueError("a negative size")
     except DAMAGED as error:
         raise ObservationError(
-            f"Column {column + 1} of the Parquet file has a page that cannot be read ({error}): write the file anew."
+            f"Column {column + 1} of the Parquet file has a page that cannot be read ({error}): write the file again."
         ) from error
     return Page(kind, reader.at + packed, unpacked, values)

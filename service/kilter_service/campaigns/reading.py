@@ -1,6 +1,6 @@
 """Uploaded bytes into a table of float64 columns, strictly: every refusal names the row and the column.
 
-Rows count from 1, the header is none of them.
+Rows count from 1, without the header.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def column_names(path: Path, media: str) -> list[str]:
     """Return the names of a file's columns.
 
     Raises:
-        ObservationError: not such a file, or names that are empty or stand twice.
+        ObservationError: not such a file, or names that are empty or appear twice.
 
     """
     if media == CSV:
@@ -118,7 +118,7 @@ def _csv_tables(path: Path) -> Iterator[pa.Table]:
         for batch in reader:
             yield pa.Table.from_batches([batch])
     except pa.ArrowInvalid as error:
-        # Arrow is fast and says too little; the slow reader looks for the place.
+        # Arrow is fast, but its errors say too little: the slow reader finds the place.
         _find_fault(path, columns)
         raise ObservationError(f"The CSV cannot be read: {str(error)[:300]}.") from error
 
@@ -206,7 +206,7 @@ def _check_json(path: Path) -> None:
     """Refuse what would take far more memory than its bytes: many small lists, objects and texts, and many bytes."""
     if path.stat().st_size > MAX_JSON_BYTES:
         raise ServiceError(
-            f"JSON columns are taken up to {MAX_JSON_BYTES >> 20} MB: send CSV or Parquet.",
+            f"JSON columns may have up to {MAX_JSON_BYTES >> 20} MB: send CSV or Parquet.",
             code="upload_too_large",
             limit_mb=MAX_JSON_BYTES >> 20,
         )

@@ -88,11 +88,11 @@ class RowRules:
         if column.is_integer:
             self._refuse(cells != np.round(cells), column.name, "is not a whole number", cells)
         if column.quantity == "dir":
-            self._refuse(np.abs(cells) > 1, column.name, "is none of -1, 0 and 1", cells)
+            self._refuse(np.abs(cells) > 1, column.name, "is not -1, 0 or 1", cells)
         if column.quantity == "payload":
             self._refuse(cells < 0, column.name, "is negative", cells)
         if column.quantity in ("sx", "sy", "sz"):
-            self._refuse(cells <= 0, column.name, "is no standard deviation: it must be above 0", cells)
+            self._refuse(cells <= 0, column.name, "is not a standard deviation: it must be above 0", cells)
         if column.quantity == "temperature":
             self._refuse(cells < ABSOLUTE_ZERO_C, column.name, "is below absolute zero", cells)
         if column.quantity == "q" and column.number is not None:
@@ -123,7 +123,7 @@ class RowRules:
             self._refuse(empty, names[0], "and all other readings are empty: leave the row out")
 
     def _check_contacts(self, cells: dict[str, Floats]) -> None:
-        """Every row is held by one thing, a ball bar with the length it reads."""
+        """One thing holds the tool in every row; a ball bar comes with the length it reads."""
         held = [c.name for c in self.columns if c.quantity in CONTACTS]
         if not held:
             return
@@ -134,14 +134,14 @@ class RowRules:
         for length in (c.name for c in self.columns if c.quantity == "bar"):
             bar = next(c.name for c in self.columns if c.quantity == "bar_id")
             wrong = (cells[bar] > 0) & (cells[length] <= 0)
-            self._refuse(wrong, length, "is no length of a ball bar: it must be above 0", cells[length])
+            self._refuse(wrong, length, "is not the length of a ball bar: it must be above 0", cells[length])
 
     def _check_quaternions(self, cells: dict[str, Floats]) -> None:
         parts = [c.name for c in self.columns if c.quantity in ("qw", "qx", "qy", "qz")]
         if parts:
             norm = np.linalg.norm(np.stack([cells[name] for name in parts]), axis=0)
             wrong = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
-            self._refuse(wrong, "qw", "and its neighbours make no unit quaternion; their length is", norm)
+            self._refuse(wrong, "qw", "and its neighbours do not form a unit quaternion; their length is", norm)
 
     def _remember(self, cells: dict[str, Floats]) -> None:
         for column in self._lengths():
@@ -172,7 +172,7 @@ class RowRules:
         """Refuse points that fit the robot in another unit only."""
         from kilter_core.identify.plausibility.units import (
             unit_factor,
-        )  # loads compiled kernels; wanted only for a suspicious upload
+        )  # loads compiled kernels; needed only for a suspicious upload
 
         factor = unit_factor(self.robot, *self._sample[0])
         if factor is None:

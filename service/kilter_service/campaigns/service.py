@@ -28,7 +28,7 @@ MEASURED = ("x", "marker_x", "link", *TILTS, *CONTACTS)
 
 
 def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
-    """Store a new campaign of a robot; one begun long ago whose parts never came is dropped on the way."""
+    """Store a new campaign of a robot; an unfinished one from long ago is deleted meanwhile."""
     with database.transaction() as session:
         robot_id = robots.usable(session, robot).id
         for forgotten in store.staged_before(session, robot_id, datetime.now(UTC) - STAGED_FOR):
@@ -57,7 +57,7 @@ def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
         if there != named:
             raise ServiceError(
                 f"Campaign {campaign_id} lacks {len(named - there)} of {len(named)} parts and has {len(there - named)} "
-                "others: send what is missing, or discard it and begin anew.",
+                "others: send what is missing, or discard it and start again.",
                 code="campaign_incomplete",
                 missing=sorted(named - there)[:20],
                 others=sorted(there - named)[:20],

@@ -48,7 +48,9 @@ class Parameter(Stored):
     unit: str | None = Field(None, description=UNIT)
     value: float | None = Field(None, description="Its value; null: it could not be measured.")
     nominal: float | None = Field(None, description="What the robot as drawn has for it; 0 for what it does not have.")
-    change: float | None = Field(None, description="Value minus nominal; turns of base and tool the short way round.")
+    change: float | None = Field(
+        None, description="Value minus nominal; rotations of base and tool by the shorter turn."
+    )
     sigma: float | None = Field(None, description="Standard deviation of the value.")
     lower: float | None = Field(None, description="Lower end of the 95 % interval, where `intervals` were asked for.")
     upper: float | None = Field(None, description="Upper end of the 95 % interval.")

@@ -242,7 +242,7 @@ class NextPose(Stored):
 
     kind: str | None = Field(None, description="`new`, or what is done again.")
     change: str | None = Field(None, description="What to change before it, in words; null: nothing.")
-    q_deg: list[Deg] | None = Field(None, description="All joints, degrees; mm for one that slides.")
+    q_deg: list[Deg] | None = Field(None, description="All joints, degrees; mm for prismatic ones.")
     payload_kg: Kg | None = Field(None, description="Load to carry, kg; null: any.")
     payload_com_mm: PointMm | None = Field(None, description="Its centre in the tool frame, mm; null: the tool point.")
     direction: list[int] | None = Field(None, description="Direction to reach each joint from, -1 or 1; null: any.")

@@ -35,7 +35,7 @@ class VersionPreview(Strict):
         description="Mean movement of the tool by the correction, mm; null: nothing was corrected."
     )
     largest_mm: Mm | None = Field(description="Largest movement of the tool by the correction, mm, limits left aside.")
-    largest_at: list[float] | None = Field(description="The joints there: degrees, mm for one that slides.")
+    largest_at: list[float] | None = Field(description="The joints there: degrees, mm for prismatic ones.")
     joints: list[JointPreview] = Field(description="The largest correction of each joint, limits left aside.")
     unsupported_effects: list[str] = Field(description="Ids of its effects that would not be corrected at run time.")
     temperature_c: Celsius | None = Field(

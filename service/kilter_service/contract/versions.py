@@ -20,7 +20,7 @@ class CorrectionLimits(Strict):
         1.0, description="Largest correction of a joint, degrees, above 0 to 30."
     )
     max_position_mm: Annotated[Mm, Field(gt=0, le=200)] = Field(
-        5.0, description="Largest correction of the tool, and of a joint that slides, mm, above 0 to 200."
+        5.0, description="Largest correction of the tool, and of a prismatic joint, mm, above 0 to 200."
     )
 
 
@@ -76,7 +76,7 @@ class Rival(Strict):
 
 
 class Comparison(Strict):
-    """Mean errors on rows that no version compared was fitted to, base and tool fitted anew to each campaign.
+    """Mean errors on rows that no version compared was fitted to, base and tool refitted to each campaign.
 
     ``active`` is null when no version was active, or when it cannot predict these rows or was fitted to all of them.
     """

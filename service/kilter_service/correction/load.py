@@ -1,4 +1,4 @@
-"""What hangs on the tool along a path: as its columns say, else as asked for, else the robot's default load."""
+"""The load on the tool along a path: from its columns, else from the request, else the robot's default load."""
 
 from __future__ import annotations
 

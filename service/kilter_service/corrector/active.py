@@ -67,5 +67,5 @@ class VersionSource(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of whatever is open."""
+        """Close whatever is open."""
         ...

@@ -1,8 +1,8 @@
 """Which frame of a stream comes next, and how old it is; docs/reference/stream.md states these rules.
 
-Clocks of two machines are never compared. The least difference of arrival and sending that was seen is taken as the way,
-and a frame is as old as it exceeds that. One frame never decides: what does not fit is refused and leaves the place where
-the stream stands as it was, until a second frame goes on from it.
+Clocks of two machines are never compared. The smallest difference between arrival and sending seen so far counts
+as the transit time, and a frame is as old as it exceeds that. One frame never decides: one that does not fit is refused and
+leaves the stream where it stands, until a second frame goes on from it.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from kilter_service.corrector.wire import Status
 
 @dataclass(frozen=True)
 class Late:
-    """Frames in a row that are too old: when the run began, on which way, and its last sequence number."""
+    """Frames in a row that are too old: when the run began, with which transit time, and its last sequence number."""
 
     since_ns: int
-    way_ns: int
+    transit_ns: int
     seq: int
 
 
 @dataclass
 class Clock:
-    """Where a stream stands: its last sequence number, and times in ns; ``way_ns`` is the quickest way seen."""
+    """Where a stream stands: its last sequence number, and times in ns; ``transit_ns`` is the shortest transit time seen."""
 
     seq: int = -1
-    way_ns: int | None = None
+    transit_ns: int | None = None
     seen_ns: int = 0  # arrival of the last frame in order
     sent_ns: int = 0  # when that was sent
     pace_ns: int = 0  # between it and the one before
@@ -50,35 +50,35 @@ class Clock:
         return Status.OVERLOAD if overloaded else Status.SEQ_GAP
 
     def age(self, arrival_ns: int, sent_ns: int, rules: Rules) -> tuple[int, int]:
-        """How old a frame is, and the way that follows from it."""
-        way = arrival_ns - sent_ns
-        if self.way_ns is None:
-            return 0, way
+        """How old a frame is, and the transit time that follows from it."""
+        transit = arrival_ns - sent_ns
+        if self.transit_ns is None:
+            return 0, transit
         if self.sent_ns - sent_ns > rules.set_back_ns:
             # Frames in order are sent in order, so the clock was set back. Only the time that really passed tells how much
             # older this frame can be than the one before: a burst after a hang stays old.
-            before = self.seen_ns - self.sent_ns - self.way_ns
+            before = self.seen_ns - self.sent_ns - self.transit_ns
             age = max(0, before + arrival_ns - self.seen_ns - self.pace_ns)
-            return age, way - age
-        least = min(way, self.way_ns + int((arrival_ns - self.seen_ns) * rules.clock_drift))
-        return way - least, least
+            return age, transit - age
+        least = min(transit, self.transit_ns + int((arrival_ns - self.seen_ns) * rules.clock_drift))
+        return transit - least, least
 
     def take(self, seq: int, arrival_ns: int, sent_ns: int, rules: Rules) -> bool:
         """Go on to a frame in order; False when it is too old."""
         age, least = self.age(arrival_ns, sent_ns, rules)
         if age > rules.max_age_ns and self._agrees(seq, arrival_ns, arrival_ns - sent_ns, rules):
             age, least = 0, arrival_ns - sent_ns
-        if self.way_ns is not None:
+        if self.transit_ns is not None:
             self.pace_ns = min(max(0, sent_ns - self.sent_ns), max(0, arrival_ns - self.seen_ns))
-        self.seq, self.way_ns, self.seen_ns, self.sent_ns = seq, least, arrival_ns, sent_ns
+        self.seq, self.transit_ns, self.seen_ns, self.sent_ns = seq, least, arrival_ns, sent_ns
         return age <= rules.max_age_ns
 
-    def _agrees(self, seq: int, arrival_ns: int, way_ns: int, rules: Rules) -> bool:
-        """Whether late frames have kept one pace for so long that the way is longer now; in a burst they catch up."""
+    def _agrees(self, seq: int, arrival_ns: int, transit_ns: int, rules: Rules) -> bool:
+        """Whether late frames have kept one pace for so long that the transit time is longer now; in a burst they catch up."""
         late = self.late
-        if late is None or late.seq + 1 != seq or abs(way_ns - late.way_ns) > rules.agree_ns:
-            late = Late(arrival_ns, way_ns, seq)
-        self.late = Late(late.since_ns, late.way_ns, seq)
+        if late is None or late.seq + 1 != seq or abs(transit_ns - late.transit_ns) > rules.agree_ns:
+            late = Late(arrival_ns, transit_ns, seq)
+        self.late = Late(late.since_ns, late.transit_ns, seq)
         return arrival_ns - late.since_ns >= rules.agree_for_ns
 
     def elapsed_s(self, at_ns: int, arrival_ns: int, slack_s: float) -> float:

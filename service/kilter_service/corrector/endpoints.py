@@ -79,7 +79,7 @@ def check_free(endpoint: str) -> None:
             raise cannot_listen(endpoint, "Address already in use") from error
 
 
-class Door:
+class PrivateSocket:
     """Where the query process meets the stream process: a socket in a folder that nobody else may enter.
 
     So the corrector has one port, and queries come through it; their work is done in the other process all the same.
@@ -87,7 +87,7 @@ class Door:
 
     def __init__(self) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="kilter-"))  # only its owner may enter
-        self.endpoint = f"unixsock-stream/{self._folder / 'door'}"
+        self.endpoint = f"unixsock-stream/{self._folder / 'socket'}"
 
     def close(self) -> None:
         """Remove the folder."""

@@ -31,7 +31,7 @@ from kilter_service.corrector.specs import Rules
 from kilter_service.corrector.wire import Flag, Kind, Status
 
 # words of a stream's memory: its clock, what it answers with, what it has counted, the frames
-SEQ, WAY, SEEN, SENT, PACE, APPLIED, ANSWERED = range(7)
+SEQ, TRANSIT, SEEN, SENT, PACE, APPLIED, ANSWERED = range(7)
 MOST_AGE, SET_BACK, DRIFT, SLACK = 7, 8, 9, 10  # the last two are floats
 ROWS, JOINTS, VERSION, EPOCH, OUT_HEAD, IN_HEAD = 11, 12, 13, 14, 15, 15  # IN_HEAD + number of vectors, 1 to 3
 COUNTS, LIMITED, DAMPED, SPENT, LONGEST, LAST = 19, 35, 36, 37, 38, 39  # COUNTS + status
@@ -47,7 +47,7 @@ FLAGS = {1: 0, 2: int(Flag.QD), 3: Flag.QD | Flag.QDD}
 
 
 def _compiled() -> Any:
-    # numba's cache goes by the file of the caller and would not see a change of what is called; it does see the values
+    # numba keys its cache by the caller's file and would miss a change of what it calls; it does notice the values
     # that a function closes over.
     kernels = int.from_bytes(hashlib.sha256(Path(correction.__file__).read_bytes()).digest()[:6], "little")
 
@@ -72,9 +72,9 @@ def _compiled() -> Any:
             return -1
         if not (0 <= sent < MOST and 0 <= apply < MOST) or words[SENT] - sent > words[SET_BACK]:
             return -1
-        way = arrival - sent
-        least = min(way, words[WAY] + int((arrival - words[SEEN]) * numbers[DRIFT]))
-        if way - least > words[MOST_AGE]:
+        transit = arrival - sent
+        least = min(transit, words[TRANSIT] + int((arrival - words[SEEN]) * numbers[DRIFT]))
+        if transit - least > words[MOST_AGE]:
             return -1
         at = apply if apply != 0 else sent
         passed = max(0.0, (arrival - words[ANSWERED]) * 1e-9)
@@ -89,7 +89,7 @@ def _compiled() -> Any:
         if status != 0:
             return status  # a refused setpoint leaves no trace in the track: it is refused once more, and told so
         words[PACE] = min(max(0, sent - words[SENT]), max(0, arrival - words[SEEN]))
-        words[SEQ], words[WAY], words[SEEN], words[SENT] = seq, least, arrival, sent
+        words[SEQ], words[TRANSIT], words[SEEN], words[SENT] = seq, least, arrival, sent
         words[APPLIED], words[ANSWERED] = at, arrival
         made = int(info[0])
         words[COUNTS] += 1
@@ -210,10 +210,10 @@ class FastPath:
 
     def take(self, clock: Clock) -> bool:
         """Take the clock over; False when it does not fit, and the stream has to keep to its full path."""
-        if clock.way_ns is None:
+        if clock.transit_ns is None:
             return False
         words = (
-            clock.seq, clock.way_ns, clock.seen_ns, clock.sent_ns, clock.pace_ns, clock.applied_ns, clock.answered_ns,
+            clock.seq, clock.transit_ns, clock.seen_ns, clock.sent_ns, clock.pace_ns, clock.applied_ns, clock.answered_ns,
         )  # fmt: skip
         if not all(abs(word) < MOST for word in words):
             return False
@@ -227,9 +227,15 @@ class FastPath:
 
     def give(self, clock: Clock) -> None:
         """Write into ``clock`` where the stream stands now."""
-        clock.seq, clock.way_ns, clock.seen_ns, clock.sent_ns, clock.pace_ns, clock.applied_ns, clock.answered_ns = (
-            int(word) for word in self._words[SEQ : ANSWERED + 1]
-        )
+        (
+            clock.seq,
+            clock.transit_ns,
+            clock.seen_ns,
+            clock.sent_ns,
+            clock.pace_ns,
+            clock.applied_ns,
+            clock.answered_ns,
+        ) = (int(word) for word in self._words[SEQ : ANSWERED + 1])
 
     def _bind(self, memory: Any, joints: int) -> Callable[[bytes, int], bytes | None]:
         # A function with everything at hand: each look into an object costs a tenth of a microsecond, cold.

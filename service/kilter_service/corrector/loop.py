@@ -32,11 +32,11 @@ from kilter_service.errors import ServiceError
 log = logging.getLogger("kilter.corrector.stream")
 
 STATUS_PERIOD_S = 0.5
-BETWEEN_RINGS_NS = 50_000_000  # a verdict that flips at every setpoint must not keep the housekeeping awake
+BETWEEN_WAKE_UPS_NS = 50_000_000  # a verdict that flips at every setpoint must not keep the housekeeping awake
 REAL_TIME_PRIORITY = 40
 
 
-class Bell:
+class WakeUp:
     """Wakes the housekeeping thread, which sleeps otherwise: what it does meanwhile would delay a setpoint."""
 
     def __init__(self) -> None:
@@ -44,13 +44,13 @@ class Bell:
         os.set_blocking(self.waits, False)
         os.set_blocking(self._pull, False)
 
-    def ring(self) -> None:
-        """Wake it; a bell that nobody hushed is ringing already."""
+    def signal(self) -> None:
+        """Wake it; a signal that was not cleared yet still holds."""
         with suppress(BlockingIOError):
             os.write(self._pull, b"!")
 
-    def hush(self) -> None:
-        """Stop ringing."""
+    def clear(self) -> None:
+        """Take the signal back."""
         with suppress(BlockingIOError):
             os.read(self.waits, 4096)
 
@@ -58,12 +58,12 @@ class Bell:
 class StreamLoop:
     """Takes samples from the ring and publishes answers until the session closes."""
 
-    def __init__(self, session: zenoh.Session, spec: StreamSpec, bell: Bell) -> None:
+    def __init__(self, session: zenoh.Session, spec: StreamSpec, wake_up: WakeUp) -> None:
         self.session = session
         self.spec = spec
         self.active: dict[str, Active] = {}  # replaced entry by entry: a lookup sees the old version or the new
         self.slots = Slots(session, spec.rules)
-        self._bell = bell
+        self._wake_up = wake_up
         self._subscriber = session.declare_subscriber(
             keys.every_input(spec.site), zenoh.handlers.RingChannel(spec.rules.ring)
         )
@@ -71,7 +71,7 @@ class StreamLoop:
     def run(self) -> None:
         """Correct until the session is closed by the housekeeping thread."""
         ring, most, active, now = self._subscriber.handler, self.spec.rules.ring, self.active, time.monotonic_ns
-        backlog, rung_ns = 0, 0
+        backlog, woken_ns = 0, 0
         last: Served | None = None
         while True:
             try:
@@ -92,9 +92,9 @@ class StreamLoop:
             if answer is not None:
                 served.publisher.put(answer)
             last, verdict = served, served.stream.counters.last
-            if verdict != served.verdict and arrival_ns - rung_ns > BETWEEN_RINGS_NS:
-                served.verdict, rung_ns = verdict, arrival_ns
-                self._bell.ring()
+            if verdict != served.verdict and arrival_ns - woken_ns > BETWEEN_WAKE_UPS_NS:
+                served.verdict, woken_ns = verdict, arrival_ns
+                self._wake_up.signal()
 
     def _find(self, key: str, sample: zenoh.Sample, arrival_ns: int, last: Served | None) -> Served | None:
         """The stream of a key, remembered as the one that follows ``last``; None when it was answered without one."""
@@ -132,10 +132,10 @@ class StreamLoop:
 class HousekeepingThread(threading.Thread):
     """Takes versions from the supervisor, announces them, reports status; closes the session when told to stop."""
 
-    def __init__(self, loop: StreamLoop, bell: Bell, pipe: Connection) -> None:
+    def __init__(self, loop: StreamLoop, wake_up: WakeUp, pipe: Connection) -> None:
         super().__init__(name="housekeeping")
         self._loop = loop
-        self._bell = bell
+        self._wake_up = wake_up
         self._pipe = pipe
         self._queries: deque[zenoh.Query] = deque(maxlen=64)
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
@@ -146,7 +146,7 @@ class HousekeepingThread(threading.Thread):
 
     def _asked(self, query: zenoh.Query) -> None:
         self._queries.append(query)
-        self._bell.ring()
+        self._wake_up.signal()
 
     def run(self) -> None:
         """Work until the supervisor says stop, or is gone."""
@@ -155,14 +155,14 @@ class HousekeepingThread(threading.Thread):
                 self._answer_queries()
                 self._report()
         except Exception:
-            log.exception("the housekeeping of the corrector failed; the process stops and is started anew")
+            log.exception("the housekeeping of the corrector failed; the process stops and is restarted")
         finally:
             close(self._loop.session)
 
     def _take(self) -> bool:
         """Sleep until there is something to do, and take one message of the supervisor; False to stop."""
-        ready = wait([self._pipe, self._bell.waits], STATUS_PERIOD_S)
-        self._bell.hush()
+        ready = wait([self._pipe, self._wake_up.waits], STATUS_PERIOD_S)
+        self._wake_up.clear()
         if self._pipe not in ready:
             return True
         try:
@@ -252,14 +252,14 @@ def stream_main(spec: StreamSpec, pipe: Connection) -> None:
     fast_path.warm_up()  # before real time: a first compilation takes seconds
     real_time = ask_for_real_time()
     try:
-        session, endpoint = open_listening(spec.listen, spec.zenoh_config, spec.door)
+        session, endpoint = open_listening(spec.listen, spec.zenoh_config, spec.private_endpoint)
     except ServiceError as error:
         pipe.send(("refused", error.message, False))
         return
     with session:
-        bell = Bell()
-        loop = StreamLoop(session, spec, bell)
-        housekeeping = HousekeepingThread(loop, bell, pipe)
+        wake_up = WakeUp()
+        loop = StreamLoop(session, spec, wake_up)
+        housekeeping = HousekeepingThread(loop, wake_up, pipe)
         pipe.send(("listening", endpoint, real_time))
         gc.collect()
         gc.freeze()

@@ -1,7 +1,7 @@
 """`kilterd corrector`: supervises the stream process and the query process, and follows the active versions.
 
-The database is read here and nowhere else, so a slow or absent database never touches a setpoint: the stream goes on
-with the version in use.
+Of its processes only this one reads the database, so a slow or absent database never touches a setpoint: the stream
+goes on with the version in use.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 
 from kilter_service.corrector.active import Active, VersionSource
 from kilter_service.corrector.database_source import DatabaseSource
-from kilter_service.corrector.endpoints import Door, check_listening
+from kilter_service.corrector.endpoints import PrivateSocket, check_listening
 from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec, enter
 from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings
@@ -85,7 +85,7 @@ class Child:
                     self.stop()
                     raise ServiceError(endpoint, code="binding_refused")
                 self._listens = True
-                if isinstance(self._spec, StreamSpec):  # started anew it listens where its clients look for it
+                if isinstance(self._spec, StreamSpec):  # after a restart it listens where its clients look for it
                     self._spec = replace(self._spec, listen=endpoint)
                 return endpoint, bool(real_time)
         except EOFError:
@@ -109,7 +109,7 @@ class Child:
         return self._process is not None and self._process.is_alive()
 
     def send(self, *message: Any) -> None:
-        """Tell the process something; a process that is gone is started anew by the supervisor."""
+        """Tell the process something; the supervisor restarts a process that is gone."""
         if self._pipe is not None:
             try:
                 self._pipe.send(message)
@@ -154,7 +154,7 @@ class Corrector:
         self.instance = f"{os.getpid()}-{secrets.token_hex(4)}"
         self.endpoints: dict[str, str] = {}
         self._children: dict[str, Child] = {}
-        self._door: Door | None = None
+        self._private: PrivateSocket | None = None
         self._announced = False
 
     @property
@@ -171,9 +171,11 @@ class Corrector:
         """
         check_listening(self._settings)
         site, config = self._settings.site, self._settings.zenoh_config
-        self._door = Door()
-        stream = StreamSpec(site, self.instance, self._settings.zenoh_listen, self._door.endpoint, config, self._rules)
-        queries = QuerySpec(site, self._door.endpoint, config)
+        self._private = PrivateSocket()
+        stream = StreamSpec(
+            site, self.instance, self._settings.zenoh_listen, self._private.endpoint, config, self._rules
+        )
+        queries = QuerySpec(site, self._private.endpoint, config)
         self._children = {
             "stream": Child("stream", STREAM, stream),
             "query": Child("query", QUERY, queries),
@@ -211,7 +213,7 @@ class Corrector:
         """Look once: restart what died, take over what was activated."""
         for name, child in self._children.items():
             if not child.alive:
-                log.error("the %s process ended: it is started anew", name)
+                log.error("the %s process ended: it is restarted", name)
                 child.stop()
                 child.launch()
                 self._take_child(name)
@@ -254,8 +256,8 @@ class Corrector:
         """Stop both processes and remove the corrector file."""
         for child in self._children.values():
             child.stop()
-        if self._door is not None:
-            self._door.close()
+        if self._private is not None:
+            self._private.close()
         if self._announced:  # a corrector that could not start leaves the file of the one that runs alone
             self.file.unlink(missing_ok=True)
         self._source.close()

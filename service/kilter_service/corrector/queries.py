@@ -19,7 +19,7 @@ from kilter_core.correct.walker import walk_from_rest
 from kilter_core.errors import ObservationError
 from kilter_service.corrector import keys, wire
 from kilter_service.corrector.active import Active
-from kilter_service.corrector.session import ENCODING, close, open_behind
+from kilter_service.corrector.session import ENCODING, close, open_inside
 from kilter_service.corrector.specs import QuerySpec, Rules
 from kilter_service.corrector.wire import Flag, Floats, FrameError, Header, Kind, Status
 
@@ -194,7 +194,7 @@ def query_main(spec: QuerySpec, pipe: Connection) -> None:
     """Entry of the spawned query process; says ("listening", None, False) when it is reached through the stream's port."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warm_up()
-    session = open_behind(spec.door, spec.zenoh_config, pipe.poll)
+    session = open_inside(spec.private_endpoint, spec.zenoh_config, pipe.poll)
     if session is None:
         return
     with session:

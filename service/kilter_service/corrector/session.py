@@ -18,11 +18,11 @@ ENCODING = "application/x-kilter;v=1"
 
 
 def config(
-    listen: str | None, connect: tuple[str, ...] = (), file: Path | None = None, door: str | None = None
+    listen: str | None, connect: tuple[str, ...] = (), file: Path | None = None, private: str | None = None
 ) -> zenoh.Config:
     """Configuration of a peer, or of what ``file`` (zenoh JSON5) says; endpoints given here come on top.
 
-    Without ``listen`` and ``door`` it listens nowhere; left to itself zenoh would, on every address.
+    Without ``listen`` and ``private`` it listens nowhere; left to itself zenoh would, on every address.
     """
     made = zenoh.Config.from_file(str(file)) if file else zenoh.Config()
     settings: dict[str, object] = {
@@ -30,7 +30,7 @@ def config(
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": False,
-        "listen/endpoints": [endpoint for endpoint in (listen, door) if endpoint is not None],
+        "listen/endpoints": [endpoint for endpoint in (listen, private) if endpoint is not None],
     }
     if not file:
         settings["mode"] = "peer"
@@ -58,7 +58,7 @@ def with_free_port(endpoint: str) -> str:
         return f"{address}:{probe.getsockname()[1]}"
 
 
-def open_listening(endpoint: str, file: Path | None, door: str | None = None) -> tuple[zenoh.Session, str]:
+def open_listening(endpoint: str, file: Path | None, private: str | None = None) -> tuple[zenoh.Session, str]:
     """Open a session that listens on ``endpoint``; with port 0 a port somebody else took meanwhile is tried again.
 
     Raises:
@@ -69,19 +69,19 @@ def open_listening(endpoint: str, file: Path | None, door: str | None = None) ->
     for attempt in range(attempts):
         chosen = with_free_port(endpoint)
         try:
-            return zenoh.open(config(chosen, file=file, door=None if is_client(file) else door)), chosen
+            return zenoh.open(config(chosen, file=file, private=None if is_client(file) else private)), chosen
         except zenoh.ZError as error:
             if attempt == attempts - 1:
                 raise cannot_listen(endpoint, str(error)) from error
     raise AssertionError("unreachable")
 
 
-def open_behind(door: str, file: Path | None, stopped: Callable[[float], bool]) -> zenoh.Session | None:
-    """Open a session that listens nowhere and is reached through ``door``, or through the router of ``file``.
+def open_inside(private: str, file: Path | None, stopped: Callable[[float], bool]) -> zenoh.Session | None:
+    """Open a session that listens nowhere and is reached through ``private``, or through the router of ``file``.
 
     None when ``stopped(seconds)`` says so before the other side is there.
     """
-    made = config(None, () if is_client(file) else (door,), file)
+    made = config(None, () if is_client(file) else (private,), file)
     made.insert_json5("mode", '"client"')  # a peer passes queries on to its clients, not to other peers
     made.insert_json5("connect/retry", json.dumps(RETRY))
     while True:

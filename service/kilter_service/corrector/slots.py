@@ -1,7 +1,7 @@
 """The streams that are served: who gets a slot, and who gives it back.
 
 Anybody who reaches the corrector can make up names. So a robot without a version has no slots, a stream in good use keeps
-its own whatever else comes in, and of all others the one that was good the longest time ago gives way.
+its own whatever else comes in, and of all others the one whose last good setpoint is the oldest gives way.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Slots:
     def take(self, key: str, names: tuple[str, str, str], arrival_ns: int) -> Served | None:
         """A slot for a stream (``names`` of its robot, answers and status), or None when all are in use."""
         robot, out, status = names
-        if len(self.served) >= self._rules.slots and not self._give_way(arrival_ns):
+        if len(self.served) >= self._rules.slots and not self._free_slots(arrival_ns):
             return None
         publisher = self._session.declare_publisher(
             out,
@@ -55,13 +55,13 @@ class Slots:
             express=False,  # express with DROP loses samples in bursts and is no faster
         )
         # Told to the peers, the key travels as a number. Else every setpoint carries its text, and a subscription with
-        # wildcards is looked for anew: 10 to 25 µs a round trip.
+        # wildcards is looked up again: 10 to 25 µs a round trip.
         told = self._session.declare_keyexpr(key)
         served = Served(robot, Stream(self._rules), publisher, status, told)
         self.served = {**self.served, key: served}
         return served
 
-    def _give_way(self, arrival_ns: int) -> bool:
+    def _free_slots(self, arrival_ns: int) -> bool:
         """Take back the slots of the idle ones, and of the rest that are not in use those good the longest time ago."""
         free = [(s.stream.seen_ns, key) for key, s in self.served.items() if not s.in_use(arrival_ns, self._rules)]
         free.sort()

@@ -17,10 +17,11 @@ STREAM, QUERY = "kilter_service.corrector.loop:stream_main", "kilter_service.cor
 class Rules:
     """Bounds that do not belong to a version.
 
-    Clocks of two machines are never compared. The smallest difference of arrival and sending seen so far is taken as
-    the way; a frame is as old as it exceeds that. ``clock_drift`` lets that smallest difference grow again. It grows at
-    once when a clock is set back by more than ``set_back_ns``, or when late frames agree within ``agree_ns`` on a longer
-    way for ``agree_for_ns``. Of ``slots`` streams, one that was good within ``idle_ns`` keeps its own.
+    Clocks of two machines are never compared. The smallest difference between arrival and sending seen so far counts
+    as the transit time; a frame is as old as it exceeds that. ``clock_drift`` lets that smallest difference grow again.
+    It grows at once when a clock is set back by more than ``set_back_ns``, or when late frames agree within
+    ``agree_ns`` on a longer transit time for ``agree_for_ns``. Of ``slots`` streams, one that was good within
+    ``idle_ns`` keeps its own.
     """
 
     max_age_ns: int = 50_000_000
@@ -37,12 +38,12 @@ class Rules:
 
 @dataclass(frozen=True)
 class StreamSpec:
-    """What the stream process is told when it is spawned; behind ``door`` it meets the query process."""
+    """What the stream process is told when it is spawned; at ``private_endpoint`` it meets the query process."""
 
     site: str
     instance: str
     listen: str
-    door: str
+    private_endpoint: str
     zenoh_config: Path | None = None
     rules: Rules = field(default_factory=Rules)
 
@@ -52,7 +53,7 @@ class QuerySpec:
     """What the query process is told when it is spawned."""
 
     site: str
-    door: str
+    private_endpoint: str
     zenoh_config: Path | None = None
 
 

@@ -17,7 +17,7 @@ from kilter_service.corrector.wire import Flag, Kind, Setpoints, Status
 
 
 @dataclass
-class Course:
+class FrameSequence:
     """One sequence of frames, from its start: where it stands, and the memory of its correction."""
 
     clock: Clock = field(default_factory=Clock)
@@ -35,8 +35,8 @@ class Stream:
         self.counters = self._fast.counters
         self._active: Active | None = None  # what the fast path answers with
         self._flows = False  # the fast path holds the clock
-        self._course = Course()
-        self._before: Course | None = None  # what a RESET ended; it comes back when its sender goes on
+        self._sequence = FrameSequence()
+        self._before: FrameSequence | None = None  # what a RESET ended; it comes back when its sender goes on
 
     def answer(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool = False) -> bytes | None:
         """Bytes to publish for a frame that arrived at ``arrival_ns`` (monotonic clock), or None without a header."""
@@ -45,10 +45,10 @@ class Stream:
                 answer = self._fast.answer(data, arrival_ns)
                 if answer is not None:
                     return answer
-            self._fast.give(self._course.clock)
+            self._fast.give(self._sequence.clock)
         answer = self._full_path(data, arrival_ns, active, overloaded)
-        certain = self._before is None and self._course.track is not None
-        self._flows = certain and self._fast.take(self._course.clock)
+        certain = self._before is None and self._sequence.track is not None
+        self._flows = certain and self._fast.take(self._sequence.clock)
         return answer
 
     @property
@@ -59,7 +59,7 @@ class Stream:
     @property
     def seen_ns(self) -> int:
         """When the last frame in order arrived; 0 before the first."""
-        return self._fast.seen_ns if self._flows else self._course.clock.seen_ns
+        return self._fast.seen_ns if self._flows else self._sequence.clock.seen_ns
 
     def _full_path(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool) -> bytes | None:
         try:
@@ -78,7 +78,7 @@ class Stream:
             self._begin(bool(header.flags & Flag.SETTLED))
         elif self._before is not None:
             self._choose(self._before, header.seq, arrival_ns)
-        clock = self._course.clock
+        clock = self._sequence.clock
         if not clock.follows(header.seq):
             return clock.refuse(header.seq, arrival_ns, header.t_send_ns, overloaded, self.rules)
         if not clock.take(header.seq, arrival_ns, header.t_send_ns, self.rules):
@@ -90,14 +90,14 @@ class Stream:
         return Status.OK
 
     def _begin(self, settled: bool) -> None:
-        """Start a course. The one before is kept until a second frame confirms the new one: anybody can send a RESET."""
-        if self._before is None and self._course.clock.seq >= 0:
-            self._before = self._course
-        self._course = Course(settled=settled)
+        """Start a sequence. The one before is kept until a second frame confirms the new one: anybody can send a RESET."""
+        if self._before is None and self._sequence.clock.seq >= 0:
+            self._before = self._sequence
+        self._sequence = FrameSequence(settled=settled)
 
-    def _choose(self, before: Course, seq: int, arrival_ns: int) -> None:
-        """Keep the course that this frame goes on with, the new one or the one before."""
-        confirms = self._course.clock.seq >= 0 and self._course.clock.follows(seq)
+    def _choose(self, before: FrameSequence, seq: int, arrival_ns: int) -> None:
+        """Keep the sequence that this frame goes on with, the new one or the one before."""
+        confirms = self._sequence.clock.seq >= 0 and self._sequence.clock.follows(seq)
         returns = before.clock.follows(seq)
         if confirms and returns:
             # The RESET had the number of the frame before it: it is an intruder's while that one is recent.
@@ -105,33 +105,33 @@ class Stream:
         if confirms:
             self._before = None
         elif returns:
-            self._course, self._before = before, None
+            self._sequence, self._before = before, None
             if before.track is not None and before.active is not None:
                 self._use(before.track, before.active)
 
     def _use(self, track: Track, active: Active) -> None:
-        self._active = self._course.active = active
+        self._active = self._sequence.active = active
         self._fast.follow(track, active)
 
     def _follow_version(self, active: Active) -> Track:
         """The track for this version: the old one goes on, its difference ramped, unless the joints changed."""
-        course = self._course
-        if course.track is None or course.track.program.n_joints != active.program.n_joints:
-            course.track = Track(active.program, settled=course.settled)
-            course.settled = False
-        elif active is not course.active:
-            course.track.change(active.program)
+        sequence = self._sequence
+        if sequence.track is None or sequence.track.program.n_joints != active.program.n_joints:
+            sequence.track = Track(active.program, settled=sequence.settled)
+            sequence.settled = False
+        elif active is not sequence.active:
+            sequence.track.change(active.program)
         else:
-            return course.track
-        self._use(course.track, active)
-        return course.track
+            return sequence.track
+        self._use(sequence.track, active)
+        return sequence.track
 
     def _correct(self, request: Setpoints, arrival_ns: int, active: Active) -> bytes | None:
         track = self._follow_version(active)
         header = request.header
         width = wire.width(header.flags)
         at = header.t_apply_ns or header.t_send_ns
-        clock = self._course.clock
+        clock = self._sequence.clock
         dt = clock.elapsed_s(at, arrival_ns, self.rules.time_slack_s)
         if header.kind == Kind.POINT:
             status = track.step(request.values[0], width, dt)

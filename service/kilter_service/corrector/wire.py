@@ -40,7 +40,7 @@ class Flag(IntEnum):  # not IntFlag: its operators are Python, and nine of them 
     QD = 0x0001  # n velocities follow the positions
     QDD = 0x0002  # n accelerations follow the velocities
     VERSION = 0x0004  # the 8-byte id of the version the sender expects stands before the positions
-    RESET = 0x0008  # the sequence starts anew here; the correction ramps in from zero
+    RESET = 0x0008  # the sequence starts again here; the correction ramps in from zero
     SETTLED = 0x0010  # with RESET: the arm rests at this setpoint, so give the whole correction at once
     DYNAMIC = 0x0100  # the moments include motion
     RAMPING = 0x0200  # start of the stream or a change of version is still being ramped

@@ -1,8 +1,8 @@
 """One database, opened when it is asked for: SQLite in WAL mode, or PostgreSQL by its URL.
 
-A transaction says at its first moment whether it changes something. One that does has the only right to change until
-it ends, so that nothing it read can have become wrong when it writes; one that only reads sees one moment of the
-database, waits for nobody, and is refused by the database itself when it writes after all.
+A transaction says when it begins whether it writes. One that does holds the only write lock until it ends, so that nothing
+it has read can be out of date when it writes; one that only reads sees one snapshot of the database, waits for nobody, and
+the database itself refuses its writes.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ class Database:
         self._reading = sessionmaker(self.engine.execution_options(**{READS: True}), expire_on_commit=False)
 
     def transaction(self) -> AbstractContextManager[Session]:
-        """Give a session that may change something.
+        """Open a session that may write.
 
-        Its work is stored as a whole when the block ends, and not at all when it raises. Others that change something
-        wait until then: keep it short, and compute outside. Never open one inside another.
+        It commits when the block ends and rolls back when it raises. Other writers wait until then: keep it short, compute
+        outside it, and never open one inside another.
         """
         return _session(self._changing)
 
     def reading(self) -> AbstractContextManager[Session]:
-        """Give a session that sees the database as it is at its first query. The database refuses its changes."""
+        """Open a session that sees the database as it is at its first query. The database refuses its writes."""
         return _session(self._reading)
 
     def close(self) -> None:

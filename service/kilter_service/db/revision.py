@@ -1,4 +1,4 @@
-"""Which revision the database has, which one this code needs, and the way from one to the other."""
+"""The revision that the database has, the one that this code needs, and the migration between them."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def wait(database: Database, seconds: float) -> None:
 
 def configuration(url: str) -> Config:
     """Return alembic's configuration for the database at ``url``."""
-    from alembic.config import Config  # a second of import, wanted only when there is something to migrate
+    from alembic.config import Config  # a second of import, needed only when there is something to migrate
 
     config = Config()
     config.set_main_option("script_location", str(migrations()))

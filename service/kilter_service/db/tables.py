@@ -187,7 +187,7 @@ class HeartbeatRow(Row):
 
 
 class TombstoneRow(Row):
-    """What is left of something that was purged. A name may be purged, used anew and purged again."""
+    """What is left of something that was purged. A name may be purged, used again and purged again."""
 
     __tablename__ = "tombstones"
     kind: Mapped[str] = mapped_column(String(16), primary_key=True)

@@ -1,4 +1,4 @@
-"""What an exporter gets and gives."""
+"""What an exporter receives and returns."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Exportable:
 
 
 class Written(NamedTuple):
-    """A file's text, and what it does not say of the version, in words."""
+    """A file's text, and notes on what it leaves out of the version."""
 
     text: str
     notes: tuple[str, ...] = ()

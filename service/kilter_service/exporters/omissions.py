@@ -23,7 +23,7 @@ def omissions(calibration: Calibration, arm: Screws | None = None) -> tuple[str,
 
 
 def left_out(calibration: Calibration) -> tuple[str, ...]:
-    """Say of every effect of the arm that the file does not hold it, and how much it moves the tool."""
+    """Name the effects of the arm, none of which the file can hold, and how far each moves the tool."""
     sizes = _sizes(calibration)
     arm = [effect for effect in calibration.model.effects if effect.stage != "measurement"]
     return tuple(f"Left out: {_said(effect, sizes.get(effect.id))}." for effect in arm)

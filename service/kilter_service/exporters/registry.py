@@ -43,7 +43,7 @@ def export(name: str, version: Exportable) -> Exported:
 
     Raises:
         ServiceError: there is no such format.
-        RobotError: the format cannot say what the robot is.
+        RobotError: the format cannot describe the robot.
 
     """
     if name not in FORMATS:

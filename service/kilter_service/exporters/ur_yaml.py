@@ -87,5 +87,5 @@ def _tool_note(end: Floats, tool: Floats) -> tuple[str, ...]:
     degrees = ", ".join(f"{v:.5f}" for v in np.degrees(rpy))
     return (
         f"Set the tool frame behind wrist_3 to x, y, z = {millimetres} mm and roll, pitch, yaw = {degrees} deg: "
-        "the calibrated flange is not on the last axis, which this file cannot say.",
+        "the calibrated flange is not on the last axis, which this file cannot express.",
     )

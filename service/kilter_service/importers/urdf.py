@@ -68,8 +68,8 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
         ends.append((joint.name, len(chain.elements)))
     if len(chain.elements) > MAX_ELEMENTS:
         raise RobotError(
-            f"The arm from {base_link!r} to {tip_link!r} has {len(chain.elements)} elements, {MAX_ELEMENTS} are taken: merge "
-            "fixed joints in a row.",
+            f"The arm from {base_link!r} to {tip_link!r} has {len(chain.elements)} elements, at most "
+            f"{MAX_ELEMENTS} are allowed: merge fixed joints in a row.",
             field="urdf",
         )
     bodies = _bodies(tree, path, chain)

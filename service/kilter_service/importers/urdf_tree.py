@@ -131,7 +131,7 @@ def parse(text: str) -> UrdfTree:
     for what, found in (("links", links), ("joints", joints)):
         if len(found) > MAX_LINKS:
             raise RobotError(
-                f"The URDF has {len(found)} {what}, {MAX_LINKS} are taken: leave out what is no part of the arm.",
+                f"The URDF has {len(found)} {what}, at most {MAX_LINKS} are allowed: leave out what is not part of the arm.",
                 field="urdf",
             )
     return _tree({_name(e, "link"): e for e in _once(links, "link")}, _once(joints, "joint"))
@@ -195,7 +195,7 @@ def _name(element: Element, what: str) -> str:
         raise RobotError(f"A <{what}> of the URDF has no name.", field="urdf")
     if len(name) > MAX_LINK_NAME:
         raise RobotError(
-            f"A <{what}> has a name of {len(name)} characters, {MAX_LINK_NAME} are taken: {name[:MAX_NAME]!r}...",
+            f"A <{what}> has a name of {len(name)} characters, at most {MAX_LINK_NAME} are allowed: {name[:MAX_NAME]!r}...",
             field="urdf",
         )
     return name

@@ -73,7 +73,7 @@ class _Counted(TreeBuilder):
         ):
             if size > most:
                 raise RobotError(
-                    f"The URDF has more than {most} {what}: leave out what is no part of the arm.", field="urdf"
+                    f"The URDF has more than {most} {what}: leave out what is not part of the arm.", field="urdf"
                 )
         return super().start(tag, attributes)
 

@@ -25,7 +25,7 @@ _ONE_AT_A_TIME = threading.Lock()  # a check holds the rows of a job
 
 @dataclass(frozen=True)
 class _Loaded:
-    """All that a check reads from the database; ``why`` there is no input, where the job would fail of loading it."""
+    """All that a check reads from the database; ``why`` there is no input, when loading it would fail."""
 
     robot_id: int
     version: str | None

@@ -10,7 +10,7 @@ from typing import Any
 from kilter_service.contract.jobs.check import Duration
 from kilter_service.jobs.records import JobRequest
 
-START_ROWS = 100  # what a job takes without any row, told in rows
+START_ROWS = 100  # overhead of a job, in rows
 WIDEST = 3.0  # factor by which a single earlier job may mislead
 # Seconds of the kinds on a machine of 2024, for some hundred poses of an arm of six joints: expected, low, high.
 RULES = {
@@ -35,7 +35,7 @@ class PastRun:
 
 
 def duration(kind: str, rows: int, request: JobRequest, past: Sequence[PastRun]) -> Duration:
-    """Tell how long a job would compute; earlier jobs asked alike count, else all of the kind."""
+    """Estimate how long a job would compute, from earlier jobs with the same options, else from all of the kind."""
     alike = [run for run in past if _asked(run.request) == _asked(request)]
     chosen = alike or list(past)
     if not chosen:
@@ -43,7 +43,7 @@ def duration(kind: str, rows: int, request: JobRequest, past: Sequence[PastRun])
     took = [run.seconds * _work(rows, request) / _work(run.rows, run.request) for run in chosen]
     wide = 1.0 + (WIDEST - 1.0) / len(took) ** 0.5
     wide *= 1.0 if alike else WIDEST
-    which = "asked alike" if alike else "asked otherwise"
+    which = "with the same options" if alike else "with other options"
     jobs = f"{len(took)} earlier {kind} {'job' if len(took) == 1 else 'jobs'} {which}, by the number of rows"
     return _told(median(took), min(took) / wide, max(took) * wide, jobs)
 

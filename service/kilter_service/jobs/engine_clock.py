@@ -1,6 +1,6 @@
 """The clock of the job engine where Python is linked to an old SQLite.
 
-DBOS takes its time stamps from ``unixepoch('subsec')`` when Python is 3.12 or newer. That word came with SQLite 3.42, and
+DBOS takes its time stamps from ``unixepoch('subsec')`` when Python is 3.12 or newer. That function came with SQLite 3.42, and
 which SQLite Python has is another matter: an older one answers NULL, and the worker dies at its start. A jobs database
 that was made with a newer SQLite holds the word in the defaults of its tables, so Python 3.11 meets it too.
 """

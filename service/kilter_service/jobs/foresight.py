@@ -1,4 +1,4 @@
-"""What a kind of job says of a job before it runs. It computes as much as the job's beginning, and stores nothing."""
+"""What a kind of job can say about a job before it runs. It computes no more than the job's first steps, and stores nothing."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Foresight:
 
     @contextmanager
     def foreseen(self) -> Iterator[None]:
-        """Note what the job would fail of instead of failing."""
+        """Note why the job would fail, instead of failing."""
         try:
             yield
         except CoreError as error:

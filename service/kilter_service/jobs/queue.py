@@ -1,4 +1,4 @@
-"""The job engine as seen from outside: put a job in its queue, ask after it, cancel it."""
+"""The job engine as the API sees it: queue a job, look it up, cancel it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ APPLICATION = "kilter"
 QUEUE, LONG_QUEUE = "jobs", "long-jobs"  # one job of each runs at a time
 WORKFLOW = "kilter.job"
 # DBOS resumes only jobs of its own application version. This names the shape of the workflow (its steps and what they
-# hand on), not the build: change it when that shape changes. `forget_older` then lets older jobs be started anew.
+# hand on), not the build: change it when that shape changes. `forget_older` then lets older jobs be restarted.
 APPLICATION_VERSION = "kilter-jobs-2"
 UNFINISHED = ["DELAYED", "ENQUEUED", "PENDING"]
 
@@ -52,11 +52,11 @@ class JobQueue:
         )
 
     def cancel(self, job_id: str) -> None:
-        """Take a job out of the queue; one that runs is told by its progress callback."""
+        """Take a job out of the queue; a running one notices at its next progress report."""
         self._open().cancel_workflow(job_id)
 
     def row(self, job_id: str) -> EngineRow | None:
-        """Return DBOS's word on a job, None when it does not know it."""
+        """Return what DBOS knows of a job, None when it does not know it."""
         found = self._open().list_workflows(workflow_ids=[job_id])
         if not found:
             return None

@@ -25,12 +25,12 @@ log = logging.getLogger("kilter.worker")
 
 Outcome = dict[str, Any]
 
-REPORT_S = 0.2  # at most so often progress is stored and the wish to cancel is read
-MAX_ATTEMPTS = 10  # a job that took the worker down so often would do it for ever
+REPORT_S = 0.2  # progress is stored, and cancellation looked for, at most this often
+MAX_ATTEMPTS = 10  # a job that has crashed the worker this often would go on doing so
 
 
 class Runner:
-    """Runs one long job and one other at a time, however many the engine hands out at once."""
+    """Runs one long job and one other at a time, however many the engine dispatches at once."""
 
     def __init__(self, database: Database) -> None:
         self._database = database

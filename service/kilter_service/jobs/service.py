@@ -81,7 +81,7 @@ def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind
     if isinstance(job.validation, Folds) and not kind.takes_folds:
         raise ServiceError(
             f"A {kind.name} job takes no folds: name campaigns in `validation`, give a fraction of the poses, or "
-            "nothing, and one pose after the other is held out.",
+            "leave it out: then each pose is held out in turn.",
             code="option_invalid",
             option="validation",
         )
@@ -149,7 +149,7 @@ def cancel(database: Database, queue: JobQueue, job_id: str) -> Job:
     with database.transaction() as session:
         row = store.get(session, job_id)
         if row.state in FINAL and row.state != "cancelled":
-            raise ServiceError(f"Job {job_id} has {row.state}: there is nothing to cancel.", code="job_finished")
+            raise ServiceError(f"Job {job_id} has {row.state}: nothing is left to cancel.", code="job_finished")
         never_began = store.request_cancel(session, job_id)
     if never_began:
         try:

@@ -1,4 +1,4 @@
-"""Which rows of an identification were measured in a frame of their own: a pencil's sheet is laid anew every time."""
+"""Which rows of an identification were measured in a frame of their own: a pencil's sheet lies elsewhere every time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from kilter_core.observations import Observations
 
 # A tracker keeps its frame, and a base fitted to each campaign would hide that it, or the arm, has moved.
-LAID_ANEW = ("pencil", "sheet", "ballbar")
+LAID_AGAIN = ("pencil", "sheet", "ballbar")
 ALL_OTHERS = 0
 
 
@@ -40,7 +40,7 @@ class Setups:
     def _has_own_frame(self, campaign: str) -> bool:
         if self.own is not None:
             return bool(self.own)
-        return self.devices.get(campaign, "").strip().lower() in LAID_ANEW
+        return self.devices.get(campaign, "").strip().lower() in LAID_AGAIN
 
     def named(self, refitted: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         """What was refitted, by campaign and session; the campaigns that share a frame are not named one by one."""
@@ -60,7 +60,7 @@ class Setups:
         return {
             "code": "base_refitted",
             "campaigns": [frame["campaign"] for frame in refitted if frame["campaign"] is not None],
-            "message": f"The base was fitted anew to {said}: {why}. Errors there say nothing of where the base lay; "
+            "message": f"The base was refitted to {said}: {why}. Errors there say nothing of where the base lay; "
             'with "refit": [] all rows share one base.',
         }
 

@@ -1,4 +1,4 @@
-"""Drawn sheets before they teach an arm anything: whether their quarter points were given in the right order."""
+"""Checks of drawn sheets before the fit: whether their quarter points were given in the right order."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_service.jobs.setups import LAID_ANEW
+from kilter_service.jobs.setups import LAID_AGAIN
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def doubts(
     """
     out: list[dict[str, Any]] = []
     for campaign, rows in campaigns:
-        if option == GIVEN or devices.get(campaign, "").strip().lower() not in LAID_ANEW:
+        if option == GIVEN or devices.get(campaign, "").strip().lower() not in LAID_AGAIN:
             continue
         for session, sheet in _sheets(rows):
             out += _judged(robot, campaign if session is None else f"{campaign} session {session}", sheet)

@@ -41,7 +41,7 @@ def run(settings: Settings) -> None:
     _launch(settings, Runner(database), name)
     queue = JobQueue(settings)
     if older := queue.forget_older():
-        log.warning("jobs of an older Kilter are started anew: %s", ", ".join(older))
+        log.warning("jobs of an older Kilter are restarted: %s", ", ".join(older))
     while not stop.is_set():
         _beat(database, name)
         _sweep(database, queue)
@@ -99,7 +99,7 @@ def _sweep(database: Database, queue: JobQueue) -> None:
     for job_id, kind in waiting:
         row = queue.row(job_id)
         if row is None:
-            log.warning("job %s was not in the queue: it is now", job_id)
+            log.warning("job %s was missing from the queue and has been queued", job_id)
             queue.enqueue(job_id, long=kind_of(kind).long)
         elif row.status == "CANCELLED":
             with database.transaction() as session:
@@ -117,9 +117,9 @@ def _given_up(job_id: str, row: EngineRow) -> str | None:
     if not row.readable:
         return (
             f"The row of job {job_id} in the jobs database was changed or is in a format that Kilter does not read. "
-            "Give the job again, and look who can write to that database."
+            "Give the job again, and check who can write to that database."
         )
     if row.status in ("ERROR", "MAX_RECOVERY_ATTEMPTS_EXCEEDED"):
         cause = f": {row.error}" if row.error else "."
-        return f"The job engine gave the job up ({row.status}){cause} The worker's log has more under job {job_id}."
+        return f"The job engine gave up the job ({row.status}){cause} The worker's log has more under job {job_id}."
     return None

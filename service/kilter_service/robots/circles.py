@@ -86,7 +86,7 @@ def _kinds(names: list[str]) -> list[str]:
     units = {int(match[1]): match[2] for match in map(JOINT.fullmatch, names) if match}
     if sorted(units) != list(range(1, len(units) + 1)) or not units:
         raise ObservationError(
-            "The joints are not there or not numbered 1, 2, 3 ...: give q1_deg, q2_deg, ..., q3_mm for a joint that slides.",
+            "The joints are not there or not numbered 1, 2, 3 ...: give q1_deg, q2_deg, ..., q3_mm for a prismatic joint.",
             column=f"q{len(units) + 1}",
         )
     if len(units) > MAX_JOINTS:

@@ -1,4 +1,4 @@
-"""What in a robot document looks like a slip: wrong units, missing limits, axes that cannot be told apart."""
+"""Plausibility of a robot document: wrong units, missing limits, axes that cannot be told apart."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _limits(robot: Robot) -> Iterator[str]:
             yield f"Joint {j.name} turns to {to_deg(max(abs(j.lower), abs(j.upper))):.0f} deg: is that meant?"
     for j in robot.joints:
         if not j.lower <= 0.0 <= j.upper:
-            yield f"Zero lies outside the limits of {j.name}: the drawing at zero is a pose the arm cannot take."
+            yield f"Zero lies outside the limits of {j.name}: the zero pose is one that the arm cannot take."
 
 
 def _axes(robot: Robot, screws: Screws) -> Iterator[str]:

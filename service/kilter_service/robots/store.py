@@ -44,7 +44,7 @@ class StoredRobot(NamedTuple):
         if self.chain is None:
             raise ServiceError(
                 f"Robot {self.name!r} was stored by an earlier Kilter, and its document could not be resolved when the "
-                "database was migrated (the log of that start says why): add the robot anew under another name.",
+                "database was migrated (the log of that start says why): add the robot again under another name.",
                 code="robot_invalid",
                 robot=self.name,
             )

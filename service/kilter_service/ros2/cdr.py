@@ -223,7 +223,7 @@ def _read_count(data: bytes, offset: int, order: Order, most: int) -> tuple[int,
     except struct.error:
         raise CdrError("cut off") from None
     if count > most:
-        raise CdrError(f"a sequence of {count} elements: at most {most} are taken")
+        raise CdrError(f"a sequence of {count} elements: at most {most} are allowed")
     return int(count), offset + 4
 
 

@@ -40,7 +40,7 @@ JOINT_TRAJECTORY = MessageType(
 def checked_topic(topic: str) -> str:
     """Return ``topic`` when it is a full name of ROS 2, else raise ValueError naming the rule."""
     if not _TOPIC.fullmatch(topic):
-        raise ValueError(f"{topic!r} is no full topic name: write it as /arm_controller/joint_trajectory.")
+        raise ValueError(f"{topic!r} is not a full topic name: write it as /arm_controller/joint_trajectory.")
     return topic
 
 

@@ -43,7 +43,7 @@ def activate(
             )
     raise ServiceError(
         f"While version {version_id} was compared with the active one, others were activated {ATTEMPTS} times: nothing "
-        "was changed. Ask again.",
+        "was changed. Try again.",
         code="activation_overtaken",
         version=version_id,
     )
@@ -67,7 +67,7 @@ def _refuse_retired(session: Session, version_id: str) -> int:
 
 def _refusal(version_id: str, verdict: Verdict) -> ServiceError:
     return ServiceError(
-        f"Version {version_id} was not activated. {' '.join(o.message for o in verdict.objections)} Identify anew, or give "
+        f"Version {version_id} was not activated. {' '.join(o.message for o in verdict.objections)} Identify again, or give "
         'force (`kilter activate --force --reason TEXT`, {"force": true, "reason": TEXT}) if you know why, for '
         "instance because the arm was repaired since; the log keeps it.",
         code="activation_refused",

@@ -1,4 +1,4 @@
-"""What people call versions and note on them; versions out of use, and gone."""
+"""Names and notes of versions; retiring, restoring and purging them."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def _too_large(metrics: Mapping[str, Any], limits: CorrectionLimits) -> list[Obj
         return []
     message = (
         f"It leaves {left:.4g} mm on the rows it was fitted to, more than the {limits.max_position_mm:g} mm it may ever "
-        "correct: joints, columns or units are mixed up, or the robot is another."
+        "correct: joints, columns or units are mixed up, or it is another robot."
     )
     return [Objection(code="error_beyond_limit", message=message)]
 

@@ -64,7 +64,7 @@ class Training:
     """What a version was fitted to: campaigns with the hashes of their uploads, in the order of the fit.
 
     ``fraction`` of the poses was held out by a job of ``kind`` with ``seed``; None when all were fitted. ``unasked`` says
-    that the job held them out by its own rule. ``rounded``: poses were told by rounded readings then.
+    that the job held them out by its own rule. ``rounded``: poses were told apart by rounded readings then.
     """
 
     kind: str

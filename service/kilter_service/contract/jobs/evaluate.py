@@ -19,7 +19,7 @@ class EvaluateOptions(Asked):
     version: Version = Field(None, description="Id of the version; null: the active one, else the robot as drawn.")
     refit: Annotated[list[Literal["base", "tool"]], Field(max_length=2)] = Field(
         [],
-        description='Frames fitted anew to these rows: [], ["base"] or ["base", "tool"] (the tracker was set up anew).',
+        description='Frames refitted to these rows: [], ["base"] or ["base", "tool"] (the tracker was set up again).',
     )
     metrics: Literal["errors", "iso9283"] = Field("errors", description="Errors, or the criteria of ISO 9283.")
     criteria: Annotated[list[Symbol], Field(max_length=9)] = Field(
@@ -90,7 +90,7 @@ class EvaluateResult(Stored):
     """How well a version predicts campaigns: errors, or criteria of ISO 9283."""
 
     version_id: str | None = Field(None, description="The version that was evaluated; null: the robot as drawn.")
-    refit: list[str] | None = Field(None, description="Frames that were fitted anew.")
+    refit: list[str] | None = Field(None, description="Frames that were refitted.")
     metrics: dict[str, CampaignErrors] | None = Field(None, description="Errors, by campaign.")
     rows: dict[str, RowErrors] | None = Field(None, description="Errors of the rows, by campaign.")
     warnings: list[Remark] | None = Field(None, description="What to know before trusting the result.")

@@ -22,7 +22,7 @@ class Reading(Asked):
     joint: JointName = Field(description="Name of the joint that the inclinometer sits behind.")
     axis: Literal["x", "y", "z"] = Field(description="Axis of the joint's frame it turns about; z is the joint's own.")
     q_deg: Annotated[list[Deg], Field(max_length=32)] = Field(
-        description="Readings of all joints, degrees; mm for one that slides."
+        description="Readings of all joints, degrees; mm for prismatic ones."
     )
     reading_deg: Deg = Field(description="What the inclinometer read beyond the command, degrees.")
     payload_kg: Load = Field(0.0, description="Mass at the tool point, kg, 0 or more.")
@@ -59,7 +59,7 @@ class Configuration(Stored):
     axis: str | None = Field(None, description="Axis of the joint's frame to read about.")
     payload_kg: Kg | None = Field(None, description="Load to carry, kg.")
     payload_com_mm: PointMm | None = Field(None, description="Its centre in the tool frame, mm; null: the tool point.")
-    q_deg: list[Deg] | None = Field(None, description="All joints, degrees; mm for one that slides.")
+    q_deg: list[Deg] | None = Field(None, description="All joints, degrees; mm for prismatic ones.")
 
 
 class JointParametersResult(MadeVersion):

@@ -90,7 +90,7 @@ class PlanResult(Stored):
     purpose: str | None = Field(None, description="What the poses are for.")
     start: str | None = Field(None, description="The version it was planned with; null: the robot as drawn.")
     count: int | None = Field(None, description="How many poses.")
-    poses: list[PlannedPose] | None = Field(None, description="The poses, in the order of a short way.")
+    poses: list[PlannedPose] | None = Field(None, description="The poses, in the order of a short path.")
     csv: str | None = Field(None, description="The poses as a CSV file of columns of a measurement.")
     cycles: int | None = Field(None, description="Cycles of the standard's poses.")
     cycles_demanded: int | None = Field(None, description="Cycles that the standard demands.")

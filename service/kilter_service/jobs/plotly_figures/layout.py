@@ -28,7 +28,7 @@ def layout(title: str, x: str, y: str, **more: Any) -> Document:
 
 
 def bar_layout(title: str, x: str, labels: Sequence[str], each: int = 1, **more: Any) -> Document:
-    """Return the layout of bars that lie, ``each`` so many to a label, the first on top, labels clear of each other."""
+    """Return the layout of horizontal bars, ``each`` so many to a label, the first on top, labels clear of each other."""
     height = FRAME_PX + round(ROW_PX * max(4, len(labels)) * (0.6 + 0.4 * each))
     made = layout(title, x, "", height=height, **more)
     made["legend"] = LEGEND | {"y": -70 / (height - FRAME_PX)}
@@ -50,7 +50,7 @@ def plain_text(text: str) -> str:
 
 
 def distinct_labels(labels: Sequence[str]) -> list[str]:
-    """Return short labels, those that came out alike numbered: alike they would be one bar."""
+    """Return shortened labels; equal ones are numbered, because they would become one bar."""
     seen: dict[str, int] = {}
     out = []
     for label in map(shortened, labels):

@@ -45,7 +45,7 @@ GAP = {
 }
 EVALUATE = {
     "version": "Id of the version; left out: the active one, else the robot as drawn.",
-    "refit": 'Frames fitted anew to these rows: [], ["base"] or ["base", "tool"] (the tracker was set up anew).',
+    "refit": 'Frames refitted to these rows: [], ["base"] or ["base", "tool"] (the tracker was set up again).',
     "metrics": "Errors, or the criteria of ISO 9283.",
     "criteria": "Criteria of ISO 9283 that must be given; left out: all that the rows support.",
 }

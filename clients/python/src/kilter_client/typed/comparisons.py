@@ -71,7 +71,7 @@ class VersionPreview(Record):
     joints: Records[JointPreview]
     """The largest correction of each joint, limits left aside."""
     largest_at: tuple[float, ...]
-    """The joints there: degrees, mm for one that slides."""
+    """The joints there: degrees, mm for prismatic ones."""
     largest_mm: float | None
     """Largest movement of the tool by the correction, mm, limits left aside."""
     mean_mm: float | None

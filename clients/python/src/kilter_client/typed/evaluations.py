@@ -119,7 +119,7 @@ class EvaluateResult(ShownEvaluation, Record):
     metrics: Mapping[str, CampaignErrors]
     """Errors, by campaign."""
     refit: tuple[str, ...]
-    """Frames that were fitted anew."""
+    """Frames that were refitted."""
     rows: Mapping[str, RowErrors]
     """Errors of the rows, by campaign."""
     standard: str | None

@@ -63,7 +63,7 @@ class Parameter(ShownParameter, Record):
     """A parameter that was identified, in the unit it is read in."""
 
     change: float | None
-    """Value minus nominal; turns of base and tool the short way round."""
+    """Value minus nominal; rotations of base and tool by the shorter turn."""
     identifiable: bool | None
     """Whether the data could see it."""
     interval_from: str | None

@@ -156,7 +156,7 @@ class NextPose(Record):
     payload_kg: float | None
     """Load to carry, kg; None: any."""
     q_deg: tuple[float, ...]
-    """All joints, degrees; mm for one that slides."""
+    """All joints, degrees; mm for prismatic ones."""
     separates: tuple[str, ...]
     """The two that it tells apart."""
 

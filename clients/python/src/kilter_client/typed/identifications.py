@@ -231,7 +231,7 @@ class Configuration(Record):
     payload_kg: float | None
     """Load to carry, kg."""
     q_deg: tuple[float, ...]
-    """All joints, degrees; mm for one that slides."""
+    """All joints, degrees; mm for prismatic ones."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -14,7 +14,7 @@ class EvaluateOptions(TypedDict, total=False):
     metrics: Literal["errors", "iso9283"]
     """Errors, or the criteria of ISO 9283."""
     refit: Sequence[Literal["base", "tool"]]
-    """Frames fitted anew to these rows: [], ["base"] or ["base", "tool"] (the tracker was set up anew)."""
+    """Frames refitted to these rows: [], ["base"] or ["base", "tool"] (the tracker was set up again)."""
     version: str | None
     """Id of the version; None: the active one, else the robot as drawn."""
 

@@ -60,7 +60,7 @@ class PlanResult(ShownPlan, Record):
     cycles_demanded: int | None
     """Cycles that the standard demands."""
     poses: Records[PlannedPose]
-    """The poses, in the order of a short way."""
+    """The poses, in the order of a short path."""
     proposals: Records[Proposal]
     """The poses, by what to change before them."""
     purpose: str | None

@@ -28,7 +28,7 @@ class CorrectionLimits(Record):
     max_joint_deg: float
     """Largest correction of a joint, degrees, above 0 to 30."""
     max_position_mm: float
-    """Largest correction of the tool, and of a joint that slides, mm, above 0 to 200."""
+    """Largest correction of the tool, and of a prismatic joint, mm, above 0 to 200."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -208,7 +208,7 @@ class Rival(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Comparison(Record):
-    """Mean errors on rows that no version compared was fitted to, base and tool fitted anew to each campaign.
+    """Mean errors on rows that no version compared was fitted to, base and tool refitted to each campaign.
 
     ``active`` is None when no version was active, or when it cannot predict these rows or was fitted to all of them."""
 
