@@ -7,7 +7,7 @@ from typing import Any
 
 from kilter_files.errors import FileError, MissingPackageError
 
-CUT = "Copy or export it again. If it was recorded like that, allow_cut (--allow-cut) takes the whole frames."
+CUT = "Copy or export it again. If it was recorded like that, allow_cut (--allow-cut) uses the complete frames."
 
 
 def fault(path: Path, what: str, remedy: str, **place: Any) -> FileError:

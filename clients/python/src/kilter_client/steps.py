@@ -123,7 +123,7 @@ def read(request: Request) -> Steps[Document]:
     """Send a request and return the JSON object it is answered with.
 
     Raises:
-        ApiError: it holds something else, so this is no Kilter server.
+        ApiError: it holds something else, so this is not a Kilter server.
 
     """
     answer = yield from answer_of(request)
@@ -133,7 +133,7 @@ def read(request: Request) -> Steps[Document]:
         found = None
     if not isinstance(found, dict):
         raise ApiError(
-            f"{answer.url} answered something that is no JSON object: is KILTER_URL a Kilter server?",
+            f"{answer.url} answered something that is not a JSON object: is KILTER_URL a Kilter server?",
             status=answer.status,
         )
     return found

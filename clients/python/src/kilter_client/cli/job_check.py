@@ -68,7 +68,7 @@ def _show_missing(missing: Sequence[Mapping[str, Any]]) -> None:
     for one in missing:
         by_remedy.setdefault((one["reason"], one["remedy"]), []).append(one["what"])
     if by_remedy:
-        say("not told by these data:")
+        say("not determined by these data:")
     for (reason, remedy), names in by_remedy.items():
         say(f"  {', '.join(names)}: {reason}")
         say(f"    {remedy}")

@@ -302,20 +302,20 @@ COLUMNS: list[dict[str, str]] = [
     },
     {
         "columns": "tipx_mm, tipy_mm, tipz_mm",
-        "meaning": "beside markers: a point of the tool digitised with a probe while they were seen; it is the tool point then, not their mean. Empty cells where it was not",
+        "meaning": "beside markers: a point of the tool digitised with a probe while the markers were visible; it is then the tool point instead of their mean. Empty cells in all other rows",
     },
     {
         "columns": "socket_id, plane_id",
-        "meaning": "or, without an instrument, the ball socket or the plane that the tool's ball was held by: 1, 2, … and 0 for none.",
+        "meaning": "or, without an instrument, the ball socket or the plane that held the tool's ball: 1, 2, … and 0 for none.",
     },
     {
         "columns": "bar_id, bar_mm",
-        "meaning": "or the ball bar (its foot, 1, 2, …, 0 for none) and the length it read, centre to centre",
+        "meaning": "or the ball bar (its centre mount, 1, 2, …, 0 for none) and the length it read, centre to centre",
     },
-    {"columns": "link1_deg … linkn_deg", "meaning": "or the angle behind gear and play, from link-side encoders"},
+    {"columns": "link1_deg … linkn_deg", "meaning": "or the angle behind gear and backlash, from link-side encoders"},
     {
         "columns": "tilt1x_deg …",
-        "meaning": "or what joint 1 turned about axis x (y, z) of its frame beyond its command, from inclinometers: those columns that there are, empty cells where nothing was read. session counts the mountings. Jobs of kind joint_parameters read them; identify and gap do not",
+        "meaning": "or the rotation of joint 1 about axis x (y, z) of its frame beyond its command, from inclinometers: only the columns that were read, empty cells where nothing was read. session counts the mountings. Jobs of kind joint_parameters read them; identify and gap do not",
     },
     {"columns": "t_s", "meaning": "time"},
     {"columns": "qd1_deg_s …, qdd1_deg_s2 …", "meaning": "joint velocities and accelerations"},
@@ -324,14 +324,14 @@ COLUMNS: list[dict[str, str]] = [
     {"columns": "payload_kg", "meaning": "mass at the tool point"},
     {
         "columns": "payload_com_x_mm, payload_com_y_mm, payload_com_z_mm",
-        "meaning": "beside payload_kg: where that mass has its centre in the tool frame. _m instead of _mm",
+        "meaning": "beside payload_kg: the centre of that mass in the tool frame. _m instead of _mm",
     },
     {
         "columns": "fx_n, fy_n, fz_n and mx_nm, my_nm, mz_nm",
-        "meaning": "force and moment on the tool point, in the tool frame (what a process or a hanging cable does to the tool). One of the two groups alone is enough",
+        "meaning": "force and moment on the tool point, in the tool frame (those of a process or a hanging cable). One of the two groups is enough",
     },
     {"columns": "temperature_c", "meaning": "temperature"},
-    {"columns": "session", "meaning": "integer: the setting-up of tracker and markers"},
+    {"columns": "session", "meaning": "integer: one setting-up of tracker and markers"},
     {"columns": "pose_id", "meaning": "integer shared by repeats of one pose"},
     {"columns": "sx_mm, sy_mm, sz_mm", "meaning": "standard deviation of the position of this row"},
 ]
