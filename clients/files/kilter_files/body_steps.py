@@ -1,4 +1,4 @@
-"""A whole body of markers knocked on its mount: distances stay, but what the robot's model leaves steps at that moment.
+"""A whole body of markers knocked on its mount: distances stay, but the residual of the robot's model steps at that moment.
 
 Each row is transformed into the tool's frame and reduced to six numbers, shift and rotation of the body from where
 it should. What base, markers and small errors of the arm explain of them is taken off; then a step is sought in time.

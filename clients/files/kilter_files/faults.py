@@ -1,4 +1,4 @@
-"""The refusal of a file: where, what, and what to do."""
+"""Errors of files: where, what, and what to do."""
 
 from __future__ import annotations
 

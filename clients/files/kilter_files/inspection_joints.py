@@ -1,4 +1,4 @@
-"""What a joint log is understood to be: a bag's topics and joints, a program's targets."""
+"""How a joint log is read: a bag's topics and joints, a program's targets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MCAP and SQLite files looked through before a library trusts their numbers: cut off, or claiming too much."""
+"""MCAP and SQLite files checked before a library trusts their numbers: cut off, or claiming too much."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the server would refuse of a file, as far as it can be told before anything is sent."""
+"""What the server would refuse in a file, as far as this is known before anything is sent."""
 
 from __future__ import annotations
 

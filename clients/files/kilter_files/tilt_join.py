@@ -1,4 +1,4 @@
-"""Inclinometer logs joined with the joint log: rests are found and averaged as a tracker's are, and become readings."""
+"""Inclinometer logs joined with the joint log: dwells are found and averaged as those of a tracker, and become readings."""
 
 from __future__ import annotations
 

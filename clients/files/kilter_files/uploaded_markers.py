@@ -1,4 +1,4 @@
-"""Markers in contract columns, looked at before they are sent: whether one was knocked on the way through the rows."""
+"""Markers in contract columns, checked before they are sent: whether one was knocked between the rows."""
 
 from __future__ import annotations
 

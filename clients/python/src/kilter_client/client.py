@@ -1,4 +1,4 @@
-"""The library's front door."""
+"""The entry point of the library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Jobs: ask for one, follow it, take its result."""
+"""Jobs: submit one, follow it, read its result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A long table sent in parts, whole or not at all: each part is one upload whose hash the server knows.
+"""A long table sent in parts, completely or not at all: each part is one upload whose hash the server knows.
 
 The same recording gives the same parts, so a broken sending goes on; nobody sees the campaign before the last part.
 """

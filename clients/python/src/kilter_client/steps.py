@@ -1,4 +1,4 @@
-"""What is asked of a server, said without sending it.
+"""Requests to a server as steps, separate from sending them.
 
 A call is a generator: it yields a step, is given the answer, and returns what it read. Whoever runs it does the sending,
 ``Connection`` with threads and ``AsyncConnection`` under asyncio, so that what is asked and how answers are read is

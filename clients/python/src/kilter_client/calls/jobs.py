@@ -1,4 +1,4 @@
-"""Calls about jobs: ask for one, follow it to its end."""
+"""Calls about jobs: submit one, follow it to its end."""
 
 from __future__ import annotations
 

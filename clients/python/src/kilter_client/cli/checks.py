@@ -1,4 +1,4 @@
-"""What a person says of the checks of ``kilter match``: the robot's model, parts of the recording, what is allowed."""
+"""Options for the checks of ``kilter match``: the robot's model, parts of the recording, what is allowed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``kilter robot from-circles`` and ``kilter robot frame``: a robot nobody drew, and a frame from digitised points."""
+"""``kilter robot from-circles`` and ``kilter robot frame``: a robot without a data sheet, and a frame from digitised points."""
 
 from __future__ import annotations
 

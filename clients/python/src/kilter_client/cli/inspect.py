@@ -1,4 +1,4 @@
-"""``kilter inspect``: what a file is understood to be, before anything is sent."""
+"""``kilter inspect``: how a file is read, before anything is sent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Ctrl-C leaves behind: one sentence with what is stored and how to go on, and exit code 130."""
+"""What Ctrl-C leaves: one sentence with what is stored and how to continue, and exit code 130."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a job would do, for people: what is used, what the data can tell, what is missing, how long it takes."""
+"""What a job would do, as text: what it uses, what the data determine, what is missing, how long it takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Masses and centres as stated and as the data leave them, for people."""
+"""Masses and centres as stated and as identified, as text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""References of the command line: what they stand for is said before it is used."""
+"""References on the command line: the command says what they stand for before it uses them."""
 
 from __future__ import annotations
 

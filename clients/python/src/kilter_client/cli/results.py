@@ -1,4 +1,4 @@
-"""Results of jobs and versions for people: metrics, parameters, what the data could not tell."""
+"""Results of jobs and versions as text: metrics, parameters, what the data could not determine."""
 
 from __future__ import annotations
 

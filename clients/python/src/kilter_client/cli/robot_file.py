@@ -1,4 +1,4 @@
-"""The options by which a command is told a robot, the same for every command that reads one."""
+"""The options that describe a robot, the same for every command that reads one."""
 
 from __future__ import annotations
 
