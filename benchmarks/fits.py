@@ -8,16 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.table import Line, best_of
-from kilter_core.design.iso9283 import iso_poses
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions
 from kilter_core.identify.estimate import estimate, prepared
-from kilter_core.identify.intervals import RESAMPLES, bootstrap
 from kilter_core.identify.least_squares import solve
+from kilter_core.identify.uncertainty.intervals import RESAMPLES, bootstrap
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.twin import thesis_katana
 
 Floats = NDArray[np.float64]

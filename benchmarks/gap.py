@@ -19,12 +19,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
+from kilter_core.arm.robot import Robot
 from kilter_core.effects import make_effect
 from kilter_core.gap import GapReport, find_gap
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import preset_document, robot_from_document
 
 NOISE_M = 2e-5
 

@@ -15,13 +15,13 @@ import numpy as np
 
 from benchmarks.campaign import TOOL_MM, UR10, Campaign, campaign
 from benchmarks.table import Line, best_of
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.robot import Robot
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import estimate
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import robot_from_document
 
 HERE = Path(__file__).resolve().parent
 # Times faster than each that Kilter should be, and which of Kilter's times holds the like work: pybotics' time is its

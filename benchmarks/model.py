@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.table import Line, best_of
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_core.effects import make_effect
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
 
 ROWS, PARAMETERS, TARGET_MS = 118, 40, 1.0
 

@@ -29,10 +29,10 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from kilter_core.correction import CorrectionOptions, CorrectionProgram, Track, compile_program
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.correct.program import CorrectionOptions, CorrectionProgram, Track, compile_program
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.robots import robot_from_document
 from kilter_service.corrector import frames
 from kilter_service.corrector.active import Active, version_number
 from kilter_service.corrector.frames import Flag

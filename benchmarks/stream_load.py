@@ -25,7 +25,7 @@ import zenoh
 
 from benchmarks.stream import POSTURE, ROBOT, SITE, Fixed, Line, calibration, path, running
 from kilter_client.stream import CorrectedStream
-from kilter_core.correction import CorrectionOptions, compile_program
+from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_service.corrector import frames
 from kilter_service.corrector.active import Active, version_number
 from kilter_service.corrector.process import Corrector

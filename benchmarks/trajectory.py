@@ -16,7 +16,7 @@ import numpy as np
 import zenoh
 
 from benchmarks.stream import POSTURE, ROBOT, SITE, beside_an_echo, calibration
-from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_core.correct.program import CorrectionOptions, Track, compile_program
 from kilter_service.corrector import frames
 from kilter_service.corrector.active import Active, version_number
 from kilter_service.corrector.keys import RobotKeys

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 
-from kilter_core.correction import warm_up
-from kilter_core.design.iso9283 import iso_poses
+from kilter_core.correct.program import warm_up
 from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.twin import thesis_katana
 from kilter_service.corrector import short_way
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from kilter_client import Kilter
 from kilter_client.stream import Setpoint, Statistics, corrected
-from kilter_core.design.iso9283 import iso_poses
 from kilter_core.observations import Observations
+from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.twin import Twin, thesis_katana
 from tools import demo_path
 from tools.local_server import LocalServer, local_server

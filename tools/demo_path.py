@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.arm.robot import Robot
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kilter_core.design.iso9283 import iso_poses
+from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.twin import thesis_katana
 from tools import demo, demo_path
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.design.iso9283 import iso_poses
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.effects import make_effect
-from kilter_core.robots import robot_from_document
+from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.twin import Twin
 from kilter_files.robots.table import read_table
 

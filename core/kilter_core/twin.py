@@ -13,12 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
+from kilter_core.arm.robot import STANDARD_GRAVITY, Robot
 from kilter_core.effects import Effect, make_effect
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.parameters import indices
-from kilter_core.robot import STANDARD_GRAVITY, Robot
-from kilter_core.robots import preset_document, robot_from_document
 
 Floats = NDArray[np.float64]
 

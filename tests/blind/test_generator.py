@@ -10,11 +10,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.loads.wrenches import joint_loads
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration
-from kilter_core.moments import joint_loads
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.blind.generator import Case, Hidden, Options, cases, generate, tracker
 from tests.blind.generator.arm import Arm, Deflection, built
 from tests.blind.generator.arms import ARMS

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-import kilter_core.gap.select
+import kilter_core.gap.search.select
 import tests.blind.thresholds as thresholds
 from tests.blind.generator import Case
 from tests.blind.generator.cases import cases
@@ -63,16 +63,16 @@ def test_the_score_counts_wrong_runs_and_claims() -> None:
 
 
 def test_a_changed_constant_reaches_all_who_took_it_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    before, seen = kilter_core.gap.select.MARGIN, []
+    before, seen = kilter_core.gap.search.select.MARGIN, []
 
     def look(case: Case) -> dict[str, Any]:
-        seen.append(kilter_core.gap.select.MARGIN)
+        seen.append(kilter_core.gap.search.select.MARGIN)
         return {}
 
     monkeypatch.setattr(thresholds, "run_case", look)
     patched("select.MARGIN", 2.0, next(cases(0, 1)))
     assert seen == [2.0 * before]
-    assert before == kilter_core.gap.select.MARGIN
+    assert before == kilter_core.gap.search.select.MARGIN
 
 
 def test_every_constant_of_the_tables_is_one_of_the_finder() -> None:

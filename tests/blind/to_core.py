@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.robot import Link, Robot
 from kilter_core.observations import Observations
-from kilter_core.robot import Link, Robot
-from kilter_core.robots import robot_from_document
 from tests.blind.generator import Campaign
 
 UNIFORM = 3.0**0.5  # half width of an even spread over its standard deviation

@@ -80,7 +80,8 @@ WriteCampaign = Callable[..., Path]
 @pytest.fixture
 def write_campaign(tmp_path: Path) -> WriteCampaign:
     """Writer of simulated measurements in contract columns."""
-    from kilter_core.robots import preset_document, robot_from_document
+    from kilter_core.arm.documents import robot_from_document
+    from kilter_core.arm.presets import preset_document
     from kilter_core.twin import Twin
 
     def write(poses: int = 40, name: str = "measured.csv", seed: int = 1) -> Path:

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from openpyxl import Workbook
 
 from kilter_client.errors import FileError, KilterError, MissingPackageError, UsageError
-from kilter_core.conversions import screws_of_chain
-from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.arm.conversions import screws_of_chain
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_files.robots import Described, read_robot
 from tests.service.exporters.test_exporters import ERRORS, TILTS, calibrated, joints, poses_of
 

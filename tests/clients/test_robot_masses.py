@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from openpyxl import Workbook
 
 from kilter_client.errors import FileError
-from kilter_core.moments import joint_loads
-from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.loads.wrenches import joint_loads
+from kilter_core.arm.presets import preset_document
 from kilter_files.robots import Described, read_robot
 from kilter_service.exporters.registry import export
 from tests.service.exporters.test_exporters import ERRORS, TILTS, calibrated

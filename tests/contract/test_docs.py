@@ -182,7 +182,7 @@ def test_statuses_and_flags_of_the_stream_are_documented() -> None:
 
 
 def test_every_preset_is_documented() -> None:
-    from kilter_core.robots import preset_names
+    from kilter_core.arm.presets import preset_names
 
     page = text_of("reference/robots.md")
     assert not [name for name in preset_names() if f"`{name}`" not in page]

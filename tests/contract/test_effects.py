@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
+from kilter_core.arm.robot import Robot
 from kilter_core.effects import BASE, EFFECTS, TOOL, Batch, Effect, Local, effect_from_document, make_effect
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Prediction, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import preset_document, robot_from_document
 from kilter_core.transforms import rotation_log
 
 Floats = NDArray[np.float64]

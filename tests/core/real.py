@@ -9,9 +9,10 @@ from typing import Any
 import pyarrow.csv
 from pyarrow import BufferReader
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
+from kilter_core.arm.robot import Robot
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import preset_document, robot_from_document
 from kilter_files import prepare
 from kilter_service.campaigns.assemble import observations
 from kilter_service.campaigns.columns import read_columns

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import RobotError
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.truth import Arm, some_arm
 
 KINDS = {

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kilter_core.circle_points import robot_from_circles
-from kilter_core.conversions.screws import screws_of_chain
+from kilter_core.arm.conversions.screws import screws_of_chain
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import CoreError
 from kilter_core.identify import identify
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
+from kilter_core.procedures.circle_points import robot_from_circles
 from tests.core.campaigns import MARKERS, joints, measured, table_errors
 from tests.core.truth import Arm, Step, some_arm, some_pose, ur10
 

@@ -9,11 +9,11 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from kilter_core.compensate import CorrectOptions, Status, correct
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.correct.reference import CorrectOptions, Status, correct
 from kilter_core.effects import make_effect
 from kilter_core.errors import OptionError
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import joints, table_errors
 from tests.core.truth import Arm, Body, Step, small_pose, some_arm, some_pose, ur10, with_bodies
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document, preset_names
+from kilter_core.arm.robot import Robot
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import preset_document, preset_names, robot_from_document
 
 Floats = NDArray[np.float64]
 RIGHT = math.pi / 2.0

@@ -8,14 +8,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
 from kilter_core.evaluate import evaluate
 from kilter_core.identify import identify
-from kilter_core.metrics import Errors
+from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import joints, measured
 from tests.core.truth import Arm, some_pose, ur10, with_hidden_errors
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.identifiability import identifiable, null_directions
+from kilter_core.identify.identifiability import identifiable, null_directions
 
 NAMES = ("a", "b", "c", "d")
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kilter_core.design.inclinometer_poses import inclinometer_poses
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_core.errors import ObservationError, RobotError
-from kilter_core.inclinometers import Log, as_calibration, joint_parameters, weightless_joints
-from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.plan.inclinometer_poses import inclinometer_poses
+from kilter_core.procedures.inclinometers import Log, as_calibration, joint_parameters, weightless_joints
 from tests.core.truth import Arm, Body, ur10
 
 C, B, K = (

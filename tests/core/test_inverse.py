@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.inverse import reach
-from kilter_core.robots import robot_from_document
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.model.inverse_kinematics import reach
 from tests.core.campaigns import joints
 from tests.core.truth import some_arm
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from kilter_core.errors import OptionError
-from kilter_core.iso9283 import DRIFT_S, METRICS, MetricNotSupportedError, Trial, criteria
+from kilter_core.evaluate.iso9283 import DRIFT_S, METRICS, MetricNotSupportedError, Trial, criteria
 
 Floats = NDArray[np.float64]
 PAIR = np.array([[0.0, 0.0, 0.0], [0.3, 0.4, 0.0]])

@@ -13,10 +13,10 @@ import pytest
 import scipy.io
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError, TooFewPosesError
-from kilter_core.link_encoders import LinkJoint, as_calibration, link_joints
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
+from kilter_core.procedures.link_encoders import LinkJoint, as_calibration, link_joints
 from tests.core.truth import Body, ur10
 
 Floats = NDArray[np.float64]

@@ -10,13 +10,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from kilter_core.correction import CorrectionOptions, compile_program
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.loads.chain import LoadChain
+from kilter_core.arm.presets import preset_document
+from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_core.effects import make_effect
 from kilter_core.errors import OptionError
-from kilter_core.load_chain import LoadChain
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
 from tests.core.truth import Arm, small_pose, some_arm, with_bodies
 
 READERS = ("axial_compliance", "radial_compliance", "base_compliance", "load_error", "payload_error")

@@ -8,15 +8,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from kilter_core.correction import CorrectionOptions, compile_program
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.loads.slopes import LoadSlopes, with_masses, with_payload
+from kilter_core.arm.loads.wrenches import axial_loads, loads_of
+from kilter_core.arm.presets import preset_document
+from kilter_core.arm.robot import Robot
+from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_core.effects import EFFECTS as KNOWN
 from kilter_core.effects import make_effect
-from kilter_core.load_slopes import LoadSlopes, with_masses, with_payload
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.moments import axial_loads, loads_of
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import preset_document, robot_from_document
 from tests.core.truth import Arm, some_arm, with_bodies
 
 KATANA = robot_from_document(preset_document("katana450-chapter5"))

@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
+from kilter_core.arm.robot import Robot
 from kilter_core.effects import make_effect
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.report import GapReport
+from kilter_core.gap.report.report import GapReport
 from kilter_core.identify import Identification, IdentifyOptions, identify
-from kilter_core.load_model import load_rows
+from kilter_core.identify.load_model import load_rows
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
 from tests.core.gap.simulated import campaign, katana
 
 COMPLIANCE = ("axial_compliance", (1, 2, 3), (6e-5, 6e-5, 9e-5))

@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.loads.slopes import payload_sensitivity
+from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
+from kilter_core.arm.presets import preset_document
+from kilter_core.arm.robot import Robot
 from kilter_core.effects import make_effect
-from kilter_core.load_slopes import payload_sensitivity
 from kilter_core.model import Calibration
-from kilter_core.moments import axial_loads, joint_loads
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import preset_document, robot_from_document
 from tests.core.truth import UR10_ROWS, Arm, Body, Step, some_arm, ur10, with_bodies
 
 KINDS = {

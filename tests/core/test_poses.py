@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kilter_core.identify.holdout import fold_splits, split
 from kilter_core.observations import Observations
-from kilter_core.poses import numbered_poses, numbered_rows, rounded_poses
+from kilter_core.observations.repeats import numbered_poses, numbered_rows, rounded_poses
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kilter_core.errors import ObservationError
-from kilter_core.reference_frame import frame_of_features, frame_of_points
+from kilter_core.procedures.reference_frame import frame_of_features, frame_of_points
 from tests.core.truth import some_pose
 
 KNOWN = np.array([[0, 0, 0], [0.4, 0, 0], [0, 0.3, 0], [0.1, 0.1, 0.2]])

@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.registration import register
 from kilter_core.model import RobotModel
-from kilter_core.registration import register
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import joints, measured
 from tests.core.truth import Arm, some_arm, some_pose, ur10
 

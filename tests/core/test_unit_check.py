@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.robots import robot_from_document
-from kilter_core.unit_check import unit_factor
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.identify.plausibility.units import unit_factor
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.truth import Arm, some_pose, ur10
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kilter_core.correction import CorrectionOptions, compile_program
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.robots import robot_from_document
 from kilter_service.corrector.active import Active, version_number
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.specs import Rules

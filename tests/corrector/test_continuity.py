@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_core.correct.program import CorrectionOptions, Track, compile_program
 from kilter_core.model import Calibration
 
 DT = 0.002

@@ -10,16 +10,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from kilter_core.chain import Element
-from kilter_core.compensate import correct
-from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_core.arm.chain import Element
+from kilter_core.arm.robot import Robot
+from kilter_core.correct.kernels import correction as kernel
+from kilter_core.correct.program import CorrectionOptions, Track, compile_program
+from kilter_core.correct.reference import correct
 from kilter_core.effects import Batch, Effect, Local
 from kilter_core.errors import OptionError
-from kilter_core.kernels import correction as kernel
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
 
 EFFECTS = ("clearance_tilt", "backlash_load", "axial_compliance", "backlash")
 EXACT = CorrectionOptions(least_softening_nm=0.0)

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kilter_core.compensate import CorrectOptions, correct
-from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_core.arm.robot import Link
+from kilter_core.correct.program import CorrectionOptions, Track, compile_program
+from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robot import Link
 from tests.corrector.test_runtime_effects import AT_RUN_TIME, TEMPERATURE_C, calibration_with, landing
 
 LOADS = (

@@ -15,11 +15,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
+from kilter_core.correct.program import CorrectionOptions, Track, compile_program
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
 from kilter_core.twin import thesis_katana
 from tests.core.campaigns import joints, table_errors
 from tests.core.effects.by_hand import inserted

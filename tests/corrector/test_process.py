@@ -17,7 +17,7 @@ import pytest
 import zenoh
 
 from kilter_client.stream import CorrectedStream, Statistics, StreamError, corrected
-from kilter_core.correction import Track, compile_program
+from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
 from kilter_service.corrector import frames
 from kilter_service.corrector.process import Corrector

@@ -22,7 +22,7 @@ import zenoh
 from pydantic import ValidationError
 from rosbags.typesys import Stores, get_typestore
 
-from kilter_core.correction import Track, compile_program
+from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
 from kilter_service.corrector.session import config, with_free_port
 from kilter_service.db import Database, revision

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kilter_core.correction import CorrectionOptions, CorrectionProgram, Track, compile_program
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.correct.program import CorrectionOptions, CorrectionProgram, Track, compile_program
 from kilter_core.effects import EFFECTS, make_effect
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 
 TEMPERATURE_C = 31.0
 DAMPED, RESIDUAL = 0x0800, 0x1000

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kilter_core.correction import Track, compile_program
+from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
 from kilter_service.corrector import frames
 from kilter_service.corrector.active import Active

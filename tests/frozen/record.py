@@ -19,14 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.correct.program import CorrectionOptions, Track, compile_program
 from kilter_core.errors import CoreError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.identify import Folds, IdentifyOptions, identify
-from kilter_core.link_encoders import link_joints
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
+from kilter_core.procedures.link_encoders import link_joints
 from kilter_core.twin import thesis_katana
 from tests.blind.generator import Case, cases, generate
 from tests.blind.to_core import observations_of, robot_of

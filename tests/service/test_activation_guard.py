@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sqlalchemy import update
 
 from kilter_core.identify.holdout import split
-from kilter_core.poses import rounded_poses
+from kilter_core.observations.repeats import rounded_poses
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.jobs.job import NewIdentifyJob
 from kilter_service.db import Database

@@ -21,9 +21,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from kilter_client.stream import CorrectedStream
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from kilter_files.robots import Described, read_robot
 from kilter_service.corrector.database_source import DatabaseSource
 from kilter_service.corrector.process import Corrector

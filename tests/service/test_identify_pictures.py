@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify.row_errors import RowErrors
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.jobs.arrow_pictures import LONGEST, MOST_ARROWS, arrows, magnification
 from kilter_service.jobs.drawing import LONGEST as LONGEST_LABEL

@@ -77,11 +77,12 @@ def test_poses_stay_where_the_robot_was_driven(client: httpx.Client, katana: Any
 
 def _determines(plan: dict[str, Any]) -> float:
     """Log determinant of the information in the poses about the geometry and eccentricities."""
+    from kilter_core.arm.documents import robot_from_document
+    from kilter_core.arm.presets import preset_document
     from kilter_core.effects import make_effect
     from kilter_core.identify import IdentifyOptions
     from kilter_core.model import RobotModel
     from kilter_core.observations import Observations
-    from kilter_core.robots import preset_document, robot_from_document
 
     robot = robot_from_document(preset_document("katana450-chapter5"))
     model = RobotModel(robot, (make_effect("eccentricity").on(robot),))

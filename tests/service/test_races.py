@@ -14,8 +14,8 @@ import pytest
 from sqlalchemy import create_engine, make_url, text
 from sqlalchemy.exc import DBAPIError
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.model import Calibration
-from kilter_core.robots import robot_from_document
 from kilter_service.campaigns import service as uploads
 from kilter_service.db import Database
 from kilter_service.db.tables import JobRow

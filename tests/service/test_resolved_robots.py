@@ -15,11 +15,12 @@ import pytest
 from alembic import command
 from sqlalchemy import text
 
-import kilter_core.robots
+import kilter_core.arm.documents
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.corrector.active import version_number
@@ -56,7 +57,7 @@ def canonical(document: Any) -> str:
 def edited_presets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Let the presets be those of a later release, in which every length is another, once it is called."""
     folder = tmp_path / "presets"
-    shutil.copytree(Path(kilter_core.robots.__file__).parent, folder)
+    shutil.copytree(Path(kilter_core.arm.documents.__file__).parent, folder)
 
     def edit() -> None:
         for file in folder.glob("*.json"):
@@ -67,7 +68,7 @@ def edited_presets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
                         part[key] *= 1.01
             file.write_text(json.dumps(document))
         before = preset_document("katana450-chapter5")
-        monkeypatch.setattr("kilter_core.robots.presets.files", lambda _: folder)
+        monkeypatch.setattr("kilter_core.arm.presets.presets.files", lambda _: folder)
         assert preset_document("katana450-chapter5") != before
 
     return edit

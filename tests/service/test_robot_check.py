@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 import pytest
 
-from kilter_core.robots import preset_document
+from kilter_core.arm.presets import preset_document
 
 
 def check(client: httpx.Client, document: dict[str, Any]) -> dict[str, Any]:

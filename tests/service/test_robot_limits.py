@@ -12,9 +12,9 @@ import httpx
 import numpy as np
 import pytest
 
-from kilter_core.circle_points import _alone
 from kilter_core.errors import RobotError
-from kilter_core.reference_frame import frame_of_features
+from kilter_core.procedures.circle_points import _alone
+from kilter_core.procedures.reference_frame import frame_of_features
 from kilter_service.importers import xml_text
 from kilter_service.importers.urdf import chain_document
 

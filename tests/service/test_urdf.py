@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.loads.wrenches import joint_loads
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
-from kilter_core.moments import joint_loads
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from kilter_service.importers.urdf import UrdfImport, chain_document
 
 Floats = NDArray[np.float64]

@@ -14,8 +14,8 @@ import pytest
 import yaml
 from pyarrow import parquet
 
-from kilter_core.compensate import CorrectOptions, correct
-from kilter_core.correction import CorrectionOptions, Track, compile_program
+from kilter_core.correct.program import CorrectionOptions, Track, compile_program
+from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from kilter_core.identify.methods import ESTIMATORS
+from kilter_core.identify.methods.registry import ESTIMATORS
 
-HEAD = '''"""The methods of an identification, made by `make contract` from core/kilter_core/identify/methods.py."""
+HEAD = '''"""The methods of an identification, made by `make contract` from core/kilter_core/identify/methods/registry.py."""
 
 from __future__ import annotations
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.design.iso9283 import iso_poses
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.robot import Robot
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration
-from kilter_core.robot import Robot
-from kilter_core.robots import robot_from_document
+from kilter_core.plan.iso9283_poses import iso_poses
 from tools.thesis.arms import ELBOW, KATANA, SKEWED, Arm, Make, built
 from tools.thesis.experiments import UNSEEN, by_inclinometer, mean_mm, measured
 

@@ -9,18 +9,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.compensate import CorrectOptions, correct
-from kilter_core.design.iso9283 import iso_poses
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
+from kilter_core.arm.robot import Robot
+from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import prepared
 from kilter_core.identify.influence import relative_influence, step_of
-from kilter_core.identify.per_pose import pose_solutions, stacked_by_row
+from kilter_core.identify.methods.per_pose import pose_solutions, stacked_by_row
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import preset_document, robot_from_document
+from kilter_core.plan.iso9283_poses import iso_poses
 from tools.demo_path import circle
 from tools.thesis.arms import CHAPTER_4, Arm, built
 

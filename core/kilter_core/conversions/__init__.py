@@ -1,10 +1,10 @@
 """One arm in other words: joint axes (product of exponentials), DH and MDH tables, joint frames; the poses stay the same."""
 
-from kilter_core.conversions.documents import load_document, pose_document, robot_document
-from kilter_core.conversions.frames import JointFrames, joint_frames
-from kilter_core.conversions.geometry import FlangeFrames, arm_screws, flange_frames, flange_screws, wanted_tool
-from kilter_core.conversions.screws import Screws, chain_frames, screws_of_chain
-from kilter_core.conversions.tables import Table, link_table
+from kilter_core.arm.conversions.documents import load_document, pose_document, robot_document
+from kilter_core.arm.conversions.frames import JointFrames, joint_frames
+from kilter_core.arm.conversions.screws import Screws, chain_frames, screws_of_chain
+from kilter_core.arm.conversions.tables import Table, link_table
+from kilter_core.model.geometry import FlangeFrames, arm_screws, flange_frames, flange_screws, wanted_tool
 
 __all__ = [
     "FlangeFrames",

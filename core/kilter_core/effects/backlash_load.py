@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 
+from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import (
     SOFTENING,
     Batch,
@@ -21,7 +22,6 @@ from kilter_core.effects.base import (
     width_of,
 )
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
 
 NO_MOMENT_NM = 1e-9  # below this the sign would be that of rounding noise
 

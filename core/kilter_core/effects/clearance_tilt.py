@@ -8,10 +8,10 @@ from typing import Self
 
 import numpy as np
 
+from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import SOFTENING, Batch, Derivative, Effect, Floats, Local, option, soft_sign, width_of
 from kilter_core.errors import OptionError
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Self
 
+from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Batch, Derivative, Effect, Floats, Local, linear, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
 
 _UNITS = {  # of k and its prior sigma, by the kinds of the joint that follows and of the one that drives
     ("revolute", "revolute"): ("1", 1e-3),

@@ -7,11 +7,11 @@ from typing import Self
 
 import numpy as np
 
+from kilter_core.arm.loads.slopes import NO_COLUMNS, LoadSlopes, weighed
+from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Link, Robot
 from kilter_core.effects.base import Batch, Effect, Floats, Local, option
-from kilter_core.load_slopes import NO_COLUMNS, LoadSlopes, weighed
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
-from kilter_core.robot import CENTRE_M, MASS_SHARE, Link, Robot
 
 
 @dataclass(frozen=True)

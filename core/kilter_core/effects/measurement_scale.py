@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Batch, Derivative, Effect, Floats, Local, linear
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
 
 
 @dataclass(frozen=True)

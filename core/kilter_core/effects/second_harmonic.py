@@ -8,10 +8,10 @@ from typing import Self
 
 import numpy as np
 
+from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Batch, Effect, Floats, Local
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
 
 
 @dataclass(frozen=True)

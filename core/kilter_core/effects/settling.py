@@ -7,11 +7,11 @@ from typing import Self
 
 import numpy as np
 
+from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Floats, Local, linear, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
 
 USUAL = 0.2  # of the campaign, when no time constant is given
 SHARES = (0.07, 0.14, 0.27, 0.52)  # of the campaign: nearer ones look alike

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Batch, Effect, Floats, Local
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
 
 
 @dataclass(frozen=True)

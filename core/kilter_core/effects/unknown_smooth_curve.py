@@ -9,11 +9,11 @@ from typing import Self
 import numpy as np
 from numpy.polynomial import legendre
 
+from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Batch, Effect, Floats, Local, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
 
 HIGHEST = 12
 FULL_RANGE = math.pi  # half of what a joint without limits counts as, when there are no rows

@@ -7,11 +7,11 @@ from typing import Self
 
 import numpy as np
 
+from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Batch, Effect, Floats, Local, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
-from kilter_core.robot import Robot
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Estimators and the identification that runs them: from observations to a calibration with its uncertainty."""
 
 from kilter_core.identify.holdout import Folds
-from kilter_core.identify.kalman import Prior
+from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.run import Identification, identify
 

@@ -13,25 +13,25 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.constraints import Contacts
-from kilter_core.identifiability import NullDirection, identifiable, null_directions
+from kilter_core.arm.robot import Robot
 from kilter_core.identify.estimate import START_SIGMA_RAD, prepared
+from kilter_core.identify.identifiability import NullDirection, identifiable, null_directions
 from kilter_core.identify.learned import gated
 from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at
-from kilter_core.identify.marker_turns import refuse_feigned_turns
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.plausibility import refuse_foreign
+from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
+from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.report import still_joints
 from kilter_core.identify.run import begin_with, refuse_missing_columns
 from kilter_core.identify.seeing import seen
 from kilter_core.identify.setups import Frames, marginal, of_the_arm
-from kilter_core.identify.spread import within_a_turn
-from kilter_core.identify.workspace import MEASURED
+from kilter_core.identify.uncertainty.workspace import MEASURED
+from kilter_core.identify.uncertainty.workspace_uncertainty import within_a_turn
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import Contacts
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -11,8 +11,8 @@ import scipy.stats
 from numpy.typing import NDArray
 
 from kilter_core.identify.holdout import fold_splits
-from kilter_core.identify.kalman import Prior
-from kilter_core.identify.methods import fit_by_method
+from kilter_core.identify.methods.kalman import Prior
+from kilter_core.identify.methods.registry import fit_by_method
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration

@@ -17,7 +17,7 @@ from scipy.stats import chi2, f
 from kilter_core.identify.robust import scale_of
 from kilter_core.measurement import Residual
 from kilter_core.observations import Observations
-from kilter_core.poses import last_motion
+from kilter_core.observations.repeats import last_motion
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

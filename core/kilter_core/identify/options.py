@@ -86,7 +86,9 @@ class IdentifyOptions:
 
     def _check_method(self) -> None:
         """Refuse a method that there is not, and what does not go with the one there is."""
-        from kilter_core.identify.methods import ESTIMATORS  # the methods need this module: here it is complete
+        from kilter_core.identify.methods.registry import (
+            ESTIMATORS,
+        )  # the methods need this module: here it is complete
 
         self._one_of("method", tuple(ESTIMATORS))
         method = ESTIMATORS[self.method]
@@ -149,7 +151,7 @@ class IdentifyOptions:
         if self.free:
             return _matching(model.names, self.free)
         wanted = [chain.elements[k] for k in chain.named]
-        return [str(e.name) for e in wanted if (e.joint is not None if self.level == 1 else not e.spare)]
+        return [str(e.name) for e in wanted if (e.joint is not None if self.level == 1 else not e.dependent)]
 
     def _one_of(self, name: str, allowed: Sequence[Any]) -> None:
         value = getattr(self, name)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.frames import increment
+from kilter_core.arm.frames import increment
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.transforms import inverse

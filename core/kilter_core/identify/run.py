@@ -9,35 +9,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError, OptionError
-from kilter_core.identifiability import NullDirection, null_directions
-from kilter_core.identify.clustered import clustered
 from kilter_core.identify.holdout import Folds, fold_splits, split
+from kilter_core.identify.identifiability import NullDirection, null_directions
 from kilter_core.identify.influence import influence_of
-from kilter_core.identify.intervals import Intervals, bootstrap, profile
-from kilter_core.identify.kalman import Prior
 from kilter_core.identify.learned import Learned, gated
 from kilter_core.identify.least_squares import Fit
-from kilter_core.identify.marker_turns import refuse_feigned_turns
-from kilter_core.identify.methods import fit_by_method
+from kilter_core.identify.load_model import far_from_stated, load_rows
+from kilter_core.identify.methods.kalman import Prior
+from kilter_core.identify.methods.registry import fit_by_method
 from kilter_core.identify.noise import Repeats
+from kilter_core.identify.observability import correlated_groups, observability
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.plausibility import refuse_foreign
-from kilter_core.identify.predictive import Predictive, left_of, predictive
+from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
+from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.redescending import set_aside
 from kilter_core.identify.reference import named, refuse_contradicted, registered, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
 from kilter_core.identify.row_errors import RowErrors
 from kilter_core.identify.seeing import seen
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
+from kilter_core.identify.uncertainty.clustered import clustered
+from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
+from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
 from kilter_core.identify.worse import PoseErrors, geometry_alone
-from kilter_core.load_model import far_from_stated, load_rows
 from kilter_core.measurement import Measurement
-from kilter_core.metrics import Errors, metrics_document
+from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
-from kilter_core.observability import correlated_groups, observability
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -142,7 +142,7 @@ def identify(
 
     """
     options = options or IdentifyOptions()
-    tell = progress or (lambda fraction, stage: None)
+    progress = progress or (lambda fraction, stage: None)
     begin = begin_with(robot, train, options, start)
     nominal = Calibration.nominal(robot)
     refuse_missing_columns(begin, train)
@@ -150,12 +150,12 @@ def identify(
     if frames is not None:
         begin, train = frames.in_model(begin), frames.laid(train)
         validation = frames.laid(validation) if isinstance(validation, Observations) else validation
-    tell(0.02, "splitting by pose")
+    progress(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
     compared: PoseErrors | None = None
     by_row: RowErrors | None = None
     if isinstance(validation, Folds):
-        held, compared, by_row = _cross_validated(nominal, begin, train, validation, options, tell, prior)
+        held, compared, by_row = _cross_validated(nominal, begin, train, validation, options, progress, prior)
     train, validation, inside, outside = _parted(train, validation, options.seed)
     measurement = seen(train, options, begin.marker_points)
     refuse_feigned_turns(begin, measurement)
@@ -163,20 +163,22 @@ def identify(
     found = _registered(begin, measurement, options, prior)
     wanted = wanted_frames(begin, found, measurement, options, _continues(options, prior))
     begin, learned = gated(begin, train, options, prior)
-    fit = fit_by_method(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s), prior)
-    calibration = Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points, *wanted)
+    fit = fit_by_method(begin, measurement, options, lambda f, s: progress(0.5 + 0.4 * f, s), prior)
+    calibration = Calibration(
+        *fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points, *wanted
+    )
     stages = {"nominal": nominal, "registration_only": found, "identified": calibration}
     own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):
         plain = geometry_alone(begin, measurement, options)
         held, compared, by_row, own[len(own) :] = held_out(stages, plain, frames, validation, options, measurement)
         by_row = by_row.numbered(outside)
-    tell(0.95, "identifiability")
+    progress(0.95, "identifiability")
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
     metrics = metrics_document(errors, held)
     result = _reported(
-        without_frames(calibration), fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned
+        without_frames(calibration), fit, train, metrics, options, lambda f, s: progress(0.95 + 0.04 * f, s), learned
     )
     said = (*result.warnings, *remarks, *(compared.warnings() if compared else ()))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
@@ -204,14 +206,14 @@ def _reported(
     train: Observations,
     metrics: dict[str, Any],
     options: IdentifyOptions,
-    tell: Progress,
+    progress: Progress,
     learned: Learned | None = None,
 ) -> Identification:
     """What was found, with all that is said about it."""
     repeats = Repeats.of(train, fit.residual)
     sigma = repeats.between
     plain, fit = fit, clustered(fit)
-    intervals = _intervals(plain, fit, options, tell)
+    intervals = _intervals(plain, fit, options, progress)
     fit = marginal(fit)
     return Identification(
         calibration=calibration,
@@ -234,14 +236,14 @@ def _reported(
     )
 
 
-def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, tell: Progress) -> Intervals | None:
+def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, progress: Progress) -> Intervals | None:
     """Intervals of a fit; a profile, whose likelihood takes rows as independent, is widened to what the poses show."""
     if options.intervals is None:
         return None
     if options.intervals == "profile":
-        found = profile(plain, tell).widened(fit.sigma / plain.sigma)
+        found = profile(plain, progress).widened(fit.sigma / plain.sigma)
     else:
-        found = bootstrap(plain, options.seed, tell)
+        found = bootstrap(plain, options.seed, progress)
     arm = of_the_arm(fit)
     return replace(found, lower=found.lower[arm], upper=found.upper[arm], stands_in=found.stands_in[arm])
 
@@ -294,7 +296,7 @@ def _cross_validated(
     train: Observations,
     folds: Folds,
     options: IdentifyOptions,
-    tell: Progress,
+    progress: Progress,
     prior: Prior | None = None,
 ) -> tuple[dict[str, Errors], PoseErrors, RowErrors]:
     """Errors on held-out poses, pooled over the folds."""
@@ -303,8 +305,8 @@ def _cross_validated(
     poses: list[PoseErrors] = []
     by_row: list[RowErrors] = []
     for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
-        tell(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
-        report = _within(tell, k, folds.folds)
+        progress(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
+        report = _within(progress, k, folds.folds)
         shown = seen(train.select(inside), options, shape)
         unseen = seen(train.select(outside), options, shape, shown)
         model = gated(begin, train.select(inside), options, prior)[0]
@@ -322,6 +324,8 @@ def _cross_validated(
     return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row)
 
 
-def _within(tell: Progress, fold: int, folds: int) -> Progress:
+def _within(progress: Progress, fold: int, folds: int) -> Progress:
     """Progress of one fold as part of the whole."""
-    return lambda fraction, stage: tell(0.05 + 0.45 * (fold + fraction) / folds, f"fold {fold + 1} of {folds}, {stage}")
+    return lambda fraction, stage: progress(
+        0.05 + 0.45 * (fold + fraction) / folds, f"fold {fold + 1} of {folds}, {stage}"
+    )

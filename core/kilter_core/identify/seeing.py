@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.constraints import Contacts
 from kilter_core.errors import OptionError
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import Contacts
+from kilter_core.measurement.distances import Distances
 from kilter_core.observations import Observations
-from kilter_core.relative import Distances
 
 Floats = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.constraints import Contacts
+from kilter_core.arm.frames import FRAME_ANGLE_PRIOR_RAD, FRAME_LENGTH_PRIOR_M, increment
+from kilter_core.arm.robot import Robot
 from kilter_core.effects import BASE, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
-from kilter_core.frames import FRAME_ANGLE_PRIOR_RAD, FRAME_LENGTH_PRIOR_M, increment
 from kilter_core.identify.estimate import bounded, estimate
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
@@ -25,12 +25,12 @@ from kilter_core.identify.row_errors import RowErrors
 from kilter_core.identify.seeing import seen
 from kilter_core.identify.worse import PoseErrors
 from kilter_core.measurement import Measurement
-from kilter_core.metrics import Errors
+from kilter_core.measurement.contacts import Contacts
+from kilter_core.measurement.metrics import Errors
+from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
-from kilter_core.registration import register
-from kilter_core.robot import Robot
 from kilter_core.transforms import inverse, rotation_log
 
 Floats = NDArray[np.float64]
@@ -123,7 +123,7 @@ class Frames:
         """Frames that a fit of several training set-ups found."""
         out = []
         values = dict(zip(calibration.names, calibration.values, strict=True))
-        T = calibration.model.folded(calibration.values)[0].T_base
+        T = calibration.model.absorb_frame_increments(calibration.values)[0].T_base
         for code, lay in list(self.lays.items())[1:]:
             six = np.array([values[f"setup_{code}_{name}"] for name in FRAME_NAMES])
             out.append(_apart(code, "train", T, inverse(lay) @ T @ increment(six)))
@@ -152,7 +152,7 @@ def _refuse(train: Observations, codes: list[int], options: IdentifyOptions) -> 
 
 def _lays(begin: Calibration, train: Observations, codes: list[int]) -> list[Floats]:
     """What takes each set-up into the frame of the first, by registering bases and the tool in turn."""
-    model, values = begin.model.folded(begin.values)
+    model, values = begin.model.absorb_frame_increments(begin.values)
     shape = Measurement.of(train, begin.marker_points).marker_points
     assert train.setup is not None
     lays = [np.eye(4) for _ in codes]
@@ -265,10 +265,10 @@ def _of(setup: NDArray[np.int64], code: int | None, new: list[int]) -> NDArray[n
 def with_base(calibration: Calibration, measurement: Measurement, loss: str) -> Calibration:
     """The calibration with its base fitted to other rows, all else held."""
     alone = without_frames(calibration)
-    model, values = alone.model.folded(alone.values)
+    model, values = alone.model.absorb_frame_increments(alone.values)
     options = IdentifyOptions(fix=model.names[6:], tool="fixed", loss=bounded(loss))
     fit = estimate(Calibration(model, values, measurement.marker_points), measurement, options)
-    return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+    return Calibration(*fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points)
 
 
 def _apart(code: int, use: str, before: Floats, after: Floats) -> OwnFrame:

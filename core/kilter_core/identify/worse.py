@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import CoreError
-from kilter_core.identify.methods import fit_by_method
+from kilter_core.identify.methods.registry import fit_by_method
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
@@ -111,7 +111,7 @@ def geometry_alone(begin: Calibration, measurement: Measurement, options: Identi
         fit = fit_by_method(plain, measurement, chosen)
     except CoreError:
         return None
-    return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+    return Calibration(*fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points)
 
 
 def _some(pattern: str, names: Sequence[str]) -> bool:

@@ -15,7 +15,7 @@ from kilter_service.contract.columns import PAYLOAD_CENTRE, TILTS
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kilter_core.robot import Robot
+    from kilter_core.arm.robot import Robot
 
 Floats = NDArray[np.float64]
 

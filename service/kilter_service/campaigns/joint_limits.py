@@ -13,7 +13,7 @@ from kilter_core.errors import ObservationError
 from kilter_service.campaigns.columns import Column
 
 if TYPE_CHECKING:
-    from kilter_core.robot import Joint
+    from kilter_core.arm.robot import Joint
 
 Floats = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from kilter_service.contract.columns import CONTACTS, TILTS
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kilter_core.robot import Robot
+    from kilter_core.arm.robot import Robot
 
 Floats = NDArray[np.float64]
 
@@ -170,7 +170,9 @@ class RowRules:
 
     def _check_unit(self, column: Column) -> None:
         """Refuse points that fit the robot in another unit only."""
-        from kilter_core.unit_check import unit_factor  # loads compiled kernels; wanted only for a suspicious upload
+        from kilter_core.identify.plausibility.units import (
+            unit_factor,
+        )  # loads compiled kernels; wanted only for a suspicious upload
 
         factor = unit_factor(self.robot, *self._sample[0])
         if factor is None:

@@ -21,7 +21,7 @@ from kilter_service.references import retired
 from kilter_service.robots import store as robots
 
 if TYPE_CHECKING:
-    from kilter_core.robot import Robot
+    from kilter_core.arm.robot import Robot
 
 STAGED_FOR = timedelta(days=7)
 MEASURED = ("x", "marker_x", "link", *TILTS, *CONTACTS)

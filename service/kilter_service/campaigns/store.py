@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from numpy.typing import NDArray
 
+    from kilter_core.arm.robot import Robot
     from kilter_core.observations import Observations
-    from kilter_core.robot import Robot
 
 
 def add(session: Session, robot_id: int, campaign: NewCampaign) -> str:

@@ -14,7 +14,7 @@ from kilter_core.errors import ObservationError
 from kilter_service.corrector.frames import Status
 
 if TYPE_CHECKING:
-    from kilter_core.correction import CorrectionOptions, CorrectionProgram
+    from kilter_core.correct.program import CorrectionOptions, CorrectionProgram
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
 
@@ -56,7 +56,7 @@ def _runs(
     calibration: Calibration, rows: Observations, options: CorrectionOptions
 ) -> Iterator[tuple[slice, CorrectionProgram]]:
     """Stretches under one load and temperature, each with its program."""
-    from kilter_core.correction import compile_program
+    from kilter_core.correct.program import compile_program
 
     conditions = np.column_stack(
         [
@@ -100,7 +100,7 @@ def _by_themselves(rows: Observations, runs: list[tuple[slice, Any]]) -> tuple[F
 
 def _followed(rows: Observations, runs: list[tuple[slice, Any]]) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """Every row after the one before. A refused row leaves no trace: the next goes on from the last that was answered."""
-    from kilter_core.correction import Track
+    from kilter_core.correct.program import Track
 
     t = np.asarray(rows.t)
     back = np.flatnonzero(~(np.diff(t) >= 0))

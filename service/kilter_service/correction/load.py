@@ -12,9 +12,9 @@ from kilter_service.campaigns.assemble import with_default_load
 from kilter_service.wire import to_metres, to_mm
 
 if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
-    from kilter_core.robot import Robot
 
 FOLLOW_THE_LOAD = frozenset({"moments", "payload_kg"})
 

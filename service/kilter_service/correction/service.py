@@ -21,7 +21,7 @@ from kilter_service.versions import store as versions
 from kilter_service.versions.records import VersionRecord
 
 if TYPE_CHECKING:
-    from kilter_core.correction import CorrectionOptions
+    from kilter_core.correct.program import CorrectionOptions
 
 
 ROS2 = "ros2-yaml"

@@ -12,7 +12,7 @@ from kilter_service.correction.follow import Corrected, last_motion
 from kilter_service.corrector.frames import Status
 
 if TYPE_CHECKING:
-    from kilter_core.identify.predictive import Predictive
+    from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
 

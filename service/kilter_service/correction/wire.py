@@ -14,7 +14,7 @@ from kilter_service.corrector.frames import Status
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kilter_core.correction import CorrectionOptions
+    from kilter_core.correct.program import CorrectionOptions
     from kilter_service.correction.follow import Corrected
 
 Floats = NDArray[np.float64]
@@ -22,7 +22,9 @@ Floats = NDArray[np.float64]
 
 def options_of(limits: CorrectionLimits, temperature_c: float | None) -> CorrectionOptions:
     """Return how to correct within the limits of a version, the arm at this temperature."""
-    from kilter_core.correction import CorrectionOptions  # loads compiled kernels: not at the start of the API process
+    from kilter_core.correct.program import (
+        CorrectionOptions,
+    )  # loads compiled kernels: not at the start of the API process
 
     return CorrectionOptions(
         largest_rad=math.radians(limits.max_joint_deg),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from kilter_core.correction import CorrectionProgram
+    from kilter_core.correct.program import CorrectionProgram
 
 
 @dataclass(frozen=True)

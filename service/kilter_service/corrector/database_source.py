@@ -72,7 +72,7 @@ class DatabaseSource:
 
 
 def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Active:
-    from kilter_core.correction import CorrectionOptions, compile_program
+    from kilter_core.correct.program import CorrectionOptions, compile_program
 
     options = CorrectionOptions(
         largest_rad=version.max_joint,

@@ -20,7 +20,7 @@ from typing import Any
 
 import zenoh
 
-from kilter_core.correction import warm_up
+from kilter_core.correct.program import warm_up
 from kilter_service.corrector import frames, keys, short_way
 from kilter_service.corrector.active import Active, nothing_active
 from kilter_service.corrector.frames import Status

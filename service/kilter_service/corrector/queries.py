@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 import numpy as np
 import zenoh
 
-from kilter_core.correction import Track, warm_up
+from kilter_core.correct.program import Track, warm_up
 from kilter_service.corrector import frames, keys
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.frames import Flag, Floats, FrameError, Header, Kind, Status

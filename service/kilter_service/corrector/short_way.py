@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from kilter_core.correction import Track
-from kilter_core.kernels import correction
-from kilter_core.kernels.correction import EXACT, _one
+from kilter_core.correct.kernels import correction
+from kilter_core.correct.kernels.correction import EXACT, _one
+from kilter_core.correct.program import Track
 from kilter_service.corrector import frames
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.admission import Clock

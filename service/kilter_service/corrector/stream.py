@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.correction import Track
+from kilter_core.correct.program import Track
 from kilter_service.corrector import frames
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.admission import Clock

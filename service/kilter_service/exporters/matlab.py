@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.conversions import flange_screws, joint_frames, wanted_tool
+from kilter_core.arm.conversions import joint_frames
+from kilter_core.model.geometry import flange_screws, wanted_tool
 from kilter_service.exporters.exportable import Exportable, Written
 from kilter_service.exporters.registry import program_name
 from kilter_service.exporters.remarks import remarks
 
 if TYPE_CHECKING:
-    from kilter_core.robot import Joint
+    from kilter_core.arm.robot import Joint
 
 Floats = NDArray[np.float64]
 

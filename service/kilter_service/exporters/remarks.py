@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kilter_core.conversions.closest import Loss, at_rest, geometry_loss, workspace
-from kilter_core.conversions.screws import Screws
+from kilter_core.arm.conversions.screws import Screws
+from kilter_core.model.closest_table import Loss, at_rest, geometry_loss, workspace
 
 if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
     from kilter_core.effects import Effect
     from kilter_core.model import Calibration
-    from kilter_core.robot import Robot
 
 SAID_MM = 1e-6  # smaller differences are rounding
 

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.conversions.closest import ClosestTable, closest_table
-from kilter_core.conversions.tables import angles_and_lengths
-from kilter_core.robot import STANDARD_GRAVITY
+from kilter_core.arm.conversions.tables import angles_and_lengths
+from kilter_core.arm.robot import STANDARD_GRAVITY
+from kilter_core.model.closest_table import ClosestTable, closest_table
 from kilter_core.transforms import xyz_rpy_from_pose
 from kilter_service.exporters.exportable import Exportable, Written
 from kilter_service.exporters.remarks import distance, left_out, masses_as_stated
 
 if TYPE_CHECKING:
-    from kilter_core.conventions import Row
-    from kilter_core.robot import Joint, Link
+    from kilter_core.arm.conventions import Row
+    from kilter_core.arm.robot import Joint, Link
 
 MASSES = ("mass_kg", "com_x_mm", "com_y_mm", "com_z_mm")
 INERTIA = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.conversions import JointFrames, Screws, arm_screws, flange_screws, joint_frames, wanted_tool
+from kilter_core.arm.conversions import JointFrames, Screws, joint_frames
 from kilter_core.errors import RobotError
+from kilter_core.model.geometry import arm_screws, flange_screws, wanted_tool
 from kilter_core.transforms import inverse, xyz_rpy_from_pose
 from kilter_service.exporters.exportable import Exportable, Written
 from kilter_service.exporters.remarks import remarks

@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, TreeBuilder, XML
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.conversions import FlangeFrames, flange_frames
+from kilter_core.model.geometry import FlangeFrames, flange_frames
 from kilter_core.transforms import inverse
 from kilter_service.exporters.exportable import Exportable, Written
 from kilter_service.exporters.remarks import remarks

@@ -10,13 +10,14 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.conversions import JointFrames, Screws, flange_frames, flange_screws, joint_frames, wanted_tool
+from kilter_core.arm.conversions import JointFrames, Screws, joint_frames
 from kilter_core.errors import RobotError
+from kilter_core.model.geometry import flange_frames, flange_screws, wanted_tool
 from kilter_service.exporters.urdf_words import numbers, set_origin
 
 if TYPE_CHECKING:
+    from kilter_core.arm.robot import Joint, Link, Robot
     from kilter_core.model import Calibration
-    from kilter_core.robot import Joint, Link, Robot
 
 Floats = NDArray[np.float64]
 

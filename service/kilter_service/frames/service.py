@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kilter_core.errors import ObservationError
-from kilter_core.reference_frame import frame_of_features, frame_of_points
+from kilter_core.procedures.reference_frame import frame_of_features, frame_of_points
 from kilter_service.contract.frames import Frame, NewFrame
 from kilter_service.frames import wire
 

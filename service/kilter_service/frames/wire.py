@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.conversions import pose_document
+from kilter_core.arm.conversions import pose_document
 from kilter_service.contract.frames import Frame, OffPoint
 from kilter_service.contract.units import PointMm, Pose
 
 if TYPE_CHECKING:
-    from kilter_core.reference_frame import ReferenceFrame
+    from kilter_core.procedures.reference_frame import ReferenceFrame
 
 MM = 1e-3
 

@@ -157,7 +157,7 @@ def _back(turns: list[tuple[str, float]]) -> Floats:
 
 
 def _primary(chain: _Chain, drivers: list[str]) -> list[int]:
-    """Return the element of each joint by kilter_core.chain's rule: the one with ratio ±1 when there is one, else its first."""
+    """Return the element of each joint by kilter_core.arm.chain's rule: the one with ratio ±1 when there is one, else its first."""
     own: dict[str, list[int]] = {}
     for k, _, _ in chain.frames:
         own.setdefault(chain.elements[k]["joint"], []).append(k)

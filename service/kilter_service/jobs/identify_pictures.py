@@ -41,7 +41,7 @@ def pictures(found: Identification, report: Mapping[str, Any], job: JobInput) ->
 
 def workspace_picture(found: Identification, rows: Observations, seed: int) -> dict[str, Document]:
     """Draw the uncertainty of the fit at poses within the limits, from the side and from above."""
-    from kilter_core.identify.workspace import Workspace
+    from kilter_core.identify.uncertainty.workspace import Workspace
 
     space = Workspace.of(found.calibration, found.predictive, rows, seed).worst_last()
     some = evenly(len(space.measured), MOST_MEASURED)

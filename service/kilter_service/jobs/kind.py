@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from kilter_core.arm.robot import Robot
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
-    from kilter_core.robot import Robot
     from kilter_service.jobs.foresight import Foresight
 
 Progress = Callable[[float, str], None]

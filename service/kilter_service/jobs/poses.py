@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from kilter_service.wire import joint_scale, joint_units, to_mm
 
 if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
     from kilter_core.observations import Observations
-    from kilter_core.robot import Robot
 
 Floats = NDArray[np.float64]
 

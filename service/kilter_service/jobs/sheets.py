@@ -12,9 +12,9 @@ from kilter_service.jobs.setups import LAID_ANEW
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.identify.sheet_order import SheetOrder
+    from kilter_core.arm.robot import Robot
+    from kilter_core.identify.plausibility.sheet_order import SheetOrder
     from kilter_core.observations import Observations
-    from kilter_core.robot import Robot
 
 OPTION, GIVEN = "sheet_order", "given"
 
@@ -62,7 +62,9 @@ def _sheets(rows: Observations) -> Iterator[tuple[int | None, Observations]]:
 
 
 def _judged(robot: Robot, name: str, sheet: Observations) -> Iterator[dict[str, Any]]:
-    from kilter_core.identify.sheet_order import sheet_order  # compiled kernels: only the worker needs them
+    from kilter_core.identify.plausibility.sheet_order import (
+        sheet_order,
+    )  # compiled kernels: only the worker needs them
 
     found = sheet_order(robot, sheet)
     if found is None:

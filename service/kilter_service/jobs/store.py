@@ -29,8 +29,8 @@ from kilter_service.versions import store as versions
 from kilter_service.versions.store import NewVersion
 
 if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
     from kilter_core.observations import Observations
-    from kilter_core.robot import Robot
 
 MOST_PAST = 20  # earlier jobs that tell how long one takes
 

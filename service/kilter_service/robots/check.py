@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.conversions import Screws, arm_screws, screws_of_chain
+from kilter_core.arm.conversions import Screws, screws_of_chain
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.model import Calibration
-from kilter_core.robots import robot_from_document
+from kilter_core.model.geometry import arm_screws
 from kilter_core.transforms import xyz_rpy_from_pose
 from kilter_service.contract.robot_reports import AxisReport, RobotCheck, Zero
 from kilter_service.contract.robots import RobotDocument
@@ -21,7 +22,7 @@ from kilter_service.robots.wire import joint_summary
 from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.robot import Robot
+    from kilter_core.arm.robot import Robot
 
 Floats = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.circle_points import AxisFit, robot_from_circles
 from kilter_core.errors import ObservationError, OptionError
+from kilter_core.procedures.circle_points import AxisFit, robot_from_circles
 from kilter_service.campaigns import reading
 from kilter_service.campaigns.assemble import observations
 from kilter_service.campaigns.columns import read_columns

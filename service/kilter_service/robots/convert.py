@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 from xml.etree.ElementTree import indent, tostring
 
-from kilter_core.conversions import load_document, pose_document, robot_document
+from kilter_core.arm.conversions import load_document, pose_document, robot_document
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.robot import Robot
 from kilter_core.model import Calibration
-from kilter_core.robot import Robot
-from kilter_core.robots import robot_from_document
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.exporters.urdf_new import new_urdf
 from kilter_service.robots.documents import core_document

@@ -25,8 +25,8 @@ def resolve(posted: dict[str, Any]) -> Resolved:
         RobotError: the document cannot be an arm.
 
     """
-    from kilter_core.robots import robot_from_document  # imports scipy: not at the start of the API process
-    from kilter_core.robots.resolved import resolved_document
+    from kilter_core.arm.documents import robot_from_document  # imports scipy: not at the start of the API process
+    from kilter_core.arm.documents.resolved import resolved_document
 
     understood = core_document(posted)
     chain = resolved_document(robot_from_document(understood.document))

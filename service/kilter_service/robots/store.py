@@ -15,7 +15,7 @@ from kilter_service.robots.records import RobotRecord
 from kilter_service.robots.resolved import Resolved
 
 if TYPE_CHECKING:
-    from kilter_core.robot import Robot
+    from kilter_core.arm.robot import Robot
 
 
 class StoredRobot(NamedTuple):
@@ -39,9 +39,7 @@ class StoredRobot(NamedTuple):
             ServiceError: there is no chain.
 
         """
-        from kilter_core.robots.resolved import (
-            robot_from_resolved,  # imports numpy: not at the start of the API process
-        )
+        from kilter_core.arm.documents.resolved import robot_from_resolved
 
         if self.chain is None:
             raise ServiceError(

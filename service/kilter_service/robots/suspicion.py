@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.conventions import PARALLEL_RAD
+from kilter_core.arm.conventions import PARALLEL_RAD
 from kilter_service.wire import to_deg, to_mm, to_rad
 
 if TYPE_CHECKING:
-    from kilter_core.conversions import Screws
-    from kilter_core.robot import Robot
+    from kilter_core.arm.conversions import Screws
+    from kilter_core.arm.robot import Robot
 
 SMALL_M, LARGE_M = 0.02, 20.0
 RADIANS = (math.pi / 2, math.pi)  # numbers that are seldom degrees

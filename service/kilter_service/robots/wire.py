@@ -13,7 +13,7 @@ from kilter_service.robots.records import RobotRecord
 from kilter_service.wire import DEG, MM
 
 if TYPE_CHECKING:
-    from kilter_core.robot import Joint, Robot
+    from kilter_core.arm.robot import Joint, Robot
 
 DOCUMENT: TypeAdapter[RobotDocument] = TypeAdapter(RobotDocument)
 

@@ -17,7 +17,7 @@ from types import FrameType
 
 import zenoh
 
-from kilter_core.correction import warm_up
+from kilter_core.correct.program import warm_up
 from kilter_service.corrector import keys
 from kilter_service.corrector.active import Active, Source
 from kilter_service.corrector.database_source import DatabaseSource

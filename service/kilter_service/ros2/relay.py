@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from kilter_core.correction import Track
+from kilter_core.correct.program import Track
 from kilter_service.corrector import frames
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.frames import Flag, Floats, Status

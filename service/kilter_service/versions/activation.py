@@ -51,10 +51,7 @@ def activate(
 
 def _left_out(database: Database, version_id: str, temperature_c: float | None) -> list[str]:
     """Effects of a version that setpoints are not corrected for."""
-    from kilter_core.correction import (  # compiled kernels: not at the start of the API
-        CorrectionOptions,
-        compile_program,
-    )
+    from kilter_core.correct.program import CorrectionOptions, compile_program
 
     with database.reading() as session:
         calibration = store.calibration(session, version_id)

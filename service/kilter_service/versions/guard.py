@@ -1,7 +1,7 @@
 """What speaks against activating a version: its own identification, and measurements that it was not fitted to.
 
 It is compared with the drawing in frames of its own (registration only) and with the version that is active. Worse is
-what `kilter_core.compare` calls so. Where there is nothing to compare on, a warning says so and nothing is refused for it.
+what `kilter_core.identify.compare` calls so. Where there is nothing to compare on, a warning says so and nothing is refused for it.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class Case:
 
     def verdict(self, own: list[Objection]) -> Verdict:
         """Compare, and say what speaks against the version."""
-        from kilter_core.compare import Difference, pooled
+        from kilter_core.identify.compare import Difference, pooled
 
         found = [part for part in self._parts() if part is not None]
         own = [*own, *self.unpredictable]
@@ -127,7 +127,7 @@ class Case:
         return Verdict(self.active, (*own, *worse), compared, tuple(self.warnings))
 
     def _parts(self) -> list[Part | None]:
-        from kilter_core.compare import FEWEST_POSES, lacking, poses_of, setups, thinned
+        from kilter_core.identify.compare import FEWEST_POSES, lacking, poses_of, setups, thinned
 
         for message in self.unseen.left_out.values():
             self.warn("campaign_not_compared", message)
@@ -149,7 +149,7 @@ class Case:
         return out
 
     def _usable(self, campaign: str, rows: Observations) -> bool:
-        from kilter_core.compare import lacking
+        from kilter_core.identify.compare import lacking
 
         missing = lacking(self.new, rows)
         if rows.position is None and rows.markers is None:
@@ -163,7 +163,7 @@ class Case:
 
     def _compared(self, campaign: str, rows: Observations, rival: Calibration | None) -> Part | None:
         """The errors at one set-up of a campaign; None, and a warning, when it cannot be compared."""
-        from kilter_core.compare import FEWEST_POSES, poses_of
+        from kilter_core.identify.compare import FEWEST_POSES, poses_of
         from kilter_core.model import Calibration
 
         if poses_of(rows) < FEWEST_POSES:
@@ -192,7 +192,7 @@ class Case:
     @staticmethod
     def _errors(calibration: Calibration, rows: Observations) -> Floats | str:
         """Errors by pose, or why there are none: what a fit of nonsense raises is of many kinds."""
-        from kilter_core.compare import errors_by_pose
+        from kilter_core.identify.compare import errors_by_pose
 
         try:
             with np.errstate(all="ignore"):

@@ -21,7 +21,7 @@ from kilter_service.versions import store, wire
 from kilter_service.versions.records import Foreseen, VersionRecord
 
 if TYPE_CHECKING:
-    from kilter_core.robot import Robot
+    from kilter_core.arm.robot import Robot
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from kilter_core.robot import Robot
+    from kilter_core.arm.robot import Robot
 
     Floats = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from kilter_service.versions.records import VersionRecord
 from kilter_service.versions.unseen import Archive
 
 if TYPE_CHECKING:
-    from kilter_core.identify.predictive import Predictive
+    from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
 

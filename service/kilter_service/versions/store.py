@@ -23,7 +23,7 @@ from kilter_service.robots.resolved import sha256_of
 from kilter_service.versions.records import ActivationRecord, VersionRecord
 
 if TYPE_CHECKING:
-    from kilter_core.identify.predictive import Predictive
+    from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
 
 
@@ -220,7 +220,7 @@ def covariance(session: Session, version_id: str) -> dict[str, Any]:
 
 def known(session: Session, version_id: str) -> Predictive | None:
     """Return how far a version says the arm may be from it; None when it has no covariance."""
-    from kilter_core.identify.predictive import Predictive
+    from kilter_core.identify.uncertainty.predictive import Predictive
 
     row = _row(session, version_id)
     return Predictive.from_document(row.covariance, row.report)

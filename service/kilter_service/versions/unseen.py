@@ -17,8 +17,8 @@ from kilter_service.versions import store
 from kilter_service.versions.store import Training
 
 if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
     from kilter_core.observations import Observations
-    from kilter_core.robot import Robot
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -132,7 +132,7 @@ class _Trained:
     def _split(self, training: Training, fraction: float) -> dict[str, Bools] | None:
         """Rows fitted of each campaign's named uploads, as the job drew them; None when that cannot be told any more."""
         from kilter_core.observations import Observations
-        from kilter_core.poses import rounded_poses
+        from kilter_core.observations.repeats import rounded_poses
 
         try:
             parts = [
@@ -152,7 +152,7 @@ class _Trained:
 
 def _draw(training: Training, rows: Observations, fraction: float) -> Ints:
     """Indices of the rows that a job fits when a fraction is held out."""
-    from kilter_core.gap.holding import held_out
+    from kilter_core.gap.evidence.holding_out import held_out
     from kilter_core.identify.holdout import split
 
     if training.kind == "gap":
@@ -162,7 +162,7 @@ def _draw(training: Training, rows: Observations, fraction: float) -> Ints:
 
 def _free(rows: Observations, trained: Bools, poses: Floats) -> Bools:
     """Rows whose whole pose is neither fitted nor at the joint readings of a pose that was."""
-    from kilter_core.poses import numbered_poses
+    from kilter_core.observations.repeats import numbered_poses
 
     numbers = numbered_poses(np.concatenate([poses, rows.q]))
     seen = trained | np.isin(numbers[len(poses) :], numbers[: len(poses)])

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from kilter_core.compare import Difference
+    from kilter_core.identify.compare import Difference
 
     Floats = NDArray[np.float64]
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.conversions import arm_screws
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document, preset_names
 from kilter_core.model import Calibration
-from kilter_core.robots import preset_document, preset_names, robot_from_document
+from kilter_core.model.geometry import arm_screws
 from kilter_files.arm import Arm, arm_of
 from kilter_files.registration import calibrated, register
 from kilter_service.robots.check import check

@@ -12,14 +12,16 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from kilter_core.chain import Axis, Chain, Element
-from kilter_core.conventions import Row
-from kilter_core.conversions import Screws, flange_screws, joint_frames, link_table, screws_of_chain
-from kilter_core.conversions.closest import closest_table
+from kilter_core.arm.chain import Axis, Chain, Element
+from kilter_core.arm.conventions import Row
+from kilter_core.arm.conversions import Screws, joint_frames, link_table, screws_of_chain
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
+from kilter_core.model.closest_table import closest_table
+from kilter_core.model.geometry import flange_screws
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
 from kilter_core.transforms import xyz_rpy_from_pose
 from kilter_core.twin import Twin, thesis_katana
 

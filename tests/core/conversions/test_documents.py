@@ -11,14 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from kilter_core.conversions import robot_document
-from kilter_core.conversions.screws import screws_of_chain
+from kilter_core.arm.conversions import robot_document
+from kilter_core.arm.conversions.screws import screws_of_chain
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
+from kilter_core.arm.presets import preset_document
 from kilter_core.errors import OptionError, RobotError
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import RobotModel
-from kilter_core.moments import axial_loads, joint_loads
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
 from tests.core.campaigns import joints, measured
 from tests.core.truth import Arm, Step, some_arm, some_pose, ur10, with_bodies, with_hidden_errors
 

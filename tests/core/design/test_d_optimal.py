@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.design.d_optimal import d_optimal_poses
-from kilter_core.design.region import Region
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.effects import make_effect
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
-from kilter_core.robots import robot_from_document
+from kilter_core.model.region import Region
+from kilter_core.plan.d_optimal import d_optimal_poses
 from tests.core.truth import ur10
 
 ROBOT = robot_from_document(ur10().document())

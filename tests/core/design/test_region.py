@@ -7,11 +7,11 @@ import itertools
 import numpy as np
 import pytest
 
-from kilter_core.design.order import short_way, way
-from kilter_core.design.region import BESIDE_M, Hull, Region, arm_points
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.driving_order import short_way, way
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
-from kilter_core.robots import robot_from_document
+from kilter_core.model.region import BESIDE_M, Hull, Region, arm_points
 from tests.core.truth import ur10
 
 ROBOT = robot_from_document(ur10().document())

@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect, make_effect
 from kilter_core.model import Prediction, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import robot_from_document
 from tests.core.truth import JOINT_FRAME, Arm, Body, Step
 
 Floats = NDArray[np.float64]

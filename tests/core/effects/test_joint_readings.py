@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_core.effects import Effect, make_effect
 from kilter_core.errors import OptionError
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
 from tests.core.effects.by_hand import effect_on, one_joint, robot_of
 from tests.core.truth import Arm, Step
 

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
+from kilter_core.arm.robot import Robot
 from kilter_core.effects import make_effect
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import preset_document, robot_from_document
 
 MARKERS = np.array([[0.03, 0.0, 0.0], [-0.02, 0.03, 0.01], [-0.02, -0.03, -0.01]])
 

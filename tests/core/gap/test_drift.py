@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.noise import repeat_noise
-from kilter_core.gap.visits import visits_of
+from kilter_core.gap.noise.from_repeats import repeat_noise
+from kilter_core.gap.noise.visits import visits_of
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana
 

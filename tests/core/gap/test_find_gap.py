@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from kilter_core.errors import CancelledError, NotConvergedError, ObservationError, OptionError, TooFewPosesError
-from kilter_core.gap import GapOptions, find_gap, prepare
+from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.options import GapOptions as Options
+from kilter_core.gap.search import prepare
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana

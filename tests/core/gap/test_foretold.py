@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from kilter_core.gap.foretold import surely_foretold
+from kilter_core.gap.evidence.foretold import surely_foretold
 
 POSES = np.repeat(np.arange(20), 2)
 

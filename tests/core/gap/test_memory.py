@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from kilter_core.gap.recent import Recent
+from kilter_core.gap.search.recent import Recent
 
 HUNT = """
 import resource

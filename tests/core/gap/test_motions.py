@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.control import by_blocks
-from kilter_core.gap.tails import tail
-from kilter_core.gap.trajectory import blocks, correlation_length, hold_out, is_trajectory, segments, windows_of
+from kilter_core.gap.evidence.control import by_blocks
+from kilter_core.gap.noise.motion import blocks, correlation_length, hold_out, is_trajectory, segments, windows_of
+from kilter_core.gap.search.tails import tail
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import katana
 

@@ -11,12 +11,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.hunt import worse
-from kilter_core.gap.select import Selector
+from kilter_core.gap.search.forward_selection import worse
+from kilter_core.gap.search.select import Selector
 from kilter_core.identify import identify
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.identify.test_stubborn_poses import column, grid, observed
 from tests.core.truth import Arm
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kilter_core.gap.noise import repeat_noise, spikes
-from kilter_core.gap.visits import visits_of
+from kilter_core.gap.noise.from_repeats import repeat_noise, spikes
+from kilter_core.gap.noise.visits import visits_of
 from kilter_core.observations import Observations
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.report import GapReport
+from kilter_core.gap.report.report import GapReport
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import Hidden, campaign, katana
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from kilter_core.gap.candidates import FAMILY, JOINT, WHOLE, Candidate
-from kilter_core.gap.gram import Gram
-from kilter_core.gap.scan import Scorer
-from kilter_core.gap.select import Selector
+from kilter_core.gap.search.candidates import FAMILY, JOINT, WHOLE, Candidate
+from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.scan import Scorer
+from kilter_core.gap.search.select import Selector
 
 CRITICAL = 1e-4
 

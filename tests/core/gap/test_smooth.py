@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from kilter_core.arm.robot import Robot
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.report import GapReport, effect_row
+from kilter_core.gap.report.report import GapReport, effect_row
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
 from tests.core.gap.simulated import katana
 
 Floats = NDArray[np.float64]

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.visits import visits_of
+from kilter_core.gap.noise.visits import visits_of
 from kilter_core.identify import IdentifyOptions, Prior, identify
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.gap.simulated import campaign, katana
 from tests.core.gap.test_motions import QUICK as MOVING
 from tests.core.gap.test_motions import motion

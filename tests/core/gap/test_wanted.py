@@ -8,7 +8,7 @@ import pytest
 
 from kilter_core.errors import OptionError
 from kilter_core.gap import GapOptions
-from kilter_core.gap.candidates import library_of
+from kilter_core.gap.search.candidates import library_of
 from tests.core.gap.simulated import campaign, katana
 
 ROWS = campaign(katana(), seed=2)

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.clustered import clustered
+from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured
 from tests.core.identify.test_identify import FIXED, fixed_frames

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kilter_core.constraints import Contacts
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.measurement.contacts import Contacts
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import held, joints, measured, table_errors
 from tests.core.truth import Arm, ur10
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.holdout import fold_splits, split
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import joints, measured
 from tests.core.truth import ur10
 

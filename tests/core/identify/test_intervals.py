@@ -11,14 +11,14 @@ import pytest
 import scipy.optimize
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import OptionError
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.intervals import bootstrap, profile
 from kilter_core.identify.least_squares import Fit, Problem, Weights, solve
+from kilter_core.identify.observability import correlated_groups, observability
+from kilter_core.identify.uncertainty.intervals import bootstrap, profile
 from kilter_core.measurement import Measurement
 from kilter_core.model import RobotModel
-from kilter_core.observability import correlated_groups, observability
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.truth import small_pose, ur10
 
@@ -46,7 +46,7 @@ def test_a_bootstrap_step_is_a_refit() -> None:
     """The same resampled poses, fitted fully by the solver."""
     fit = fitted()
     n = 60
-    found = bootstrap(fit, seed=3, tell=quiet, resamples=12)
+    found = bootstrap(fit, seed=3, progress=quiet, resamples=12)
     rng = np.random.default_rng(3)
     moves = []
     for _ in range(12):
@@ -64,7 +64,7 @@ def test_a_bootstrap_step_is_a_refit() -> None:
 
 def test_a_thousand_resamples_agree_with_the_sigmas_of_well_seen_parameters() -> None:
     fit = fitted()
-    found = bootstrap(fit, seed=0, tell=quiet)
+    found = bootstrap(fit, seed=0, progress=quiet)
     seen = fit.sigma < 0.01 * fit.problem.prior_sigma
     half = 0.5 * (found.upper - found.lower)[seen] / (1.96 * fit.sigma[seen])
     assert seen.sum() > 10

@@ -10,16 +10,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 
-from kilter_core.compensate import CorrectOptions, correct
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects.unknown_residual import UnknownResidual
 from kilter_core.errors import OptionError
-from kilter_core.gap.candidates import library_of
+from kilter_core.gap.search.candidates import library_of
 from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.identify.estimate import estimate
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.truth import ur10
 

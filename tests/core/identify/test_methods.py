@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kilter_core.design.iso9283 import iso_poses
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
 from kilter_core.identify import Identification, IdentifyOptions, Prior, identify
 from kilter_core.identify.influence import influence_of
-from kilter_core.identify.kalman import filtered
 from kilter_core.identify.least_squares import Problem, Weights
-from kilter_core.identify.methods import ESTIMATORS
-from kilter_core.identify.per_pose import pose_solutions
+from kilter_core.identify.methods.kalman import filtered
+from kilter_core.identify.methods.per_pose import pose_solutions
+from kilter_core.identify.methods.registry import ESTIMATORS
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import robot_from_document
+from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.twin import thesis_katana
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.truth import Arm, small_pose, ur10

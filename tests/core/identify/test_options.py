@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import OptionError
 from kilter_core.identify import IdentifyOptions
 from kilter_core.model import RobotModel
-from kilter_core.robots import robot_from_document
 from tests.core.truth import ur10
 
 MODEL = RobotModel(robot_from_document(ur10().document()))

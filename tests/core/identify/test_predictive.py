@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kilter_core.evaluate import evaluate
 from kilter_core.identify import Identification, IdentifyOptions, identify
-from kilter_core.identify.predictive import Predictive, acting
+from kilter_core.identify.uncertainty.predictive import Predictive, acting
 from kilter_core.measurement import Measurement
 from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured

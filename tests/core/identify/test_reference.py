@@ -8,10 +8,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, Prior, identify
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.truth import Arm, ur10
 
 TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.0, 0.1]))

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify import Folds, IdentifyOptions, identify
+from kilter_core.measurement.distances import Distances
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
-from kilter_core.relative import Distances
-from kilter_core.robots import robot_from_document
 from kilter_core.twin import thesis_katana
 from tests.core.campaigns import MARKERS, joints, measured, table_errors
 from tests.core.truth import some_pose, ur10

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify import Folds, IdentifyOptions, identify
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.truth import Arm, small_pose, some_pose, ur10
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kilter_core.identify.sheet_order import sheet_order
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.identify.plausibility.sheet_order import sheet_order
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import table_errors
 from tests.core.drawing import PLANE, Drawing, drawn
 from tests.core.truth import ur10

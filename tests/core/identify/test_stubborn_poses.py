@@ -17,13 +17,13 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import estimate, prepared
 from kilter_core.identify.least_squares import Linearised, solve
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import measured
 from tests.core.truth import UR10_ROWS, Arm, Body, Step, dh_steps, small_pose, some_pose, with_hidden_errors
 
@@ -162,9 +162,9 @@ def test_what_one_orientation_cannot_tell_is_said(make: Callable[[np.random.Gene
     rng = np.random.default_rng(5)
     arm, q = make(rng)
     found = identify(robot_from_document(arm.document()), observed(arm, q, rng, "position"))
-    blind = {name for direction in found.null_directions for name, _ in direction.weights}
-    assert any(name.startswith("tool_") for name in blind)
-    assert any(name.startswith("base_") for name in blind)
+    unobservable = {name for direction in found.null_directions for name, _ in direction.weights}
+    assert any(name.startswith("tool_") for name in unobservable)
+    assert any(name.startswith("base_") for name in unobservable)
 
 
 @pytest.mark.parametrize("loss", ["linear", "huber"])

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.identify import Folds, Identification, IdentifyOptions, identify
 from kilter_core.identify.worse import worse
 from kilter_core.observations import Observations
-from kilter_core.robots import robot_from_document
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.gap.simulated import campaign, katana
 from tests.core.truth import ur10, with_bodies

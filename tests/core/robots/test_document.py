@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kilter_core.chain import Axis
+from kilter_core.arm.chain import Axis
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_core.errors import OptionError, RobotError
-from kilter_core.robots import preset_document, robot_from_document
 
 CHAIN: dict[str, Any] = {
     "convention": "chain",

@@ -7,9 +7,10 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document, preset_names
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, preset_names, robot_from_document
 
 Floats = NDArray[np.float64]
 Origin = tuple[float, float, float, float, float, float]  # x, y, z m and roll, pitch, yaw rad: Rz Ry Rx

@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kilter_core.conversions import robot_document
+from kilter_core.arm.conversions import robot_document
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.documents.resolved import resolved_document, robot_from_resolved
+from kilter_core.arm.presets import preset_document, preset_names
+from kilter_core.arm.robot import Robot
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.robot import Robot
-from kilter_core.robots import preset_document, preset_names, robot_from_document
-from kilter_core.robots.resolved import resolved_document, robot_from_resolved
 
 LIFT: dict[str, Any] = {
     "name": "lift",

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.conversions import robot_document
+from kilter_core.arm.conversions import robot_document
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
 from kilter_core.model import Calibration
-from kilter_core.robots import preset_document, robot_from_document
 from kilter_core.twin import Twin
 from kilter_service.importers.urdf import chain_document
 from tests.service.exporters.test_exporters import export, exportable, joints, poses_of

@@ -17,12 +17,13 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from kilter_core.conversions.closest import arm_poses
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.loads.wrenches import joint_loads
+from kilter_core.arm.presets import preset_document
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
-from kilter_core.moments import joint_loads
+from kilter_core.model.closest_table import arm_poses
 from kilter_core.observations import Observations
-from kilter_core.robots import preset_document, robot_from_document
 from kilter_core.transforms import pose_from_xyz_rpy
 from kilter_core.twin import Twin, thesis_katana
 from kilter_service.contract.versions import CorrectionLimits, Version
@@ -60,7 +61,7 @@ def calibrated(errors: dict[str, float], preset: str = "ur10", **changes: Any) -
     truth = Twin(robot_from_document(document), errors).truth
     # As an identification leaves it: the registration found the tracker's frame, which is no error of the arm.
     tracker = pose_from_xyz_rpy(np.array([2.0, -1.0, 0.3]), np.array([0.1, 0.2, 2.0]))
-    model, values = truth.model.folded(truth.values)
+    model, values = truth.model.absorb_frame_increments(truth.values)
     seen = dataclasses.replace(model, T_base=tracker @ np.asarray(model.T_base))
     found = Calibration(seen, values, wanted_base=tracker @ truth.robot.T_base)
     return exportable(document, found), found

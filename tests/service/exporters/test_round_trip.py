@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from kilter_core.arm.documents import robot_from_document
 from kilter_core.model import Calibration
-from kilter_core.robots import robot_from_document
 from kilter_files.robots import Described, read_robot
 from kilter_service.exporters.registry import export
 from kilter_service.importers.urdf import chain_document

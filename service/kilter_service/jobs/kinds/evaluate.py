@@ -36,7 +36,7 @@ def check(options: EvaluateOptions) -> None:
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Compare the version named (else the active one, else the robot as drawn) with the rows of every campaign."""
     from kilter_core.evaluate import evaluate  # compiled kernels: only the worker needs them
-    from kilter_core.identify.predictive import Predictive
+    from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
 
     options: EvaluateOptions = job.options
@@ -54,9 +54,9 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
 
 def foresee(job: JobInput, found: Foresight) -> None:
     """Evaluate some of the rows, or see which criteria all of them support."""
-    from kilter_core.compare import thinned
     from kilter_core.evaluate import evaluate
-    from kilter_core.iso9283 import Trial, criteria
+    from kilter_core.evaluate.iso9283 import Trial, criteria
+    from kilter_core.identify.compare import thinned
     from kilter_core.model import Calibration
 
     options: EvaluateOptions = job.options
@@ -73,7 +73,7 @@ def foresee(job: JobInput, found: Foresight) -> None:
 
 def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> JobOutput:
     """Criteria of every campaign; commanded is where the nominal chain in the version's wanted frames says."""
-    from kilter_core.iso9283 import Trial, criteria
+    from kilter_core.evaluate.iso9283 import Trial, criteria
 
     commanded, reports = calibration.wanted(), {}
     for number, (campaign, rows) in enumerate(job.campaigns.items()):

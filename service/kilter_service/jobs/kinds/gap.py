@@ -33,7 +33,7 @@ def check(options: GapOptions) -> None:
         OptionError: an effect that is not searched for, or an option of one that a hunt chooses itself.
 
     """
-    from kilter_core.gap.wanted import wanted
+    from kilter_core.gap.search.wanted import wanted
 
     wanted(_core(options).effects)
 
@@ -46,7 +46,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
 def _hunt(job: JobInput, progress: Progress) -> JobOutput:
     """Hunt through all campaigns together; the version made holds the named effects and the geometry fitted with them."""
     from kilter_core.gap import find_gap  # compiled kernels: only the worker needs them
-    from kilter_core.gap.holding import parted, share_of
+    from kilter_core.gap.evidence.holding_out import parted, share_of
 
     options = _core(job.options)
     rows, validation, confirmation = _rows(job)
@@ -71,7 +71,7 @@ def _hunt(job: JobInput, progress: Progress) -> JobOutput:
 def foresee(job: JobInput, found: Foresight) -> None:
     """Say what would be searched and held out, and which effects these rows can test."""
     from kilter_core.gap.check import check_gap
-    from kilter_core.gap.holding import parted
+    from kilter_core.gap.evidence.holding_out import parted
     from kilter_core.observations import Observations
 
     options = _core(job.options)
@@ -98,7 +98,7 @@ def _label(effect: str, joints: tuple[int, ...] | None) -> str:
 
 def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
     """The poses to measure next as a file, None without any."""
-    from kilter_core.gap.next_poses import wire_scale
+    from kilter_core.gap.report.next_poses import wire_scale
 
     scale = wire_scale(job.robot)
     made = [

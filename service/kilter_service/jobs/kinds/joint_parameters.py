@@ -14,10 +14,10 @@ from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, Ver
 from kilter_service.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_metres, to_rad
 
 if TYPE_CHECKING:
-    from kilter_core.inclinometers import JointParameter, Log
-    from kilter_core.link_encoders import LinkJoint
+    from kilter_core.arm.robot import Robot
     from kilter_core.model import Calibration
-    from kilter_core.robot import Robot
+    from kilter_core.procedures.inclinometers import JointParameter, Log
+    from kilter_core.procedures.link_encoders import LinkJoint
 
 AXES = "xyz"
 REMEDY = (
@@ -76,8 +76,8 @@ def foresee(job: JobInput, found: Foresight) -> None:
 
 def _log_of_campaigns(job: JobInput) -> Log:
     """Readings of all campaigns, mountings numbered apart."""
-    from kilter_core.inclinometers import Log
     from kilter_core.observations import Observations
+    from kilter_core.procedures.inclinometers import Log
     from kilter_service.campaigns.store import numbered
 
     encoders = [name for name, rows in job.campaigns.items() if rows.link_q is not None or rows.tilt is None]
@@ -96,7 +96,7 @@ def _log_of_campaigns(job: JobInput) -> Log:
 
 
 def _by_inclinometers(robot: Robot, log: Log) -> JobOutput:
-    from kilter_core.inclinometers import as_calibration, joint_parameters, weightless_joints
+    from kilter_core.procedures.inclinometers import as_calibration, joint_parameters, weightless_joints
 
     found, warnings = joint_parameters(robot, log)
     warnings += [_at_the_tool(robot.joints[j].name) for j in weightless_joints(robot)]
@@ -105,7 +105,7 @@ def _by_inclinometers(robot: Robot, log: Log) -> JobOutput:
 
 
 def _by_encoders(job: JobInput) -> JobOutput:
-    from kilter_core.link_encoders import as_calibration, link_joints
+    from kilter_core.procedures.link_encoders import as_calibration, link_joints
 
     if job.validation is not None and not isinstance(job.validation, dict):
         raise OptionError("Name campaigns in validation: motions are held out whole.", option="validation")
@@ -171,7 +171,7 @@ def _joint(robot: Robot, name: str) -> int:
 
 
 def _log(robot: Robot, options: Options) -> Log:
-    from kilter_core.inclinometers import Log
+    from kilter_core.procedures.inclinometers import Log
 
     for number, reading in enumerate(options.readings):
         if len(reading.q_deg) != robot.n_joints:
@@ -193,7 +193,7 @@ def _log(robot: Robot, options: Options) -> Log:
 
 def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
     """Configurations to read, and the same as a table to fill in."""
-    from kilter_core.design.inclinometer_poses import inclinometer_poses
+    from kilter_core.plan.inclinometer_poses import inclinometer_poses
 
     joint = _joint(robot, str(options.propose))
     scale = joint_scale(robot)

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from kilter_core.design.region import Region
     from kilter_core.effects import Effect
-    from kilter_core.gap.next_poses import Proposal
+    from kilter_core.gap.report.next_poses import Proposal
     from kilter_core.model import Calibration
+    from kilter_core.model.region import Region
 
     Floats = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def named_effects(options: PlanOptions) -> list[tuple[str, tuple[int, ...] | Non
 
 
 def _iso(job: JobInput, progress: Progress) -> dict[str, Any]:
-    from kilter_core.design.iso9283 import iso_poses
+    from kilter_core.plan.iso9283_poses import iso_poses
 
     if job.options.method in CYCLES:
         return _cycles(job, CYCLES[job.options.method])
@@ -122,7 +122,7 @@ def _iso(job: JobInput, progress: Progress) -> dict[str, Any]:
 
 def _cycles(job: JobInput, order: tuple[int, ...]) -> dict[str, Any]:
     """The same poses again and again; ``count`` cycles, pose_id the standard's number, session the cycle."""
-    from kilter_core.design.iso9283 import five_poses
+    from kilter_core.plan.iso9283_poses import five_poses
 
     q = five_poses(job.robot, seed=job.options.seed, region=_room(job))
     cycles = range(1, (job.options.count or CYCLES_DEMANDED) + 1)
@@ -133,7 +133,7 @@ def _cycles(job: JobInput, order: tuple[int, ...]) -> dict[str, Any]:
 def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
     if job.options.method == "iso9283":
         return _iso(job, progress)
-    from kilter_core.design.d_optimal import d_optimal_poses
+    from kilter_core.plan.d_optimal import d_optimal_poses
 
     rows = d_optimal_poses(
         _begin(job),
@@ -164,7 +164,7 @@ def _within(job: JobInput) -> str:
 
 def _region(job: JobInput) -> Region:
     """Where poses may be: as far as the arm was driven before unless ``within`` says limits, above floor, in the box."""
-    from kilter_core.design.region import Region
+    from kilter_core.model.region import Region
 
     region = Region.of(_begin(job), job.driven if _within(job) == "campaigns" else None)
     floor = job.options.floor_mm
@@ -201,7 +201,7 @@ def _made(job: JobInput) -> list[Effect]:
 def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
     """Poses that tell the two effects named apart, or what the hunt that made the version left undecided."""
     from kilter_core.gap import GapOptions, plan_separation
-    from kilter_core.gap.plan import undecided
+    from kilter_core.gap.report.separation import undecided
     from kilter_core.observations import Observations
     from kilter_service.campaigns.store import numbered
 

@@ -1,0 +1,150 @@
+"""A kinematic chain: elementary transforms in a row, some driven by joints, most of them nameable parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import RobotError
+from kilter_core.parameters import ANGLE_PRIOR_RAD, LENGTH_PRIOR_M, Parameter, refuse_collisions
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Axis(IntEnum):
+    """Elementary motions; the numbers are the codes of the kernels."""
+
+    TX = 0
+    TY = 1
+    TZ = 2
+    RX = 3
+    RY = 4
+    RZ = 5
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the motion is a rotation."""
+        return self >= Axis.RX
+
+
+@dataclass(frozen=True)
+class Element:
+    """One elementary transform.
+
+    ``value`` (m or rad) is the constant, for a joint element its zero offset. A joint element moves by
+    ``ratio * q[joint] + value``; a ratio of -1 turns the axis round, others couple joints (mimic, FANUC J2/J3).
+    ``name`` makes the constant a parameter; without a name it is part of the structure. A ``spare`` parameter says what
+    others of a complete model say together: it is identified at level 1 or when it is asked for, not beside them.
+    """
+
+    axis: Axis
+    value: float = 0.0
+    name: str | None = None
+    joint: int | None = None
+    ratio: float = 1.0
+    dependent: bool = False
+
+    def parameter(self) -> Parameter:
+        """The named constant as a :class:`~kilter_core.parameters.Parameter`."""
+        if self.axis.rotates:
+            return Parameter(self.name or "", "rad", self.value, ANGLE_PRIOR_RAD)
+        return Parameter(self.name or "", "m", self.value, LENGTH_PRIOR_M)
+
+
+@dataclass(frozen=True)
+class Program:
+    """The chain as arrays for the kernels; shapes (E,) and, for the joints, (n,)."""
+
+    axis: Ints
+    joint: Ints
+    ratio: Floats
+    value: Floats
+    primary: Ints
+    joint_frame: Floats
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Elements from the base frame to the flange, and the number of joints that drive them."""
+
+    elements: tuple[Element, ...]
+    n_joints: int
+
+    def __post_init__(self) -> None:
+        refuse_collisions([e.name for e in self.elements if e.name])
+        driven = {e.joint for e in self.elements if e.joint is not None}
+        missing = sorted(set(range(self.n_joints)) - driven)
+        if missing:
+            raise RobotError(
+                f"No element of the chain is driven by joint {missing[0] + 1}: add one, or drop the joint.",
+                joint=missing[0] + 1,
+            )
+
+    @cached_property
+    def primary(self) -> tuple[int, ...]:
+        """Element of each joint: the one with ratio ±1 when there is one, else its first."""
+        out = []
+        for j in range(self.n_joints):
+            own = [k for k, e in enumerate(self.elements) if e.joint == j]
+            out.append(next((k for k in own if abs(self.elements[k].ratio) == 1.0), own[0]))
+        return tuple(out)
+
+    @cached_property
+    def named(self) -> tuple[int, ...]:
+        """Indices of the elements that carry a parameter."""
+        return tuple(k for k, e in enumerate(self.elements) if e.name)
+
+    @cached_property
+    def link_vectors(self) -> Floats:
+        """Vector (n + 1, 3) m of each link, from its joint's origin to the next joint's, in its joint frame.
+
+        Row n is the base's, from the base frame to the first joint; the last link ends at the flange. Constants between
+        two joints only, at their nominal values.
+        """
+        starts = [(-1, self.n_joints), *sorted((k, j) for j, k in enumerate(self.primary))]
+        ends = [k for k, _ in starts[1:]] + [len(self.elements)]
+        out = np.zeros((self.n_joints + 1, 3))
+        for (start, j), end in zip(starts, ends, strict=True):
+            turn, reach = np.eye(3), np.zeros(3)
+            for e in self.elements[start + 1 : end]:
+                k = e.axis % 3
+                if not e.axis.rotates:
+                    reach = reach + turn[:, k] * e.value
+                elif e.joint is None:
+                    a, b = (k + 1) % 3, (k + 2) % 3
+                    step = np.eye(3)
+                    step[a, a] = step[b, b] = np.cos(e.value)
+                    step[b, a] = np.sin(e.value)
+                    step[a, b] = -step[b, a]
+                    turn = turn @ step
+            out[j] = reach if start < 0 else _joint_frame(self.elements[start]).T @ reach
+        return out
+
+    @cached_property
+    def program(self) -> Program:
+        """The chain as kernel arrays."""
+        es = self.elements
+        return Program(
+            axis=np.array([e.axis for e in es], dtype=np.int64),
+            joint=np.array([-1 if e.joint is None else e.joint for e in es], dtype=np.int64),
+            ratio=np.array([e.ratio for e in es], dtype=np.float64),
+            value=np.array([e.value for e in es], dtype=np.float64),
+            primary=np.array(self.primary, dtype=np.int64),
+            joint_frame=np.stack([_joint_frame(es[k]) for k in self.primary]),
+        )
+
+
+def _joint_frame(element: Element) -> Floats:
+    """Turn (3, 3) from the frame after a joint's element to the joint frame, whose z is the positive joint axis."""
+    z = element.axis % 3
+    frame = np.zeros((3, 3))
+    for column, row in enumerate(((z + 1) % 3, (z + 2) % 3, z)):
+        frame[row, column] = 1.0
+    if element.ratio < 0:
+        frame = frame @ np.diag([1.0, -1.0, -1.0])
+    return frame

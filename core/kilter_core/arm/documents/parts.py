@@ -1,0 +1,115 @@
+"""Poses, joints and links of a robot document (mm, degrees) in SI."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Joint, Link, Payload
+from kilter_core.errors import RobotError
+from kilter_core.transforms import pose_from_xyz_rpy
+
+MM = 1e-3
+Document = Mapping[str, Any]
+
+
+def pose_of(pose: Document | None) -> NDArray[np.float64]:
+    """Pose (4, 4) of x_mm ... rz_deg; the identity when None."""
+    pose = pose or {}
+    xyz = np.array([pose.get(f"{k}_mm", 0.0) for k in "xyz"]) * MM
+    rpy = np.radians([pose.get(f"r{k}_deg", 0.0) for k in "xyz"])
+    return pose_from_xyz_rpy(xyz, rpy)
+
+
+def joint_of(i: int, joint: Document, kind: str) -> Joint:
+    """Joint ``i`` (from 0) of ``kind`` "revolute" or "prismatic".
+
+    Raises:
+        RobotError: limits in the wrong order.
+
+    """
+    unit, scale = ("mm", MM) if kind == "prismatic" else ("deg", math.pi / 180.0)
+    limits = joint.get(f"limits_{unit}") or (None, None)
+    lower, upper = (
+        bound if value is None else float(value) * scale
+        for value, bound in zip(limits, (-math.inf, math.inf), strict=True)
+    )
+    if not lower < upper:
+        raise RobotError(
+            f"Joint {i + 1} has limits {list(limits)}: the first must be below the second.", field=f"joints[{i}].limits"
+        )
+    return Joint(str(joint.get("name") or f"j{i + 1}"), kind, lower, upper, joint.get("gear_ratio"))
+
+
+def links_of(links: Sequence[Document], frames: tuple[int, ...]) -> tuple[Link, ...]:
+    """Links in the frames after the chain elements ``frames``, one for each joint.
+
+    Raises:
+        RobotError: another number of links than joints, or a negative mass.
+
+    """
+    if links and len(links) != len(frames):
+        raise RobotError(
+            f"There are {len(links)} links for {len(frames)} joints: give each joint one, with mass_kg 0 where it has none.",
+            field="links",
+        )
+    return tuple(_link(i, link, frame) for i, (link, frame) in enumerate(zip(links, frames, strict=False)))
+
+
+def payload_sigma_of(document: Document | None) -> tuple[float, float]:
+    """How well payloads are known: share of the mass, and m of the place.
+
+    Raises:
+        RobotError: a width that is not above 0.
+
+    """
+    given = {k: v for k, v in (document or {}).items() if v is not None}
+    for name, value in given.items():
+        if not value > 0:
+            message = f"payload_sigma.{name} is {value}: give a standard deviation above 0, or leave it out."
+            raise RobotError(message, field=f"payload_sigma.{name}")
+    percent, centre = given.get("mass_percent"), given.get("com_mm")
+    return (
+        MASS_SHARE if percent is None else float(percent) / 100.0,
+        CENTRE_M if centre is None else float(centre) * MM,
+    )
+
+
+def load_of(document: Document | None) -> Payload | None:
+    """What the robot carries where nobody states a payload.
+
+    Raises:
+        RobotError: no mass, or a negative one.
+
+    """
+    if document is None:
+        return None
+    mass = document.get("payload_kg")
+    if mass is None or not 0.0 <= mass < math.inf:
+        raise RobotError(f"load.payload_kg is {mass}: give a mass, 0 or more.", field="load.payload_kg")
+    x, y, z = (float(value) * MM for value in document.get("payload_com_mm") or (0.0, 0.0, 0.0))
+    return Payload(float(mass), (x, y, z))
+
+
+def _link(i: int, link: Document, element: int) -> Link:
+    mass = float(link.get("mass_kg") or 0.0)
+    if mass < 0:
+        raise RobotError(f"links[{i}] has a mass of {mass} kg: a mass cannot be negative.", field=f"links[{i}].mass_kg")
+    for name in ("mass_sigma_kg", "com_sigma_mm"):
+        if link.get(name) is not None and not link[name] > 0:
+            message = f"links[{i}] has a {name} of {link[name]}: give a standard deviation above 0, or leave it out."
+            raise RobotError(message, field=f"links[{i}].{name}")
+    mass_sigma, com_sigma = link.get("mass_sigma_kg"), link.get("com_sigma_mm")
+    xx, yy, zz, xy, xz, yz = link.get("inertia_kg_m2") or (0.0,) * 6
+    return Link(
+        element=element,
+        mass=mass,
+        com=np.array(link.get("com_mm") or (0.0, 0.0, 0.0), dtype=np.float64) * MM,
+        inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=np.float64),
+        mass_sigma=None if mass_sigma is None else float(mass_sigma),
+        com_sigma=None if com_sigma is None else float(com_sigma) * MM,
+    )

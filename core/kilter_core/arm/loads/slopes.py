@@ -1,0 +1,223 @@
+"""How loads follow errors of the masses: of the links and of the payload. A load is linear in mass and first moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.kernels.newton_euler import load_slopes
+from kilter_core.arm.loads.wrenches import Loads, joint_loads
+from kilter_core.arm.robot import Link, Robot
+from kilter_core.observations import Observations
+
+Floats = NDArray[np.float64]
+
+EACH = 4  # numbers of a body: mass, then three of its place
+LIGHTEST_KG = 1e-9
+NO_COLUMNS = (-1,) * EACH  # of a body that these rows do not have
+ALONG, ABOUT = 2, 5  # components of a wrench that work on a joint: of one that slides, of one that turns
+POINTS = {"wrench": 0, "axial": 0, "end_wrench": 1, "base_wrench": 2}  # where a load works, as the kernel numbers it
+NONE = np.zeros(0)
+# Components of each load that effects read together.
+ACROSS, REST = (3, 4), (0, 1, 2, 5)
+TOGETHER = {
+    "axial": ((0,),),
+    "wrench": (ACROSS, REST),
+    "end_wrench": ((0, 1, 2, 3, 4, 5),),
+    "base_wrench": (ACROSS, REST),
+}
+
+
+@dataclass(frozen=True)
+class LoadSlopes:
+    """Derivatives of the loads of N rows by K load errors, four of each link that has a mass and four of the payload.
+
+    Of a link: mass at its stated centre, kg, and first moment beyond, kg m, along the axes of its frame. Of the payload,
+    in rows that carry one: mass at its stated place, kg, and shift of that place along the axes of the tool, m. Nothing
+    is computed before it is read, and of loads at rest no component that is not: those of thousands of rows fill the
+    memory. Products of two errors are left out, so the loads are linear in them. ``whole`` has the rows, if they are some
+    of those of another.
+    """
+
+    robot: Robot
+    rows: Observations
+    whole: tuple[LoadSlopes, slice] | None = None
+    _made: dict[tuple[str, tuple[int, ...]], Floats] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    @cached_property
+    def bodies(self) -> tuple[int, ...]:
+        """Links (from 0) that have a mass; their errors come first."""
+        return weighed(self.robot)
+
+    @cached_property
+    def loaded(self) -> bool:
+        """Whether any row carries a payload."""
+        if self.whole is not None:
+            return self.whole[0].loaded
+        kg = self.rows.payload_kg
+        return kg is not None and bool(np.any(kg > 0.0))
+
+    def part(self, rows: slice) -> LoadSlopes:
+        """The same of some of the rows, as views of what is computed for all."""
+        return LoadSlopes(self.robot, self.rows.select(rows), (self, rows))
+
+    def __len__(self) -> int:
+        return EACH * (len(self.bodies) + self.loaded)
+
+    @property
+    def payload(self) -> tuple[int, ...]:
+        """Columns of the payload; none without one."""
+        return tuple(range(EACH * len(self.bodies), len(self)))
+
+    def of(self, name: str, part: int) -> Floats:
+        """Of a component of the loads as a batch names them, (K, N, n); of the base's (K, N)."""
+        if self.whole is not None:
+            return self.whole[0].of(name, part)[:, self.whole[1]]
+        parts = _group(name, part)
+        if (name, parts) not in self._made:
+            self._made[name, parts] = self._at_rest(name, parts) if self._rests else self._moving(name, parts)
+        made: Floats = self._made[name, parts][parts.index(part)]
+        return made[:, :, 0] if name == "base_wrench" else made
+
+    def changes(self, name: str, parts: tuple[int, ...], errors: Floats) -> Floats:
+        """Changes (C, N, n) of components of the loads, of the base's (C, N), by load errors (K,)."""
+        whole = self.whole[0] if self.whole is not None else self
+        if not self._rests or any((name, _group(name, part)) in whole._made for part in parts):
+            made = (self.of(name, part) for part in parts)
+            return np.stack([(errors @ by.reshape(len(by), -1)).reshape(by.shape[1:]) for by in made])
+        found = self._at_rest(name, parts, errors)[:, 0]  # no slopes are kept that no derivative asked for
+        return found[:, :, 0] if name == "base_wrench" else found
+
+    @property
+    def _rests(self) -> bool:
+        return self.rows.qd is None or self.rows.qdd is None
+
+    def _at_rest(self, name: str, parts: tuple[int, ...], errors: Floats = NONE) -> Floats:
+        """Slopes (C, K, N, n), or with ``errors (K,)`` changes (C, 1, N, n)."""
+        o, robot, n = self.rows, self.robot, self.robot.n_joints
+        program, links = robot.chain.program, [robot.links[k] for k in self.bodies]
+        components = np.tile(np.array(parts), (1 if name == "base_wrench" else n, 1))
+        if name == "axial":
+            components[:, 0] = [ABOUT if joint.kind == "revolute" else ALONG for joint in robot.joints]
+        kg = np.zeros(len(o)) if o.payload_kg is None else np.where(o.payload_kg > 0.0, o.payload_kg, 0.0)
+        out = np.empty((len(parts), 1 if len(errors) else len(self), len(o), len(components)))
+        load_slopes(
+            program.axis, program.joint, program.ratio, program.value, program.primary, program.joint_frame,
+            np.array([link.element for link in links], dtype=np.int64),
+            np.array([link.com for link in links], dtype=np.float64).reshape(-1, 3),
+            np.ascontiguousarray(robot.gravity, dtype=np.float64), np.ascontiguousarray(robot.T_tool),
+            (kg > 0.0).astype(np.float64), kg, np.ascontiguousarray(payload_place(o)),
+            np.ascontiguousarray(o.q, dtype=np.float64),
+            np.full(len(components), POINTS[name], dtype=np.int64), components, errors, out,
+        )  # fmt: skip
+        return out
+
+    def _moving(self, name: str, parts: tuple[int, ...]) -> Floats:
+        if name == "base_wrench":
+            return np.stack([self._all[2][..., part] for part in parts])[..., None]
+        if name != "axial":
+            return np.stack([self._all[name == "end_wrench"][..., part] for part in parts])
+        revolute = np.array([joint.kind == "revolute" for joint in self.robot.joints])
+        return np.where(revolute, self._all[0][..., ABOUT], self._all[0][..., ALONG])[None]
+
+    @cached_property
+    def _all(self) -> tuple[Floats, Floats, Floats]:
+        """Of the wrenches on joints (K, N, n, 6), ends of links and base (K, N, 6), by differences of moving loads."""
+        count, rows, n = len(self), len(self.rows), self.robot.n_joints
+        made = np.zeros((count, rows, n, 6)), np.zeros((count, rows, n, 6)), np.zeros((count, rows, 6))
+        for k, parts in enumerate(self._each()):
+            for whole, part in zip(made, parts, strict=True):
+                whole[k] = part
+        return made
+
+    def _each(self) -> Iterator[tuple[Floats, Floats, Floats]]:
+        o = self.rows
+        for k in self.bodies:
+            link = self.robot.links[k]
+
+            def load(com: Floats, link: Link = link) -> Loads:
+                body = replace(link, mass=1.0, com=com, inertia=np.zeros((3, 3)))
+                return joint_loads(replace(self.robot, links=(body,)), o.q, qd=o.qd, qdd=o.qdd)
+
+            yield from _of_body(load, link.com)
+        if self.loaded:
+            assert o.payload_kg is not None
+            bare, place = replace(self.robot, links=()), payload_place(o)
+            one = np.asarray(o.payload_kg > 0.0, dtype=np.float64)
+
+            def carried(com: Floats, kg: Floats) -> Loads:
+                return joint_loads(bare, o.q, qd=o.qd, qdd=o.qdd, payload_kg=kg, payload_com=com)
+
+            yield _parts(carried(place, one))
+            for e in np.eye(3):
+                yield _half(carried(place + e, o.payload_kg), carried(place - e, o.payload_kg))
+
+
+def _group(name: str, part: int) -> tuple[int, ...]:
+    return next(parts for parts in TOGETHER[name] if part in parts)
+
+
+def weighed(robot: Robot) -> tuple[int, ...]:
+    """Links (from 0) that have a mass."""
+    return tuple(k for k, link in enumerate(robot.links) if link.mass > 0.0)
+
+
+def payload_place(o: Observations) -> Floats:
+    """Stated place (N, 3) m of the payload in the tool frame."""
+    return np.zeros((len(o), 3)) if o.payload_com is None else o.payload_com
+
+
+def payload_sensitivity(robot: Robot, o: Observations) -> Floats:
+    """Axial load (N, n, 4) of 1 kg at the payload's place, and of 1 kg·m of first moment along tool x, y, z."""
+    if not len(o):
+        return np.zeros((*o.q.shape, EACH))
+    one = Observations(o.q, qd=o.qd, qdd=o.qdd, payload_kg=np.ones(len(o)), payload_com=o.payload_com)
+    return np.moveaxis(LoadSlopes(replace(robot, links=()), one).of("axial", 0), 0, 2)
+
+
+def with_masses(robot: Robot, change: Sequence[float]) -> Robot:
+    """The robot whose loads are those of ``robot`` with the link errors ``change``, as :class:`LoadSlopes` orders them."""
+    links = list(robot.links)
+    for n, k in enumerate(weighed(robot)):
+        mass, *moment = change[EACH * n : EACH * n + EACH]
+        links[k] = _changed(links[k], mass, np.array(moment))
+    return replace(robot, links=tuple(links))
+
+
+def with_payload(kg: float, com: Sequence[float], change: Sequence[float]) -> tuple[float, tuple[float, ...]]:
+    """Mass and place of a payload with the errors ``change`` (mass kg, shift m); nothing where nothing is carried."""
+    if kg <= 0.0 or not len(change):
+        return kg, tuple(com)
+    whole = kg + change[0]
+    shift = np.asarray(change[1:]) * kg / (whole if abs(whole) > LIGHTEST_KG else LIGHTEST_KG)
+    return whole, tuple(float(c + s) for c, s in zip(com, shift, strict=True))
+
+
+def _changed(link: Link, mass: float, moment: Floats) -> Link:
+    """The inertia about the stated centre grows by the added mass only in second order, which is taken off again."""
+    whole = link.mass + mass
+    whole = whole if abs(whole) > LIGHTEST_KG else LIGHTEST_KG
+    bend = (moment @ moment * np.eye(3) - np.outer(moment, moment)) / whole
+    return replace(link, mass=whole, com=link.com + moment / whole, inertia=link.inertia - bend)
+
+
+def _of_body(load: Callable[[Floats], Loads], com: Floats) -> Iterator[tuple[Floats, Floats, Floats]]:
+    yield _parts(load(com))
+    for e in np.eye(3):
+        yield _half(load(com + e), load(com - e))
+
+
+def _parts(loads: Loads) -> tuple[Floats, Floats, Floats]:
+    return loads.joints, loads.ends, loads.base
+
+
+def _half(ahead: Loads, behind: Loads) -> tuple[Floats, Floats, Floats]:
+    """Half the difference: a body's load is quadratic in its place at most, so any width is exact."""
+    one, other = _parts(ahead), _parts(behind)
+    return (one[0] - other[0]) / 2.0, (one[1] - other[1]) / 2.0, (one[2] - other[2]) / 2.0

@@ -1,0 +1,95 @@
+"""Load wrenches on the joints: static (thesis eq. 4.21), dynamic (5.14), with payload and external wrench.
+
+The sign is that of the *load*: what gravity and inertia of the outboard links do to the joint, so a positive
+compliance makes a horizontal arm droop. Moments are taken at the joint readings, on the chain of the robot that is given:
+the one drawn, or one with constants that an earlier fit found (:class:`~kilter_core.arm.loads.chain.LoadChain`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.kernels.newton_euler import load_wrenches
+from kilter_core.arm.robot import Robot
+from kilter_core.observations import Observations
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Loads of N rows, force N then moment N·m.
+
+    ``joints (N, n, 6)`` on each joint in its joint frame (z is the axis); ``ends (N, n, 6)`` what follows does to the
+    end of each link, about where the next joint stands (the flange for the last; a slide before it moves) but in the
+    frame of the link's own joint; ``base (N, 6)`` on the base about its origin, in the base frame; ``tool_point (N, 3)``
+    m, the tool point in the base frame.
+    """
+
+    joints: Floats
+    ends: Floats
+    base: Floats
+    tool_point: Floats
+
+
+def joint_loads(
+    robot: Robot,
+    q: Floats,
+    *,
+    qd: Floats | None = None,
+    qdd: Floats | None = None,
+    payload_kg: Floats | None = None,
+    payload_com: Floats | None = None,
+    external: Floats | None = None,
+) -> Loads:
+    """Load wrenches on joints, link ends and base.
+
+    Args:
+        robot: links, gravity in its base frame, and the chain and tool frame at which they hang.
+        q: joint readings (N, n), rad or m.
+        qd: joint speeds (N, n); with ``qdd`` the load is dynamic, without it static.
+        qdd: joint accelerations (N, n).
+        payload_kg: point mass (N,) kg.
+        payload_com: its place (N, 3) m in the tool frame; the tool point when None.
+        external: force and moment (N, 6) on the tool point in the tool frame.
+
+    Source: thesis eq. 4.21 and 5.14, corrected (forces rotated into one frame, load sign).
+
+    """
+    rows, program = len(q), robot.chain.program
+    none = np.zeros((0, 0))
+    dynamic = qd is not None and qdd is not None
+    shape = (rows, robot.n_joints, 6)
+    loads = Loads(np.empty(shape), np.empty(shape), np.empty((rows, 6)), np.empty((rows, 3)))
+    load_wrenches(
+        program.axis, program.joint, program.ratio, program.value, program.primary, program.joint_frame,
+        np.array([link.element for link in robot.links], dtype=np.int64),
+        np.array([link.mass for link in robot.links], dtype=np.float64),
+        np.array([link.com for link in robot.links], dtype=np.float64).reshape(-1, 3),
+        np.array([link.inertia for link in robot.links], dtype=np.float64).reshape(-1, 3, 3),
+        np.ascontiguousarray(robot.gravity, dtype=np.float64), robot.T_tool,
+        np.zeros(rows) if payload_kg is None else np.ascontiguousarray(payload_kg, dtype=np.float64),
+        np.zeros((rows, 3)) if payload_com is None else np.ascontiguousarray(payload_com, dtype=np.float64),
+        none if external is None else np.ascontiguousarray(external, dtype=np.float64),
+        np.ascontiguousarray(q, dtype=np.float64),
+        np.ascontiguousarray(qd, dtype=np.float64) if dynamic and qd is not None else none,
+        np.ascontiguousarray(qdd, dtype=np.float64) if dynamic and qdd is not None else none,
+        loads.joints, loads.ends, loads.base, loads.tool_point,
+    )  # fmt: skip
+    return loads
+
+
+def loads_of(robot: Robot, o: Observations) -> Loads:
+    """Load wrenches of rows under their own conditions: motion, payload and the wrench on the tool."""
+    return joint_loads(
+        robot, o.q, qd=o.qd, qdd=o.qdd, payload_kg=o.payload_kg, payload_com=o.payload_com, external=o.wrench
+    )  # fmt: skip
+
+
+def axial_loads(robot: Robot, loads: Loads) -> Floats:
+    """Load (N, n) that works on each joint: moment about a revolute axis (N·m), force along a prismatic one (N)."""
+    revolute = [joint.kind == "revolute" for joint in robot.joints]
+    return np.where(revolute, loads.joints[:, :, 5], loads.joints[:, :, 2])

@@ -1,0 +1,136 @@
+"""A chain folded for the correction kernel: everything that does not move multiplied into constants."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.chain import Axis, Element
+from kilter_core.arm.robot import Robot
+from kilter_core.correct.kernels import correction as kernel
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Folded:
+    """Chain as constants between moves; ``moves`` are (element, joint, ratio, slides, primary)."""
+
+    constants: list[Floats]
+    moves: list[tuple[int, int, float, bool, bool]]
+    since_move: list[Floats]  # per element: the constant transform since the last move
+    move_of: list[int]  # per element: the last move, -1 before the first
+
+
+def _elementary(axis: Axis, amount: float) -> Floats:
+    T = np.eye(4)
+    k = axis % 3
+    if axis.rotates:
+        a, b = (k + 1) % 3, (k + 2) % 3
+        c, s = math.cos(amount), math.sin(amount)
+        T[a, a], T[a, b], T[b, a], T[b, b] = c, -s, s, c
+    else:
+        T[k, 3] = amount
+    return T
+
+
+def _turn_to_z(element: Element, frame: Floats | None) -> Floats:
+    """Turn (4, 4) that brings z onto the element's axis: the joint frame when there is one."""
+    T = np.eye(4)
+    if frame is not None:
+        T[:3, :3] = frame
+        return T
+    z = element.axis % 3
+    T[:3, :3] = np.eye(3)[:, [(z + 1) % 3, (z + 2) % 3, z]]
+    return T
+
+
+def fold(robot: Robot, values: list[float], T_base: Floats, T_tool: Floats) -> Folded:
+    """Multiply everything that does not move into constants; every move becomes one about or along z."""
+    primary = {k: j for j, k in enumerate(robot.chain.primary)}
+    frames = robot.chain.program.joint_frame
+    out = Folded([], [], [], [])
+    since = T_base
+    for k, (element, value) in enumerate(zip(robot.chain.elements, values, strict=True)):
+        since = since @ _elementary(element.axis, value)
+        if element.joint is not None:
+            turn = _turn_to_z(element, frames[primary[k]] if k in primary else None)
+            out.constants.append(since @ turn)
+            sign = turn[element.axis % 3, 2]
+            out.moves.append((k, element.joint, float(sign * element.ratio), not element.axis.rotates, k in primary))
+            since = turn.T
+        out.since_move.append(since)
+        out.move_of.append(len(out.moves) - 1)
+    out.constants.append(since @ T_tool)
+    return out
+
+
+def write_moves(P: Floats, nominal: Folded, actual: Folded) -> None:
+    """Write the constants of both chains and what moves between them."""
+    _write_constants(P, kernel.NOMINAL, nominal)
+    _write_constants(P, kernel.IDENTIFIED, actual)
+    for row, (_, joint, ratio, slides, primary) in enumerate(nominal.moves):
+        P[row, kernel.KIND] = float(slides)
+        P[row, kernel.JOINT] = joint
+        P[row, kernel.RATIO] = ratio
+        P[row, kernel.PRIMARY] = 0.0 if primary else -1.0
+
+
+def load_rows(loads: Folded) -> Floats:
+    """Rows with the constants of the chain that loads are taken on, for where it is not the nominal one."""
+    rows = np.zeros((len(loads.constants), kernel.COLUMNS))
+    _write_constants(rows, kernel.NOMINAL, loads)
+    return rows
+
+
+def _write_constants(P: Floats, column: int, absorb_frame_increments: Folded) -> None:
+    for row, T in enumerate(absorb_frame_increments.constants):
+        P[row, column : column + 9] = T[:3, :3].ravel()
+        P[row, column + 9 : column + 12] = T[:3, 3]
+
+
+def write_bodies(P: Floats, robot: Robot, loads: Folded, payload_kg: float, payload_com: Sequence[float]) -> None:
+    """Bodies that ride on the same move become one; the payload keeps its own row, on the last move."""
+    last = len(loads.moves)
+    bodies: dict[int, list[tuple[float, Floats, Floats]]] = {}
+    for link in robot.links:
+        move = loads.move_of[link.element]
+        if move >= 0 and link.mass != 0.0:
+            T = loads.since_move[link.element]
+            R = T[:3, :3]
+            bodies.setdefault(move, []).append((link.mass, R @ link.com + T[:3, 3], R @ link.inertia @ R.T))
+    for move, parts in bodies.items():
+        _write_body(P[move], parts)
+    at_tool = loads.since_move[-1] @ robot.T_tool
+    com = at_tool[:3, :3] @ np.asarray(payload_com) + at_tool[:3, 3]
+    _write_body(P[last], [(payload_kg, com, np.zeros((3, 3)))])
+
+
+def standing_moment(robot: Robot, loads: Folded) -> Floats:
+    """Moment (3,) N·m about the base origin of the links that no joint moves."""
+    moment = np.zeros(3)
+    for link in robot.links:
+        if loads.move_of[link.element] < 0:
+            T = loads.since_move[link.element]
+            moment += np.cross(T[:3, :3] @ link.com + T[:3, 3], link.mass * np.asarray(robot.gravity))
+    return moment
+
+
+def _write_body(row: Floats, parts: list[tuple[float, Floats, Floats]]) -> None:
+    """Mass, centre and inertia about it of bodies that move as one (parallel axes)."""
+    mass = sum(part[0] for part in parts)
+    if mass == 0.0:
+        return
+    com = sum((m * c for m, c, _ in parts), np.zeros(3)) / mass
+    inertia = np.zeros((3, 3))
+    for m, c, own in parts:
+        d = c - com
+        inertia += own + m * (d @ d * np.eye(3) - np.outer(d, d))
+    row[kernel.MASS] = mass
+    row[kernel.COM : kernel.COM + 3] = com
+    xx, yy, zz, xy, xz, yz = (inertia[a, b] for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+    row[kernel.INERTIA : kernel.INERTIA + 6] = xx, yy, zz, xy, xz, yz

@@ -1,0 +1,362 @@
+"""From a calibration to the flat program of the correction kernel, and the calls that use it.
+
+The stream, the trajectory query and the correction over HTTP all run the same kernel; :mod:`kilter_core.correct.reference` is the
+readable twin it is tested against.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.chain import Axis, Chain, Element
+from kilter_core.arm.robot import Joint, Payload, Robot
+from kilter_core.correct.collapse import Folded, fold, load_rows, standing_moment, write_bodies, write_moves
+from kilter_core.correct.kernels import correction as kernel
+from kilter_core.correct.run_time_effects import Conditions, Written, weighed_anew, write_effect
+from kilter_core.errors import OptionError
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.transforms import rotation_exp
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Task = Literal["auto", "position", "axis", "pose"]
+
+_ROWS: Mapping[str, tuple[int, ...]] = {"position": (0, 1, 2), "axis": (0, 1, 2, 3, 4), "pose": (0, 1, 2, 3, 4, 5)}
+ROW_NAMES = ("x", "y", "z", "rx", "ry", "rz")  # turns are about the axes of the tool
+
+
+@dataclass(frozen=True)
+class CorrectionOptions:
+    """How a correction is made and bounded.
+
+    ``task`` "position" holds the tool point, "axis" also the direction of the tool's z, "pose" all six rows; "auto" is
+    "pose" from six joints on, else "position". ``orientation_weight_m`` is what a radian of the tool counts in metres.
+    Limits: ``largest_rad`` and ``largest_m`` per joint, ``farthest_m`` at the tool point. ``rate_rad_s`` and
+    ``rate_m_s`` bound how fast the effects with a sign (clearance, backlash) may change the correction;
+    ``least_softening_nm`` softens their sign where the effect itself does not. ``ramp_s`` is the time of a change of
+    version. ``payload_kg`` hangs at ``payload_com`` m in the tool frame, the tool point when None; without a mass the
+    robot's default load does. ``temperature_c`` is that of the arm, for thermal growth; without it that effect stays
+    uncorrected. ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
+    1 / (pi filter_hz) seconds.
+    """
+
+    task: Task = "auto"
+    orientation_weight_m: float = 0.2
+    payload_kg: float | None = None
+    payload_com: tuple[float, float, float] | None = None
+    temperature_c: float | None = None
+    largest_rad: float = math.radians(1.0)
+    largest_m: float = 0.005
+    farthest_m: float = 0.005
+    rate_rad_s: float = math.radians(0.5)
+    rate_m_s: float = 0.001
+    speed_rad_s: float = 4.0 * math.pi
+    speed_m_s: float = 5.0
+    ramp_s: float = 1.0
+    least_softening_nm: float = 0.05
+    filter_hz: float = 0.0
+    reversal_band: float = 1e-5
+    singular_m: float = 1e-5
+    weak_m: float = 0.1
+    reached_m: float = 1e-6
+    step: float = 1e-8
+    iterations: int = 12
+
+    def load(self, robot: Robot) -> Payload:
+        """What hangs on the tool: as stated, else the robot's default load, else nothing."""
+        default = robot.load or Payload(0.0)
+        if self.payload_kg is None:
+            return Payload(default.mass, self.payload_com or default.com)
+        return Payload(self.payload_kg, self.payload_com or (0.0, 0.0, 0.0))
+
+    def __post_init__(self) -> None:
+        if self.task != "auto" and self.task not in _ROWS:
+            raise OptionError(f"task is {self.task!r}: give auto, position, axis or pose.", option="task")
+        for name in ("rate_rad_s", "rate_m_s", "orientation_weight_m", "largest_rad", "largest_m", "iterations"):
+            if not getattr(self, name) > 0:
+                raise OptionError(f"{name} is {getattr(self, name)!r}: give a positive number.", option=name)
+
+
+@dataclass(frozen=True)
+class CorrectedRows:
+    """Corrected joints of N rows that do not follow one another.
+
+    ``q (N, n)``; ``error_removed (N, 3)`` m, the tool error predicted without correction, in the wanted base frame;
+    ``residual (N,)`` m, what remains of it; ``status (N,)`` as in the stream; ``flags (N,)``; ``limit_mask (N,)`` bits
+    of the joints concerned.
+    """
+
+    q: Floats
+    error_removed: Floats
+    residual: Floats
+    status: Ints
+    flags: Ints
+    limit_mask: Ints
+
+
+@dataclass(frozen=True)
+class CorrectionProgram:
+    """A calibration as the flat array of the kernel; ``unsupported`` effects are left out and named."""
+
+    array: Floats
+    n_joints: int
+    moves: int
+    rows: tuple[int, ...]
+    supported: tuple[str, ...]
+    unsupported: tuple[str, ...]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the numbers."""
+        return hashlib.sha256(self.array.tobytes()).hexdigest()
+
+    @property
+    def held_rows(self) -> tuple[str, ...]:
+        """Rows of the pose that the correction holds, by name."""
+        return tuple(ROW_NAMES[r] for r in self.rows)
+
+    def memory(self) -> Floats:
+        """Fresh memory for the kernel: the program, scratch, the state of a stream, joints out and info."""
+        scratch = self.moves + 1 + self.n_joints + 6
+        return np.vstack([self.array, np.zeros((scratch + self.n_joints + 3, kernel.COLUMNS))])
+
+    def correct_rows(
+        self, q: Floats, *, qd: Floats | None = None, qdd: Floats | None = None, direction: Floats | None = None
+    ) -> CorrectedRows:
+        """Correct rows that do not follow one another, without ramps or rate limits.
+
+        Args:
+            q: wanted joints (N, n), rad or m.
+            qd: speeds (N, n); with ``qdd`` the loads are dynamic, else static.
+            qdd: accelerations (N, n).
+            direction: last motion of each joint (N, n) in {-1, 0, 1}; 0 when None.
+
+        """
+        x, width = _side_by_side(q, qd, qdd)
+        rows, n = len(x), self.n_joints
+        out, info = np.empty((rows, n)), np.empty((rows, kernel.INFO))
+        status = np.empty(rows, dtype=np.int64)
+        signs = np.zeros((rows, n)) if direction is None else np.ascontiguousarray(direction, dtype=np.float64)
+        kernel.correct_rows(self.memory(), len(self.array), n, x, width, signs, out, info, status)
+        return CorrectedRows(
+            q=out,
+            error_removed=-info[:, 4:7],
+            residual=info[:, 2],
+            status=status,
+            flags=info[:, 0].astype(np.int64),
+            limit_mask=info[:, 1].astype(np.int64),
+        )
+
+
+class Track:
+    """Memory of one stream or trajectory: the correction is continuous along it.
+
+    ``settled``: the arm rests at the first setpoint, which gets the whole correction at once; else it ramps in.
+    """
+
+    def __init__(self, program: CorrectionProgram, *, settled: bool = False) -> None:
+        self._load(program)
+        self.restart(settled=settled)
+
+    def _load(self, program: CorrectionProgram) -> None:
+        """Fresh memory for a program, and the rows of it that the outside looks at."""
+        self.program = program
+        n = program.n_joints
+        self.memory = program.memory()
+        self._rows = len(program.array)
+        self.state = self.memory[-(n + 3) : -2]
+        self.out = self.memory[-2, :n]
+        self.info = self.memory[-1, : kernel.INFO]
+
+    def restart(self, *, settled: bool = False) -> None:
+        """Forget the past."""
+        self.state[:] = 0.0
+        self.state[-1, kernel.REBASE] = 0.0 if settled else 1.0
+
+    def change(self, program: CorrectionProgram) -> None:
+        """Go on with another version of the same robot; the difference is ramped out.
+
+        Raises:
+            OptionError: the version is of another number of joints.
+
+        """
+        if program.n_joints != self.program.n_joints:
+            raise OptionError(f"A version for {program.n_joints} joints cannot follow one for {self.program.n_joints}.")
+        before = self.state
+        self._load(program)
+        self.state[:] = before
+        self.state[-1, kernel.REBASE] = 1.0
+
+    def step(self, x: Floats, width: int, dt: float) -> int:
+        """Correct one setpoint into ``self.out`` and ``self.info``; returns the status.
+
+        ``x (width * n,)`` holds q, then qd and qdd; ``dt`` s since the last answer.
+        """
+        return int(kernel.step(self.memory, self._rows, self.program.n_joints, x, width, dt))
+
+    def follow(self, x: Floats, width: int, dt: Floats, *, atomic: bool = False) -> tuple[int, Floats, Floats, Ints]:
+        """Correct points ``x (K, width * n)`` in turn, ``dt (K,)`` s each after the one before.
+
+        Returns the number of points before the first refusal, the joints (K, n), the info (K, INFO) and the status
+        (K,), -1 after a refusal. ``atomic``: a refusal leaves the memory as it was.
+        """
+        n = self.program.n_joints
+        out, info = np.empty((len(x), n)), np.empty((len(x), kernel.INFO))
+        status = np.empty(len(x), dtype=np.int64)
+        before = self.state.copy() if atomic else self.state
+        done = int(kernel.follow(self.memory, self._rows, n, x, width, dt, out, info, status))
+        if atomic and done < len(x):
+            self.state[:] = before
+        return done, out, info, status
+
+
+def warm_up() -> None:
+    """Compile every kernel, or load it from the cache: a first setpoint must not wait seconds for that."""
+    chain = Chain((Element(Axis.RZ, joint=0),), 1)
+    robot = Robot("warm", (Joint("j1", lower=-1.0, upper=1.0),), chain)
+    program = compile_program(Calibration.nominal(robot), CorrectionOptions())
+    Track(program).step(np.zeros(1), 1, 0.0)
+    Track(program).follow(np.zeros((1, 1)), 1, np.zeros(1))
+    program.correct_rows(np.zeros((1, 1)))
+
+
+def _side_by_side(q: Floats, qd: Floats | None, qdd: Floats | None) -> tuple[Floats, int]:
+    """q, qd and qdd as the kernel takes them, with the number of vectors."""
+    if qd is None or qdd is None:
+        return np.ascontiguousarray(q, dtype=np.float64), 1
+    return np.ascontiguousarray(np.hstack([q, qd, qdd]), dtype=np.float64), 3
+
+
+def compile_program(calibration: Calibration, options: CorrectionOptions | None = None) -> CorrectionProgram:
+    """Fold a calibration into the kernel's program.
+
+    Raises:
+        OptionError: more task rows than joints.
+
+    """
+    options = options or CorrectionOptions()
+    robot = calibration.robot
+    n = robot.n_joints
+    task = options.task if options.task != "auto" else ("pose" if n >= 6 else "position")
+    rows = _ROWS[task]
+    if len(rows) > n and options.task != "auto":
+        message = f"task {task!r} holds {len(rows)} rows, the robot has {n} joints: give position."
+        raise OptionError(message, option="task")
+    arm = calibration.with_effects([e for e in calibration.model.effects if e.stage != "measurement"])
+    absorb_frame_increments, values = arm.model.absorb_frame_increments(arm.values)
+    moved = dict(zip(absorb_frame_increments.names, values.tolist(), strict=True))
+    ideal = calibration.wanted().model
+    nominal = fold(robot, _drawn(robot), np.eye(4), np.asarray(ideal.T_tool))
+    # Seen from the wanted base, so that the frames, too, are part of the error.
+    seen = np.linalg.solve(np.asarray(ideal.T_base), np.asarray(absorb_frame_increments.T_base))
+    actual = fold(
+        robot,
+        [moved[e.name] if e.name else e.value for e in robot.chain.elements],
+        seen,
+        np.asarray(absorb_frame_increments.T_tool),
+    )
+    load = options.load(robot)
+    robot, carried = weighed_anew(absorb_frame_increments, values, load.mass, load.com)
+    loads = (
+        nominal if absorb_frame_increments.load_chain is None else fold(robot, _drawn(robot), np.eye(4), robot.T_tool)
+    )
+    m = len(nominal.constants) - 1
+    head = np.zeros((m + 1, kernel.COLUMNS))
+    write_moves(head, nominal, actual)
+    write_bodies(head, robot, loads, *carried)
+    written = Written(
+        robot,
+        Conditions(options.least_softening_nm, load.mass, options.temperature_c),
+        np.zeros((n, kernel.COLUMNS)),
+    )
+    _write_joints(written.joints, robot, options)
+    supported, unsupported, loaded = _write_effects(written, absorb_frame_increments, values)
+    scalars = _scalars(robot, options, rows, m)
+    scalars[kernel.LOADED] = float(loaded)
+    scalars[kernel.CURVES], scalars[kernel.BEAMS] = len(written.curves), len(written.beams) // 2
+    pedestal = _write_foot(head, scalars, written, seen, loads)
+    parts = [head, written.joints, *written.curves, *written.beams]
+    if loads is not nominal:
+        scalars[kernel.LOAD_CHAIN] = sum(len(np.atleast_2d(part)) for part in parts)
+        parts.append(load_rows(loads))
+    return CorrectionProgram(np.vstack([*parts, *pedestal, scalars]), n, m, rows, supported, unsupported)
+
+
+def _drawn(robot: Robot) -> list[float]:
+    return [element.value for element in robot.chain.elements]
+
+
+def _write_foot(head: Floats, scalars: Floats, written: Written, seen: Floats, loads: Folded) -> list[Floats]:
+    """Let the base frame (4, 4) move: a constant shift at once, a pedestal that gives way as a row of its own."""
+    if written.pedestal is None and not np.any(written.foot) and not np.any(written.lean):
+        return []
+    first = head[0, kernel.IDENTIFIED : kernel.IDENTIFIED + 12]
+    above = np.linalg.solve(seen, np.vstack([np.column_stack([first[:9].reshape(3, 3), first[9:]]), [0, 0, 0, 1]]))
+    foot = seen.copy()
+    foot[:3, 3] += seen[:3, :3] @ written.foot
+    foot[:3, :3] = seen[:3, :3] @ rotation_exp(written.lean)
+    if written.pedestal is None:
+        first[:] = _flat(foot @ above)
+        return []
+    row = np.zeros(kernel.COLUMNS)
+    row[kernel.FOOT : kernel.FOOT + 12], row[kernel.ABOVE : kernel.ABOVE + 12] = _flat(foot), _flat(above)
+    row[kernel.PEDESTAL_X], row[kernel.PEDESTAL_Y] = written.pedestal
+    row[kernel.STANDING_X], row[kernel.STANDING_Y] = standing_moment(written.robot, loads)[:2]
+    scalars[kernel.PEDESTAL] = 1.0
+    return [row]
+
+
+def _flat(T: Floats) -> Floats:
+    return np.concatenate([T[:3, :3].ravel(), T[:3, 3]])
+
+
+def _write_joints(rows: Floats, robot: Robot, options: CorrectionOptions) -> None:
+    for row, joint in zip(rows, robot.joints, strict=True):
+        turns = joint.kind == "revolute"
+        row[kernel.LOWER], row[kernel.UPPER] = joint.lower, joint.upper
+        row[kernel.RATE] = options.rate_rad_s if turns else options.rate_m_s
+        row[kernel.LARGEST] = options.largest_rad if turns else options.largest_m
+        row[kernel.SPEED] = options.speed_rad_s if turns else options.speed_m_s
+
+
+def _scalars(robot: Robot, options: CorrectionOptions, rows: tuple[int, ...], moves: int) -> Floats:
+    row = np.zeros(kernel.COLUMNS)
+    row[kernel.GRAVITY : kernel.GRAVITY + 3] = robot.gravity
+    row[kernel.ROWS] = len(rows)
+    row[kernel.WEIGHT : kernel.WEIGHT + len(rows)] = [1.0 if r < 3 else options.orientation_weight_m for r in rows]
+    row[kernel.ITERATIONS] = options.iterations
+    row[kernel.STEP] = options.step
+    row[kernel.SINGULAR] = options.singular_m**2
+    row[kernel.WEAK] = options.weak_m**2
+    row[kernel.FARTHEST] = options.farthest_m
+    row[kernel.RAMP] = options.ramp_s
+    row[kernel.FILTER] = 2.0 * math.pi * options.filter_hz
+    row[kernel.HYSTERESIS] = options.reversal_band
+    row[kernel.REACHED] = options.reached_m
+    row[kernel.N] = robot.n_joints
+    row[kernel.M] = moves
+    return row
+
+
+def _write_effects(
+    written: Written, model: RobotModel, values: Floats
+) -> tuple[tuple[str, ...], tuple[str, ...], bool]:
+    """Write the effects the kernel knows; returns their ids, the names of the others, and whether one needs loads."""
+    supported: list[str] = []
+    unsupported: list[str] = []
+    loaded = False
+    for effect, (key, where) in zip(model.effects, model.effect_slices().items(), strict=True):
+        if write_effect(written, effect, values[where]):
+            supported.append(effect.id)
+            loaded |= "moments" in effect.needs
+        else:
+            unsupported.append(key)
+    return tuple(dict.fromkeys(supported)), tuple(unsupported), loaded

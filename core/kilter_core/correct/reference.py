@@ -1,0 +1,160 @@
+"""Corrected joints: the inverse of the model, iterated to convergence (thesis eq. 5.22)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import OptionError
+from kilter_core.model import Calibration, Prediction, RobotModel
+from kilter_core.observations import Observations
+from kilter_core.transforms import inverse, rotation_log
+
+Floats = NDArray[np.float64]
+
+
+class Status(IntEnum):
+    """Why a setpoint was or was not corrected; the numbers are those of the stream's frames."""
+
+    OK = 0
+    NOT_FINITE = 5
+    JOINT_LIMIT = 6
+    CORRECTION_TOO_LARGE = 7
+
+
+@dataclass(frozen=True)
+class CorrectOptions:
+    """How to correct. ``task`` "position" holds x, y, z; "pose" also the orientation; None is "pose" from six joints on.
+
+    ``orientation_weight_m`` sets 1 rad of orientation against metres of position. Corrections beyond ``max_joint_rad``
+    (for prismatic joints ``max_shift_m``) or moving the tool by more than ``max_shift_m`` are refused.
+    """
+
+    task: str | None = None
+    orientation_weight_m: float = 0.2
+    max_joint_rad: float = math.radians(1.0)
+    max_shift_m: float = 0.005
+    tolerance_m: float = 1e-8
+    iterations: int = 15
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Corrected joints of N setpoints.
+
+    ``q (N, n)``, NaN where ``status (N,)`` is not OK, so there is nothing to misuse; ``error_removed (N, 3)`` m, the tool
+    error predicted without correction, in the wanted base frame; ``residual (N,)`` m left over in the held rows;
+    ``converged (N,)``; ``held`` names the rows of the task that were held.
+    """
+
+    q: Floats
+    error_removed: Floats
+    residual: Floats
+    converged: NDArray[np.bool_]
+    status: NDArray[np.uint16]
+    held: tuple[str, ...]
+
+
+def correct(
+    calibration: Calibration,
+    q: Floats,
+    *,
+    qd: Floats | None = None,
+    qdd: Floats | None = None,
+    direction: Floats | None = None,
+    payload_kg: Floats | None = None,
+    payload_com: Floats | None = None,
+    options: CorrectOptions | None = None,
+) -> Correction:
+    """Joints (N, n) that put the real arm where the nominal arm should be at ``q (N, n)``.
+
+    Rows without a payload carry the robot's default load. Wanted is the nominal chain at q in the wanted frames of the
+    calibration, actual the identified chain at the corrected joints in the identified frames, with all effects that act
+    on the arm; both seen from the wanted base. The step is the damped pseudo-inverse of the joint Jacobian: one step is
+    first order only, so it is repeated until the tool is there.
+
+    Raises:
+        OptionError: an unknown task.
+
+    """
+    options = options or CorrectOptions()
+    n = calibration.robot.n_joints
+    task = options.task or ("pose" if n >= 6 else "position")
+    if task not in ("position", "pose"):
+        raise OptionError(f"task is {task!r}: give position or pose.", option="task")
+    model, values = _on_the_arm(calibration)
+    load = calibration.robot.load
+    ideal = calibration.wanted()
+    ideal = replace(ideal, model=replace(ideal.model, T_base=np.eye(4)))
+    finite = np.asarray(np.isfinite(q).all(axis=1))
+    safe = np.where(finite[:, None], q, 0.0)
+    conditions = Observations(safe, qd=qd, qdd=qdd, direction=direction, payload_kg=payload_kg, payload_com=payload_com)
+    conditions = conditions if load is None else conditions.carrying(load.mass, load.com)
+    wanted = ideal.predict(Observations(safe))
+    before = model.predict(conditions, values)
+    weight = np.array([1.0] * 3 + [options.orientation_weight_m] * 3) if task == "pose" else np.ones(3)
+    out = safe.copy()
+    for _ in range(options.iterations):
+        actual, J = model.joint_jacobian(replace(conditions, q=out), values)
+        error = _task_error(wanted, actual)[:, : len(weight)] * weight
+        if np.max(np.linalg.norm(error, axis=1), initial=0.0) < options.tolerance_m:
+            break
+        out = out + _damped_step(J[:, : len(weight)] * weight[:, None], error)
+    error = _task_error(wanted, model.predict(replace(conditions, q=out), values))[:, : len(weight)] * weight
+    residual = np.linalg.norm(error, axis=1)
+    removed = before.position - wanted.position
+    status = _status(calibration, finite, out, safe, removed, options)
+    return Correction(
+        q=np.where(status[:, None] == Status.OK, out, np.nan),
+        error_removed=removed,
+        residual=residual,
+        converged=residual < 10 * options.tolerance_m,
+        status=status,
+        held=("x", "y", "z", "rx", "ry", "rz")[: len(weight)],
+    )
+
+
+def _on_the_arm(calibration: Calibration) -> tuple[RobotModel, Floats]:
+    """Model seen from the wanted base frame, without the errors of the instrument."""
+    arm = tuple(e for e in calibration.model.effects if e.stage != "measurement")
+    kept = calibration.with_effects(arm)
+    model, values = kept.model.absorb_frame_increments(kept.values)
+    seen_from = inverse(calibration.wanted().model.T_base)
+    return replace(model, T_base=seen_from @ model.T_base), values
+
+
+def _task_error(wanted: Prediction, actual: Prediction) -> Floats:
+    """Position and rotation vector (N, 6) from actual to wanted."""
+    turn = rotation_log(wanted.rotation @ actual.rotation.transpose(0, 2, 1))
+    return np.hstack([wanted.position - actual.position, turn])
+
+
+def _damped_step(J: Floats, error: Floats, floor: float = 1e-3) -> Floats:
+    """Least-norm joint step (N, n); below the singular value ``floor`` (m per rad) the step is damped, so it stays bounded."""
+    U, s, Vt = np.linalg.svd(J, full_matrices=False)
+    short = np.maximum(1.0 - (s / floor) ** 2, 0.0)
+    gain = s / (s**2 + short * floor**2)
+    return np.asarray(np.einsum("nkj,nk->nj", Vt, gain * np.einsum("nik,ni->nk", U, error)))
+
+
+def _status(
+    calibration: Calibration,
+    finite: NDArray[np.bool_],
+    out: Floats,
+    q: Floats,
+    removed: Floats,
+    options: CorrectOptions,
+) -> NDArray[np.uint16]:
+    robot = calibration.robot
+    largest = np.array([options.max_joint_rad if j.kind == "revolute" else options.max_shift_m for j in robot.joints])
+    status = np.zeros(len(q), dtype=np.uint16)
+    outside = ((out < robot.limits[:, 0]) | (out > robot.limits[:, 1])).any(axis=1)
+    large = (np.abs(out - q) > largest).any(axis=1) | (np.linalg.norm(removed, axis=1) > options.max_shift_m)
+    status[outside] = Status.JOINT_LIMIT
+    status[large] = Status.CORRECTION_TOO_LARGE
+    status[~finite] = Status.NOT_FINITE
+    return status

@@ -1,0 +1,107 @@
+"""How well a calibration predicts measurements it was not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import OptionError
+from kilter_core.identify.estimate import estimate
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.metrics import Errors
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+
+Floats = NDArray[np.float64]
+
+MOST_ROWS = 2000  # of a list of poses, evenly chosen
+
+
+def evaluate(
+    calibration: Calibration, observations: Observations, refit: Sequence[str] = (), known: Predictive | None = None
+) -> dict[str, Any]:
+    """Metrics of a calibration on observations beside those of the nominal robot and of registration alone.
+
+    ``rows`` has the error of each row, measured minus predicted, and the half width of the 95 % interval in which what is
+    ``known`` of the calibration expects it, None without; ``within_u95`` is the share of the coordinates that are there.
+
+    ``refit`` names the frames fitted anew to these observations: [], ["base"] or ["base", "tool"] (the tracker was set
+    up anew). ``registration_only`` fits both frames of the nominal robot, whatever ``refit`` says.
+
+    Raises:
+        OptionError: another refit. TooFewPosesError: too few poses for it. ObservationError: nothing measured.
+
+    """
+    if list(refit) not in ([], ["base"], ["base", "tool"]):
+        raise OptionError(f'refit is {list(refit)}: give [], ["base"] or ["base", "tool"].', option="refit")
+    measurement = Measurement.of(observations, calibration.marker_points)
+    nominal = Calibration.nominal(calibration.robot)
+    stages = {
+        "nominal": nominal,
+        "registration_only": _refitted(nominal, measurement, ("base", "tool")),
+        "identified": _refitted(calibration, measurement, tuple(refit)),
+    }
+    errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
+    table = rows_of(stages["identified"], measurement, refit, known)
+    return {
+        "n": len(errors["nominal"].points), **{name: e.to_document() for name, e in errors.items()},
+        "within_u95": None if known is None else table.within, "rows": table.to_document(),
+    }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Errors (N, 3) m of measured rows, of the mean of their markers or of their point, and ``u95 (N, 3)`` m or None.
+
+    Rows that show no marker have NaN.
+    """
+
+    error: Floats
+    u95: Floats | None
+    pose: NDArray[np.int64]
+
+    @property
+    def within(self) -> float | None:
+        """Share of the coordinates whose error is within the interval."""
+        seen = ~np.isnan(self.error)
+        return None if self.u95 is None else float(np.mean((np.abs(self.error) <= self.u95)[seen]))
+
+    def to_document(self) -> dict[str, Any]:
+        """Columns, mm; of many rows some, evenly chosen. Rows and poses are counted from 1."""
+        count = len(self.error)
+        some = np.unique(np.linspace(0, count - 1, min(count, MOST_ROWS)).round().astype(np.int64))
+        out: dict[str, Any] = {"row": (some + 1).tolist(), "pose": (self.pose[some] + 1).tolist()}
+        out |= {f"d{axis}_mm": _numbers(self.error[some, k]) for k, axis in enumerate("xyz")}
+        u95 = np.full((count, 3), np.nan) if self.u95 is None else self.u95
+        return out | {f"u95_{axis}_mm": _numbers(u95[some, k]) for k, axis in enumerate("xyz")}
+
+
+def rows_of(
+    calibration: Calibration, measurement: Measurement, refit: Sequence[str] = (), known: Predictive | None = None
+) -> Rows:
+    """Errors of every row of a measurement, with what was expected of them."""
+    points = measurement.residual(calibration.predict(measurement.observations)).points
+    seen = ~np.isnan(points)
+    mean = np.where(seen, points, 0.0).sum(axis=1) / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan)
+    u95 = None if known is None else known.of_measured(calibration, measurement, refit)
+    return Rows(mean, u95, measurement.observations.pose_groups())
+
+
+def _numbers(metres: Floats) -> list[float | None]:
+    return [None if np.isnan(v) else float(v) * 1e3 for v in metres]
+
+
+def _refitted(calibration: Calibration, measurement: Measurement, frames: tuple[str, ...]) -> Calibration:
+    if not frames:
+        return calibration
+    model, values = calibration.model.absorb_frame_increments(calibration.values)
+    held = model.names[6 : model.n_geometric - 6] + model.names[model.n_geometric :]
+    options = IdentifyOptions(fix=held, tool="free" if "tool" in frames else "fixed")
+    fit = estimate(Calibration(model, values), measurement, options)
+    return Calibration(*fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points)

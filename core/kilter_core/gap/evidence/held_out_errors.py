@@ -1,0 +1,339 @@
+"""Errors before and after in mm, on what was fitted and what was not: validation rows, or poses left out in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binom
+
+from kilter_core.gap.evidence.adequacy import gain, left_out_errors, left_out_floor
+from kilter_core.gap.evidence.foretold import surely_foretold
+from kilter_core.gap.evidence.intervals import inflation, interval_width
+from kilter_core.gap.evidence.posterior import SMALLEST, Posterior
+from kilter_core.gap.noise.motion import blocks, is_trajectory, motion_blocks, segments
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, solved
+from kilter_core.gap.search.prepare import Prepared, windowed
+from kilter_core.gap.search.scan import residual_given
+from kilter_core.gap.search.source import LinkSource, Source, ToolSource
+from kilter_core.measurement import Measurement
+from kilter_core.observations import Observations
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is no measurement
+SPIKES = 0.02  # share of such rows, or that of the search, above which the model cannot predict them: all then count
+SPIKES_SURE = 0.99  # chance that so many broken beams at that share are no more than counted
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Whitened errors (V, m) by the fits before and after, and how they came about.
+
+    ``lower (m, m)`` turns them back into m or rad; ``floor`` is the variance a perfect model's would have, in units of
+    noise: a little above 1, since the model was estimated. ``set_aside`` rows were left out as spikes. Whitening
+    correlated samples took ``inflation`` off their variance too.
+    """
+
+    before: Floats
+    after: Floats
+    lower: Floats
+    floor: float
+    how: str
+    set_aside: int = 0
+    inflation: float = 1.0
+    predictive: dict[str, Any] | None = None
+
+
+class HoldoutEvaluator:
+    """Predicts held-out poses by any set of library columns, fitted to the training rows only.
+
+    ``fit`` is what the data say of all that was fitted: how far predictions of other poses may be off for it.
+    """
+
+    def __init__(
+        self, search: SearchResult, prepared: Prepared, validation: Observations | None, fit: Posterior | None = None
+    ) -> None:
+        self.search, self.prepared, self.fit = search, prepared, fit
+        self.rows = validation
+        self.moving = prepared.moving and validation is not None and is_trajectory(validation)
+        if self.moving and validation is not None:
+            source, values = on_rows(search.problem.settings.source, validation, search, search.problem.values)
+            self.rows = windowed(validation, source, values, prepared.width)
+        self._known: dict[tuple[int, ...], Floats] = {}
+
+    def errors(self, columns: Sequence[int]) -> Floats:
+        """Whitened errors (V, m) of the held-out poses; each set of columns is fitted once."""
+        key = tuple(columns)
+        if key not in self._known:
+            self._known[key] = self._errors(columns)
+        return self._known[key]
+
+    def _errors(self, columns: Sequence[int]) -> Floats:
+        if self.rows is None:
+            problem = self.search.problem if len(columns) else self.prepared.problem
+            return left_out_errors(problem, columns)[problem.settings.used]
+        problem = self.search.problem
+        begin = problem if len(columns) else self.prepared.problem
+        source = on_rows(
+            problem.settings.source, self.rows, self.search, solved(problem.settings, begin.values, columns)[0]
+        )
+        r = np.nan_to_num(source[0].residual(source[1]))
+        if self.moving and isinstance(source[0], LinkSource):
+            r = referenced(r, segments(self.rows))
+        return np.asarray(r @ np.linalg.inv(self._lower()).T)
+
+    def rms(self, columns: Sequence[int]) -> float:
+        """Rms error (m; rad of a joint) of the held-out rows that are measurements, by a set of columns."""
+        joint = isinstance(self.search.problem.settings.source, LinkSource)
+        return rms(self.errors(columns)[self.kept], self._lower(), joint)
+
+    @property
+    def poses(self) -> int:
+        """Held-out poses (of motions blocks) that took no part in choosing."""
+        return 0 if self.rows is None else len(np.unique(self._groups()))
+
+    def _lower(self) -> Floats:
+        """Root (m, m) of the noise covariance of a held-out row."""
+        settings = self.search.problem.settings
+        return _root(settings.noise.row * (settings.inflation if self.moving else 1.0))
+
+    def report(self) -> HeldOut:
+        """Geometry only, and everything named."""
+        before, after = self.errors([]), self.errors(self.search.columns)
+        problem, columns = self.search.problem, self.search.columns
+        noise, used = problem.settings.noise, problem.settings.used
+        if self.rows is None:
+            lower = _root(np.mean(noise.visit[used], axis=0) * problem.settings.inflation)
+            floor = left_out_floor(problem, columns)
+            return HeldOut(before, after, lower, floor, "leave one pose out", 0, problem.settings.inflation)
+        spike = ~self.kept
+        spread = self._spread()
+        floor = 1.0 + (problem.U.shape[1] + len(columns)) / max(problem.rows, 1)
+        if spread is not None:
+            floor = _floor(spread[~spike] / max(inflation(self.search), SMALLEST) ** 2, self._lower())
+        how = "validation observations"
+        if self.moving and isinstance(problem.settings.source, LinkSource):
+            how += ", with the encoder offsets of each motion fitted to it"
+        grown = problem.settings.inflation if self.moving else 1.0
+        told = None if spread is None else self._predictive(after, spread, ~spike)
+        return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), grown, told)
+
+    @cached_property
+    def kept(self) -> Bools:
+        """Held-out rows that are measurements: all but spikes, unless those are more than broken beams make by chance.
+
+        A share alone would call one broken beam among thirty rows structure, and let it decide what the others cannot. Where
+        more of the rows of the search were wrong, as many are to be expected here.
+        """
+        before, after = self.errors([]), self.errors(self.search.columns)
+        spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
+        share = max(SPIKES, 1.0 - float(np.mean(self.search.problem.settings.used)))
+        if self.rows is None or np.sum(spike) > binom.ppf(SPIKES_SURE, len(spike), share):
+            return np.ones(len(spike), dtype=bool)
+        return np.asarray(~spike)
+
+    def _spread(self) -> Floats | None:
+        """Covariance (N, m, m) of the predictions of the held-out rows by that of the fit; None for joint data."""
+        source, problem = self.search.problem.settings.source, self.search.problem
+        if self.rows is None or self.fit is None or not isinstance(source, ToolSource):
+            return None
+        other, values = on_rows(source, self.rows, self.search, problem.values)
+        assert isinstance(other, ToolSource)
+        return predicted_covariance(other, values, self.fit)
+
+    def _predictive(self, after: Floats, spread: Floats, kept: Bools) -> dict[str, Any]:
+        """How many held-out coordinates lie in their 95 % intervals: fit, noise, and what the noise does not explain."""
+        lower, grown = self._lower(), max(1.0, inflation(self.search))
+        noise = lower @ lower.T * grown**2
+        sigma = np.sqrt(np.diagonal(spread + noise, axis1=1, axis2=2))
+        seen = np.isfinite(self._measured()) & kept[:, None]
+        inside = (np.abs(after @ lower.T) <= interval_width(self.search) * sigma) & seen
+        group = np.unique(self._groups(), return_inverse=True)[1]
+        by_pose = [np.bincount(group, np.sum(m, axis=1)).astype(int).tolist() for m in (inside, seen)]
+        poses = [list(pose) for pose in zip(*by_pose, strict=True) if pose[1]]
+        return {"inside": int(inside.sum()), "of": int(seen.sum()), "poses": poses}
+
+    def _measured(self) -> Floats:
+        """Residuals (N, m) of the held-out rows, NaN where nothing was seen."""
+        assert self.rows is not None
+        source, values = on_rows(
+            self.search.problem.settings.source, self.rows, self.search, self.search.problem.values
+        )
+        return source.residual(values)
+
+    def by_pose(self) -> tuple[Floats, Floats]:
+        """Whitened rms errors (G,) of the held-out poses by geometry alone and by everything named."""
+        group = np.unique(self._groups(), return_inverse=True)[1]
+        count = np.bincount(group)
+        both = (self.errors([]), self.errors(self.search.columns))
+        before, after = (np.sqrt(np.bincount(group, np.sum(e**2, axis=1)) / count) for e in both)
+        return before, after
+
+    def gain_of(self, place: int) -> tuple[float, float, float]:
+        """Gain by one chosen candidate beyond the others, its standard error, and how surely it was foretold."""
+        rest = self.search.selector.columns([k for k in self.search.chosen if k != place])
+        without, with_ = self.errors(rest)[self.kept], self.errors(self.search.columns)[self.kept]
+        group = self._groups()[self.kept]
+        return (*gain(without, with_, group), surely_foretold(without, with_, group))
+
+    def _groups(self) -> Ints:
+        """Pose of each held-out row; of motions the block."""
+        settings = self.search.problem.settings
+        if self.rows is None:
+            return settings.group[settings.used]
+        if self.moving:
+            return motion_blocks(self.rows, settings.inflation)
+        if settings.inflation > 1.0:  # a part of the poses in the order they were measured
+            share = len(self.rows) / (len(self.rows) + len(settings.used))
+            return blocks(len(self.rows), share * settings.inflation)
+        return self.rows.pose_groups()
+
+
+def predicted_covariance(source: ToolSource, values: Floats, fit: Posterior) -> Floats:
+    """Covariance (N, m, m) of a model's predictions of its rows, by the covariance of what was fitted."""
+    index = [k for k, name in enumerate(source.model.names) if name in fit.names]
+    own = [fit.names.index(source.model.names[k]) for k in index]
+    J = replace(source, free=np.array(index, dtype=np.int64)).linear(values, None, []).G
+    return np.asarray(J @ fit.covariance[np.ix_(own, own)] @ J.transpose(0, 2, 1))
+
+
+def _floor(spread: Floats, lower: Floats) -> float:
+    """Variance of held-out errors in units of noise when the model is perfect: the noise, and its estimation."""
+    back = np.linalg.inv(lower)
+    white = back @ spread @ back.T
+    return 1.0 + float(np.mean(np.trace(white, axis1=1, axis2=2))) / len(lower)
+
+
+def referenced(residual: Floats, motion: Ints) -> Floats:
+    """Residuals (V, m) of joints less their mean in each motion: encoders are referenced anew, as a tool registered."""
+    count = np.bincount(motion)
+    mean = np.stack([np.bincount(motion, c) for c in residual.T], axis=1) / count[:, None]
+    return np.asarray(residual - mean[motion])
+
+
+def on_rows(source: Source, rows: Observations, search: SearchResult, fitted: Floats) -> tuple[Source, Floats]:
+    """The fitted model on other rows: only the effects in use, so that only their columns are needed."""
+    effects = tuple(e for k in search.chosen for e in search.selector.scorer.candidates[k].effects)
+    if isinstance(source, ToolSource):
+        started = len(source.model.effects) - _library_effects(source)
+        model = replace(source.model, effects=(*source.model.effects[:started], *effects))
+        known = dict(zip(source.model.names, fitted, strict=True))
+        values = np.array([known[p.name] for p in model.parameters])
+        measurement = Measurement.of(rows, source.measurement.marker_points)
+        return ToolSource.of(model, measurement, source.free, 0).blurred(source.batch.blur), values
+    assert isinstance(source, LinkSource)
+    return source.on(rows), fitted
+
+
+def _library_effects(source: ToolSource) -> int:
+    left, count = source.n_library, 0
+    for effect in reversed(source.model.effects):
+        if left <= 0:
+            break
+        left -= len(effect.parameters(source.model.robot))
+        count += 1
+    return count
+
+
+def rms(errors: Floats, lower: Floats, joints: bool = False) -> float:
+    """Root mean square size of the error of a point (m), or of a joint (rad), from whitened errors (V, m)."""
+    e = errors @ lower.T
+    if joints:
+        return float(np.sqrt(np.mean(e**2)))
+    points = e[:, : 3 * max(1, e.shape[1] // 3)] if e.shape[1] % 3 == 0 and e.shape[1] != 6 else e[:, :3]
+    return float(np.sqrt(np.mean(np.sum(points**2, axis=1)) / max(1, points.shape[1] // 3)))
+
+
+def train_rms(problem: LinearizedProblem, columns: Sequence[int]) -> float:
+    """Rms error (m or rad) of the visits at a set of columns, geometry re-fitted."""
+    return _rms_of(problem.settings, residual_given(problem, columns))
+
+
+def fit_rms(problem: LinearizedProblem) -> float:
+    """Rms error (m or rad) of the visits at the values of the fit itself: what a version that holds them leaves."""
+    return _rms_of(problem.settings, problem.raw)
+
+
+def _rms_of(settings: ProblemSettings, whitened: Floats) -> float:
+    r = whitened.reshape(-1, settings.whitener.shape[-1])
+    e = np.einsum("vij,vj->vi", np.linalg.inv(settings.whitener), r)[settings.used]
+    return rms(e, np.eye(e.shape[1]), isinstance(settings.source, LinkSource))
+
+
+def noise_rms(settings: ProblemSettings) -> float:
+    """Rms length in space (m; rad of a joint) that the noise alone gives a visit."""
+    size = settings.whitener.shape[-1]
+    root = _root(np.mean(settings.noise.visit, axis=0)).T * np.sqrt(size)
+    return rms(root, np.eye(size), isinstance(settings.source, LinkSource))
+
+
+def noise_document(settings: ProblemSettings) -> dict[str, Any]:
+    """The noise: standard deviations of a coordinate, and the covariance of a single row (of poses mm, then deg)."""
+    noise, joint = settings.noise, isinstance(settings.source, LinkSource)
+    unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
+    scales = np.full(len(noise.row), scale)
+    scales[noise.lengths or len(scales) :] = 180.0 / np.pi
+    return {
+        "source": noise.source, "absolute": noise.absolute,
+        "freedom": float(noise.freedom) if np.isfinite(noise.freedom) else None,
+        f"within_visit_{unit}": None if noise.within is None else noise.within * scale,
+        f"re_approach_{unit}": None if noise.between is None else noise.between * scale,
+        "covariance": (noise.row * np.outer(scales, scales)).tolist(),
+        "correlated_samples": settings.inflation,
+        "drift": None if noise.drift is None else noise.drift.to_document(unit, scale),
+    }  # fmt: skip
+
+
+def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dict[str, Any]:
+    """The gap before and after in mm (rms of the 3-D error), on training and held-out poses, beside the noise.
+
+    ``noise_mm`` is the standard deviation of one coordinate of a row, as everywhere. ``noise_rms_mm`` and
+    ``validation_noise_rms_mm`` are what the noise alone would give where before and after stand: lengths in space.
+    """
+    problem = search.problem
+    size = problem.settings.whitener.shape[-1]
+    joint = isinstance(problem.settings.source, LinkSource)
+    coordinate = problem.settings.noise.coordinate
+    noise = noise_rms(problem.settings)
+    r0, r1 = rms(held.before, held.lower, joint), rms(held.after, held.lower, joint)
+    sigma = rms(np.eye(size) * np.sqrt(size * held.floor), held.lower / np.sqrt(held.inflation), joint)
+    if not problem.settings.trusted:
+        # The scatter of the first fit holds the gap itself: the floor is that of the last fit.
+        last = problem.gram.given(search.columns)
+        share = np.sqrt(last.yy / max(last.nu, 1.0))
+        coordinate, noise, sigma = coordinate * share, noise * share, sigma * share
+    # Against a noise that was read from the fit itself, a closed gap means nothing.
+    known = problem.settings.noise.absolute and r0**2 > sigma**2 and bool(search.chosen)
+    closure = (r0**2 - r1**2) / (r0**2 - sigma**2) if known else None
+    numbers = {
+        "before": fit_rms(prepared.problem), "after": fit_rms(problem), "noise": coordinate, "noise_rms": noise,
+        "validation_before": r0, "validation_after": r1, "validation_noise_rms": sigma,
+    }  # fmt: skip
+    unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
+    out: dict[str, Any] = {f"{k}_{unit}": v * scale for k, v in numbers.items()}
+    if joint:
+        out |= {f"{k}_mm": None for k in ("before", "after", "noise", "validation_before", "validation_after")}
+    steps = [{"names": list(s.names), "chi2_per_freedom": s.chi2_per_freedom} for s in search.steps]
+    return out | {
+        "closure": closure,
+        "held_out": held.how,
+        "held_out_set_aside": held.set_aside,
+        "predictive": held.predictive,
+        "steps": steps,
+    }
+
+
+def _root(covariance: Floats) -> Floats:
+    return np.asarray(np.linalg.cholesky(covariance + 1e-20 * np.eye(len(covariance))), dtype=np.float64)
+
+
+def _scale(errors: Floats) -> float:
+    return float(np.median(np.abs(errors)) / 0.6745)

@@ -1,0 +1,111 @@
+"""How large (E9): profile likelihood of each amplitude, geometry and other effects re-optimised at every value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t
+
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linearized import fitted, solved
+from kilter_core.gap.search.source import LinkSource, ToolSource
+from kilter_core.gap.search.tails import tail
+
+Floats = NDArray[np.float64]
+
+LEVEL = 0.95
+MOST_ROWS = 3000  # scalars above which the likelihood is so narrow that its own curvature cannot matter
+MOST_PROFILES = 16
+
+
+@dataclass(frozen=True)
+class Amplitude:
+    """A parameter of a named effect (SI): value, standard deviation, 95 % interval; conditional on the library."""
+
+    column: int
+    value: float
+    sigma: float
+    low: float
+    high: float
+
+    @property
+    def seen(self) -> bool:
+        """Whether the data show it: its own interval does not hold zero."""
+        return not self.low <= 0.0 <= self.high
+
+
+def amplitudes(search: SearchResult, progress: Callable[[float], None]) -> dict[int, Amplitude]:
+    """Amplitude of every chosen column, inflated by what noise leaves unexplained: max(1, chi²/nu)."""
+    problem, columns = search.problem, search.columns
+    if not columns:
+        return {}
+    left = problem.gram.given(columns)
+    grown, width = inflation(search), interval_width(search)
+    values, covariance = fitted(problem, columns)
+    out = {}
+    for n, k in enumerate(columns):
+        progress(n / len(columns))
+        sigma = float(np.sqrt(covariance[n, n])) * grown
+        low, high = (values[n] + side * width * sigma for side in (-1.0, 1.0))
+        if problem.rows <= MOST_ROWS and n < MOST_PROFILES and sigma > 0.0:
+            low, high = (_end(search, k, float(values[n]), float(end), left.yy, width * grown) for end in (low, high))
+        out[k] = Amplitude(k, float(values[n]), sigma, float(low), float(high))
+    return out
+
+
+def interval_width(search: SearchResult) -> float:
+    """Standard deviations from the middle of a 95 % interval to its ends."""
+    return float(t.isf((1 - LEVEL) / 2, max(scale_freedom(search), 1.0)))
+
+
+def scale_freedom(search: SearchResult) -> float:
+    """Numbers that the scale of the noise rests on: those of the repeats, or what is left where there are none."""
+    noise = search.problem.settings.noise
+    if not search.problem.settings.trusted:
+        return search.problem.gram.given(search.columns).nu
+    return noise.freedom if noise.absolute else np.inf
+
+
+def inflation(search: SearchResult) -> float:
+    """Factor on standard deviations for what noise leaves unexplained; without a scale of its own, the scale of the fit."""
+    left = search.problem.gram.given(search.columns)
+    ratio = left.yy / max(left.nu, 1.0)
+    return float(np.sqrt(max(1.0, ratio) if search.problem.settings.trusted else ratio))
+
+
+def _end(search: SearchResult, k: int, best: float, end: float, least: float, target: float) -> float:
+    """End of the profile interval: where chi-square has risen by ``target``², one secant step from the linear end."""
+    others = [c for c in search.columns if c != k]
+    rise = solved(search.problem.settings, search.problem.values, others, (k, end))[1] - least
+    if rise <= 0.0:
+        return end
+    return best + (end - best) * float(np.clip(target / np.sqrt(rise), 0.5, 2.0))
+
+
+def seen_joints(search: SearchResult, place: int) -> tuple[tuple[int, ...] | None, bool]:
+    """Joints at which the data show a chosen candidate (None: it acts at none), and whether they show any of it.
+
+    The parameters of a joint are judged together: sine and cosine of a short range are each uncertain, and the curve is not.
+    """
+    candidate, columns = search.selector.scorer.candidates[place], search.columns
+    source = search.problem.settings.source
+    assert isinstance(source, ToolSource | LinkSource)
+    values, covariance = fitted(search.problem, columns)
+    wide, freedom = covariance * inflation(search) ** 2, scale_freedom(search)
+
+    def shown(own: Sequence[int]) -> bool:
+        index = [columns.index(k) for k in own]
+        size = values[index] @ np.linalg.pinv(wide[np.ix_(index, index)], hermitian=True) @ values[index]
+        return bool(tail(size, len(index), freedom) < 1.0 - LEVEL)
+
+    if candidate.joints is None:
+        return None, shown(candidate.columns)
+    joints, start = set[int](), 0
+    for effect in candidate.effects:
+        own = candidate.columns[start : start + len(effect.parameters(source.model.robot))]
+        start += len(own)
+        joints |= set(effect.joints or ()) if shown(own) else set()
+    return tuple(j for j in candidate.joints if j in joints), bool(joints)

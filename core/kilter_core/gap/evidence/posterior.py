@@ -1,0 +1,92 @@
+"""What the data and the priors say of all that a search fitted, geometry and named effects together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.gap.evidence.intervals import inflation
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.source import LinkSource, Source, ToolSource, zeros
+from kilter_core.model import Calibration
+from kilter_core.parameters import indices
+
+Floats = NDArray[np.float64]
+
+SMALLEST = 1e-9  # inflation of a fit that leaves nothing, as of simulations without noise
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Covariance ``(F, F)`` SI of the free parameters ``names``, in the order of the version that holds them.
+
+    ``prior_sigma (F,)`` are the widths of their priors. ``J (R, F)`` is the whitened Jacobian, None for joint data, where
+    an offset of each motion stands behind every joint's zero.
+    """
+
+    names: tuple[str, ...]
+    covariance: Floats
+    prior_sigma: Floats
+    J: Floats | None
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviations (F,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def posterior(found: SearchResult, begin: Calibration, stored: Calibration) -> Posterior:
+    """Posterior at the end of a search that started at ``begin`` and stores ``stored``.
+
+    The noise is inflated by what it leaves unexplained, as for the amplitudes.
+    """
+    source = found.problem.settings.source
+    J, prior, covariance = of_all(found)
+    names, L = _combined(source, begin, stored, found.columns)
+    seen = J @ L.T if isinstance(source, ToolSource) else None
+    return Posterior(names, L @ covariance @ L.T, np.sqrt(L**2 @ prior**2), seen)
+
+
+def of_all(found: SearchResult) -> tuple[Floats, Floats, Floats]:
+    """Whitened Jacobian (R, F), prior sigmas (F,) and covariance (F, F) of the geometry and the named effects."""
+    problem, columns = found.problem, found.columns
+    source = problem.settings.source
+    J = np.hstack([problem.G, problem.W_raw[:, columns] * problem.size[columns]]) / max(inflation(found), SMALLEST)
+    prior = np.concatenate([source.prior_sigma, source.library_sigma[columns]])
+    H = (J * prior).T @ (J * prior)
+    H.flat[:: len(H) + 1] += 1.0  # the priors
+    return J, prior, np.linalg.inv(H) * np.outer(prior, prior)
+
+
+def _combined(
+    source: Source, begin: Calibration, stored: Calibration, columns: list[int]
+) -> tuple[tuple[str, ...], Floats]:
+    """Names (F,) of the stored free parameters, in the stored order, and how they follow (F, P + d) from what was fitted."""
+    assert isinstance(source, ToolSource | LinkSource)
+    model = source.model
+    library = [model.names[len(model.names) - source.n_library + k] for k in columns]
+    rows: dict[str, Floats] = {}
+    if isinstance(source, ToolSource):
+        fitted: list[str | None] = [*(model.names[k] for k in source.free), *library]
+    else:
+        started = model.names[model.n_geometric : len(model.names) - source.n_library]
+        fitted = [*[None] * source.n_offsets, *started, *library]
+        rows |= _of_zeros(source, begin, len(fitted))
+    # A version without load effects has no load errors either: what the data say of masses is then nothing.
+    known = set(stored.names)
+    rows |= {name: np.eye(len(fitted))[k] for k, name in enumerate(fitted) if name is not None and name in known}
+    order = sorted(rows, key=lambda name: int(indices(stored.names, [name])[0]))
+    return tuple(order), np.array([rows[name] for name in order]).reshape(len(order), len(fitted))
+
+
+def _of_zeros(source: LinkSource, begin: Calibration, count: int) -> dict[str, Floats]:
+    """How each joint's zero follows from the offsets of its motions: their mean, by the joint's ratio."""
+    n = source.model.robot.n_joints
+    out = {}
+    for name, (joint, ratio) in zeros(begin).items():
+        row = np.zeros(count)
+        row[joint : source.n_offsets : n] = ratio * n / source.n_offsets
+        out[name] = row
+    return out

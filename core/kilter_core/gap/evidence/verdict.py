@@ -1,0 +1,195 @@
+"""Gates and verdicts (E7): what it takes to say an effect's name, and what to say when it is not enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.gap.evidence.adequacy import Adequacy
+from kilter_core.gap.evidence.aliases import SAME, Alias, correlation
+from kilter_core.gap.evidence.control import Control
+from kilter_core.gap.evidence.intervals import Amplitude
+from kilter_core.gap.evidence.matters import Misfit
+from kilter_core.gap.evidence.replication import Replication
+from kilter_core.gap.evidence.stability import INCLUDED
+from kilter_core.gap.search.candidates import Candidate, Library
+from kilter_core.gap.search.forward_selection import SearchResult
+
+SURE_GAIN = 3.0  # standard deviations by which held-out poses must err as foretold
+SHADOWED = 0.3  # correlation with an unknown curve above which a named effect may be part of it
+CONTRADICTS = 2.0  # standard deviations on the wrong side of zero, or beyond the plausible range
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the gates look at for one chosen candidate."""
+
+    place: int
+    candidate: Candidate
+    aliases: tuple[Alias, ...]
+    inclusion: tuple[float, float]  # of its own name, of its class
+    held_out: tuple[float, float, float]  # gain, its standard error, and how surely it was foretold
+    control: Control | None
+    amplitudes: tuple[Amplitude, ...]
+    p_value: float
+    gain_mm: float
+    local_bump_test: bool = False  # a local bump of its joint does as well
+    unseen_poses: int = 0  # held-out poses that took no part in choosing
+    seen_joints: tuple[int, ...] | None = None  # of those it acts at, where the data show it; None: acts at none
+    seen: bool = True  # whether the data show any of it
+    moves_mm: float = float("inf")  # rms displacement of the tool by it, over the poses
+    replication: Replication | None = None
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Verdict on one candidate with the gates it passed and the number behind each; ``alias_set``: physical rivals."""
+
+    evidence: Evidence
+    verdict: str
+    gates: dict[str, bool]
+    numbers: dict[str, float | None]
+    alias_set: tuple[Alias, ...]
+
+
+def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, misfit: Misfit, library: Library) -> Judged:
+    """Pass one candidate through the gates: replicated, confirmed, class_confirmed, or provisional."""
+    rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
+    numbers = _numbers(search, evidence, fit, library, bool(rivals))
+    told = evidence.replication
+    gates = {
+        "physical": not evidence.candidate.empirical,
+        "adequate": bool(fit.adequate) or misfit.small_beside(evidence.moves_mm),
+        "held_out": evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN,
+        "unseen_poses": evidence.unseen_poses > 0 or (told is not None and told.replicated),
+        "no_empirical_alias": len(rivals) == len(evidence.aliases)
+        and not evidence.local_bump_test
+        and not _shadowed(search, evidence),
+        "plausible": _plausible(evidence, library),
+        "seen": evidence.seen,
+        "inclusion": evidence.inclusion[1 if rivals else 0] >= INCLUDED,
+        "negative_control": evidence.control is None or evidence.control.passed,
+    }
+    if told is not None:
+        gates["confirmation"] = not told.contradicted
+    return Judged(evidence, _level(gates, rivals, told), gates, numbers, rivals)
+
+
+def _level(gates: dict[str, bool], rivals: tuple[Alias, ...], told: Replication | None) -> str:
+    """The highest level that the gates allow; a class stays one, for its members return in every campaign alike."""
+    if not all(gates.values()):
+        return "provisional"
+    if rivals:
+        return "class_confirmed"
+    return "replicated" if told is not None and told.replicated else "confirmed"
+
+
+def _numbers(
+    search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, class_: bool
+) -> dict[str, float | None]:
+    """What each gate was decided by, to be decided again with other thresholds."""
+    gain, _, foretold = evidence.held_out
+    told = evidence.replication
+    numbers: dict[str, float | None] = {
+        "physical": float(not evidence.candidate.empirical),
+        "adequate": fit.p_value,
+        "held_out": foretold if gain > 0.0 else min(foretold, 0.0),
+        "unseen_poses": float(evidence.unseen_poses),
+        "no_empirical_alias": nearest_shape(search, evidence.place),
+        "bumped": float(evidence.local_bump_test),
+        "shadowed": _shadow(search, evidence),
+        "plausible": max((_beyond(a, library, evidence.candidate) for a in evidence.amplitudes), default=0.0),
+        "seen": float(evidence.seen),
+        "inclusion": evidence.inclusion[1 if class_ else 0],
+        "negative_control": None if evidence.control is None else evidence.control.survived,
+    }
+    return numbers if told is None else numbers | {"confirmation": told.apart, "confirmation_p": told.p_value}
+
+
+def nearest_shape(search: SearchResult, place: int) -> float | None:
+    """Points that the best shape without a cause is behind the chosen one in its place; None without such shapes."""
+    selector, gram = search.selector, search.problem.gram
+    scores = selector.scorer.scores(gram.given(selector.columns([k for k in search.chosen if k != place])))
+    value = scores.S / selector.variance(gram, search.chosen) - scores.d * np.log(selector.rows)
+    shapes = selector.scorer.empirical & (scores.d > 0)
+    shapes[list(search.chosen)] = False
+    return float(value[place] - np.max(value[shapes])) if shapes.any() else None
+
+
+def run_verdict(judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit) -> str:
+    """Verdict of the run: no_gap, closed, unexplained, provisional. What is too small to matter leaves nothing open."""
+    if any(j.evidence.candidate.empirical and misfit.matters(j.evidence.moves_mm) for j in judged):
+        return "unexplained"
+    if adequacy.adequate is False and not misfit.too_small:
+        return "unexplained"
+    weighty = [j for j in judged if misfit.matters(j.evidence.moves_mm)]
+    if not judged:
+        return "no_gap"
+    return "provisional" if any(j.verdict == "provisional" for j in weighty) else "closed"
+
+
+def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit) -> str:
+    """Say the verdict in words."""
+    names = ", ".join(j.evidence.candidate.label for j in judged)
+    relative = (
+        "" if adequacy.adequate is not None else " The noise is that of the fit itself, so this is relative to it."
+    )
+    left = "within their noise" if not misfit.too_small else "but for a difference too small to matter"
+    said = {
+        "no_gap": "Nothing in the library stands out of the noise.",
+        "closed": f"{names}: confirmed among the causes of the library. With this the model agrees with the measurements "
+        f"{left}.",
+        "provisional": f"{names}: likely, but not every test was passed.",
+        "unexplained": "Something is left that no known effect explains."
+        + (f" In part it looks like {names}." if names else ""),
+    }
+    small = [j.evidence.candidate.label for j in judged if not misfit.matters(j.evidence.moves_mm)]
+    little = f" Too small to matter: {', '.join(small)}." if small else ""
+    if misfit.too_small and verdict == "no_gap":
+        little = f" What is left beyond the noise, {misfit.said}, is too small to matter."
+    return said[verdict] + little + relative
+
+
+def _beyond(a: Amplitude, library: Library, candidate: Candidate) -> float:
+    """Standard deviations that an amplitude lies beyond what is plausible, below 0 within it."""
+    p, sigma = library.parameters[a.column], max(a.sigma, 1e-300)
+    return float(max(p.lower - a.value, a.value - p.upper) / sigma)
+
+
+def _plausible(evidence: Evidence, library: Library) -> bool:
+    for a in evidence.amplitudes:
+        p = library.parameters[a.column]
+        if a.value < p.lower - CONTRADICTS * a.sigma or a.value > p.upper + CONTRADICTS * a.sigma:
+            return False
+        if evidence.candidate.positive and len(evidence.amplitudes) == 1 and a.value <= 0.0:
+            return False
+    return True
+
+
+def _shadow(search: SearchResult, evidence: Evidence) -> float:
+    """Largest correlation with an unknown curve that was needed too."""
+    return max(
+        (correlation(search.problem.A, evidence.candidate.columns, c.columns) for c in _curves(search, evidence)),
+        default=0.0,
+    )
+
+
+def _shadowed(search: SearchResult, evidence: Evidence) -> bool:
+    """Whether an unknown curve was needed too, and could take this effect's place in part."""
+    return any(_related(search, evidence.candidate, c) for c in _curves(search, evidence))
+
+
+def _curves(search: SearchResult, evidence: Evidence) -> list[Candidate]:
+    candidates = search.selector.scorer.candidates
+    return [candidates[k] for k in search.chosen if candidates[k].empirical and k != evidence.place]
+
+
+def _related(search: SearchResult, candidate: Candidate, curve: Candidate) -> bool:
+    """Same joint and a curve of the angle alone, or signatures that overlap after geometry."""
+    same_joint = bool(set(candidate.joints or ()) & set(curve.joints or ()))
+    of_angle = not candidate.effects[0].needs
+    if same_joint and of_angle:
+        return True
+    rho = correlation(search.problem.A, candidate.columns, curve.columns)
+    return bool(rho > SHADOWED and rho < SAME) or bool(np.isclose(rho, 1.0))

@@ -1,0 +1,323 @@
+"""A gap search from rows to report: where the model is wrong, what is missing, how sure that is, what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.robot import Robot
+from kilter_core.errors import OptionError
+from kilter_core.gap.evidence.adequacy import Adequacy, adequacy
+from kilter_core.gap.evidence.aliases import SAME, Alias, aliases_of
+from kilter_core.gap.evidence.control import Control, controls, false_names
+from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator, fit_rms, gap_document, noise_document, train_rms
+from kilter_core.gap.evidence.holding_out import parted
+from kilter_core.gap.evidence.intervals import Amplitude, amplitudes, seen_joints
+from kilter_core.gap.evidence.local_bump import local_bump_test
+from kilter_core.gap.evidence.matters import Misfit, misfit, moves_mm
+from kilter_core.gap.evidence.narrowed import narrowed
+from kilter_core.gap.evidence.replication import Confirmation, Replication, refuse_unfit, replication
+from kilter_core.gap.evidence.stability import inclusion
+from kilter_core.gap.evidence.testability import (
+    Testability,
+    alias_matrix,
+    smallest_rows,
+    testability,
+    through_loads,
+    to_search,
+    untestable,
+)
+from kilter_core.gap.evidence.verdict import Evidence, Judged, judge, run_verdict, sentence
+from kilter_core.gap.options import GapOptions
+from kilter_core.gap.report.figures import figures
+from kilter_core.gap.report.localization import Place, localize
+from kilter_core.gap.report.next_poses import rows_of, separate
+from kilter_core.gap.report.report import GapReport
+from kilter_core.gap.report.stored import Stored, stored
+from kilter_core.gap.search.candidates import Candidate, Library, with_testable
+from kilter_core.gap.search.finalize import chance, or_geometry_alone
+from kilter_core.gap.search.forward_selection import SearchResult, search
+from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.prepare import Prepared, prepare_data
+from kilter_core.gap.search.renewed_search import rejudged
+from kilter_core.gap.search.row_warnings import clock_warnings
+from kilter_core.gap.search.scan import Scorer
+from kilter_core.gap.search.source import LinkSource, ToolSource
+from kilter_core.identify.load_model import far_from_stated
+from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
+from kilter_core.identify.plausibility.plausibility import refuse_foreign
+from kilter_core.identify.report import large_residual
+from kilter_core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, worse, worse_warning
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+SEARCHES = 2  # the second where the noise of the first showed that more could be tested
+LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
+
+
+def find_gap(
+    robot: Robot,
+    observations: Observations,
+    options: GapOptions | None = None,
+    start: Calibration | None = None,
+    validation: Observations | float | None = None,
+    progress: Progress | None = None,
+    confirmation: Observations | None = None,
+) -> GapReport:
+    """Find where the model is wrong, name what is missing, add it, and show the gap shrink on poses never used.
+
+    ``start`` is the model to begin with (nominal geometry without one); its effects are kept and re-fitted.
+    ``validation`` is other observations, or a fraction of the poses to hold out before anything is chosen; None holds
+    out a quarter where there are 60 poses or more, and 0 none: then one pose is left out at a time, and nothing can be
+    confirmed. ``confirmation`` is a campaign of another day or set-up: base and tool are fitted to it, nothing is chosen
+    there, and what it shows with the same amplitude is replicated. ``progress(fraction, stage)`` may raise to cancel.
+
+    Raises:
+        TooFewPosesError: the geometry alone needs more poses, or base and tool of the confirmation. ObservationError:
+        nothing measured, ``foreign_observations``, or ``rows_shared``. OptionError: options that do not exist or fit, or a
+        start of another robot.
+
+    """
+    options = options or GapOptions()
+    progress = progress or (lambda fraction, stage: None)
+    begin = beginning(robot, start)
+    if confirmation is not None:
+        for rows in (observations, validation):
+            if isinstance(rows, Observations):
+                refuse_unfit(robot, rows, confirmation)
+        of_this_robot(begin, confirmation)
+    remarks = (*of_this_robot(begin, observations), *clock_warnings(observations))
+    observations, validation = parted(observations, validation, options.seed)
+    prepared = prepare_data(begin, observations, options, _part(progress, 0.0, 0.15))
+    report = _Run(robot, begin, prepared, options, validation, confirmation, progress).report()
+    return replace(report, warnings=(*report.warnings, *remarks))
+
+
+def beginning(robot: Robot, start: Calibration | None) -> Calibration:
+    """Refuse a start of another robot: its chain would be searched, and what differs named as physics."""
+    if start is None:
+        return Calibration.nominal(robot)
+    if (start.robot.name, start.robot.chain.elements) != (robot.name, robot.chain.elements):
+        raise OptionError(
+            f"The start is a version of robot {start.robot.name!r}, the rows are of {robot.name!r}: name a version of "
+            f"{robot.name!r}, or leave start out.",
+            option="start",
+        )
+    return start
+
+
+def of_this_robot(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
+    """Refuse rows that a mix-up explains far better than physics; return warnings about what only looks odd."""
+    if rows.position is None and rows.markers is None:
+        refuse_foreign_links(begin.robot, rows)
+        return ()
+    return refuse_foreign(begin, Measurement.of(rows, begin.marker_points))
+
+
+def _part(progress: Progress, low: float, high: float) -> Progress:
+    """Map a stage's own fraction into its share of the whole."""
+    return lambda fraction, stage: progress(low + (high - low) * min(1.0, fraction), stage)
+
+
+@dataclass(frozen=True)
+class _Run:
+    robot: Robot
+    begin: Calibration
+    prepared: Prepared
+    options: GapOptions
+    validation: Observations | None
+    confirmation: Observations | None
+    progress: Progress
+
+    def report(self) -> GapReport:
+        prepared, problem = self.prepared, self.prepared.problem
+        self.progress(0.15, "where the model is wrong")
+        places = localize(problem, prepared.visits.observations, self.options.seed, prepared.moving)
+        judged = testability(problem, prepared.library)
+        for _ in range(SEARCHES):
+            candidates = with_testable(prepared.library, to_search(judged, prepared.library))
+            found = self._searched(prepared.problem, candidates)
+            prepared = prepared.judged_by(found.problem)
+            # Without repeats the noise shrinks as effects enter, and what could not show in it may show now.
+            again = testability(prepared.problem, prepared.library)
+            more, judged = bool(np.any(again.able & ~judged.able)), again
+            if not more or not found.chosen:
+                break
+        found = narrowed(found)
+        judged = through_loads(judged, testability(found.problem, prepared.library), prepared.library)
+        prepared = prepared.judged_by(found.problem)
+        return replace(self, prepared=prepared)._reported(
+            or_geometry_alone(found, prepared.problem), places, judged, candidates
+        )
+
+    def _searched(self, problem: LinearizedProblem, candidates: tuple[Candidate, ...]) -> SearchResult:
+        noise = problem.settings.noise
+        scorer = Scorer.of(candidates, problem.settings.trusted, noise.freedom if noise.absolute else np.inf)
+        limits = np.array([max(abs(p.lower), abs(p.upper)) for p in self.prepared.library.parameters])
+        found = search(problem.settings, problem, scorer, limits, self.options, _part(self.progress, 0.2, 0.5))
+        return rejudged(found, self.options.alpha, limits)
+
+    def _reported(
+        self, found: SearchResult, places: tuple[Place, ...], judged: Testability, candidates: tuple[Candidate, ...]
+    ) -> GapReport:
+        """The report on what was found; the preparation is that with the noise and outliers of the last fit."""
+        prepared, problem = self.prepared, self.prepared.problem
+        rows = prepared.visits.observations
+        fit = adequacy(found.problem, prepared.visits.condition, found.columns)
+        kept = stored(found, self.begin, prepared.rows, self.options)
+        left = misfit(found, fit, rows, self.options)
+        effects, control, held = self._judged(found, fit, left, kept)
+        verdict = run_verdict(effects, fit, left)
+        judging = held.report()
+        gap = gap_document(prepared, found, judging)
+        self.progress(0.95, "next poses and pictures")
+        return GapReport(
+            stored=kept, verdict=verdict, sentence=sentence(verdict, effects, fit, left), effects=effects, where=places,
+            gap=gap, adequacy=fit, misfit=left, predictive=judging.predictive,
+            not_testable=untestable(prepared.library, judged, problem, rows),
+            smallest_detectable=smallest_rows(prepared.library, judged),
+            next_poses=self._next_poses(found, effects), negative_control=control,
+            alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
+            warnings=(
+                *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
+                *self._worse(found, held, kept), *far_from_stated(kept.load_model()),
+            ),
+            figures=figures(found, rows, gap, held), library=prepared.library,
+        )  # fmt: skip
+
+    def _judged(
+        self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored
+    ) -> tuple[tuple[Judged, ...], dict[str, Any], HoldoutEvaluator]:
+        """Evidence for every chosen candidate, and the gates."""
+        held = HoldoutEvaluator(found, self.prepared, self.validation, kept.posterior)
+        aliases = {k: aliases_of(found, k) for k in found.chosen}
+        classes = {k: tuple(a.place for a in rivals) for k, rivals in aliases.items()}
+        part = _part(self.progress, 0.5, 0.7)
+        shares = inclusion(
+            found, classes, self.options.resamples, self.options.seed, lambda f: part(f, "selecting again on resamples")
+        )
+        part = _part(self.progress, 0.7, 0.8)
+        shuffled = controls(found, self.options.permutations, self.options.seed, lambda f: part(f, "negative control"))
+        part = _part(self.progress, 0.8, 0.9)
+        sizes = amplitudes(found, lambda f: part(f, "profile intervals"))
+        moved, again = moves_mm(found), self._replications(found, kept)
+        out = []
+        for n, k in enumerate(found.chosen):
+            self.progress(0.92 + 0.02 * n / len(found.chosen), "held-out poses")
+            evidence = self._evidence(found, k, aliases[k], shares[k], shuffled[n], sizes, held)
+            evidence = replace(evidence, moves_mm=moved[k], replication=again.get(k))
+            out.append(judge(found, evidence, fit, left, self.prepared.library))
+        out.sort(key=lambda j: -j.evidence.gain_mm)
+        return tuple(out), self._control_document(found, shuffled), held
+
+    def _replications(self, found: SearchResult, kept: Stored) -> dict[int, Replication]:
+        """What the confirmation says of every chosen candidate."""
+        if self.confirmation is None or not found.chosen:
+            return {}
+        part = _part(self.progress, 0.9, 0.92)
+        rows, robot = self.confirmation, self.robot
+        seen = Confirmation.of(
+            kept.calibration, kept.posterior, rows, self.options, lambda f, s: part(f, "confirmation")
+        )
+        candidates = found.selector.scorer.candidates
+        return {k: replication(seen, robot, rows, candidates[k], seen_joints(found, k)[0]) for k in found.chosen}
+
+    def _evidence(
+        self, found: SearchResult, place: int, rivals: tuple[Alias, ...], share: tuple[float, float], control: Control,
+        sizes: dict[int, Amplitude], held: HoldoutEvaluator,
+    ) -> Evidence:  # fmt: skip
+        selector = found.selector
+        rest = selector.columns([k for k in found.chosen if k != place])
+        candidate = selector.scorer.candidates[place]
+        unit = 180.0 / np.pi if isinstance(found.problem.settings.source, LinkSource) else 1e3
+        joints, any_ = seen_joints(found, place)
+        return Evidence(
+            place, candidate, rivals, share, held.gain_of(place), control,
+            tuple(sizes[c] for c in candidate.columns),
+            chance(found, place, self.options.alpha),
+            (train_rms(found.problem, rest) - train_rms(found.problem, found.columns)) * unit,
+            local_bump_test(found, place, self.prepared.visits.observations.q),
+            held.poses, joints, any_,
+        )  # fmt: skip
+
+    def _control_document(self, found: SearchResult, shuffled: tuple[Control, ...]) -> dict[str, Any]:
+        share = false_names(found, self.options.permutations, self.options.seed)
+        rows = [
+            {
+                **found.selector.scorer.candidates[c.place].named(), "shuffled": c.label, "shuffles": c.shuffles,
+                "survived": c.survived, "passed": c.passed,
+            }
+            for c in shuffled
+        ]  # fmt: skip
+        return {
+            "passed": all(c.passed for c in shuffled), "effects": rows, "shuffles": self.options.permutations,
+            "names_in_shuffled_residuals": share,
+        }  # fmt: skip
+
+    def _large(self, found: SearchResult) -> Iterator[dict[str, Any]]:
+        """Say when much is left after everything that was named: a fact about the model, no verdict about the rows."""
+        problem = found.problem
+        size = fit_rms(problem)
+        if isinstance(problem.settings.source, ToolSource):
+            points = problem.settings.source.model.predict(problem.settings.source.batch, problem.values).position
+            yield from large_residual(size, points)
+        elif np.degrees(size) > LARGE_DEG:
+            yield {"code": "large_residual", "message": f"{np.degrees(size):.2f} deg are left between the encoders."}
+
+    def _unsearched(self) -> Iterator[dict[str, Any]]:
+        """Say which effects were not looked for because nothing is known to load the joints."""
+        source = self.prepared.problem.settings.source
+        loaded = list(dict.fromkeys(e.id for e in self.prepared.library.effects if "moments" in e.needs))
+        if loaded and not np.any(source.batch.wrench):
+            yield {
+                "code": "no_load", "effects": loaded,
+                "message": f"{', '.join(loaded)} were not looked for: they follow load moments, and neither link masses nor a "
+                "payload are known. Give the robot's links mass_kg and com_mm, or the rows payload_kg, and search again.",
+            }  # fmt: skip
+
+    def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:
+        """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""
+        unit = "deg" if isinstance(found.problem.settings.source, LinkSource) else "mm"
+        before_after = held.by_pose()
+        if found.chosen and worse(*before_after):
+            certain = Difference.of(*reversed(before_after)).worse
+            gap = gap_document(self.prepared, found, held.report())
+            before, after = gap[f"validation_before_{unit}"], gap[f"validation_after_{unit}"]
+            yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", before, after, certain, unit)
+        if self.validation is None or kept.registered is None:
+            return
+        calibration, plain = kept.calibration, kept.registered
+        unseen = Measurement.of(self.validation, calibration.marker_points)
+        yield from PoseErrors.of({"registration_only": plain, "identified": calibration}, unseen).warnings()
+
+    def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> list[dict[str, Any]]:
+        """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
+        if not effects:
+            return []
+        open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member]) for j in effects]
+        asked = next(((j, a) for j, a in open_ if a), None)
+        if asked is None:
+            weak = [j for j in effects if j.verdict == "provisional"]
+            if not weak:
+                return []
+            asked = (weak[0], [])
+        j, rivals = asked
+        target = j.evidence.candidate
+        others = [k for k in found.columns if k not in target.columns]
+        values = np.array([a.value for a in j.evidence.amplitudes])
+        proposals = separate(
+            found.problem, self.prepared.visits.observations, target, [a.candidate for a in rivals[:1]], others, values,
+            self.options.next_poses, self.options.seed,
+        )  # fmt: skip
+        return rows_of(proposals, (target.label, rivals[0].candidate.label if rivals else "geometry"), self.robot)
+
+
+__all__ = ["GapReport", "Library", "Testability", "find_gap"]

@@ -1,0 +1,165 @@
+"""Drift that all visits share: a base or an instrument that moves while time passes or the temperature changes.
+
+It moves every repeat alike, so it can be taken out of repeats even where all of them are far apart in time, and what is left
+between them is noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f
+
+from kilter_core.gap.noise.centred import centred
+from kilter_core.gap.noise.random_walk import walked
+from kilter_core.gap.noise.variogram import DRIFTED, KELVIN, QUICK, SPIKE
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+FEWEST = 9.0  # scalars that the noise must rest on beside a drift, for the two to count as told apart
+LENGTHS = 3
+WAVES = 5  # half waves over the campaign: a random walk has nine tenths of its variance in them
+MOST = 4  # clocks of one drift
+SHOWN = 50  # places, and moments, at which the size of a drift is taken
+TRIMS = 3
+SEEN = 1e-9
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """What a drift may follow: time ``t (V,)`` steadily, in waves or settling, and the temperature ``kelvin (V,)``."""
+
+    t: Floats
+    kelvin: Floats | None
+
+    def values(self, many: Bools) -> tuple[Floats, int]:
+        """Clocks (C, V), from 0 to 1 or of that order, and how many are of time; temperature in K comes last."""
+        span = float(np.ptp(self.t))
+        u = (self.t - self.t.min()) / span if span > 0.0 else np.zeros(len(self.t))
+        made = [u, np.exp(-u / QUICK), *(np.cos(np.pi * k * u) for k in range(2, WAVES + 1))] if span > 0.0 else []
+        timed = len(made)
+        if self.kelvin is not None and np.ptp(np.nan_to_num(self.kelvin)[many]) > KELVIN:
+            made.append(np.nan_to_num(self.kelvin))
+        return np.array(made).reshape(len(made), len(self.t)), timed
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Residuals ``left (V, m)`` without the drift that all visits share, where any was seen.
+
+    ``freedom`` is how many scalars of the repeats are left to judge by, 0 for too few; ``vectors`` how many the drift took;
+    ``moved`` is the rms change of a scalar over the campaign, ``per_kelvin`` that with the temperature.
+    """
+
+    left: Floats
+    p_value: float
+    freedom: float
+    vectors: float
+    moved: float
+    per_kelvin: float
+
+    @staticmethod
+    def of(r: Floats, condition: Ints, clocks: Clocks, points: Floats | None) -> Shared:
+        """Take one clock after another, the likeliest first, while chance does not explain it."""
+        many = np.bincount(condition)[condition] > 1
+        # One place for all visits of a condition: else what a wrong reading moved the place by would count as a motion.
+        places = None if points is None else points - centred(points, condition)
+        size, motion = r.shape[1], _motions(len(r), r.shape[1], places)
+        scalars = float(size * (many.sum() - len(np.unique(condition[many]))))
+        each, timed = clocks.values(many)
+        left, taken, first, amounts = r, 0.0, 1.0, np.zeros((len(each), motion.shape[2]))
+        for step in range(MOST if len(each) else 0):
+            if scalars - taken - motion.shape[2] < FEWEST:
+                break
+            tried = [_tried(left, condition, many, motion, clock, scalars - taken) for clock in each]
+            k = int(np.argmin([p for p, _ in tried]))
+            p = min(1.0, tried[k][0] * len(each))
+            first = p if step == 0 else first
+            if p > DRIFTED:
+                break
+            amounts[k] += tried[k][1]
+            left = left - (motion @ tried[k][1]) * (each[k] - each[k].mean())[:, None]
+            taken += motion.shape[2]
+        if first <= DRIFTED and timed:
+            course = _courses(motion, each - each.mean(axis=1)[:, None], np.any(amounts, axis=1))
+            without, walk = _without_walk(left, condition, many, motion, clocks.t, course)
+            if scalars - taken - walk >= FEWEST:
+                left, taken = without, taken + walk
+        moved = _size(motion[many], amounts[:timed], each[:timed])
+        warmth = motion[many] @ amounts[timed:].sum(axis=0)
+        free = scalars - taken if scalars - motion.shape[2] >= FEWEST else 0.0
+        return Shared(left, first, free, taken / size, moved, float(np.sqrt(np.mean(warmth**2))))
+
+
+def _tried(
+    r: Floats, condition: Ints, many: Bools, motion: Floats, clock: Floats, scalars: float
+) -> tuple[float, Floats]:
+    """Chance of a motion along a clock, and its amount (k,), from the repeats without their spikes."""
+    moved = motion * (clock - clock.mean())[:, None, None]
+    columns = centred(moved, condition)
+    away, amount = centred(r, condition), np.zeros(motion.shape[2])
+    kept = many & _near(np.abs(away).max(axis=1), many)
+    seen = np.sum(columns[many] ** 2, axis=(0, 1)) > SEEN * float(np.sum(moved**2)) + np.finfo(float).tiny
+    if not seen.any():
+        return 1.0, amount
+    for _ in range(TRIMS):
+        A = columns[kept][:, :, seen].reshape(-1, int(seen.sum()))
+        amount[seen] = np.linalg.lstsq(A, away[kept].reshape(-1), rcond=SEEN)[0]
+        rest = np.abs(away - columns @ amount).max(axis=1)
+        kept = many & _near(rest, many)
+    before, after = (float(np.sum(v[kept] ** 2)) for v in (away, away - columns @ amount))
+    taken = float(seen.sum())
+    free = scalars - taken - r.shape[1] * float(many.sum() - kept.sum())
+    if free < 1.0 or after <= 0.0:
+        return 1.0, amount
+    return float(f.sf((before - after) / taken / (after / free), taken, free)), amount
+
+
+def _courses(motion: Floats, each: Floats, followed: Bools) -> Floats:
+    """Columns (V, m, c) of the motions along the clocks that were followed."""
+    columns = motion[None] * each[followed][:, :, None, None]
+    return np.asarray(columns.transpose(1, 2, 0, 3).reshape(*motion.shape[:2], -1))
+
+
+def _without_walk(
+    r: Floats, condition: Ints, many: Bools, motion: Floats, t: Floats, course: Floats
+) -> tuple[Floats, float]:
+    """Residuals (V, m) without a walk that all visits share, and how many scalars it took."""
+    away = centred(r, condition)
+    kept = many & _near(np.abs(away).max(axis=1), many)
+    kept &= np.bincount(condition[kept], minlength=int(condition.max()) + 1)[condition] > 1
+    way, taken = walked(away, motion, t, condition, kept, course)
+    return r - way, taken
+
+
+def _near(size: Floats, many: Bools) -> Bools:
+    """Which sizes (V,) are no spikes among those of the repeats."""
+    return np.asarray(size <= SPIKE * np.median(size[many]) / 0.6745)
+
+
+def _size(motion: Floats, amounts: Floats, each: Floats) -> float:
+    """Rms, over scalars and places, of the way from one end of the drift's course to the other."""
+    if not len(each) or not np.any(amounts):
+        return 0.0
+    places = motion[:: max(1, len(motion) // SHOWN)]
+    moments = each[:, :: max(1, each.shape[1] // SHOWN)]
+    course = np.einsum("vmk,ck,ct->vmt", places, amounts, moments)
+    return float(np.sqrt(np.mean(np.ptp(course, axis=2) ** 2)))
+
+
+def _motions(count: int, size: int, points: Floats | None) -> Floats:
+    """Motions (V, m, k) that visits may share: of points a shift, a turn and a scale; else each scalar for itself."""
+    if size % LENGTHS == 0 and size != 2 * LENGTHS:
+        shift = np.tile(np.eye(LENGTHS), (size // LENGTHS, 1))[None].repeat(count, axis=0)
+    else:
+        shift = np.eye(size)[None].repeat(count, axis=0)
+    if points is None or size != LENGTHS:
+        return shift
+    p = points - points.mean(axis=0)
+    p = p / max(float(np.sqrt(np.mean(p**2))), SEEN)
+    turn = np.cross(np.eye(LENGTHS)[None], p[:, None]).transpose(0, 2, 1)
+    return np.concatenate([shift, turn, p[:, :, None]], axis=2)

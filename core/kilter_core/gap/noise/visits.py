@@ -1,0 +1,92 @@
+"""Visits: rows taken without leaving a pose, averaged, so that what remains is independent from one to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.gap.noise.clock import came_back, clock_of
+from kilter_core.observations import Observations
+from kilter_core.transforms import nearest_rotation
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Visits:
+    """Averaged rows. ``visit (N,)`` is the visit of each row, ``count (V,)`` its rows, ``pose (V,)`` its pose,
+    ``condition (V,)`` numbers pose together with direction, load and session: visits that should agree.
+    """
+
+    observations: Observations
+    visit: Ints
+    count: Ints
+    pose: Ints
+    condition: Ints
+
+    def __len__(self) -> int:
+        return len(self.count)
+
+
+def visits_of(rows: Observations) -> Visits:
+    """Group the rows of one pose that follow each other under the same conditions, and average each group.
+
+    A visit ends only where the arm moved in between: where another pose or condition was measured, or joint readings show
+    that it left and came back. Shots after a pause are no new approach, however long it was.
+    """
+    pose = rows.pose_groups()
+    condition = rows.conditions()
+    clock = clock_of(rows)
+    in_order = condition[clock.order]
+    new = np.ones(len(rows), dtype=bool)
+    new[1:] = (in_order[1:] != in_order[:-1]) | came_back(rows, clock, in_order)
+    run = np.empty(len(rows), dtype=np.int64)
+    run[clock.order] = np.cumsum(new) - 1
+    first, visit, count = _numbered(run)
+    averaged = rows.select(first) if count.max() == 1 else _averaged(rows, visit, first, count)
+    return Visits(averaged, visit, count, pose[first], condition[first])
+
+
+def apart(condition: Ints, used: NDArray[np.bool_]) -> Ints:
+    """Conditions (V,) where visits that are not ``used (V,)`` repeat none."""
+    return np.where(used, condition, condition.max() + 1 + np.arange(len(used)))
+
+
+def _numbered(run: Ints) -> tuple[Ints, Ints, Ints]:
+    """First row (V,) of each run, the number (N,) of its run of every row in the order of the rows, and its rows (V,)."""
+    _, first, inverse, count = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
+    order = np.argsort(first, kind="stable")
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    return first[order].astype(np.int64), place[inverse.reshape(-1)], count[order].astype(np.int64)
+
+
+def _averaged(rows: Observations, visit: Ints, first: Ints, count: Ints) -> Observations:
+    out = rows.select(first)
+    plain = ("q", "position", "markers", "link_q", "qd", "qdd", "tau", "t", "temperature_c")
+    made: dict[str, Any] = {
+        name: _mean(value, visit, count) for name in plain if (value := getattr(rows, name)) is not None
+    }
+    if rows.rotation is not None:
+        mean = _mean(rows.rotation, visit, count)
+        made["rotation"] = np.stack([nearest_rotation(R) if k > 1 else R for R, k in zip(mean, count, strict=True)])
+    if rows.sigma is not None:
+        made["sigma"] = np.sqrt(_mean(rows.sigma**2, visit, count) / count[:, None])
+    return replace(out, **made)
+
+
+def _mean(values: Floats, visit: Ints, count: Ints) -> Floats:
+    """Mean of each visit; an unseen marker stays unseen only when every row of the visit misses it."""
+    flat = values.reshape(len(values), -1)
+    seen = ~np.isnan(flat)
+    sums = np.zeros((len(count), flat.shape[1]))
+    hits = np.zeros_like(sums)
+    np.add.at(sums, visit, np.where(seen, flat, 0.0))
+    np.add.at(hits, visit, seen)
+    with np.errstate(invalid="ignore"):
+        mean = np.where(hits > 0, sums / np.where(hits > 0, hits, 1.0), np.nan)
+    return np.asarray(mean.reshape(len(count), *values.shape[1:]))

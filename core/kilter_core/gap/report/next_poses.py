@@ -1,0 +1,255 @@
+"""What to measure next (E8): poses, loads and directions that tell two explanations apart, by greedy information.
+
+For an effect with signature w and its rival, lambda (1 - rho²) is what is left of w after geometry, the other effects
+and the rival: the inverse of w's entry in the inverse information matrix. Poses are picked one by one for the largest
+gain. Repeating old poses under another load or direction is compared first, since it often beats any new pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.driving_order import joint_ranges, short_way
+from kilter_core.arm.robot import Robot
+from kilter_core.gap.search.candidates import Candidate
+from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.source import ToolSource
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration
+from kilter_core.model.region import Region
+from kilter_core.observations import Observations
+
+Floats = NDArray[np.float64]
+
+POOL = 250
+WARMER_K = 5.0
+LATER_S = 600.0
+CHANGE_FIRST = 0.9  # a condition change is proposed first from this share of the new poses' information
+SPARE_LOAD = 0.1  # of the arm's mass, where no load was ever carried
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Poses to measure: conditions per row, and information about the question after each, before being ``before``."""
+
+    rows: Observations
+    kind: str
+    change: str
+    before: float
+    after: tuple[float, ...]
+
+
+def separate(
+    problem: LinearizedProblem, rows: Observations, target: Candidate, rivals: Sequence[Candidate], others: Sequence[int],
+    amplitudes: Floats, count: int, seed: int, region: Region | None = None,
+) -> tuple[Proposal, ...]:  # fmt: skip
+    """Best poses for telling ``target`` (with its fitted ``amplitudes``) from its rivals, best proposal first.
+
+    ``others`` are library columns of the other named effects. New poses are in ``region``, else where ``rows`` were.
+    Only tool measurements can be planned for.
+    """
+    source = problem.settings.source
+    if not isinstance(source, ToolSource) or count < 1:
+        return ()
+    model = Calibration(source.model, problem.values)
+    region = region or Region.of(model, rows.q)
+    needs = frozenset[str]().union(*(c.effects[0].needs for c in (target, *rivals)))
+    question = _Question(problem, target, tuple(k for c in rivals for k in c.columns), tuple(others), amplitudes)
+    rng = np.random.default_rng(seed)
+    new = _greedy(question, _pool(rows, region, needs, rng), count, "new", "")
+    old = rows.select(np.flatnonzero(region.clear(rows.q)))
+    changes = _changes(old, source, needs, rng) if len(old) else []
+    made = [
+        _ordered(question, p, needs) for p in (new, *(_greedy(question, o, count, "repeat", w) for w, o in changes))
+    ]
+    best = max(made[1:], key=lambda p: p.after[-1], default=None)
+    if best is None:
+        return (made[0],)
+    return (best, made[0]) if best.after[-1] >= CHANGE_FIRST * made[0].after[-1] else (made[0], best)
+
+
+def rows_of(proposals: Sequence[Proposal], names: tuple[str, str], robot: Robot) -> list[dict[str, Any]]:
+    """Proposals as documents: joint angles in degrees (slides in mm), load, directions, how much more they would tell."""
+    scale = wire_scale(robot)
+    return [_row(p, k, names, scale) for p in proposals for k in range(len(p.rows))]
+
+
+def wire_scale(robot: Robot) -> Floats:
+    """What a joint value (n,) in SI is multiplied by for ``q_deg``: to degrees, a slide's to mm."""
+    return np.array([1e3 if joint.kind == "prismatic" else 180.0 / np.pi for joint in robot.joints])
+
+
+def _row(p: Proposal, k: int, names: tuple[str, str], scale: Floats) -> dict[str, Any]:
+    com = None if p.rows.payload_kg is None or p.rows.payload_com is None else p.rows.payload_com[k]
+    place = {} if com is None else {"payload_com_mm": [round(float(v) * 1e3, 3) for v in com]}
+    return place | {
+        "kind": p.kind, "change": p.change or None,
+        "q_deg": [round(float(v), 3) for v in p.rows.q[k] * scale],
+        "payload_kg": None if p.rows.payload_kg is None else float(p.rows.payload_kg[k]),
+        "direction": None if p.rows.direction is None else [int(s) for s in p.rows.direction[k]],
+        "separates": list(names), "information_factor": round(float(p.after[k] / max(p.before, 1e-12)), 3),
+    }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Question:
+    """The information matrix so far and how to get rows of it."""
+
+    problem: LinearizedProblem
+    target: Candidate
+    rivals: tuple[int, ...]
+    others: tuple[int, ...]
+    amplitudes: Floats
+
+    def columns(self, G: Floats, W: Floats) -> Floats:
+        """Signature of the target first, then geometry, rivals, others, each scaled to order one."""
+        source = self.problem.settings.source
+        signature = W[..., list(self.target.columns)] @ self.amplitudes
+        free = [k for k in dict.fromkeys((*self.rivals, *self.others)) if k not in self.target.columns]
+        return np.concatenate(
+            [signature[..., None], G * source.prior_sigma, W[..., free] * source.library_sigma[free]], axis=-1
+        )
+
+    def information(self) -> Floats:
+        """Information matrix of what was measured, priors on everything but the target."""
+        problem = self.problem
+        X = self.columns(problem.G, problem.W_raw * problem.size)
+        H = X.T @ X
+        H[np.diag_indices_from(H)] += np.r_[1e-9 * max(H[0, 0], 1e-9), np.ones(len(H) - 1)]
+        return H
+
+    def rows(self, observations: Observations) -> Floats:
+        """Whitened columns (V, m, p) of poses not measured yet, visited as the others were on average."""
+        source = self.problem.settings.source
+        assert isinstance(source, ToolSource)
+        linear = source.on(_imagined(source, observations, self.problem.values)).linear(self.problem.values)
+        noise = np.mean(self.problem.settings.noise.visit[self.problem.settings.used], axis=0)
+        L = np.linalg.inv(np.linalg.cholesky(noise + 1e-18 * np.eye(len(noise))))
+        return self.columns(L @ linear.G, L @ linear.W)
+
+
+def _greedy(question: _Question, pool: Observations, count: int, kind: str, change: str) -> Proposal:
+    C = np.linalg.inv(question.information())
+    before = 1.0 / C[0, 0]
+    X = question.rows(pool)
+    picked: list[int] = []
+    after = []
+    for _ in range(min(count, len(pool))):
+        XC = X @ C
+        S = np.eye(X.shape[1]) + XC @ X.transpose(0, 2, 1)
+        gain = np.einsum("vi,vi->v", XC[:, :, 0], np.linalg.solve(S, XC[:, :, :1])[..., 0])
+        gain[picked] = -1.0
+        best = int(np.argmax(gain))
+        picked.append(best)
+        C = C - XC[best].T @ np.linalg.solve(S[best], XC[best])
+        after.append(1.0 / float(C[0, 0]))
+    return Proposal(pool.select(np.array(picked, dtype=np.int64)), kind, change, before, tuple(after))
+
+
+def _ordered(question: _Question, proposal: Proposal, needs: frozenset[str]) -> Proposal:
+    """The same poses in the order of a short way, with what is known after each, and only the conditions that matter."""
+    rows = proposal.rows
+    robot = question.problem.settings.source.model.robot  # type: ignore[attr-defined]
+    rows = rows.select(short_way(rows.q, joint_ranges(robot)))
+    H, after = question.information(), []
+    for X in question.rows(rows):
+        H = H + X.T @ X
+        after.append(1.0 / float(np.linalg.inv(H)[0, 0]))
+    if "direction" not in needs:
+        rows = replace(rows, direction=None)
+    loads = rows.payload_kg is not None and len(np.unique(rows.payload_kg)) > 1
+    if not (needs & {"moments", "payload_kg"}) and not loads:
+        rows = replace(rows, payload_kg=None)
+    return replace(proposal, rows=rows, after=tuple(after))
+
+
+def _imagined(source: ToolSource, rows: Observations, values: Floats) -> Measurement:
+    """Measurements exactly as the model predicts, of the same kind as the real ones."""
+    prediction = source.model.predict(rows, values)
+    shape = source.measurement.marker_points
+    if shape is not None:
+        markers = prediction.position[:, None, :] + np.einsum("nij,mj->nmi", prediction.rotation, shape)
+        return Measurement(replace(rows, markers=markers), shape)
+    rotation = None if source.measurement.observations.rotation is None else prediction.rotation
+    return Measurement(replace(rows, position=prediction.position, rotation=rotation))
+
+
+def _pool(rows: Observations, region: Region, needs: frozenset[str], rng: np.random.Generator) -> Observations:
+    """Random poses in the region, under the loads that were used before, from either side where that matters."""
+    q = region.draw(POOL, rng)
+    loads = np.zeros(1) if rows.payload_kg is None else np.unique(rows.payload_kg)
+    if not needs & {"moments", "payload_kg"}:
+        loads = loads[:1]
+    made = _conditions(rows, q, rng.choice(loads, POOL))
+    if rows.direction is None:
+        return made
+    return replace(made, direction=rng.choice([-1.0, 1.0], q.shape))
+
+
+def _changes(
+    rows: Observations, source: ToolSource, needs: frozenset[str], rng: np.random.Generator
+) -> list[tuple[str, Observations]]:
+    """Old poses under other conditions that the effects feel: another load, side, temperature, time."""
+    first = np.unique(rows.pose_groups(), return_index=True)[1]
+    index = np.sort(rng.permutation(first)[:POOL])
+    q = rows.q[index]
+    direction = None if rows.direction is None else rows.direction[index]
+    load = np.zeros(len(q)) if rows.payload_kg is None else rows.payload_kg[index]
+    same = replace(_conditions(rows, q, load), direction=direction)
+    out = []
+    if needs & {"moments", "payload_kg"}:
+        other = _other_load(load, source)
+        words = f"repeat these poses with {', '.join(f'{v:.3g} kg' for v in np.unique(other))}"
+        out.append((words, replace(_conditions(rows, q, other), direction=direction)))
+    if "direction" in needs and direction is not None:
+        out.append(("repeat these poses approached from the other side", replace(same, direction=-direction)))
+    if "temperature_c" in needs and rows.temperature_c is not None:
+        warm = float(rows.temperature_c.max()) + WARMER_K
+        words = f"repeat these poses at {warm:.0f} degrees"
+        out.append((words, replace(same, temperature_c=np.full(len(q), warm))))
+    if "t" in needs and rows.t is not None:
+        late = float(rows.t.max() + max(np.ptp(rows.t), LATER_S))
+        out.append(
+            ("repeat these poses later, as long after as the campaign took", replace(same, t=np.full(len(q), late)))
+        )
+    return out
+
+
+def _other_load(load: Floats, source: ToolSource) -> Floats:
+    used = np.unique(load)
+    mass = sum(link.mass for link in source.model.robot.links)
+    spare = max(float(np.round(SPARE_LOAD * mass, 1)), 0.1)
+    if len(used) > 1:
+        return np.asarray(np.where(load == used[0], used[-1], used[0]))
+    return np.full(len(load), 0.0 if used[0] > 0.0 else spare)
+
+
+def _conditions(rows: Observations, q: Floats, load: Floats) -> Observations:
+    """Rows at ``q`` with the load, at rest, and everything else at its mean."""
+
+    def mean(values: Floats | None) -> Floats | None:
+        return None if values is None else np.full((len(q), *values.shape[1:]), values.mean(axis=0))
+
+    return Observations(
+        q=q, payload_kg=load, temperature_c=mean(rows.temperature_c), t=mean(rows.t),
+        session=None if rows.session is None else np.full(len(q), rows.session[-1]),
+        qd=None if rows.qd is None else np.zeros_like(q), qdd=None if rows.qdd is None else np.zeros_like(q),
+        payload_com=_centres(rows, load), direction=None if rows.direction is None else np.zeros_like(q),
+    )  # fmt: skip
+
+
+def _centres(rows: Observations, load: Floats) -> Floats | None:
+    """Where each load hangs: as in the rows that carried it; a load that none carried where the mean of all was."""
+    if rows.payload_com is None or rows.payload_kg is None:
+        return None
+    out = np.tile(rows.payload_com.mean(axis=0), (len(load), 1))
+    for value in np.unique(load):
+        carried = rows.payload_kg == value
+        if carried.any():
+            out[load == value] = rows.payload_com[carried].mean(axis=0)
+    return out

@@ -1,0 +1,26 @@
+"""What would raise a verdict: for each gate that was not passed, what to measure or to ask for."""
+
+from __future__ import annotations
+
+from kilter_core.gap.evidence.holding_out import FEWEST
+from kilter_core.gap.evidence.verdict import Judged
+
+REMEDIES = {
+    "physical": "It has a shape and no cause: look for a cause outside the library.",
+    "adequate": "Something else is left, or the noise is not known: repeat ten poses three times, leaving them in between, "
+    "and search again from this version.",
+    "held_out": "Held-out poses do not clearly gain by it: measure more poses.",
+    "unseen_poses": f"No pose judged it that did not choose it: measure {FEWEST} poses or more (a quarter is then held "
+    "out), give `validation`, or measure a `confirmation` campaign on another day.",
+    "no_empirical_alias": "A shape without a cause does as well: measure the poses asked for, over more of the joint's range.",
+    "plausible": "Its amplitude is not plausible for an arm: check units, masses and payloads.",
+    "seen": "No parameter of it differs from zero by itself: measure more poses at its joints.",
+    "inclusion": "Other poses of the same kind would not always name it: measure more poses.",
+    "negative_control": "Its name comes back where labels are shuffled: vary what it depends on independently of the pose.",
+    "confirmation": "The confirmation shows another amplitude: look what changed between the campaigns.",
+}
+
+
+def to_confirm(judged: Judged) -> list[str]:
+    """What is missing to a higher level, one sentence for each gate that was not passed."""
+    return [REMEDIES[name] for name, passed in judged.gates.items() if not passed]

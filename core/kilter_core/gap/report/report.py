@@ -1,0 +1,143 @@
+"""The result of a gap search, as objects and as the document of the contract (mm, degrees, joints from 1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kilter_core.gap.evidence.adequacy import Adequacy
+from kilter_core.gap.evidence.aliases import Alias
+from kilter_core.gap.evidence.matters import Misfit
+from kilter_core.gap.evidence.verdict import Judged
+from kilter_core.gap.report.localization import Place
+from kilter_core.gap.report.remedies import to_confirm
+from kilter_core.gap.report.stored import Stored
+from kilter_core.gap.search.candidates import Library, Untestable
+from kilter_core.identify.report import WIRE
+from kilter_core.model import Calibration
+
+MOST_PLACES = 60
+SURE = 0.05
+
+
+@dataclass(frozen=True)
+class GapReport:
+    """What the search found. ``stored`` holds the named effects; ``to_document()`` is the job's result."""
+
+    stored: Stored
+    verdict: str
+    sentence: str
+    effects: tuple[Judged, ...]
+    where: tuple[Place, ...]
+    gap: dict[str, Any]
+    adequacy: Adequacy
+    misfit: Misfit
+    predictive: dict[str, Any] | None
+    not_testable: tuple[Untestable, ...]
+    smallest_detectable: list[dict[str, Any]]
+    next_poses: list[dict[str, Any]]
+    negative_control: dict[str, Any]
+    alias_matrix: dict[str, Any]
+    noise: dict[str, Any]
+    warnings: tuple[dict[str, Any], ...]
+    figures: dict[str, Any]
+    library: Library
+
+    @property
+    def calibration(self) -> Calibration:
+        """The final fit: geometry and named effects."""
+        return self.stored.calibration
+
+    def to_document(self) -> dict[str, Any]:
+        """The gap result of the contract."""
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "effects": [effect_row(j, self.library, self.misfit) for j in self.effects],
+            "where": [place_row(p) for p in _shown(self.where)],
+            "gap": self.gap,
+            "predictive": self.predictive,
+            "adequacy": self.adequacy.to_document() | self.misfit.to_document(),
+            "noise": self.noise,
+            "not_testable": [untestable_row(u) for u in self.not_testable],
+            "smallest_detectable": self.smallest_detectable,
+            "next_poses": self.next_poses,
+            "negative_control": self.negative_control,
+            "alias_matrix": self.alias_matrix,
+            "warnings": list(self.warnings),
+            "figures": self.figures,
+            "load_model": self.stored.load_model(),
+            "reference": self.stored.reference(),
+        }
+
+
+def effect_row(judged: Judged, library: Library, misfit: Misfit) -> dict[str, Any]:
+    """One named effect."""
+    evidence = judged.evidence
+    gain, error, foretold = evidence.held_out
+    told = evidence.replication
+    units = {p.name: p.unit for p in library.parameters}
+    return {
+        **evidence.candidate.named(),
+        "verdict": judged.verdict,
+        "empirical": evidence.candidate.empirical,
+        "class": next((a.member for a in judged.alias_set if a.member), None),
+        "alias_set": [alias_row(a) for a in judged.alias_set],
+        "parameters": [
+            amplitude_row(library, a.column, a.value, a.sigma, (a.low, a.high)) | {"seen": a.seen}
+            for a in evidence.amplitudes
+        ],
+        "seen_joints": None if evidence.seen_joints is None else [j + 1 for j in evidence.seen_joints],
+        "gain_mm": evidence.gain_mm,
+        "moves_mm": evidence.moves_mm if np.isfinite(evidence.moves_mm) else None,
+        "too_small_to_matter": not misfit.matters(evidence.moves_mm),
+        "p_value": evidence.p_value,
+        "inclusion": evidence.inclusion[1 if judged.alias_set else 0],
+        "held_out_gain": {"gain": gain, "standard_error": error, "deviations": foretold},
+        "gates": judged.gates,
+        "evidence": judged.numbers,
+        "replication": None if told is None else told.to_document(units),
+        "to_confirm": to_confirm(judged),
+    }
+
+
+def alias_row(alias: Alias) -> dict[str, Any]:
+    """A rival that does as well."""
+    return {
+        **alias.candidate.named(), "behind": alias.behind, "correlation": alias.correlation, "p_wrong": alias.wrong,
+    }  # fmt: skip
+
+
+def amplitude_row(
+    library: Library, column: int, value: float, sigma: float, interval: tuple[float, float]
+) -> dict[str, Any]:
+    """A parameter in wire units, its interval conditional on the library."""
+    parameter = library.parameters[column]
+    unit, scale = WIRE.get(parameter.unit, (parameter.unit, 1.0))
+    return {
+        "name": parameter.name, "value": value * scale, "unit": unit, "sigma": sigma * scale,
+        "interval_low": interval[0] * scale, "interval_high": interval[1] * scale,
+    }  # fmt: skip
+
+
+def place_row(place: Place) -> dict[str, Any]:
+    """A level of a factor."""
+    return {
+        "factor": place.factor, "level": place.level, "excess": place.excess, "p_value": place.p_value,
+        "visits": place.visits,
+    }  # fmt: skip
+
+
+def untestable_row(u: Untestable) -> dict[str, Any]:
+    """What cannot be tested, and how to test it."""
+    return {
+        "id": u.id, "joints": None if u.joints is None else [j + 1 for j in u.joints], "reason": u.reason,
+        "remedy": u.remedy,
+    }  # fmt: skip
+
+
+def _shown(places: tuple[Place, ...]) -> tuple[Place, ...]:
+    sure = tuple(p for p in places if p.p_value < SURE)
+    return sure[:MOST_PLACES] if len(sure) >= 10 else places[:10]

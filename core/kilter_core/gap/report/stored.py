@@ -1,0 +1,127 @@
+"""What a search leaves to be stored: the fit as a calibration, the frames a correction works in, its uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from kilter_core.effects import Effect
+from kilter_core.gap.evidence.posterior import Posterior, posterior
+from kilter_core.gap.options import GapOptions
+from kilter_core.gap.search.candidates import Candidate
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.masses import with_masses
+from kilter_core.gap.search.source import LinkSource, ToolSource, calibrated
+from kilter_core.identify.identifiability import identifiable, null_directions
+from kilter_core.identify.load_model import load_rows
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.reference import named, registered, wanted_frames
+from kilter_core.identify.report import blind_names, null_rows, rows_of
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.metrics import Errors, metrics_document
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.observations import Observations
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A version made by a search. ``registered`` is the nominal robot in fitted frames, None where no tool was measured."""
+
+    calibration: Calibration
+    posterior: Posterior
+    shown: Observations
+    registered: Calibration | None = None
+
+    def parameters(self) -> list[dict[str, Any]]:
+        """Rows of the free parameters, as an identification has them."""
+        found, model = self.posterior, self.calibration.model
+        known = identifiable(found.sigma, found.prior_sigma)
+        known &= ~np.isin(found.names, list(blind_names(model, self.shown)))
+        return rows_of(self.calibration, found.names, found.sigma, known)
+
+    def load_model(self) -> list[dict[str, Any]]:
+        """Masses and centres as stated and as found, where an effect that follows the load shows them."""
+        found = self.posterior
+        return load_rows(self.calibration, found.names, found.sigma, found.prior_sigma)
+
+    def null_directions(self) -> list[dict[str, Any]]:
+        """What the poses cannot tell apart, as an identification says it."""
+        found = self.posterior
+        return [] if found.J is None else null_rows(null_directions(found.J, found.names, found.prior_sigma))
+
+    def covariance(self) -> dict[str, Any]:
+        """Covariance document of a version."""
+        return {
+            "names": list(self.posterior.names), "matrix": self.posterior.covariance.tolist(), "units": "SI",
+        }  # fmt: skip
+
+    def metrics(self, train: Observations, held: Observations | None) -> dict[str, Any]:
+        """Metrics of an identification on these rows; none for joint data, for the tool was not measured."""
+        if self.registered is None:
+            return {}
+        stages = {
+            "nominal": Calibration.nominal(self.calibration.robot),
+            "registration_only": self.registered,
+            "identified": self.calibration,
+        }
+
+        def errors(rows: Observations | None) -> dict[str, Errors]:
+            if rows is None or (rows.position is None and rows.markers is None):
+                return {}
+            measurement = Measurement.of(rows, self.calibration.marker_points)
+            return {name: Errors.of(stage, measurement) for name, stage in stages.items()}
+
+        return metrics_document(errors(train), errors(held))
+
+    def reference(self) -> dict[str, str]:
+        """Where the frames a correction works in come from."""
+        return named(self.calibration)
+
+
+def stored(found: SearchResult, begin: Calibration, rows: Observations, options: GapOptions) -> Stored:
+    """What is stored of a search that started at ``begin``; the effects' configuration comes from ``rows``."""
+    settings = found.problem.settings
+    source = settings.source
+    assert isinstance(source, ToolSource | LinkSource)
+    model = _model(found, begin, rows)
+    calibration = calibrated(source, found.problem.values, model, begin)
+    wide = posterior(found, begin, calibration)
+    if isinstance(source, LinkSource):
+        return Stored(calibration, wide, source.observations)
+    shown = Measurement(source.measurement.observations.select(settings.used), source.measurement.marker_points)
+    nominal = registered(begin, shown)
+    asked = IdentifyOptions(base=options.base, tool=options.tool, reference=options.reference)
+    base, tool = wanted_frames(begin, nominal, shown, asked)
+    calibration = replace(calibration, wanted_base=base, wanted_tool=tool)
+    return Stored(calibration, wide, shown.observations, nominal)
+
+
+def _model(found: SearchResult, begin: Calibration, rows: Observations) -> RobotModel:
+    """The robot with the effects of the start and those named, in the frames of the fit."""
+    source = found.problem.settings.source
+    candidates = [found.selector.scorer.candidates[k] for k in found.chosen]
+    effects = with_masses((*begin.model.effects, *_merged(candidates, begin, rows)), source)
+    frames = source.model if isinstance(source, ToolSource) else begin.model
+    return replace(frames, effects=effects, load_chain=frames.load_chain if effects else None)
+
+
+def _merged(chosen: list[Candidate], begin: Calibration, rows: Observations) -> tuple[Effect, ...]:
+    """Effects of the chosen candidates, one per effect where one configuration can hold them all."""
+    robot = begin.robot
+    out: list[Effect] = []
+    for effect_id in dict.fromkeys(c.id for c in chosen):
+        parts = [e for c in chosen if c.id == effect_id for e in c.effects]
+        wanted = {p.name for e in parts for p in e.parameters(robot)}
+        kind = type(parts[0])
+        if kind.at_joints and "drivers" not in kind.counted and "partner" not in kind.counted:
+            joints = tuple(sorted({j for e in parts for j in e.joints or ()}))
+            whole = kind(joints=joints).on(robot, rows)
+            # What a configuration took from the rows, as a range or the first time, must be that of the search.
+            alike = all(kind(joints=e.joints).on(robot, rows) == e for e in parts)
+            if alike and {p.name for p in whole.parameters(robot)} == wanted:
+                out.append(whole)
+                continue
+        out += list(dict.fromkeys(parts))
+    return tuple(out)

@@ -1,0 +1,90 @@
+"""After the search: no name that chance could have given, no shape without a cause where a cause does as well.
+
+The search judged each entry before the last re-fit. Here everything is judged again at the final fit, with the null
+distribution the report quotes; and an empirical term that a physical one could replace at the same price gives way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kilter_core.gap.evidence.held_out_errors import fit_rms
+from kilter_core.gap.search.agreement import contradicted
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linearized import LinearizedProblem, refit
+from kilter_core.gap.search.select import MARGIN
+
+
+def finalize(found: SearchResult, alpha: float) -> SearchResult:
+    """Drop and replace until every member stands at the final fit; each change is followed by a re-fit."""
+    seen = {frozenset(found.chosen)}
+    while found.chosen:
+        wrong = [k for k in found.chosen if contradicted(found, k)][:1]
+        after = tuple(k for k in found.chosen if k not in wrong) if wrong else _without_chance(found, alpha)
+        if after == found.chosen:
+            after = _with_causes(found, seen)
+        if after == found.chosen:
+            return found
+        seen.add(frozenset(after))
+        problem = refit(found.problem.settings, found.problem.values, found.selector.columns(after))
+        found = replace(found, problem=problem, chosen=after, steps=found.stepped(problem, after))
+    return found
+
+
+def or_geometry_alone(found: SearchResult, geometry: LinearizedProblem) -> SearchResult:
+    """The search if what it found leaves a smaller error than the ``geometry`` alone; else nothing is named."""
+    better = found.problem.chi2 <= geometry.chi2 and fit_rms(found.problem) <= fit_rms(geometry)
+    if found.chosen and better:
+        return found
+    steps = (found.steps[0],) if not found.chosen else found.stepped(geometry, ())
+    return replace(found, problem=geometry, chosen=(), steps=steps)
+
+
+def chance(found: SearchResult, place: int, alpha: float) -> float:
+    """Family-wise p-value of a chosen candidate given the others, at the final fit.
+
+    Where the linear statistic does not reach ``alpha``, a re-fit without the candidate decides: what it leaves more is
+    the likelihood ratio. An amplitude times an uncertain load is no straight line, and an effect far from zero whose
+    uncertainty is that of the loads was called chance although nothing else explained the rows.
+    """
+    scorer = found.selector.scorer
+    rest = found.selector.columns([k for k in found.chosen if k != place])
+    gram = found.problem.gram
+    scores = scorer.scores(gram.given(rest))
+    tests = len(scorer.candidates)
+    p = found.null.family_wise(float(scores.p[place]), tests)
+    if p <= alpha:
+        return p
+    without = refit(found.problem.settings, found.problem.values, rest)
+    ratio = scorer.tail_of_ratio(
+        place, int(scores.d[place]), without.chi2, found.problem.chi2, gram.nu - gram.rank(rest)
+    )
+    return min(p, found.null.family_wise(ratio, tests))
+
+
+def _without_chance(found: SearchResult, alpha: float) -> tuple[int, ...]:
+    p = {k: chance(found, k, alpha) for k in found.chosen}
+    worst = max(p, key=lambda k: p[k])
+    return found.chosen if p[worst] <= alpha else tuple(k for k in found.chosen if k != worst)
+
+
+def _with_causes(found: SearchResult, seen: set[frozenset[int]]) -> tuple[int, ...]:
+    """The set with one empirical member replaced by the best physical one within the margin, where there is one."""
+    selector, gram = found.selector, found.problem.gram
+    candidates = selector.scorer.candidates
+    for place in (k for k in found.chosen if candidates[k].empirical):
+        rest = tuple(k for k in found.chosen if k != place)
+        taken = set(selector.columns(rest))
+        scores = selector.scorer.scores(gram.given(selector.columns(rest)))
+        value = scores.S / selector.variance(gram, found.chosen) - scores.d * np.log(selector.rows)
+        for k in np.argsort(-value, kind="stable"):
+            rival = candidates[int(k)]
+            if value[place] - value[k] > MARGIN:
+                break
+            after = (*rest, int(k))
+            fits = not rival.empirical and not taken & set(rival.columns)
+            if fits and scores.d[k] and frozenset(after) not in seen and selector.plausible(gram, after, int(k)):
+                return after
+    return found.chosen

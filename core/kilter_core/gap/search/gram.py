@@ -1,0 +1,106 @@
+"""Inner products of data and candidates: all that a selection needs, conditioned on one set of columns after another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.gap.search.recent import Recent
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+T = TypeVar("T")
+
+VISIBLE = 1e-7  # share of a column's square left off the geometry below which it is geometry
+
+
+@dataclass(frozen=True)
+class Gram:
+    """Inner products: ``whole (Q, Q)``, ``c (Q,)``, chi-square ``yy`` and freedom ``nu`` before any candidate enters.
+
+    Conditioned on the columns ``taken``, A is ``whole`` less ``K (Q, t)`` times the rows taken: made where it is asked
+    for, since a selection conditions on thousands of sets. What depends on A alone is kept in ``cache``, shared by all
+    data on the same candidates: resamples cost little. ``held`` gives the same with the loads held at their values, and
+    ``there`` are the columns whose effects act at the fit.
+    """
+
+    whole: Floats
+    c: Floats
+    yy: float
+    nu: float
+    cache: Recent = field(default_factory=Recent, repr=False, compare=False)
+    taken: tuple[int, ...] = ()
+    K: Floats | None = None
+    held: Callable[[], Gram] | None = field(default=None, repr=False, compare=False)
+    there: frozenset[int] = frozenset()
+
+    @property
+    def firm(self) -> Gram:
+        """With the loads held at their values: for sets without an effect through which the errors of loads act.
+
+        Errors of the loads imitate a compliance that is there, for they scale it; one that is taken out, they cannot.
+        """
+        return self if self.held is None or self.taken else self.held()
+
+    @cached_property
+    def A(self) -> Floats:
+        """Inner products (Q, Q) of the candidates, what is taken projected off."""
+        if self.K is None:
+            return self.whole
+        A = self.whole - self.K @ self.whole[list(self.taken)]
+        return np.asarray(0.5 * (A + A.T))
+
+    def blocks(self, columns: Ints) -> Floats:
+        """Parts (N, d, d) of A that belong to sets of columns (N, d)."""
+        out = self.whole[columns[:, :, None], columns[:, None, :]]
+        if self.K is not None:
+            out = out - self.K[columns] @ self.whole[list(self.taken)][:, columns].transpose(1, 0, 2)
+        return np.asarray(out)
+
+    def kept(self, kind: Hashable, columns: Sequence[int], make: Callable[[], T]) -> T:
+        """Return what ``make`` gives, which must depend on A and the columns alone."""
+        return self.cache.get((self.taken, kind, tuple(columns)), make)
+
+    def inverse(self, columns: Sequence[int]) -> tuple[Floats, int]:
+        """Pseudo-inverse (d, d) of the columns' own block, and its rank."""
+        return self.kept("inverse", columns, lambda: _inverted(self.blocks(np.array([columns], dtype=np.int64))[0]))
+
+    def solve(self, columns: Sequence[int]) -> Floats:
+        """Least-squares coefficients of unit columns."""
+        return np.asarray(self.inverse(columns)[0] @ self.c[list(columns)])
+
+    def reduction(self, columns: Sequence[int]) -> float:
+        """How much chi-square the columns take together."""
+        return float(self.c[list(columns)] @ self.solve(columns)) if len(columns) else 0.0
+
+    def rank(self, columns: Sequence[int]) -> int:
+        """How many independent directions the columns have."""
+        return self.inverse(columns)[1] if len(columns) else 0
+
+    def given(self, columns: Sequence[int]) -> Gram:
+        """Conditioned on a set of columns: their space projected off everything."""
+        if not len(columns):
+            return self
+        index = list(columns)
+        if self.taken:
+            return Gram(self.A, self.c, self.yy, self.nu).given(index)
+        K = self.kept("given", index, lambda: self.whole[:, index] @ self.inverse(index)[0])
+        return replace(
+            self, c=self.c - K @ self.c[index], yy=self.yy - self.reduction(index), nu=self.nu - self.rank(index),
+            taken=tuple(index), K=K,
+        )  # fmt: skip
+
+    def with_data(self, c: Floats, yy: float) -> Gram:
+        """The same candidates with other data."""
+        return replace(self, c=c, yy=yy, held=None)
+
+
+def _inverted(A: Floats) -> tuple[Floats, int]:
+    w, V = np.linalg.eigh(A)
+    keep = w > VISIBLE
+    return (V[:, keep] / w[keep]) @ V[:, keep].T, int(keep.sum())

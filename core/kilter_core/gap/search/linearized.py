@@ -1,0 +1,391 @@
+"""The linearised problem at a fit: data and candidates whitened, geometry projected off, everything small after that.
+
+Geometry hides physics: after it is re-fitted only 6-90 % of an effect's variance is left (trap 1). So every statistic
+of the search works on A = W'MW and c = W'My, with M the projection off the geometric Jacobian; a set of candidates I
+takes c_I' A_II^-1 c_I off chi-square, and conditioning on a set is a Schur complement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.effects import Batch
+from kilter_core.gap.noise.from_repeats import Noise
+from kilter_core.gap.search.bases import lengths, orthonormal, seen
+from kilter_core.gap.search.gram import VISIBLE, Gram
+from kilter_core.gap.search.projection import Projection, Stacked
+from kilter_core.gap.search.soft import Soft
+from kilter_core.gap.search.source import MOST_NUMBERS, Source, ToolSource
+from kilter_core.identify.solver import BEND, minimise
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Tick = Callable[[], None]
+
+PASSES = 3  # re-fits with the scatter of doubtful signs, which follows the size of the effects
+CHANGED = 0.05  # of the noise variance: less scatter more or less changes no weight that matters
+PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as many looks at thousands of poses
+UNMOVED = 0.01  # of what is left or of the noise, rms: loads taken anew that move less are not worth the time
+SAMPLED = 500  # rows at most on which that is looked at, more or less: loads of thousands take seconds
+STILL = 1e-1  # change of the fit, in sigmas over all data, that counts as converged
+
+
+@dataclass(frozen=True)
+class ProblemSettings:
+    """What stays the same through a search: source, whitening, which visits count, and which belong to one pose."""
+
+    source: Source
+    noise: Noise
+    used: Bools
+    group: Ints
+    inflation: float = 1.0  # variance of a sum over its variance if samples were independent (trajectories)
+    trusted: bool = True  # whether the whitened scale is a floor for every test (repeats, or a measured correlation)
+    doubt: Floats | None = None  # covariance (V, m, m) beside the noise: signs of loads near zero
+    whitener: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        noise = self.noise if self.doubt is None else replace(self.noise, visit=self.noise.visit + self.doubt)
+        object.__setattr__(self, "whitener", noise.whiteners() / np.sqrt(self.inflation))
+
+    @property
+    def widened(self) -> float:
+        """Logarithm of how much the doubt widens the noise, over the visits that count."""
+        if self.doubt is None:
+            return 0.0
+        alone = self.noise.whiteners() / np.sqrt(self.inflation)
+        each = np.linalg.slogdet(alone)[1] - np.linalg.slogdet(self.whitener)[1]
+        return float(2.0 * np.sum(each[self.used]))
+
+    @property
+    def hard(self) -> Bools:
+        """Geometry (P,) that is projected off; the rest are load errors, which the priors hold."""
+        return ~self.source.soft
+
+    def whitened(self, values: Floats) -> Floats:
+        """Whitened residuals (V, m), zero where nothing was seen or the visit does not count."""
+        return self.white(self.source.residual(values))
+
+    def white(self, residual: Floats) -> Floats:
+        """The same of residuals (V, m) that are known."""
+        return np.asarray(np.einsum("vij,vj->vi", self.whitener, np.nan_to_num(residual)) * self.used[:, None])
+
+
+@dataclass(frozen=True)
+class LinearizedProblem:
+    """Whitened, projected data at ``values``. R = V m rows, Q library columns (unit raw norm), P geometric ones.
+
+    ``y (R,)`` is what the data say with every library effect taken out; ``scale (Q,)`` turns a unit-column coefficient
+    into a parameter. ``U (R, p)`` spans the geometry; ``nu`` is the freedom left after it. Projected columns are made
+    where they are asked for: those of thousands of poses fill the memory.
+    """
+
+    settings: ProblemSettings
+    values: Floats
+    y: Floats
+    U: Floats
+    scale: Floats
+    nu: float
+    A: Floats
+    c: Floats
+    raw: Floats  # whitened residual at ``values`` (R,)
+    G: Floats  # whitened geometric columns (R, P)
+    W_raw: Floats  # whitened unit columns before projection (R, Q)
+    soft: Soft
+
+    @property
+    def W(self) -> Floats:
+        """Unit columns (R, Q) with geometry projected off."""
+        return self.projected(slice(None))
+
+    def projected(self, columns: Sequence[int] | slice) -> Floats:
+        """Some of them."""
+        return Projection.of(self.soft, self.U, self.W_raw[:, columns]).rows(slice(None))
+
+    @property
+    def size(self) -> Floats:
+        """Raw whitened norm (Q,) of one unit of each parameter, the inverse of ``scale``."""
+        return np.where(self.scale > 0.0, 1.0 / np.where(self.scale > 0.0, self.scale, 1.0), 0.0)
+
+    @property
+    def projection(self) -> Projection:
+        """All unit columns with geometry projected off, not made."""
+        return Projection.of(self.soft, self.U, self.W_raw)
+
+    def within_priors(self) -> tuple[Floats, Stacked]:
+        """Whitened data (R,) without any library effect, and the columns (R, P + Q) of one prior sigma each."""
+        source = self.settings.source
+        sigmas = np.concatenate([source.prior_sigma, source.library_sigma * self.size])
+        y = self.raw + self.W_raw @ (source.library(self.values) * self.size)
+        return y, Stacked(self.G, self.W_raw, sigmas, self.settings.whitener.shape[-1])
+
+    @property
+    def chi2(self) -> float:
+        """Chi-square of the residual at ``values``, nothing taken out, with what the load errors cost by their priors.
+
+        Where doubtful signs widen the noise, what that takes off counts as a Gaussian's norm does: nothing is explained
+        by looking away.
+        """
+        away = _away(self.settings.source, self.values)[self.settings.source.soft]
+        return float(self.raw @ self.raw + away @ away) + self.settings.widened
+
+    @cached_property
+    def gram(self) -> Gram:
+        """Everything selection needs."""
+        yy = float(self.y @ self.y)
+        if not len(self.soft.shrink):
+            return Gram(self.A, self.c, yy, self.nu)
+        there = frozenset(np.flatnonzero(self.settings.source.library(self.values)).tolist())
+        return Gram(self.A, self.c, yy, self.nu, held=lambda: self._firm, there=there)
+
+    @cached_property
+    def _firm(self) -> Gram:
+        source = self.settings.source
+        U = seen((self.G * source.prior_sigma)[:, self.settings.hard])
+        y = self.raw + self.W_raw @ (source.library(self.values) * self.size)
+        y -= U @ (U.T @ y)
+        products = Projection.of(Soft.of(U[:, :0]), U, self.W_raw).products(y)
+        return Gram(*products, float(y @ y), self.nu + self.U.shape[1] - U.shape[1])
+
+    @property
+    def rows(self) -> int:
+        """Number of independent scalars that count."""
+        return max(2, int(self.settings.used.sum() * self.settings.whitener.shape[-1] / self.settings.inflation))
+
+    @property
+    def row_visit(self) -> Ints:
+        """Visit of each row (R,)."""
+        size = self.settings.whitener.shape[-1]
+        return np.repeat(np.arange(len(self.settings.used)), size)
+
+    def basis(self, columns: Sequence[int]) -> Floats:
+        """Orthonormal basis (R, p + d) of geometry and the library ``columns``."""
+        if not len(columns):
+            return self.U
+        return np.hstack([self.U, orthonormal(self.projected(list(columns)))])
+
+
+def linearize_at(
+    settings: ProblemSettings, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None
+) -> LinearizedProblem:
+    """Linearise at ``values``: whiten, project off geometry, take the library's own part back into the data.
+
+    ``only`` keeps these library columns, in this order, and holds the rest of the library at its values.
+    """
+    linear = settings.source.linear(values, batch, only)
+    r = settings.white(linear.r).reshape(-1)
+    G = _white(settings, linear.G)
+    W = _white(settings, linear.W)
+    del linear
+    norm = lengths(W)
+    unit = np.where(norm > 0.0, norm, 1.0)
+    W /= unit
+    source, hard = settings.source, settings.hard
+    B = G[:, ~hard] * source.prior_sigma[~hard]
+    soft = Soft.of(B)
+    U = seen(soft((G * source.prior_sigma)[:, hard]))
+    library = source.library(values)
+    y = r + W @ ((library if only is None else library[list(only)]) * unit)
+    # The load errors, too, are taken back into the data: their prior is about what was stated, not about the last fit.
+    y = soft(y + B @ _away(source, values)[~hard]) if len(soft.shrink) else y
+    y -= U @ (U.T @ y)
+    # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
+    nu = float(settings.used.sum() * settings.whitener.shape[-1] / settings.inflation - U.shape[1])
+    scale = np.where(norm > 0.0, 1.0 / unit, 0.0)
+    return LinearizedProblem(settings, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, G, W, soft)
+
+
+def columns_at(settings: ProblemSettings, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:
+    """Whitened unit columns (R, K) of the library, as :func:`world_at` has them, without the geometry."""
+    source = settings.source
+    bare = replace(source, free=np.zeros(0, dtype=np.int64)) if isinstance(source, ToolSource) else source
+    W = _white(settings, bare.linear(values, batch, only).W)
+    norm = lengths(W)
+    W /= np.where(norm > 0.0, norm, 1.0)
+    return W
+
+
+def _away(source: Source, values: Floats) -> Floats:
+    """How far (P,) the geometry is from its priors, in prior sigmas."""
+    return np.asarray((source.geometry(values) - source.prior_mean) / source.prior_sigma)
+
+
+def go_on() -> None:
+    """Nobody asks to be told of a step."""
+
+
+def refit(settings: ProblemSettings, values: Floats, columns: Sequence[int], tick: Tick = go_on) -> LinearizedProblem:
+    """Nonlinear re-fit of geometry and the library ``columns``, each with its prior, from ``values``."""
+    values = solved(settings, values, columns, tick=tick)[0]
+    other = reloaded(settings, values)  # once: the next name, or the next noise, brings the next fit
+    for _ in range(PASSES):
+        other = doubted(other, values)
+        if other is settings:
+            break
+        settings, values = other, solved(other, values, columns, tick=tick)[0]
+    tick()
+    return linearize_at(settings, values)
+
+
+def reloaded(settings: ProblemSettings, values: Floats) -> ProblemSettings:
+    """The setting with loads on the chain of these values; itself where that moves far less than is left anyway."""
+    source = settings.source
+    if not isinstance(source, ToolSource) or not source.bears(values):
+        return settings
+    rows = np.arange(len(settings.used))[:: max(1, len(settings.used) // SAMPLED)]
+    few = source.only(rows)
+    before, after = few.residual(values), few.reloaded(values).residual(values)
+
+    def size(residual: Floats) -> float:
+        white = np.einsum("vij,vj->vi", settings.whitener[rows], np.nan_to_num(residual)) * settings.used[rows, None]
+        return float(np.sqrt(np.mean(white**2)))
+
+    if size(after - before) < UNMOVED * max(1.0, size(before)):
+        return settings
+    return replace(settings, source=source.reloaded(values))
+
+
+def doubted(settings: ProblemSettings, values: Floats) -> ProblemSettings:
+    """The setting with the scatter that doubtful signs of loads have at these values; itself where it has not changed."""
+    source = settings.source
+    if not isinstance(source, ToolSource) or source.batch.blur is None:
+        return settings
+    doubt = source.doubt(values)
+    before = 0.0 if settings.doubt is None else settings.doubt
+    if np.max(np.abs(doubt - before), initial=0.0) <= CHANGED * np.max(
+        np.trace(settings.noise.visit, axis1=1, axis2=2)
+    ):
+        return settings
+    return replace(settings, doubt=doubt if np.any(doubt) else None)
+
+
+def solved(
+    settings: ProblemSettings,
+    values: Floats,
+    columns: Sequence[int],
+    held: tuple[int, float] | None = None,
+    tick: Tick = go_on,
+) -> tuple[Floats, float]:
+    """Values of the nonlinear fit and its chi-square; the rest of the library is zero.
+
+    ``held`` keeps one more library parameter at a value, as a profile does. ``tick`` is called at every step, and may
+    raise: on ten thousand poses a fit takes seconds, and who cancels should not wait for its end.
+    """
+    free = [k for k in columns if held is None or k != held[0]]
+    library = np.zeros(len(settings.source.library(values)))
+    library[free] = settings.source.library(values)[free]
+    if held is not None:
+        library[held[0]] = held[1]
+    values = settings.source.moved(values, np.zeros(len(settings.source.prior_mean)), library)
+    descent = Descent(settings, free)
+    found = minimise(descent, values, descent.at(values), lambda *_: tick(), patience=PATIENCE)
+    problem = linearize_at(settings, found.values, only=free)
+    return found.values, problem.gram.given(range(len(free))).yy
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fit at some values: whitened residual ``r (R,)``, columns ``J (R, F)`` of one prior sigma each, and the loss."""
+
+    r: Floats
+    J: Floats
+    loss: float
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Geometry and the library columns ``free`` as the solver of an identification walks them; every one has its prior.
+
+    Without the effects' own priors a candidate that imitates geometry to seven digits ran away with it.
+    """
+
+    settings: ProblemSettings
+    free: list[int]
+
+    @property
+    def rows(self) -> float:
+        """Whitened residuals."""
+        return float(max(1, self.settings.used.sum() * self.settings.whitener.shape[-1]))
+
+    def worth(self, loss: float) -> float:
+        """What a step must promise: less moves nothing that a statistic would show.
+
+        Where the model lacks something, statistics are in units of what it leaves, not of the noise.
+        """
+        return 0.5 * STILL**2 * max(1.0, 2.0 * loss / self.rows)
+
+    def at(self, values: Floats) -> Fitted:
+        """Linearise there."""
+        source = self.settings.source
+        linear = source.linear(values, None, self.free)
+        r = self.settings.white(linear.r).reshape(-1)
+        J = np.hstack([_white(self.settings, linear.G), _white(self.settings, linear.W)]) * self._sigma
+        away = self._away(values)
+        return Fitted(r, J, 0.5 * float(r @ r + away @ away))
+
+    def derivatives(self, values: Floats, here: Fitted) -> tuple[Floats, Floats]:
+        """Gauss-Newton matrix and slope."""
+        H = here.J.T @ here.J
+        H[np.diag_indices_from(H)] += 1.0
+        return H, self.slope(values, here)
+
+    def slope(self, values: Floats, here: Fitted) -> Floats:
+        """Downhill slope."""
+        return np.asarray(here.J.T @ here.r - self._away(values))
+
+    def moved(self, values: Floats, step: Floats) -> Floats:
+        """Take a step."""
+        source = self.settings.source
+        library = source.library(values).copy()
+        moved = step * self._sigma
+        split = len(source.prior_mean)
+        library[self.free] += moved[split:]
+        return source.moved(values, moved[:split], library)
+
+    def bend(self, values: Floats, here: Fitted, step: Floats) -> Floats:
+        """How the prediction bends along a step."""
+        r = self.settings.whitened(self.moved(values, BEND * step)).reshape(-1)
+        return np.asarray(here.J.T @ (here.r - r - here.J @ (BEND * step)) * (2.0 / BEND**2))
+
+    def beyond(self, here: Fitted, values: Floats, step: Floats) -> Fitted:
+        """What a tiny step leads to."""
+        r, away = here.r - here.J @ step, self._away(values)
+        return Fitted(r, here.J, 0.5 * float(r @ r + away @ away))
+
+    @property
+    def _sigma(self) -> Floats:
+        return np.concatenate([self.settings.source.prior_sigma, self.settings.source.library_sigma[self.free]])
+
+    def _away(self, values: Floats) -> Floats:
+        """How far (F,) the parameters are from their priors, in prior sigmas."""
+        source = self.settings.source
+        away = np.concatenate([source.geometry(values) - source.prior_mean, source.library(values)[self.free]])
+        return np.asarray(away / self._sigma)
+
+
+def fitted(problem: LinearizedProblem, columns: Sequence[int]) -> tuple[Floats, Floats]:
+    """Parameters (d,) of the columns and their covariance (d, d), geometry re-optimised, no prior on them."""
+    index = list(columns)
+    scale = problem.scale[index]
+    covariance = _pinv(problem.A[np.ix_(index, index)])
+    return problem.gram.solve(index) * scale, covariance * np.outer(scale, scale)
+
+
+def _white(settings: ProblemSettings, columns: Floats) -> Floats:
+    """Whiten columns (V, m, K) where they stand; (R, K) of them."""
+    size = max(1, MOST_NUMBERS // max(1, columns.shape[2]))
+    for k in range(0, len(columns), size):
+        part = slice(k, k + size)
+        columns[part] = np.matmul(settings.whitener[part] * settings.used[part, None, None], columns[part])
+    return columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
+
+
+def _pinv(A: Floats) -> Floats:
+    w, V = np.linalg.eigh(A)
+    keep = w > VISIBLE
+    return np.asarray((V[:, keep] / w[keep]) @ V[:, keep].T)

@@ -1,0 +1,370 @@
+"""From rows to the first linearised problem: visits, the robust geometry fit, noise, outliers, the library (E0, E1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from kilter_core.errors import NotConvergedError, ObservationError, TooFewPosesError
+from kilter_core.gap.noise.from_repeats import Noise, fit_noise, repeat_noise, spikes, stated_noise
+from kilter_core.gap.noise.motion import (
+    FEWEST_ROWS,
+    averaged,
+    blocks,
+    correlation_length,
+    is_trajectory,
+    motion_blocks,
+    windows_of,
+)
+from kilter_core.gap.noise.visits import Visits, visits_of
+from kilter_core.gap.options import GapOptions
+from kilter_core.gap.search.candidates import Library, library_of
+from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, Tick, go_on, refit
+from kilter_core.gap.search.masses import blurred, tool_source
+from kilter_core.gap.search.renewal import renewed, under
+from kilter_core.gap.search.row_warnings import JUDGED_AGAIN, identical_repeats, noise_warnings, outlier_warnings
+from kilter_core.gap.search.source import LinkSource, Source, ToolSource
+from kilter_core.identify.estimate import estimate
+from kilter_core.identify.estimate import prepared as start_of
+from kilter_core.identify.least_squares import Fit, fit_at
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+Progress = Callable[[float, str], None]
+
+CHUNK = 20_000
+NOT_FITTED = "geometry_not_fitted"
+DOMINATES = 10.0  # times the noise that geometry leaves, from which its shape is not that of the noise
+LIKE_NEIGHBOURS = 1.5  # correlation length, in poses, from which poses in a row are not independent
+POSE = 6  # numbers of a pose; visits with more show markers
+ROUNDS = 3  # fits of the geometry without outliers, each judged by the one before
+SPARE = 6  # scalars beyond the geometry below which nothing can be tested
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """All that the search starts from. ``kept (N,)`` marks the rows used of those given, before averaging."""
+
+    problem: LinearizedProblem
+    library: Library
+    visits: Visits
+    rows: Observations
+    kept: Bools
+    outlying: Ints  # rows set aside
+    moving: bool
+    width: int  # rows in a window of a motion
+    warnings: tuple[dict[str, Any], ...]
+
+    def judged_by(self, found: LinearizedProblem) -> Prepared:
+        """The same with noise and outliers as the search judged them at its end, the geometry fitted to what is left."""
+        if found.settings is self.problem.settings:
+            return self
+        problem = under(found.settings, self.problem)
+        joint = isinstance(problem.settings.source, LinkSource)
+        said = (
+            *(w for w in self.warnings if w["code"] not in JUDGED_AGAIN),
+            *noise_warnings(problem.settings.noise, joint),
+        )
+        outlying = np.setdiff1d(self.outlying, _outlying(self.kept, self.visits, self.problem))
+        outlying = np.union1d(outlying, _outlying(self.kept, self.visits, problem)).astype(np.int64)
+        return replace(self, problem=problem, outlying=outlying, warnings=(*said, *outlier_warnings(problem)))
+
+
+@dataclass
+class prepare_data:
+    """Steps of the preparation, in order; each leaves what the next needs."""
+
+    start: Calibration
+    rows: Observations
+    options: GapOptions
+    progress: Progress
+    warnings: list[dict[str, Any]] = field(default_factory=list)
+
+    def run(self) -> Prepared:
+        """Prepare.
+
+        Raises:
+            TooFewPosesError: not enough poses for the geometry and a test. ObservationError: nothing measured.
+
+        """
+        kept = self._without_copies()
+        rows = self.rows.select(kept)
+        moving = is_trajectory(rows)
+        self.progress(0.02, "fitting the geometry")
+        windows = windows_of(rows)
+        visits = visits_of(rows.select(windows.middle) if moving else rows)
+        source, values, library = self._source(visits)
+        if moving:
+            rows = self._windowed(rows, source, values)
+            visits = visits_of(replace(rows, pose_id=np.arange(len(rows))))
+        else:
+            residual = _row_residual(source, values, rows)
+            spiky = spikes(residual, visits)
+            if spiky.any():
+                kept[np.flatnonzero(kept)[spiky]] = False
+                rows = rows.select(~spiky)
+                visits = visits_of(rows)
+        source = blurred(_on(source, visits.observations), values)
+        self.progress(0.3, "noise from repeats")
+        noise = self._noise(source, values, rows, visits)
+        settings = ProblemSettings(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
+        problem = self._enough(refit(settings, values, [], partial(self.progress, 0.45, "fitting the geometry again")))
+        problem = _weighed(problem)
+        self.progress(0.6, "looking for outliers")
+        problem = self._correlated(problem, visits) if moving else self._without_outliers(problem)
+        if not moving and not problem.settings.trusted and len(visits) >= FEWEST_ROWS:
+            problem = self._in_order(problem, visits)
+        outlying = _outlying(kept, visits, problem)
+        told = noise if problem.settings.noise.repeats is None else problem.settings.noise
+        drift = noise_warnings(told, isinstance(source, LinkSource))
+        said = (*self.warnings, *drift, *outlier_warnings(problem))
+        return Prepared(problem, library, visits, rows, kept, outlying, moving, windows.width, said)
+
+    def _without_copies(self) -> Bools:
+        """Rows that are not exact copies of an earlier one: a copy would make the noise look like nothing."""
+        o = self.rows
+        measured = [v.reshape(len(o), -1) for v in (o.position, o.markers, o.link_q, o.t) if v is not None]
+        whole = np.nan_to_num(np.hstack([o.q, *measured]), nan=-1e300)
+        first = np.unique(whole, axis=0, return_index=True)[1]
+        kept = np.zeros(len(o), dtype=bool)
+        kept[first] = True
+        if len(first) < len(o):
+            count = len(o) - len(first)
+            self._warn(
+                "copied_rows", f"{count} rows are exact copies of others and were left out: a copy is no repeat."
+            )
+        return self._without_identical(kept)
+
+    def _without_identical(self, kept: Bools) -> Bools:
+        """The same for repeats that measured exactly what an earlier one did, at another time: no instrument does that."""
+        rows = self.rows.select(kept)
+        again = np.zeros(len(rows), dtype=bool) if is_trajectory(rows) else identical_repeats(rows)
+        if again.any():
+            self._warn(
+                "repeats_identical",
+                f"{int(again.sum())} repeats measured exactly what an earlier row of their pose did (first in row "
+                f"{int(np.flatnonzero(kept)[again][0]) + 1}) and were left out: without scatter they are copies, held "
+                "readings or simulated, and say nothing of noise. Measure the poses again.",
+            )
+            kept[np.flatnonzero(kept)[again]] = False
+        return kept
+
+    def _source(self, visits: Visits) -> tuple[Source, Floats, Library]:
+        rows = visits.observations
+        if rows.link_q is not None and rows.position is None and rows.markers is None:
+            return self._link_source(rows)
+        options = self.options
+        identify = IdentifyOptions(
+            loss="huber", free=options.free, fix=options.fix, base=options.base, tool=options.tool
+        )
+        measurement = Measurement.of(rows, self.start.marker_points)
+        fit = self._geometry(measurement, identify)
+        model = fit.problem.model
+        library = library_of(self.start.robot, rows, model.names, options.effects)
+        return *tool_source(model, fit.values, fit.problem.free, measurement, library), library
+
+    def _geometry(self, measurement: Measurement, options: IdentifyOptions) -> Fit:
+        """Robust fit of the geometry, a plain one where that has no end, else base and tool registered to start from."""
+        for loss in ("huber", "linear"):
+            try:
+                return estimate(self.start, measurement, replace(options, loss=loss))
+            except NotConvergedError as error:
+                why = error.message
+        self._warn(
+            NOT_FITTED,
+            f"The geometry could not be fitted at once ({why}) The search fits it from base and tool registered; compare "
+            "what it leaves with an identification.",
+        )
+        problem, values = start_of(self.start, measurement, options)
+        return fit_at(problem, values, problem.linearised(values, None), 0)
+
+    def _link_source(self, rows: Observations) -> tuple[Source, Floats, Library]:
+        model = self.start.model
+        library = library_of(self.start.robot, rows, model.names, self.options.effects)
+        whole = replace(model, effects=(*model.effects, *library.effects))
+        source = LinkSource.of(whole, rows, len(library.parameters))
+        if not source.live.any():
+            raise ObservationError("Every link-side encoder is constant: the channels are dead, upload others.")
+        dead = [j + 1 for j in np.flatnonzero(~source.live)]
+        if dead:
+            joints = ", ".join(str(j) for j in dead)
+            self._warn("dead_encoder", f"The link-side encoder of joint {joints} is constant and was left out.")
+        values = np.concatenate([source.prior_mean, np.zeros(len(library.parameters))])
+        return source, values, library
+
+    def _windowed(self, rows: Observations, source: Source, values: Floats) -> Observations:
+        now = partial(self.progress, 0.15, f"averaging {len(rows)} samples of a motion")
+        now()
+        return windowed(rows, source, values, tick=now)
+
+    def _noise(self, source: Source, values: Floats, rows: Observations, visits: Visits) -> Noise:
+        visit_residual = source.residual(values)
+        size = visit_residual.shape[1]
+        points = visits.observations.position if size == 3 else None
+        linear = isinstance(source, LinkSource) or visits.observations.rotation is not None
+        if self.options.noise_mm is not None and not linear:
+            return stated_noise(self.options.noise_mm * 1e-3, visits, size)
+        found = None
+        if len(rows) > len(np.unique(visits.condition)):
+            found = repeat_noise(_row_residual(source, values, rows), visit_residual, visits, points)
+        if found is not None:
+            if not found.absolute:
+                self._warn(
+                    "no_re_approach",
+                    "Repeats were taken without leaving the pose, so how well the arm comes back is not known: unless "
+                    "what is left is as small as these repeats, every verdict is relative to the scatter of the fit. "
+                    "Approach ten poses anew three times each, with another pose in between.",
+                )
+                # Markers of one tool are all off by what the model lacks; how they shake against each other says nothing of it.
+                return _weights(found, source) if size > POSE else found
+            return found
+        if visits.observations.sigma is not None and not linear:
+            return stated_noise(visits.observations.sigma, visits, size)
+        self._warn(
+            "no_repeats",
+            "No pose was repeated often enough, so the noise is that of the fit itself: every verdict is relative to "
+            "it, and none can be more than provisional. Repeat ten poses three times, with another pose in between.",
+        )
+        lost = min(0.9, int(np.sum(~source.soft)) / max(visit_residual.size, 1))
+        return _weights(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost), source)
+
+    def _enough(self, problem: LinearizedProblem) -> LinearizedProblem:
+        if problem.nu < SPARE:
+            poses = int(problem.settings.group.max()) + 1
+            raise TooFewPosesError(
+                f"{poses} poses determine the geometry and leave {problem.nu:.0f} numbers to test anything with: "
+                "measure at least twice as many poses as the geometry needs.",
+                poses=poses,
+            )
+        return problem
+
+    def _without_outliers(self, problem: LinearizedProblem) -> LinearizedProblem:
+        for _ in range(ROUNDS):
+            after = renewed(problem, ())
+            if after is problem:
+                break
+            self.progress(0.7, "fitting without outliers")
+            problem = after
+        return problem
+
+    def _correlated(self, problem: LinearizedProblem, visits: Visits) -> LinearizedProblem:
+        """Noise and its correlation from what the whole library could not explain; blocks instead of poses."""
+        rest = _unexplained(problem)
+        length = correlation_length(rest)
+        group = motion_blocks(visits.observations, length)
+        self._warn(
+            "correlated",
+            f"The rows are samples of a motion; one in {length:.0f} counts as independent, and blocks of "
+            f"{int(np.bincount(group).max())} are shuffled and held out together.",
+        )
+        return self._inflated(problem, visits, rest, group, length)
+
+    def _in_order(self, problem: LinearizedProblem, visits: Visits) -> LinearizedProblem:
+        """The same for poses without repeats whose errors resemble those of the poses measured before and after."""
+        rest = _unexplained(problem)
+        t = visits.observations.t
+        order = np.arange(len(rest)) if t is None else np.argsort(t, kind="stable")
+        length = correlation_length(rest[order])
+        if length < LIKE_NEIGHBOURS:
+            return problem
+        group = np.empty(len(rest), dtype=np.int64)
+        group[order] = blocks(len(rest), length)
+        self._warn(
+            "correlated",
+            f"What no effect explains is alike from one pose to the next; one pose in {length:.1f} counts as "
+            f"independent, and {int(np.bincount(group).max())} poses in a row are shuffled together.",
+        )
+        return self._inflated(problem, visits, rest, group, length)
+
+    def _inflated(
+        self, problem: LinearizedProblem, visits: Visits, rest: Floats, group: Ints, length: float
+    ) -> LinearizedProblem:
+        """Re-fit with noise from ``rest``, its variance times the correlation ``length``."""
+        settings = problem.settings
+        L = np.linalg.inv(settings.whitener)
+        noise = fit_noise(np.einsum("vij,vj->vi", L, rest), visits, settings.used, 0.0)
+        settings = replace(
+            settings, noise=_weights(noise, settings.source), group=group, inflation=length, trusted=True
+        )
+        return refit(
+            settings, problem.values, [], partial(self.progress, 0.8, "fitting with the noise of correlated rows")
+        )
+
+    def _warn(self, code: str, message: str) -> None:
+        self.warnings.append({"code": code, "message": message})
+
+
+def windowed(
+    rows: Observations, source: Source, values: Floats, width: int | None = None, tick: Tick = go_on
+) -> Observations:
+    """Rows of motions averaged over windows, by the residuals they have at ``values``."""
+    live = source.live if isinstance(source, LinkSource) else np.ones(rows.q.shape[1], dtype=bool)
+    return averaged(rows, _row_residual(source, values, rows, tick), windows_of(rows, width), live)
+
+
+def _weighed(problem: LinearizedProblem) -> LinearizedProblem:
+    """The same with equal weights for all coordinates where the error of the model, not the noise, is what is left.
+
+    The repeats of an arm that errs by twenty times their scatter say nothing of the shape of that error: see
+    :meth:`~kilter_core.gap.noise.from_repeats.Noise.even`.
+    """
+    settings = problem.settings
+    even = replace(settings, noise=_weights(settings.noise, settings.source))
+    if not settings.noise.absolute or problem.chi2 < DOMINATES**2 * problem.nu:
+        return problem
+    return refit(even, problem.values, [])
+
+
+def _weights(noise: Noise, source: Source) -> Noise:
+    """Noise that comes from the fit, as weights of the geometry: those that an identification takes."""
+    return noise.even() if isinstance(source, ToolSource) else noise
+
+
+def _on(source: Source, rows: Observations) -> Source:
+    if isinstance(source, ToolSource):
+        return source.on(Measurement.of(rows, source.measurement.marker_points))
+    assert isinstance(source, LinkSource)
+    return source.on(rows)
+
+
+def _row_residual(source: Source, values: Floats, rows: Observations, tick: Tick = go_on) -> Floats:
+    """Residuals (N, m) of single rows, in chunks; ``tick`` is called after each."""
+    if isinstance(source, LinkSource):
+        return source.on(rows).residual(values)
+    parts = []
+    for k in range(0, len(rows), CHUNK):
+        parts.append(_on(source, rows.select(slice(k, k + CHUNK))).residual(values))
+        tick()
+    return np.concatenate(parts)
+
+
+def _unexplained(problem: LinearizedProblem) -> Floats:
+    """Whitened residual (V, m) off geometry and the whole library, every parameter within its prior."""
+    settings = problem.settings
+    y, X = problem.within_priors()
+    H, b = np.eye(X.width), np.zeros(X.width)
+    for part, columns in X.each():
+        H += columns.T @ columns
+        b += columns.T @ y[part]
+    beta = scipy.linalg.solve(H, b, assume_a="pos")
+    r = np.concatenate([y[part] - columns @ beta for part, columns in X.each()])
+    return np.asarray(r.reshape(-1, settings.whitener.shape[-1]))
+
+
+def _outlying(kept: Bools, visits: Visits, problem: LinearizedProblem) -> Ints:
+    """Rows (of those given) set aside as spikes or with their visit."""
+    aside = np.zeros(len(kept), dtype=bool)
+    if len(visits.visit) == kept.sum():
+        aside[kept] = ~problem.settings.used[visits.visit]
+    return np.flatnonzero(aside).astype(np.int64)

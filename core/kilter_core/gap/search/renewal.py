@@ -1,0 +1,97 @@
+"""After every name: what is noise, and which readings are wrong, judged anew by the model with what it knows by now.
+
+Without repeats the noise is the scatter of the fit. Frozen at the first fit it holds the gap itself: wrong readings do not
+stand out of it, and the next effect hides under the first (an arm of 0.02 mm was said to have 0.08). With repeats a name
+that follows the clock or the temperature takes its share out of what they differ by, and what is left of them is the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.gap.noise.from_repeats import FIT, Noise, noise_again, refitted
+from kilter_core.gap.search.contrasts import fitted_away
+from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, linearize_at, refit
+from kilter_core.gap.search.outliers import LARGE, outliers, stands_out
+from kilter_core.gap.search.source import ToolSource
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+CHANGED = 0.02  # of the noise, from which a fit is made anew
+FREER = 0.1  # of its freedom, from which the same
+ROUNDS = 3  # more of noise read from repeats and amounts fitted under it
+
+
+def renewed(problem: LinearizedProblem, columns: Sequence[int]) -> LinearizedProblem:
+    """The world re-fitted with noise and outliers as the fit with these library columns shows them; itself if alike.
+
+    Every visit is judged, also those set aside before: one may come back. A drift in a noise that came from repeats keeps
+    the amount of the name that explains it near its prior: the noise that is left of them lets it go, in some rounds.
+    """
+    before, problem = problem, _renewed(problem, columns)
+    for _ in range(ROUNDS if problem is not before and problem.settings.noise.repeats is not None else 0):
+        noise = _with_noise(problem.settings, problem, columns, problem.settings.used).noise
+        if _alike(problem.settings.noise, noise):
+            break
+        problem = refit(replace(problem.settings, noise=noise), problem.values, columns)
+    return problem
+
+
+def _renewed(problem: LinearizedProblem, columns: Sequence[int]) -> LinearizedProblem:
+    settings = problem.settings
+    if settings.inflation > 1.0:  # rows alike in time: a disturbance cannot be told from what they have in common
+        return problem
+    every = replace(settings, used=np.ones(len(settings.used), dtype=bool))
+    every = _with_noise(every, problem, columns, settings.used)
+    if len(settings.used) > LARGE and settings.used.all() and not stands_out(every, problem.values):
+        used = settings.used
+    else:
+        used = ~outliers(linearize_at(every, problem.values), columns)
+    after = _with_noise(replace(every, used=used), problem, columns, used)
+    if np.array_equal(used, settings.used) and _alike(settings.noise, after.noise):
+        return problem
+    return refit(after, problem.values, columns)
+
+
+def under(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int] = ()) -> LinearizedProblem:
+    """A world re-fitted under the noise and outliers of another, so that the two can be compared."""
+    return problem if settings is problem.settings else refit(settings, problem.values, columns)
+
+
+def _alike(before: Noise, after: Noise) -> bool:
+    """Whether nothing changed that a verdict could rest on."""
+    if before is after:
+        return True
+    ratio = after.coordinate / max(before.coordinate, 1e-300)
+    freedom = after.freedom / before.freedom if before.freedom > 0.0 else 1.0
+    return abs(ratio - 1.0) < CHANGED and abs(freedom - 1.0) < FREER and before.most == after.most
+
+
+def _with_noise(
+    settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int], used: Bools
+) -> ProblemSettings:
+    """The noise of the fit where it comes from there, that of repeats without what the fit explains; others stay."""
+    if settings.noise.repeats is not None:
+        return replace(settings, noise=_of_repeats(settings, problem, columns, used))
+    if settings.noise.source != FIT or settings.trusted:
+        return settings
+    residual = settings.source.residual(problem.values)
+    free = problem.U.shape[1] + len(columns)
+    noise = refitted(settings.noise, residual, used, min(0.9, free / max(used.sum() * residual.shape[1], 1)))
+    return replace(settings, noise=noise.even() if isinstance(settings.source, ToolSource) else noise)
+
+
+def _of_repeats(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int], used: Bools) -> Noise:
+    """The noise of the repeats at this fit, with equal weights where it had them."""
+    noise = settings.noise
+    assert noise.repeats is not None
+    taken = fitted_away(problem, columns, noise.repeats.visits.condition)
+    again = noise_again(noise, settings.source.residual(problem.values), taken, used)
+    if again is noise or not np.allclose(noise.visit, noise.even().visit, rtol=1e-9, atol=0.0):
+        return again
+    return again.even()

@@ -1,0 +1,87 @@
+"""What the rows themselves say before any fit: copies among repeats, clocks that were set back, repeats that drifted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.gap.noise.clock import clock_of
+from kilter_core.gap.noise.from_repeats import Noise
+from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.observations import Observations
+
+Bools = NDArray[np.bool_]
+Warning_ = dict[str, Any]
+
+JUDGED_AGAIN = ("outliers", "repeats_drift", "drift_not_separated")  # by the model with what it knows at the end
+COPY = 1e-9  # m or rad: no instrument repeats itself so exactly
+COARSE = 0.05  # share of equal coordinates between repeats from which the instrument rounds: equal rows prove nothing
+
+
+def identical_repeats(rows: Observations) -> Bools:
+    """Rows (N,) that repeat all that was measured in an earlier row of the same pose and conditions, to the last digit."""
+    parts = [
+        v.reshape(len(rows), -1) for v in (rows.position, rows.rotation, rows.markers, rows.link_q) if v is not None
+    ]
+    if not parts:
+        return np.zeros(len(rows), dtype=bool)
+    lattice = np.round(np.nan_to_num(np.hstack(parts), nan=-1.0) / COPY)
+    condition = rows.conditions()
+    order = np.lexsort((np.arange(len(rows)), condition))
+    pairs = condition[order][1:] == condition[order][:-1]
+    equal = lattice[order][1:][pairs] == lattice[order][:-1][pairs]
+    others = equal[~equal.all(axis=1)]
+    if len(others) and float(np.mean(others)) > COARSE:
+        return np.zeros(len(rows), dtype=bool)
+    first = np.unique(np.hstack([condition[:, None], lattice]), axis=0, return_index=True)[1]
+    again = np.ones(len(rows), dtype=bool)
+    again[first] = False
+    return again
+
+
+def clock_warnings(rows: Observations) -> Iterator[Warning_]:
+    """Say where the clock of the rows runs backwards, and what was done instead."""
+    clock = clock_of(rows)
+    if clock.fell is None:
+        return
+    done = "times are counted backwards" if clock.trusted else "the order of the rows stands in for the time"
+    yield {
+        "code": "clock_backwards", "row": clock.fell,
+        "message": f"The clock runs backwards at row {clock.fell + 1}: {done}. Give every restart of the clock a session of "
+        "its own, or upload the rows with one clock.",
+    }  # fmt: skip
+
+
+def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
+    """Say how far repeats drifted, or that nobody can tell."""
+    drift = noise.drift
+    unit, scale = ("deg", 180.0 / np.pi) if joint else ("µm", 1e6)
+    if drift is not None and drift.seen:
+        sizes = {"over the campaign": drift.over_campaign * scale, "per K": drift.per_kelvin * scale}
+        said = " and ".join(f"{v:.3g} {unit} {k}" for k, v in sizes.items() if v > 0.0) or f"0 {unit}"
+        clock = "" if drift.timed else " (by the order of the rows, for want of a clock)"
+        yield {
+            "code": "repeats_drift",
+            "message": f"The repeats drifted by {said}{clock}, rms of a coordinate. The noise is what is left of them at no "
+            "distance in time and temperature. Let arm and instrument warm up, and repeat poses soon after one another.",
+        }
+    if noise.most:
+        yield {
+            "code": "drift_not_separated",
+            "message": "The repeats are too few, or all far apart in time, so noise and drift cannot be told apart: noise is "
+            "this at most, and no claim is confirmed by it. Repeat ten poses with only one other pose in between.",
+        }
+
+
+def outlier_warnings(problem: LinearizedProblem) -> Iterator[Warning_]:
+    """Say how many visits were set aside."""
+    used = problem.settings.used
+    if not used.all():
+        yield {
+            "code": "outliers", "visits": int(np.sum(~used)),
+            "message": f"{int(np.sum(~used))} of {len(used)} visits could be explained by nothing in the library and were set "
+            "aside.",
+        }  # fmt: skip

@@ -1,0 +1,368 @@
+"""Selection on the linearised problem: enter the best, swap, drop, and write a family as a family.
+
+Forward selection alone leaves wrong extra names: an effect that covered for two true ones stays. Hence after each entry
+a swap pass (one for one, and two for one) and a backward pass; and an effect that most joints share is named once.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.gap.search.candidates import FAMILY, JOINT
+from kilter_core.gap.search.gram import Gram
+from kilter_core.gap.search.scan import Scorer, Scores
+from kilter_core.gap.search.tails import tail
+
+Floats = NDArray[np.float64]
+
+MARGIN = 6.0  # criterion points (2 log of a Bayes factor of 20) within which two explanations count as equal
+FAMILY_MARGIN = 3.0
+MOST_JOINTS = 0.6
+MOST_OF_IT = 0.5  # of what is left, from which an addition is tried plain when what it was improved to failed
+TRIED = 4
+SMALLEST_GAIN = 0.2  # criterion points: below this two explanations are one, and the library's order decides
+CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
+HIDING = 3.0  # standard deviations of chi-square above its freedom at which effects may hide one another
+PAIRED = 25
+TIME_FIRST = ("time_offset", "tracking_lag")
+
+
+@dataclass(frozen=True)
+class Selector:
+    """A search over sets of candidates; a set is a tuple of places in ``scorer.candidates``.
+
+    ``rows`` is the number of measured scalars N in the price d ln N of d parameters; ``limits (Q,)`` the largest
+    plausible amplitude of each library column, in units of unit columns.
+    """
+
+    scorer: Scorer
+    rows: int
+    limits: Floats
+    closed: frozenset[int] = frozenset()  # candidates that may not enter
+    pairs: bool = True  # whether two that hide each other are looked for
+
+    @property
+    def causes(self) -> Selector:
+        """The same search among physical candidates only."""
+        return replace(self, closed=frozenset(np.flatnonzero(self.scorer.empirical).tolist()))
+
+    def shapes(self, chosen: Sequence[int]) -> bool:
+        """Whether a set holds an empirical term."""
+        return any(self.scorer.candidates[k].empirical for k in chosen)
+
+    def columns(self, chosen: Sequence[int]) -> list[int]:
+        """Library columns of a set, each once."""
+        return sorted({k for c in chosen for k in self.scorer.candidates[c].columns})
+
+    def without(self, gram: Gram, out: Collection[int]) -> Gram:
+        """Where a set without some members is to be compared: errors of the loads act through those that are taken out.
+
+        If such an error is itself among them, it is what the comparison is about: loads held would presume its answer.
+        """
+        members = [self.scorer.candidates[k] for k in out]
+        if any(c.changes_loads for c in members):
+            return gram
+        return gram.firm if any(c.bears and not gram.there.isdisjoint(c.columns) for c in members) else gram
+
+    def price(self, places: Sequence[int], degrees: Sequence[int]) -> float:
+        """What parameters cost; an empirical term must beat every physical one by the margin."""
+        empirical = sum(self.scorer.candidates[k].empirical for k in places)
+        return float(sum(degrees)) * float(np.log(self.rows)) + MARGIN * empirical
+
+    def criterion(self, gram: Gram, chosen: Sequence[int], variance: float) -> float:
+        """Chi-square taken over the noise variance, less the price."""
+        columns = self.columns(chosen)
+        return gram.reduction(columns) / variance - self.price(chosen, [gram.rank(columns)])
+
+    def variance(self, gram: Gram, chosen: Sequence[int]) -> float:
+        """Noise variance for comparisons at a set: 1 for repeats, more when structure is left."""
+        columns = self.columns(chosen)
+        free = max(gram.nu - gram.rank(columns), 1.0)
+        return float(self.scorer.variance(np.asarray((gram.yy - gram.reduction(columns)) / free), free))
+
+    def entry(
+        self, gram: Gram, chosen: Sequence[int], critical: float, banned: Sequence[int] = ()
+    ) -> tuple[int | None, Scores]:
+        """Best candidate to add, None when the best is no better than noise; ``banned`` ones were tried in vain."""
+        given = gram.given(self.columns(chosen))
+        scores = self.scorer.scores(given)
+        if not len(scores.p):
+            return None, scores
+        ranked = self.ranked(given, scores)
+        able = (scores.p < critical) & (scores.d > 0)
+        able[list(banned)] = False
+        k, _ = self._first(gram, tuple(chosen), ranked, able)
+        return (None if k is None else self._time_first(k, scores, able)), scores
+
+    def _first(
+        self, gram: Gram, chosen: tuple[int, ...], value: Floats, able: NDArray[np.bool_]
+    ) -> tuple[int | None, float]:
+        """Best of the ``able`` whose sign is possible, and its value; one of an implausible amount is worth less by the
+        margin. It is not banned: another name would then be given for what it explains, and be wrong.
+        """
+        best, worth = None, -np.inf
+        for k in map(int, np.argsort(-np.where(able, value, -np.inf), kind="stable")):
+            if not able[k] or value[k] <= worth:
+                break
+            if k not in self.closed and self.signed(gram, (*chosen, k), k):
+                its = float(value[k]) - (0.0 if self.within(gram, (*chosen, k), k) else MARGIN)
+                best, worth = (k, its) if its > worth else (best, worth)
+        return best, worth
+
+    def ranked(self, given: Gram, scores: Scores) -> Floats:
+        """S over the noise left, less the price (K,), to a tenth: equal explanations keep the library's order."""
+        free = np.maximum(given.nu - scores.d, 1.0)
+        variance = float(np.min(self.scorer.variance((given.yy - scores.S) / free, free)))
+        return np.asarray(
+            np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical, 1)
+        )
+
+    def plausible(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
+        """Whether no parameter comes out clearly negative against its known sign, or beyond what is plausible."""
+        return self.within(gram, chosen, place) and self.signed(gram, chosen, place)
+
+    def within(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
+        """Whether no parameter of a member comes out clearly larger than is plausible."""
+        amount, sigma = self._amounts(gram, chosen, place)
+        limits = self.limits[list(self.scorer.candidates[place].columns)]
+        return not np.any(np.abs(amount) > limits + CLEARLY_WRONG * sigma)
+
+    def signed(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
+        """Whether no parameter of a member comes out clearly negative against its known sign."""
+        amount, sigma = self._amounts(gram, chosen, place)
+        return not self.scorer.candidates[place].positive or bool(np.all(amount > -CLEARLY_WRONG * sigma))
+
+    def _amounts(self, gram: Gram, chosen: Sequence[int], place: int) -> tuple[Floats, Floats]:
+        columns = self.columns(chosen)
+        index = [columns.index(k) for k in self.scorer.candidates[place].columns]
+        return gram.solve(columns)[index], np.sqrt(np.diag(gram.inverse(columns)[0]))[index]
+
+    def improved(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+        """Swap, merge and drop until nothing improves."""
+        seen = {chosen}
+        while True:
+            after = self.divided(gram, self.swapped(gram, chosen, critical), critical)
+            after = self.dropped(gram, self.merged(gram, after, critical), critical)
+            if after == chosen or after in seen:
+                return after
+            seen.add(after)
+            chosen = after
+
+    def swapped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+        """Replace one or two members by one outside as long as the criterion grows."""
+        for _ in range(3 * len(chosen)):
+            best, gain = chosen, SMALLEST_GAIN
+            for out in [(m,) for m in chosen] + list(itertools.combinations(chosen, 2)):
+                rest, problem = tuple(m for m in chosen if m not in out), self.without(gram, out)
+                variance = self.variance(problem, chosen)
+                now = self.criterion(problem, chosen, variance)
+                k, value = self._best_instead(problem, rest, variance, critical, set(chosen))
+                if k is not None and value - now > gain:
+                    best, gain = (*rest, k), value - now
+            if best == chosen:
+                return chosen
+            chosen = best
+        return chosen
+
+    def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+        """Replace a family by two others that together explain as much for less: with enough joints it imitates both."""
+        for family in (k for k in chosen if self.scorer.candidates[k].level == FAMILY):
+            rest, problem = tuple(k for k in chosen if k != family), self.without(gram, (family,))
+            variance = self.variance(problem, chosen)
+            first, _ = self._best_instead(problem, rest, variance, critical, set(chosen))
+            if first is None:
+                continue
+            second, value = self._best_instead(problem, (*rest, first), variance, critical, {*chosen, first})
+            after = (*rest, first) if second is None else (*rest, first, second)
+            if second is None or value <= self.criterion(problem, chosen, variance) + FAMILY_MARGIN:
+                continue
+            if max(self.tails(gram, after)[len(rest) :]) < critical:
+                chosen = after
+        return chosen
+
+    def merged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+        """Name an effect of most joints as a family, one of few joints by its joints, each of which must stand alone."""
+        for effect in sorted({self.scorer.candidates[k].id for k in chosen}):
+            family = [k for k, c in enumerate(self.scorer.candidates) if c.id == effect and c.level == FAMILY]
+            own = [k for k in chosen if self.scorer.candidates[k].id == effect]
+            if not family or (own != family and len(own) < 2):
+                continue
+            rest, problem = tuple(k for k in chosen if k not in own), self.without(gram, own)
+            variance = self.variance(problem, (*rest, family[0]))
+            members = self._members(problem, rest, family[0], variance)
+            whole = self.criterion(problem, (*rest, family[0]), variance)
+            better = self.criterion(problem, (*rest, *members), variance) > whole + self._family_margin(
+                family[0], members
+            )
+            if better and max(self.tails(gram, (*rest, *members))[len(rest) :]) < critical:
+                chosen = (*rest, *members)
+            elif self.signed(gram, (*rest, family[0]), family[0]):
+                chosen = (*rest, family[0])
+        return chosen
+
+    def dropped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+        """Drop members that, given the others, noise could be, or whose sign contradicts physics."""
+        while chosen:
+            tails = self.tails(gram, chosen)
+            worst = int(np.argmax(tails))
+            if tails[worst] <= critical:
+                return chosen
+            chosen = tuple(m for m in chosen if m != chosen[worst])
+        return chosen
+
+    def slack(self, chosen: Sequence[int]) -> float:
+        """Criterion points that a family in the set may have cost against naming some of its joints."""
+        families = [k for k in chosen if self.scorer.candidates[k].level == FAMILY]
+        return SMALLEST_GAIN + sum(MARGIN * len(self.scorer.candidates[k].joints or ()) / 2 for k in families)
+
+    def _family_margin(self, family: int, members: Sequence[int]) -> float:
+        """How much better a part of a family must be: what most joints show, the others probably have too weakly."""
+        joints = len(self.scorer.candidates[family].joints or ())
+        missing = joints - len(members)
+        return MARGIN * missing if missing and len(members) >= MOST_JOINTS * joints else FAMILY_MARGIN
+
+    def tails(self, gram: Gram, chosen: tuple[int, ...]) -> list[float]:
+        """Tail probability of each member given the others; 1 where its sign contradicts physics."""
+        out = []
+        for k in chosen:
+            rest = tuple(m for m in chosen if m != k)
+            p = float(self.scorer.scores(self.without(gram, (k,)).given(self.columns(rest))).p[k])
+            out.append(p if self.signed(gram, chosen, k) else 1.0)
+        return out
+
+    def searched(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
+        """Whole selection on one linearised problem, for resamples.
+
+        A shape that enters first can keep the causes out that together explain more: then they are tried alone.
+        """
+        chosen = self._forward_selection(gram, critical, most)
+        if self.shapes(chosen):
+            causes = self.causes._forward_selection(gram, critical, most)
+            if causes and self.beats(gram, causes, chosen):
+                return causes
+        return chosen
+
+    def _forward_selection(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
+        chosen: tuple[int, ...] = ()
+        for _ in range(2 * most):
+            after = self.better(gram, chosen, critical, most)
+            if after == chosen:
+                break
+            chosen = after
+        return chosen
+
+    def better(
+        self, gram: Gram, chosen: tuple[int, ...], critical: float, most: int, seen: Collection[frozenset[int]] = ()
+    ) -> tuple[int, ...]:
+        """Next set: the best entry, improved, if it beats the set as it is; else the next entry; else the set improved.
+
+        Sets only ever get better and never return to one ``seen``, so the search cannot run in circles.
+        """
+        banned: list[int] = []
+        while len(chosen) < most and len(banned) < TRIED:
+            k, scores = self.entry(gram, chosen, critical, banned)
+            if k is None:
+                break
+            after = self.improved(gram, (*chosen, k), critical)
+            if frozenset(after) in seen and scores.S[k] > MOST_OF_IT * gram.given(self.columns(chosen)).yy:
+                after = (*chosen, k)  # what it was improved to did not do what the linearised problem promised
+            # A significant addition needs no better price: the price compares explanations, noise was ruled out already.
+            added = set(after) > set(chosen)
+            if frozenset(after) not in {frozenset(chosen), *seen} and (added or self.beats(gram, after, chosen)):
+                return after
+            banned.append(k)
+        pair = self.pair(gram, chosen, critical) if len(chosen) + 2 <= most else None
+        if pair is not None:
+            after = self.improved(gram, (*chosen, *pair), critical)
+            if set(after) > set(chosen) and frozenset(after) not in seen:
+                return after
+        after = self.improved(gram, chosen, critical)
+        if not chosen or frozenset(after) in {frozenset(chosen), *seen}:
+            return chosen
+        failed = max(self.tails(gram, chosen)) >= critical
+        return after if failed or self.beats(gram, after, chosen) else chosen
+
+    def pair(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, int] | None:
+        """Two candidates that hide each other: alone neither stands out, since the other's share counts as noise.
+
+        Looked for only when what is left is clearly more than noise, where that is known; where it is not, the two
+        together must stand out of what they leave as one of all pairs. Each must stand out given the other.
+        """
+        if not self.pairs:
+            return None
+        given = gram.given(self.columns(chosen))
+        if self.scorer.absolute and given.yy < given.nu + HIDING * np.sqrt(2.0 * max(given.nu, 1.0)):
+            return None
+        scores = self.scorer.scores(given)
+        if not len(scores.p):
+            return None
+        worth = np.where(scores.d > 0, self.ranked(given, scores), -np.inf)
+        best, most = None, -np.inf
+        for k in map(int, np.argsort(-worth, kind="stable")[:PAIRED]):
+            m, _ = self.entry(gram, (*chosen, k), critical)
+            if m is None or m in (*chosen, k) or k in self.closed:
+                continue
+            both = (*chosen, k, m)
+            value = self.criterion(gram, both, self.variance(gram, both))
+            if value > most and max(self.tails(gram, both)) < critical and self._among_pairs(given, (k, m), critical):
+                best, most = (k, m), value
+        return best
+
+    def _among_pairs(self, given: Gram, pair: tuple[int, int], critical: float) -> bool:
+        """Whether two together take more than the best of all pairs would of noise of unknown size."""
+        if self.scorer.absolute:
+            return True
+        columns = self.columns(pair)
+        d, S = given.rank(columns), given.reduction(columns)
+        free = max(given.nu - d, 1.0)
+        p = float(tail(S / max((given.yy - S) / free, 1e-12), d, free))
+        return p * len(self.scorer.candidates) < critical
+
+    def beats(self, gram: Gram, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
+        """Whether a set's criterion is larger than another's, at the smaller noise of the two."""
+        gram = self.without(gram, set(other) ^ set(one))
+        variance = min(self.variance(gram, one), self.variance(gram, other))
+        return self.criterion(gram, one, variance) > self.criterion(gram, other, variance) - self.slack(one)
+
+    def _best_instead(
+        self, gram: Gram, rest: tuple[int, ...], variance: float, critical: float, taken: set[int]
+    ) -> tuple[int | None, float]:
+        columns = self.columns(rest)
+        given = gram.given(columns)
+        scores = self.scorer.scores(given)
+        value = np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical, 1)
+        able = (scores.p < critical) & (scores.d > 0)
+        able[list(taken)] = False
+        k, worth = self._first(gram, rest, np.asarray(value), able)
+        return k, self.criterion(gram, rest, variance) + worth
+
+    def _members(self, gram: Gram, rest: tuple[int, ...], family: int, variance: float) -> tuple[int, ...]:
+        """Joints of a family that pay their price, by dropping the least worthy one after another."""
+        effect = self.scorer.candidates[family]
+        inside = [
+            k
+            for k, c in enumerate(self.scorer.candidates)
+            if c.id == effect.id and c.level == JOINT and set(c.columns) <= set(effect.columns)
+        ]
+        value = self.criterion(gram, (*rest, *inside), variance)
+        while len(inside) > 1:
+            tried = [self.criterion(gram, (*rest, *(m for m in inside if m != k)), variance) for k in inside]
+            best = int(np.argmax(tried))
+            if tried[best] <= value:
+                break
+            value = tried[best]
+            inside.pop(best)
+        return tuple(inside)
+
+    def _time_first(self, k: int, scores: Scores, able: NDArray[np.bool_]) -> int:
+        """A shared time offset enters before any joint's own lag."""
+        first, second = TIME_FIRST
+        if self.scorer.candidates[k].id != second:
+            return k
+        shared = [m for m, c in enumerate(self.scorer.candidates) if c.id == first and able[m]]
+        return shared[0] if shared else k

@@ -1,0 +1,86 @@
+"""Swapped markers that no distance shows: sets that fit themselves in another order give themselves away by their turn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import ObservationError
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.marker_checks import alike_orders, exchanged
+from kilter_core.measurement.markers import fit_poses
+from kilter_core.measurement.registration import register
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.transforms import rotation_log
+
+Floats = NDArray[np.float64]
+
+NEAR_RAD = np.radians(15.0)  # of the robot as drawn; a swap feigns turns of 60 degrees and more
+LARGE_RAD = np.radians(30.0)
+LEAST_ROWS = 6
+
+
+def refuse_feigned_turns(begin: Calibration, measurement: Measurement) -> None:
+    """Compare the turn that each row's markers show with the robot's; the markers' middle, which no swap moves, gives the base.
+
+    Raises:
+        ObservationError: ``markers_swapped``, with the first row and how many there are.
+
+    """
+    o, shape = measurement.observations, measurement.marker_points
+    if shape is None or o.markers is None:
+        return
+    if np.count_nonzero(~np.isnan(o.markers).any(axis=(1, 2))) < LEAST_ROWS:
+        return
+    orders = [(order, turn) for order, turn in alike_orders(shape) if _angle(turn[None])[0] > LARGE_RAD]
+    if not orders:
+        return
+    turns, usable = _tool_turns(begin, measurement, shape, o.markers)
+    reference = turns[_most_common(turns)]
+    off = _angle(reference.T @ turns)
+    feigned = [np.flatnonzero(_angle((reference @ turn).T @ turns) < NEAR_RAD) for _, turn in orders]
+    rows, order = max(
+        ((rows, order) for rows, (order, _) in zip(feigned, orders, strict=True)), key=lambda pair: len(pair[0])
+    )
+    if len(rows) and np.count_nonzero(off < NEAR_RAD) + len(rows) > 0.9 * len(turns):
+        place = np.flatnonzero(usable)[rows]
+        raise ObservationError(
+            f"In {len(rows)} of {len(turns)} rows, the first is row {place[0] + 1}, the markers show the tool turned by "
+            f"{np.degrees(off[rows[0]]):.0f} degrees against the robot, as if markers {exchanged(order)} had changed places: "
+            "number them alike in all rows, and space them unevenly so that it is noticed at once.",
+            code="markers_swapped",
+            row=int(place[0]) + 1,
+            rows=len(rows),
+            order=[k + 1 for k in order],
+        )
+
+
+def _tool_turns(
+    begin: Calibration, measurement: Measurement, shape: Floats, markers: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Turn (K, 3, 3) of the marker shape on the flange in every usable row, by the robot as it begins."""
+    middle = Measurement.of(_without_turns(measurement, markers))
+    T_base, _ = register(begin.model, begin.values, middle)
+    _, rotation, usable = fit_poses(shape, markers)
+    bare = begin.model.in_frames(T_base, np.eye(4))
+    flange = bare.predict(measurement.observations, begin.values).rotation
+    return np.asarray(flange[usable].transpose(0, 2, 1) @ rotation[usable]), usable
+
+
+def _without_turns(measurement: Measurement, markers: Floats) -> Observations:
+    seen = np.asarray(~np.isnan(markers).any(axis=(1, 2)))
+    o = measurement.observations.select(seen)
+    return replace(o, markers=None, tip=None, rotation=None, position=markers[seen].mean(axis=1))
+
+
+def _most_common(turns: Floats) -> int:
+    """The row whose turn most others share."""
+    some = np.arange(len(turns))[:: max(1, len(turns) // 200)]
+    return int(some[int(np.argmax([np.count_nonzero(_angle(turns[k].T @ turns) < NEAR_RAD) for k in some]))])
+
+
+def _angle(turns: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(rotation_log(turns), axis=1))

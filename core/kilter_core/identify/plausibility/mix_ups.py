@@ -1,0 +1,162 @@
+"""What gets mixed up between a robot's file and a measurement: order, sign, unit, zero of joints; unit, hand of points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.robot import Robot
+
+Floats = NDArray[np.float64]
+
+DEGREES = 180.0 / np.pi
+# What the values were, what they were declared as, and what turns them into what they were.
+LENGTHS = (
+    ("millimetres", "metres", 1e-3), ("metres", "millimetres", 1e3),
+    ("inches", "metres", 0.0254), ("metres", "inches", 1.0 / 0.0254),
+    ("inches", "millimetres", 25.4), ("millimetres", "inches", 1.0 / 25.4),
+    ("centimetres", "metres", 1e-2), ("centimetres", "millimetres", 10.0),
+)  # fmt: skip
+COLUMNS = "the columns, or their names in the column map,"
+
+
+@dataclass(frozen=True)
+class MixUp:
+    """One mix-up, what to do about it, and how to read the rows without it.
+
+    The reading is: take the joints of the row ``shift`` further on (``backwards``: rows in reverse), in this ``order``, in
+    the units they have on the wire, times ``factor (n,)`` plus ``offset (n,)``; points times ``length``, one coordinate with
+    the other sign if ``mirror``.
+    """
+
+    sentence: str
+    remedy: str
+    order: tuple[int, ...] | None = None
+    factor: Floats | None = None
+    offset: Floats | None = None
+    length: float = 1.0
+    mirror: bool = False
+    shift: int = 0
+    backwards: bool = False
+
+    def joints(self, q: Floats, unit: Floats) -> Floats:
+        """Joint readings (N, n) as they were meant; ``unit (n,)`` turns rad and m into degrees and mm."""
+        if self.order is not None:
+            q = (q * unit)[:, list(self.order)] / unit
+        if self.factor is not None:
+            q = q * self.factor
+        return q if self.offset is None else q + self.offset
+
+    def points(self, points: Floats) -> Floats:
+        """Points (N, 3) as they were meant."""
+        return points * (self.length * (np.array([1.0, 1.0, -1.0]) if self.mirror else 1.0))
+
+    def turns(self, turns: Floats) -> Floats:
+        """Turns (N, 3, 3) that go with those points."""
+        hand = np.diag([1.0, 1.0, -1.0])
+        return np.asarray(hand @ turns @ hand) if self.mirror else turns
+
+
+def wire_units(robot: Robot) -> Floats:
+    """Factors (n,) from rad and m to the degrees and mm that joints are sent in."""
+    return np.array([DEGREES if j.kind == "revolute" else 1e3 for j in robot.joints])
+
+
+def mix_ups(robot: Robot) -> Iterator[MixUp]:
+    """Every mix-up that is looked for on its own."""
+    yield from _orders(robot.n_joints)
+    yield from _signs(robot.n_joints)
+    yield from _units(robot)
+    yield from _zeros(robot)
+    for was, declared, factor in LENGTHS:
+        ratio = max(factor, 1.0 / factor)
+        yield MixUp(
+            f"Positions look like {was} declared as {declared} (factor {ratio:.6g})",
+            f"give the columns, or the column map, the unit {was}; or correct the lengths of the robot",
+            length=factor,
+        )
+    yield MixUp(
+        "The positions look left-handed: two coordinates are exchanged, or one has the other sign",
+        f"correct {COLUMNS} and upload again",
+        mirror=True,
+    )
+    for shift in (-1, 1):
+        yield MixUp(
+            f"Each measurement looks to be of the joints one row {'above' if shift < 0 else 'below'}",
+            "join joints and measurements by row or time anew, and upload again",
+            shift=shift,
+        )
+    yield MixUp("Joints and measurements look to be in opposite order of rows", "reverse one of them", backwards=True)
+
+
+def _orders(n: int) -> Iterator[MixUp]:
+    known = {tuple(range(n))}
+    for i, j in combinations(range(n), 2):
+        order = list(range(n))
+        order[i], order[j] = j, i
+        known.add(tuple(order))
+        yield MixUp(f"Joints {i + 1} and {j + 1} look swapped", f"swap {COLUMNS} and upload again", order=tuple(order))
+    # Shifted by one in the file means that the column of each joint holds the one after it.
+    others = [("The joints look to be in reverse order", tuple(reversed(range(n))))]
+    for k in range(1, n):
+        order = [(j + k) % n for j in range(n)]
+        held = ", ".join(str((order.index(c)) + 1) for c in range(n))
+        others.append((f"The columns of joints 1 to {n} look to hold joints {held}", tuple(order)))
+    for sentence, whole in others:
+        if whole not in known:
+            known.add(whole)
+            yield MixUp(sentence, f"put {COLUMNS} in the robot's order and upload again", order=whole)
+
+
+def _signs(n: int) -> Iterator[MixUp]:
+    for j in range(n):
+        yield MixUp(
+            f"Joint {j + 1} looks to count the other way round",
+            f"change the sign of the column of joint {j + 1}, or turn its axis round in the robot (ratio -1)",
+            factor=_at(n, [j], -1.0),
+        )
+    yield MixUp(
+        "All joints look to count the other way round", "change the sign of their columns", factor=np.full(n, -1.0)
+    )
+
+
+def _units(robot: Robot) -> Iterator[MixUp]:
+    n = robot.n_joints
+    turning = [j for j in range(n) if robot.joints[j].kind == "revolute"]
+    groups = [([j], f"Joint {j + 1} looks") for j in turning]
+    groups += [(turning, "Joints look" if len(turning) == n else "The turning joints look")] if len(turning) > 1 else []
+    for which, who in groups:
+        for was, declared, factor in (("radians", "degrees", DEGREES), ("degrees", "radians", 1.0 / DEGREES)):
+            yield MixUp(
+                f"{who} like {was} declared as {declared}",
+                f"give the columns, or the column map, the unit {was}",
+                factor=_at(n, which, factor),
+            )
+    for j in set(range(n)) - set(turning):
+        for was, declared, factor in LENGTHS[:2]:
+            yield MixUp(
+                f"Joint {j + 1} looks like {was} declared as {declared}",
+                f"give its column the unit {was}",
+                factor=_at(n, [j], factor),
+            )
+
+
+def _zeros(robot: Robot) -> Iterator[MixUp]:
+    n = robot.n_joints
+    for j in range(n):
+        for degrees in (90, -90, 180) if robot.joints[j].kind == "revolute" else ():
+            yield MixUp(
+                f"The zero of joint {j + 1} looks {degrees} degrees off",
+                f"add {degrees} degrees to the column of joint {j + 1}, or to its offset in the robot (DH and MDH differ)",
+                offset=_at(n, [j], np.radians(degrees), 0.0),
+            )
+
+
+def _at(n: int, joints: list[int], value: float, rest: float = 1.0) -> Floats:
+    out = np.full(n, rest)
+    out[joints] = value
+    return out

@@ -1,0 +1,254 @@
+"""Whether observations belong to the robot: a mix-up is named when it explains them far better than any physics could.
+
+The size of a residual accuses nobody. A compliant arm, a home-made one or a fit that did not end leave a lot, and yet no
+exchange of columns makes it small. A mix-up is certain when undoing it takes the residual of the registration (base and
+tool alone) down by ``FACTOR`` and to less than ``GOOD`` of the workspace: geometry and loads leave that in the right
+reading too, and in a wrong one nothing but chance takes a fifth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import ObservationError
+from kilter_core.identify.plausibility.mix_ups import LENGTHS, MixUp, mix_ups
+from kilter_core.identify.plausibility.orientation_mix_ups import turn_faults
+from kilter_core.identify.plausibility.placed import ROWS, Placed, Sample, place
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.marker_checks import equal_markers
+from kilter_core.model import Calibration
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+FOREIGN = "foreign_observations"
+FEWEST = 12  # distinct poses below which nine numbers of base and tool can imitate too much
+NEAR_M = 1e-3  # registration of a real arm that is not looked at further,
+NEAR = 0.005  # or this share of the workspace
+FAR = 0.03  # share from which two mix-ups together, or one in some rows, are looked for: they leave more, and cost more
+FACTOR = 5.0
+PAIRS = 4.0  # times that for two mix-ups together: among thousands of readings chance has more to offer
+GOOD = 0.1  # share of the workspace that the right reading may leave
+ALIKE = 1.5  # readings so near the best one are named with it
+SEEDS = 5
+HOPELESS = 0.7  # share of the residual that a reading may leave before it is refined
+CHANGED_M = 0.02  # a base or tool that moves by less in a campaign is a shift that effects describe
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Mix-ups (or-ed) that explain the rows, and the registration's residual m with and without them."""
+
+    sentences: tuple[str, ...]
+    remedies: tuple[str, ...]
+    before: float
+    after: float
+
+
+def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[str, Any], ...]:
+    """Look for mix-ups of joints, units, signs, zeros, conventions and tools; return warnings about the orientation.
+
+    Raises:
+        ObservationError: ``foreign_observations``, with what looks wrong, how much it explains, and the remedy.
+
+    """
+    o = measurement.observations
+    if o.position is None and o.markers is None:
+        return ()
+    copied = tuple(_copied(o.markers))
+    sample = Sample.of(begin, measurement)
+    if len(sample) < FEWEST:
+        return copied
+    found = _diagnosed(sample) or _changed(sample) or _in_part(sample)
+    if found is not None:
+        _refuse(found.sentences, found.remedies, found.before * 1e3, found.after * 1e3, "mm")
+    if sample.turns is None or _far(sample):
+        return copied
+    accused, warnings = turn_faults(sample, o.rotation is not None)
+    if accused is not None:
+        _refuse(*accused, "deg")
+    return (*copied, *warnings)
+
+
+def _copied(markers: Floats | None) -> Iterator[dict[str, Any]]:
+    pair = None if markers is None else equal_markers(markers)
+    if pair is not None:
+        a, b = pair
+        yield {
+            "code": "markers_equal", "markers": [a, b],
+            "message": f"Markers {a} and {b} are equal to the last digit in every row: their columns hold one marker twice. "
+            f"Correct the columns of one of them in the export or the column map, or leave marker {b} out.",
+        }  # fmt: skip
+
+
+def _refuse(sentences: tuple[str, ...], remedies: tuple[str, ...], before: float, after: float, unit: str) -> None:
+    said = sentences[0] + "".join(f" (or: {s[0].lower()}{s[1:]})" for s in sentences[1:3])
+    raise ObservationError(
+        f"{said}: with base and tool registered {before:.3g} {unit} are left as the rows are, {after:.3g} {unit} without "
+        f"that. Remedy: {'; or '.join(remedies[:3])}.",
+        code=FOREIGN, looks=list(sentences), **{f"before_{unit}": before, f"after_{unit}": after},
+    )  # fmt: skip
+
+
+def _far(sample: Sample) -> bool:
+    """Whether base and tool alone leave more than real arms do."""
+    return sample.placed.size > max(NEAR_M, NEAR * sample.spread)
+
+
+def _diagnosed(sample: Sample) -> Finding | None:
+    """The mix-up, or the two together, that explain all rows."""
+    if not _far(sample):
+        return None
+    known = list(mix_ups(sample.begin.robot))
+    hurried = replace(sample, limit=HOPELESS * sample.placed.size)
+    read = [(m, hurried.without(m)) for m in known]
+    found = _certain(sample, [((m,), s) for m, s in read])
+    if found is not None or sample.placed.size < FAR * sample.spread:
+        return found
+    pairs, done = [], set[frozenset[int]]()
+    for first in _seeds(sample, read):
+        after = hurried.without(first)
+        for m in known:
+            both = frozenset((id(first), id(m)))
+            if len(both) == 2 and both not in done and not (m.shift or m.backwards or first.length != 1.0 != m.length):
+                done.add(both)
+                pairs.append(((first, m), after.without(m)))
+    return _certain(sample, pairs, PAIRS)
+
+
+def _seeds(sample: Sample, read: list[tuple[MixUp, Sample]]) -> list[MixUp]:
+    """Mix-ups worth a second beside them: those that help most, and the unit that the sizes suggest."""
+    ratio = _size(sample.flange[:, :3, 3]) / max(_size(sample.points), 1e-12)
+    unit = min(LENGTHS, key=lambda row: abs(np.log(row[2] / max(ratio, 1e-12))))[2]
+    best = sorted(read, key=lambda pair: _misfit(pair[1]))[:SEEDS]
+    return [m for m, _ in best] + [m for m, _ in read if m.length == unit and not any(m is b for b, _ in best)]
+
+
+def _certain(sample: Sample, read: Sequence[tuple[tuple[MixUp, ...], Sample]], stricter: float = 1.0) -> Finding | None:
+    """The best reading, with those about as good, if it is far better than the rows as they are."""
+    best = min((s for _, s in read), key=_misfit)
+    if _misfit(best) * FACTOR * stricter > _misfit(sample) or _misfit(best) * stricter > GOOD:
+        return None
+    alike = [m for m, s in read if _misfit(s) <= ALIKE * _misfit(best)]
+    sentences = tuple(", and ".join(_then(m.sentence, k) for k, m in enumerate(ms)) for ms in alike)
+    remedies = tuple("; and ".join(m.remedy for m in ms) for ms in alike)
+    return Finding(sentences, tuple(dict.fromkeys(remedies)), sample.placed.size, best.placed.size)
+
+
+def _misfit(sample: Sample) -> float:
+    """Residual as a share of the workspace: points read a thousand times smaller leave less of anything."""
+    return sample.placed.size / max(_size(sample.points), 1e-12)
+
+
+def _then(sentence: str, place: int) -> str:
+    return sentence if place == 0 else sentence[0].lower() + sentence[1:]
+
+
+def _changed(sample: Sample) -> Finding | None:
+    """Base or tool that changed once during the campaign, in the order of sessions and time or in that of the rows."""
+    if not _far(sample) or len(sample) < 2 * FEWEST:
+        return None
+    by_row = np.argsort(sample.row)
+    again = np.any(np.diff(by_row) < 0)
+    return _changed_in_order(sample) or (_changed_in_order(sample.part(by_row)) if again else None)
+
+
+def _changed_in_order(sample: Sample) -> Finding | None:
+    cut = min(_cuts(sample), key=lambda k: _apart(sample, k)[0])
+    cut = _moved_cut(sample, cut)
+    size, head, tail = _apart(sample, cut)
+    if size * FACTOR > sample.placed.size or size > GOOD * sample.spread:
+        return None
+    late = sample.part(np.arange(cut, len(sample)))
+    moved = float(np.sqrt(np.mean(np.sum((head.at(late.flange) - tail.at(late.flange)) ** 2, axis=1))))
+    if moved < max(CHANGED_M, 0.02 * sample.spread):
+        return None
+    what, where = _what_moved(late, head, tail, size), f"row {sample.row[cut] + 1}"
+    return Finding(
+        (f"{what} looks changed by {moved * 1e3:.3g} mm from {where} on",),
+        ("make a campaign of the rows before and one of those after it, and identify them apart",),
+        sample.placed.size, size,
+    )  # fmt: skip
+
+
+def _cuts(sample: Sample) -> list[int]:
+    """Places where a campaign may fall in two: between its sessions, else some even ones."""
+    ends = [int(k) + 1 for k in np.flatnonzero(np.diff(sample.session))]
+    even = [len(sample) * k // 8 for k in range(1, 8)]
+    return [k for k in ends + even if FEWEST <= k <= len(sample) - FEWEST] or [len(sample) // 2]
+
+
+def _moved_cut(sample: Sample, cut: int) -> int:
+    """The cut where each row goes to the side that places it better."""
+    for _ in range(3):
+        _, head, tail = _apart(sample, cut)
+        early, late = (np.sum((sample.points - p.at(sample.flange)) ** 2, axis=1) for p in (head, tail))
+        cost = np.concatenate([[0.0], np.cumsum(early - late)])
+        cut = int(np.clip(np.argmin(cost), FEWEST, len(sample) - FEWEST))
+    return cut
+
+
+def _apart(sample: Sample, cut: int) -> tuple[float, Placed, Placed]:
+    """Residual of the two sides placed each on its own."""
+    sides = [place(sample.flange[a:b], sample.points[a:b]) for a, b in pairwise((0, cut, len(sample)))]
+    size = np.sqrt((cut * sides[0].size ** 2 + (len(sample) - cut) * sides[1].size ** 2) / len(sample))
+    return float(size), sides[0], sides[1]
+
+
+def _what_moved(late: Sample, head: Placed, tail: Placed, size: float) -> str:
+    """Whether another tool point explains the later rows with the base of the earlier ones, or the other way round."""
+    local = (late.points - head.place) @ head.turn - late.flange[:, :3, 3]
+    held = np.einsum("nji,nj->ni", late.flange[:, :3, :3], local)
+    tool = float(np.sqrt(np.mean(np.sum((held - np.median(held, axis=0)) ** 2, axis=1))))
+    return (
+        "The tool"
+        if tool < 2.0 * size
+        else "The base, or the instrument,"
+        if _same_tool(head, tail)
+        else "Base or tool"
+    )
+
+
+def _same_tool(head: Placed, tail: Placed) -> bool:
+    return float(np.linalg.norm(head.tool - tail.tool)) < CHANGED_M
+
+
+def _in_part(sample: Sample) -> Finding | None:
+    """A mix-up of the first or last rows only, or of one session."""
+    if sample.placed.size < FAR * sample.spread or len(sample) < 2 * FEWEST:
+        return None
+    for mixed, rest, where in _parts(sample):
+        if rest.placed.size * FACTOR < sample.placed.size and not _far(rest):
+            found = _diagnosed(mixed)
+            if found is not None:
+                sentences = tuple(f"{s} {where}" for s in found.sentences)
+                return Finding(sentences, found.remedies, found.before, found.after)
+    return None
+
+
+def _parts(sample: Sample) -> list[tuple[Sample, Sample, str]]:
+    sessions = np.unique(sample.session)
+    out = []
+    for code in sessions if len(sessions) > 1 else ():
+        mine = sample.session == code
+        if FEWEST <= mine.sum() <= len(sample) - FEWEST:
+            place_of = (np.flatnonzero(mine), np.flatnonzero(~mine), f"in session {code}")
+            out.append((sample.part(place_of[0]), sample.part(place_of[1]), place_of[2]))
+    third = max(FEWEST, len(sample) // 3)
+    rows = np.arange(len(sample))
+    out.append((sample.part(rows[-third:]), sample.part(rows[:third]), "in the later rows"))
+    out.append((sample.part(rows[:third]), sample.part(rows[-third:]), "in the earlier rows"))
+    return out
+
+
+def _size(points: Floats) -> float:
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+
+
+__all__ = ["FOREIGN", "ROWS", "Finding", "refuse_foreign"]

@@ -1,0 +1,198 @@
+"""Whether a drawn circle is told from the right quarter point. The robot's model decides: the paper looks alike from all.
+
+A circle with four marked points does not change when it is turned by quarters, so the points fit in four orders. What
+was drawn fits in one: errors that belong to one place of the circle fit the robot there and nowhere else. For each
+order the errors in the paper's plane are carried to where they would belong and explained by the base, the joint
+offsets and small errors of the geometry; the logarithms of the likelihoods say which order it was. (The points the
+other way round would turn the paper's face down, which the client refuses.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.robot import Robot
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.observations import Observations
+from kilter_core.transforms import nearest_rotation
+
+Floats = NDArray[np.float64]
+
+AS_GIVEN = (1, 2, 3, 4)
+SURE, LIKELY = 5.0, 2.0  # logarithms of how many times likelier another order is, 150 and 7
+EXPLAINED = 4.0  # chi-square per degree of freedom up to which the model is believed to explain what was drawn
+UNMODELLED = 0.06  # share of the errors that such a simple model may leave, per harmonic
+LEAST_M = 3e-6
+HARMONICS = 4
+OFFSET_RAD, LENGTH_M, ANGLE_RAD = 5e-3, 1e-4, 3e-4  # what a robot's joint offsets, lengths and angles are off by
+ROUND = 0.05  # of the radius: farther off the circle, and it is another path
+FEWEST = 24  # rows around the circle
+WIDEST = np.radians(40.0)  # gap between two rows over which errors are not carried
+
+
+@dataclass(frozen=True)
+class SheetOrder:
+    """The likeliest ``order`` of the rows of the points file, ``lead`` of it over the order as given (logarithm of the
+    likelihoods), ``clear`` over the next best, and the rms m that is left ``as_given`` and in that order.
+    """
+
+    order: tuple[int, ...]
+    lead: float
+    clear: float
+    as_given: float
+    left: float
+    explained: bool
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the points cannot be in the order given."""
+        return self.lead > SURE and self.explained
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether another order is likelier, but not for sure."""
+        return self.lead > LIKELY and not self.wrong
+
+    @property
+    def unseen(self) -> bool:
+        """Whether what was drawn fits several orders alike."""
+        return self.clear <= LIKELY and not self.wrong and not self.doubtful
+
+    def sentence(self) -> str:
+        """What was found, with the remedy."""
+        order = ", ".join(map(str, self.order))
+        return (
+            f"its line fits this robot with the quarter points in the order {order} ({self.left * 1e3:.3f} mm are left), "
+            f"not as given ({self.as_given * 1e3:.3f} mm). Write the rows of the points file in the order {order}, join the "
+            "sheet again (kilter sheet-join) and upload what that writes"
+        )
+
+
+def sheet_order(robot: Robot, rows: Observations) -> SheetOrder | None:
+    """Find the order of the quarter points that fits the robot best; None where the rows are no circle all around."""
+    circle = _around(robot, rows)
+    if circle is None:
+        return None
+    found = [_fitted(robot, rows, circle, quarters) for quarters in range(4)]
+    losses = np.array([loss for loss, _, _ in found])
+    best = int(np.argmin(losses))
+    chi = found[best][1]
+    lead = (losses - losses[best]) / (2.0 * max(1.0, chi))
+    order = tuple(int(v) for v in (np.arange(4) + best) % 4 + 1)
+    left = [rest for _, _, rest in found]
+    return SheetOrder(order, float(lead[0]), float(np.sort(lead)[1]), left[0], left[best], chi < EXPLAINED)
+
+
+@dataclass(frozen=True)
+class _Circle:
+    """A drawn circle: the angle of every row as commanded, harmonics of its errors there (out, along, up), their sigma.
+
+    ``ways`` (n, 3, 3) are the directions out, along and up of every row in the frame of the measurements.
+    """
+
+    centre: Floats
+    radius: float
+    turn: Floats
+    ways: Floats
+    harmonics: Floats
+    sigma: Floats
+
+    def carried(self, quarters: int) -> Floats:
+        """Positions (n, 3) if the points were given ``quarters`` too late; heights were logged, and stay."""
+        there, here = (_basis(turn) @ self.harmonics for turn in (self.turn - quarters * np.pi / 2, self.turn))
+        error = np.column_stack([there[:, 0] + self.radius, there[:, 1], here[:, 2]])
+        return np.asarray(self.centre + np.einsum("nk,nkj->nj", error, self.ways))
+
+
+def _basis(turn: Floats) -> Floats:
+    waves = [wave(k * turn) for k in range(1, HARMONICS + 1) for wave in (np.cos, np.sin)]
+    return np.stack([np.ones_like(turn), *waves], axis=1)
+
+
+def _around(robot: Robot, rows: Observations) -> _Circle | None:
+    """The circle the rows were drawn along; angles are those of the robot as drawn, which a sheet does not move."""
+    if rows.position is None or len(rows) < FEWEST:
+        return None
+    p = rows.position
+    middle = p.mean(axis=0)
+    axes = np.linalg.svd(p - middle)[2]
+    axes = np.array([axes[0], axes[1], np.cross(axes[0], axes[1])]).T
+    flat = (p - middle) @ axes[:, :2]
+    a, b, c = np.linalg.lstsq(np.column_stack([2 * flat, np.ones(len(p))]), (flat**2).sum(axis=1), rcond=None)[0]
+    radius, centre = float(np.sqrt(c + a * a + b * b)), middle + axes[:, :2] @ [a, b]
+    local, wanted = (p - centre) @ axes, (_in_place(robot, rows)[1] - centre) @ axes
+    if _clockwise(wanted):
+        axes = axes * [1.0, -1.0, -1.0]
+        local, wanted = local * [1.0, -1.0, -1.0], wanted * [1.0, -1.0, -1.0]
+    turn = np.arctan2(wanted[:, 1], wanted[:, 0])
+    ahead = (np.arctan2(local[:, 1], local[:, 0]) - turn + np.pi) % (2 * np.pi) - np.pi
+    error = np.stack([np.hypot(local[:, 0], local[:, 1]) - radius, radius * ahead, local[:, 2]], axis=1)
+    gaps = np.diff(np.sort(turn), append=np.min(turn) + 2 * np.pi)
+    if np.abs(error).max() > ROUND * radius or gaps.max() > WIDEST:
+        return None
+    c, s, zero, one = np.cos(turn), np.sin(turn), np.zeros(len(p)), np.ones(len(p))
+    ways = np.stack([np.stack(way, axis=1) for way in ((c, s, zero), (-s, c, zero), (zero, zero, one))], axis=1)
+    return _Circle(centre, radius, turn, ways @ axes.T, *_smoothed(turn, error))
+
+
+def _clockwise(wanted: Floats) -> bool:
+    """Whether the rows run clockwise about the third axis: joined ones run as the points of the sheet are numbered."""
+    x, y = wanted[:, 0], wanted[:, 1]
+    return float(np.median(x[:-1] * y[1:] - x[1:] * y[:-1])) < 0
+
+
+def _smoothed(turn: Floats, error: Floats) -> tuple[Floats, Floats]:
+    """Harmonics (2 HARMONICS + 1, 3) of the errors, and the sigma (3,) of one row that stands for noise and model."""
+    B = _basis(turn)
+    harmonics = np.linalg.lstsq(B, error, rcond=None)[0]
+    noise = np.sum((error - B @ harmonics) ** 2, axis=0) / max(len(B) - B.shape[1], 1)
+    size = float(np.sqrt(np.mean((B @ harmonics)[:, :2] ** 2)))
+    # A harmonic of n rows is known n / 2 times better than a row; what the model leaves does not average out like that.
+    sigma = np.asarray(np.sqrt(noise + len(B) / 2.0 * (UNMODELLED * size) ** 2 + LEAST_M**2))
+    return np.asarray(harmonics), sigma
+
+
+def _fitted(robot: Robot, rows: Observations, circle: _Circle, quarters: int) -> tuple[float, float, float]:
+    """Loss with priors, chi-square per degree of freedom, and rms m that is left, with the errors carried."""
+    position = circle.carried(quarters)
+    moved = replace(rows, position=position, rotation=None, markers=None)
+    model, _ = _in_place(robot, moved)
+    free, sigma = _free(model)
+    prediction, J = model.jacobian(moved, model.values0(), free, turns=False)
+    A = np.einsum("nkj,njf->nkf", circle.ways, J) / circle.sigma[:, None]
+    r = (np.einsum("nkj,nj->nk", circle.ways, position - prediction.position) / circle.sigma).reshape(-1)
+    A = A.reshape(-1, len(free)) * sigma
+    x = np.linalg.lstsq(np.vstack([A, np.eye(len(free))]), np.concatenate([r, np.zeros(len(free))]), rcond=None)[0]
+    rest = (r - A @ x).reshape(-1, 3)
+    freedom = 3 * (2 * HARMONICS + 1) - 6 - robot.n_joints
+    left = float(np.sqrt(np.mean(np.sum((rest * circle.sigma) ** 2, axis=1))))
+    return float(np.sum(rest**2) + x @ x), float(np.sum(rest**2)) / max(freedom, 1), left
+
+
+def _free(model: RobotModel) -> tuple[NDArray[np.int64], Floats]:
+    """Base, joint offsets and geometry (indices), and how far each may be off."""
+    elements = {e.name: e for e in model.robot.chain.elements if e.name and not e.dependent}
+    free, sigma = list(range(6)), [model.parameters[k].prior_sigma for k in range(6)]
+    for k in range(6, model.n_geometric - 6):
+        element = elements.get(model.names[k])
+        if element is not None:
+            small = LENGTH_M if model.parameters[k].unit == "m" else ANGLE_RAD
+            free.append(k)
+            sigma.append(OFFSET_RAD if element.joint is not None else small)
+    return np.array(free), np.array(sigma)
+
+
+def _in_place(robot: Robot, rows: Observations) -> tuple[RobotModel, Floats]:
+    """The robot as drawn with its base where it fits the rows best, and where it then puts the tool (n, 3)."""
+    assert rows.position is not None
+    nominal = Calibration.nominal(robot)
+    found = nominal.predict(rows).position
+    a, b = found.mean(axis=0), rows.position.mean(axis=0)
+    T = np.eye(4)
+    T[:3, :3] = nearest_rotation((rows.position - b).T @ (found - a))
+    T[:3, 3] = b - T[:3, :3] @ a
+    there: Floats = found @ T[:3, :3].T + T[:3, 3]
+    return nominal.model.in_frames(T @ nominal.model.T_base, nominal.model.T_tool), there

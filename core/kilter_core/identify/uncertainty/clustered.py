@@ -1,0 +1,171 @@
+"""Covariance of the parameters that holds when the rows of a pose are not independent of each other.
+
+Three shots of one stop share the way the arm settled, and repeats of a pose share what the model gets wrong there: they
+are one piece of evidence, not three. The covariance is a sandwich clustered by pose. Its middle is what the scatter of
+all poses together says, one covariance of what rows of a pose share and one of what they do not; and, as far as poses
+differ by more than chance, what each pose itself says (Liang and Zeger 1986, corrected as CR2 of Bell and McCaffrey
+2002; mixed as Ledoit and Wolf 2004). By the poses alone, combinations of parameters would look certain, for there are
+fewer poses than it takes to see them scatter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import scipy.stats
+from numpy.typing import NDArray
+
+from kilter_core.identify.least_squares import HOLD, HUBER_SIGMAS, Fit
+from kilter_core.identify.redescending import dimension_of, row_sizes
+from kilter_core.identify.robust import Loss, tukey_limit
+from kilter_core.identify.uncertainty.settling import levers, scatter_of_poses
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+NORMAL = float(scipy.stats.norm.ppf(0.975))
+FOLLOWED = 0.02  # share of the noise below which the fit follows a pose in a direction, so that no residual shows it
+SMALL = 1e-12  # share of the largest below which a direction of the scores is none
+
+
+def clustered(fit: Fit) -> Fit:
+    """The fit with the covariance clustered by pose, and the ``freedom`` of its scale.
+
+    It is scaled so that 1.96 sigma are half the 95 % interval of Student's t. Distances between poses and contacts have
+    no rows of their own: their fits are returned as they are, and so are those of filters and those clustered already.
+    """
+    problem = fit.problem
+    if fit.freedom is not None:
+        return fit
+    groups = problem.measurement.observations.pose_groups()
+    if not problem.measurement.sees_base or len(fit.residual.points) != len(groups):
+        return fit
+    A, r = by_row(fit)
+    if len(fit.J) > A.shape[0] * A.shape[1]:
+        return fit  # a filter goes on from what it knew, and takes what it is told of the noise
+    total = _products(A, A)
+    eye = np.eye(len(total))
+    held = eye[:0] if problem.held is None else problem.held
+    bend = bend_of(fit)
+    bread: Floats = np.asarray(np.linalg.inv(bend * total + eye + HOLD * held.T @ held), dtype=np.float64)
+    numbers = len(np.unique(groups)) * problem.measurement.each
+    left = max(numbers - bend * float(np.trace(bread @ total)), 1.0)
+    shared = _shared(A, r, levers(fit), groups, numbers / left)
+    meat = _mixed(shared, *_by_pose(A, r, groups, bread))
+    rest = eye - bread @ (bend * total)
+    around = bread @ meat @ bread + rest @ rest.T
+    scale = problem.prior_sigma * float(scipy.stats.t.ppf(0.975, left)) / NORMAL
+    return replace(fit, covariance=around * np.outer(scale, scale), freedom=left)
+
+
+def bend_of(fit: Fit) -> float:
+    """Mean slope of a robust loss's pull over its mean weight, by which the normal matrix is too certain (Huber 1981)."""
+    if fit.problem.loss == "linear":
+        return 1.0
+    size, dimension = row_sizes(fit), dimension_of(fit.problem)
+    loss = Loss("huber", HUBER_SIGMAS) if fit.problem.loss == "huber" else Loss("tukey", tukey_limit(dimension))
+    weight = loss.weight(size)
+    bend = (1.0 - 1.0 / dimension) * weight + loss.slope(size) / dimension
+    return float(np.mean(bend) / np.mean(weight))
+
+
+def by_row(fit: Fit) -> tuple[Floats, Floats]:
+    """Jacobian (N, R, F) in prior sigmas and residuals (N, R), whitened, of each row's points and turns."""
+    here = fit.problem.linearised(fit.values, fit.residual)
+    rows, columns = len(fit.problem.measurement.observations), len(fit.names)
+    scaled, points = here.J * fit.problem.prior_sigma, here.residual.points.size
+    J, r = [scaled[:points].reshape(rows, -1, columns)], [here.r[:points].reshape(rows, -1)]
+    if here.residual.turns is not None:
+        J.append(scaled[points:].reshape(rows, 3, columns))
+        r.append(here.r[points:].reshape(rows, 3))
+    return np.concatenate(J, axis=1), np.concatenate(r, axis=1)
+
+
+def _shared(A: Floats, r: Floats, L: Floats, groups: Ints, lost: float) -> Floats:
+    """Covariance (F, F) of the scores, had all poses scatter alike: shared by the rows of a pose, and each row's own.
+
+    ``L (N, R, n)`` are the levers of the joints; ``lost`` makes up for what the parameters took from the poses.
+    """
+    count = np.bincount(groups)
+    mean = np.stack([np.bincount(groups, weights=column) for column in r.T], axis=1) / count[:, None]
+    apart = r - mean[groups]
+    own = apart.T @ apart / max(len(r) - len(count), 1)
+    common = lost * mean.T @ mean / len(count)
+    if len(r) > len(count):
+        common = _bounded(common - own * float(np.mean(1.0 / count)), own, int(count.max()))
+    order = np.argsort(groups, kind="stable")
+    start = np.searchsorted(groups[order], np.arange(len(count)))
+    whole = np.add.reduceat(A[order], start)
+    lever = np.add.reduceat(L[order], start) / count[:, None, None]
+    # The fit takes its share of the scatter; what rows have of their own is known already.
+    each = scatter_of_poses(np.sqrt(lost) * mean, lever, common, own / count[:, None, None])
+    return _products(whole, each @ whole) + _products(A, own @ A)
+
+
+def _products(a: Floats, b: Floats) -> Floats:
+    """Sum over the first two axes of (N, R, F) times (N, R, F): (F, F)."""
+    return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
+
+
+def _by_pose(A: Floats, r: Floats, groups: Ints, bread: Floats) -> tuple[Floats, Floats]:
+    """Scores (G, F) of the poses, corrected for what the fit took from them; and of what it took wholly, (F, F)."""
+    scores, unseen = [], np.zeros_like(bread)
+    for J, e in _batches(A, r, groups):
+        shown, V = np.linalg.eigh(np.eye(J.shape[1]) - J @ bread @ J.transpose(0, 2, 1))
+        seen = shown > FOLLOWED
+        root = np.where(seen, 1.0 / np.sqrt(np.where(seen, shown, 1.0)), 0.0)
+        turned = V.transpose(0, 2, 1) @ J
+        scores.append(np.einsum("gn,gnp->gp", root * np.einsum("gmn,gm->gn", V, e), turned))
+        hidden = (turned * ~seen[:, :, None]).reshape(-1, J.shape[2])
+        unseen += hidden.T @ hidden
+    return np.concatenate(scores), unseen
+
+
+def _mixed(shared: Floats, scores: Floats, unseen: Floats) -> Floats:
+    """The middle of the sandwich (F, F).
+
+    What the poses say by themselves counts as far as it differs from what they share by more than chance makes it.
+    """
+    w, V = np.linalg.eigh(shared)
+    kept = w > SMALL * w[-1]
+    root, back = V[:, kept] / np.sqrt(w[kept]), V[:, kept] * np.sqrt(w[kept])
+    own = scores @ root
+    seen = own.T @ own + root.T @ unseen @ root
+    size = np.einsum("gp,gp->g", own, own)
+    chance = float(np.sum(size**2) - np.sum((own.T @ own) ** 2) / len(own))
+    differs = float(np.sum((seen - np.eye(len(seen))) ** 2))
+    share = min(1.0, chance / differs) if differs > 0.0 else 1.0
+    return np.asarray(back @ (share * np.eye(len(seen)) + (1.0 - share) * seen) @ back.T)
+
+
+def _bounded(common: Floats, own: Floats, most: int) -> Floats:
+    """What rows share, as estimated; where chance makes it negative, no further than the mean of ``most`` rows allows.
+
+    Cut off at zero it would be too large on average.
+    """
+    w, V = np.linalg.eigh(own)
+    root = V * np.sqrt(np.maximum(w, SMALL * max(float(w[-1]), SMALL)))
+    relative = np.linalg.solve(root, np.linalg.solve(root, common).T)
+    size, turn = np.linalg.eigh(0.5 * (relative + relative.T))
+    sides = root @ turn
+    return np.asarray((sides * np.maximum(size, -0.9 / most)) @ sides.T)
+
+
+def _batches(A: Floats, r: Floats, groups: Ints) -> Iterator[tuple[Floats, Floats]]:
+    """Jacobians (K, n, F) and residuals (K, n) of the poses, those of as many rows together.
+
+    A pose of more numbers than parameters is turned into as many numbers as parameters, which say the same of them.
+    """
+    order = np.argsort(groups, kind="stable")
+    count = np.bincount(groups)
+    start = np.concatenate([[0], np.cumsum(count)])
+    each, size = A.shape[1:]
+    for rows in np.unique(count):
+        place = order[start[:-1][count == rows][:, None] + np.arange(rows)]
+        J, e = A[place].reshape(len(place), rows * each, size), r[place].reshape(len(place), rows * each)
+        if rows * each > size:
+            Q, J = np.linalg.qr(J)
+            e = np.einsum("gnm,gn->gm", Q, e)
+        yield J, e

@@ -1,0 +1,126 @@
+"""Intervals that do not trust the covariance: bootstrap over poses, and profiles of the likelihood."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import NotConvergedError
+from kilter_core.identify.least_squares import Fit, solve
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+CONFIDENCE = 0.95
+QUANTILE = 1.959963984540054  # of the standard normal at 97.5 %
+RESAMPLES = 1000
+TRIALS = 4  # fits per end of a profile
+PIN = 0.01  # of HOLD's root: the pin is ten thousand times stiffer than the data
+CLOSE = 0.01  # of the quantile, at which an end counts as found
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Moves ``lower`` and ``upper (F,)`` SI from the fitted values that bound 95 % of what each parameter may be.
+
+    ``stands_in (F,)`` marks parameters whose profile has no minimum to follow: 1.96 sigma stand in.
+    """
+
+    kind: str
+    lower: Floats
+    upper: Floats
+    stands_in: NDArray[np.bool_]
+
+    def widened(self, factor: Floats) -> Intervals:
+        """The intervals of each parameter times a factor (F,)."""
+        return replace(self, lower=self.lower * factor, upper=self.upper * factor)
+
+
+def bootstrap(fit: Fit, seed: int, progress: Progress, resamples: int = RESAMPLES) -> Intervals:
+    """Resample whole poses and refit from the fitted values, each refit one Gauss-Newton step.
+
+    The step is exact where the model is linear over a few sigmas, as calibrated arms are; weights of a robust loss stay
+    those of the fit.
+    """
+    problem = fit.problem
+    o = problem.measurement.observations
+    H, g = _by_pose(fit, o.pose_groups())
+    rng, scale = np.random.default_rng(seed), problem.prior_sigma
+    prior = -(fit.values[problem.free] - problem.prior_mean) / scale
+    rest = np.eye(len(scale)) * (1.0 + 1e-12)
+    moves = np.empty((resamples, len(scale)))
+    for b in range(resamples):
+        count = rng.multinomial(len(H), np.full(len(H), 1.0 / len(H))).astype(np.float64)
+        moves[b] = np.linalg.solve(np.tensordot(count, H, 1) + rest, count @ g + prior) * scale
+        if b % 50 == 0:
+            progress(b / resamples, f"resample {b} of {resamples}")
+    low, high = np.percentile(moves, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)], axis=0)
+    return Intervals("bootstrap", low, high, np.zeros(len(low), dtype=bool))
+
+
+def profile(fit: Fit, progress: Progress) -> Intervals:
+    """Where the loss, minimised over all other parameters, has risen by what 95 % allow (1.92), on either side."""
+    ends = np.zeros((2, len(fit.names)))
+    sigma, stands_in = fit.sigma, np.zeros(len(fit.names), dtype=bool)
+    for c in range(len(fit.names)):
+        progress(c / len(fit.names), f"profile of {fit.names[c]}")
+        for side, sign in enumerate((-1.0, 1.0)):
+            end = _end(fit, c, sign * float(sigma[c]))
+            stands_in[c] |= end is None
+            ends[side, c] = sign * QUANTILE * float(sigma[c]) if end is None else end
+    return Intervals("profile", ends[0], ends[1], stands_in)
+
+
+def _by_pose(fit: Fit, groups: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Normal matrices (G, F, F) and slopes (G, F) of each pose, in prior sigmas."""
+    here = fit.problem.linearised(fit.values)
+    scaled = here.J * fit.problem.prior_sigma
+    points = here.residual.points.size
+    rows = len(groups)
+    owner = np.repeat(groups, points // rows)
+    if here.residual.turns is not None:
+        owner = np.concatenate([owner, np.repeat(groups, 3)])
+    count = int(groups.max()) + 1
+    H, g = np.zeros((count, scaled.shape[1], scaled.shape[1])), np.zeros((count, scaled.shape[1]))
+    for pose in range(count):
+        mine = scaled[owner == pose]
+        H[pose], g[pose] = mine.T @ mine, mine.T @ here.r[owner == pose]
+    return H, g
+
+
+def _end(fit: Fit, c: int, sigma: float) -> float | None:
+    """Move of parameter ``c`` at which the root of twice the loss reaches the quantile, by secants; None if it never does."""
+    move = QUANTILE * sigma
+    for _ in range(TRIALS):
+        try:
+            root = _root(fit, c, move)
+        except NotConvergedError:
+            return None
+        if not root > 0.0:
+            return None
+        if abs(root / QUANTILE - 1.0) < CLOSE:
+            break
+        move *= min(max(QUANTILE / root, 0.5), 2.0)
+    return move
+
+
+def _root(fit: Fit, c: int, move: float) -> float:
+    """Root of twice the rise of the loss when parameter ``c`` is moved by ``move`` (SI) and the others follow."""
+    problem = fit.problem
+    scale = problem.prior_sigma
+    held = np.zeros((0, len(scale))) if problem.held is None else problem.held
+    own = np.zeros(len(scale))
+    own[c] = 1.0
+    free = own - held.T @ (held @ own)  # what is blind stays; a parameter that is nothing else has no profile
+    if free[c] < 1e-6:
+        return 0.0
+    anchor = fit.values[problem.free] + move / scale[c] / free[c] * free * scale
+    start = fit.values.copy()
+    start[problem.free] += fit.covariance[:, c] / fit.covariance[c, c] * move
+    # The pin must be stiff against what the data say of this parameter, or it gives way by several per cent.
+    pin = own * (PIN * scale[c] / float(fit.sigma[c]))
+    pinned = replace(problem, held=np.vstack([held, pin]), anchor=anchor)
+    return float(np.sqrt(max(2.0 * (solve(pinned, start).cost - fit.cost), 0.0)))

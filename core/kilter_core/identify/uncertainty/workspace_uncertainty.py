@@ -1,0 +1,68 @@
+"""Whether poses that know the tool well among themselves know it elsewhere: the uncertainty over the joint limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.robot import Robot
+from kilter_core.identify.least_squares import Fit
+from kilter_core.observations import Observations
+
+Floats = NDArray[np.float64]
+
+SAMPLES = 200
+TOO_ALIKE = 10.0  # uncertainty over the limits, as a multiple of that in the poses, from which it is said
+
+
+@dataclass(frozen=True)
+class WorkspaceUncertainty:
+    """Standard deviation m of a coordinate of the tool point, by the identified geometry: ``here`` in the poses,
+    ``elsewhere`` over the joint limits; ``narrow`` is the joint that used least of its range, ``used`` that share.
+    """
+
+    here: float
+    elsewhere: float
+    narrow: str
+    used: float
+
+    @property
+    def too_alike(self) -> bool:
+        """Whether the poses tell too little about others."""
+        return self.elsewhere > TOO_ALIKE * self.here
+
+
+def workspace_uncertainty(fit: Fit) -> WorkspaceUncertainty | None:
+    """Spread of a fit's poses; None where no instrument saw the tool in a frame of its own, or the chain was held."""
+    problem = fit.problem
+    model, n = problem.model, problem.model.n_geometric
+    geometric = np.flatnonzero(problem.free < n)
+    if not problem.measurement.sees_base or not np.any((problem.free >= 6) & (problem.free < n - 6)):
+        return None
+    q = problem.measurement.observations.q
+    lower, upper = within_a_turn(model.robot, q)
+    bare = replace(model, effects=())
+    covariance = fit.covariance[np.ix_(geometric, geometric)]
+
+    def sigma(rows: Floats) -> float:
+        _, J = bare.jacobian(Observations(rows), fit.values[:n], problem.free[geometric])
+        return float(np.sqrt(max(np.sum((J[:, :3] @ covariance) * J[:, :3]), 0.0) / (3 * len(rows))))  # rounding
+
+    some = q[np.linspace(0, len(q) - 1, min(len(q), SAMPLES)).astype(np.int64)]
+    elsewhere = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))
+    used = np.ptp(q, axis=0) / np.maximum(upper - lower, 1e-12)
+    k = int(np.argmin(used))
+    return WorkspaceUncertainty(sigma(some), sigma(elsewhere), model.robot.joints[k].name, float(used[k]))
+
+
+def within_a_turn(robot: Robot, q: Floats) -> tuple[Floats, Floats]:
+    """Limits within one turn; a slide without limits keeps the range it was measured over."""
+    turns = np.array([joint.kind == "revolute" for joint in robot.joints])
+    lower, upper = robot.limits.T
+    lower = np.where(turns, np.maximum(lower, -np.pi), np.where(np.isfinite(lower), lower, q.min(axis=0)))
+    upper = np.where(turns, np.minimum(upper, np.pi), np.where(np.isfinite(upper), upper, q.max(axis=0)))
+    # Limits that lie outside one turn altogether are taken as they are.
+    wrong = lower >= upper
+    return np.where(wrong, robot.limits[:, 0], lower), np.where(wrong, robot.limits[:, 1], upper)

@@ -1,0 +1,87 @@
+"""Where the robot stands in the frame of the measurements, and where the measured point sits on its tool."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.markers import fit_poses
+from kilter_core.model import RobotModel
+from kilter_core.transforms import inverse, nearest_rotation
+
+Floats = NDArray[np.float64]
+
+LINEAR_POSES = 6  # 15 unknowns at three numbers a pose need five; one more keeps the start from following noise
+
+
+def register(
+    model: RobotModel, values: Floats, measurement: Measurement, *, base: bool = True, tool: bool = True
+) -> tuple[Floats, Floats]:
+    """Starting base and tool poses (4, 4) without any guess, from the model's flange poses.
+
+    With flange frames (F, f) and measured points p = R (f + F t) + b the equation is linear in M = R', c = -R'b and the
+    tool point t: M p + c - F t = f. M is then made a rotation. Orientation, when measured, gives the tool's turn as the
+    mean of (R F)' R_measured. Frames that are not free (``base``, ``tool``) are kept as the model has them.
+    """
+    if not (base or tool):
+        return model.T_base, model.T_tool
+    position, rotation, use = _measured(measurement)
+    T_base, T_tool = model.T_base.copy(), model.T_tool.copy()
+    flange = _flange(model, values, measurement)
+    f, F, p = flange[use, :3, 3], flange[use, :3, :3], position[use]
+    if base and tool and len(p) >= LINEAR_POSES:
+        T_base, T_tool[:3, 3] = linear_frames(f, F, p, T_tool[:3, 3])
+    elif base:
+        T_base = _rigid(f + F @ T_tool[:3, 3], p)
+    if tool:
+        back = inverse(T_base)
+        local = p @ back[:3, :3].T + back[:3, 3]
+        T_tool[:3, 3] = np.einsum("nji,nj->ni", F, local - f).mean(axis=0)
+        if rotation is not None:
+            T_tool[:3, :3] = nearest_rotation(np.mean((T_base[:3, :3] @ F).transpose(0, 2, 1) @ rotation[use], axis=0))
+    return T_base, T_tool
+
+
+def _measured(measurement: Measurement) -> tuple[Floats, Floats | None, NDArray[np.bool_]]:
+    o = measurement.observations
+    if measurement.marker_points is not None and o.markers is not None:
+        return fit_poses(measurement.marker_points, o.markers)
+    assert o.position is not None
+    return o.position, o.rotation, np.ones(len(o), dtype=bool)
+
+
+def _flange(model: RobotModel, values: Floats, measurement: Measurement) -> Floats:
+    """Flange poses (N, 4, 4) in the robot's base frame."""
+    bare = model.in_frames(np.eye(4), np.eye(4))
+    prediction = bare.predict(measurement.observations, values)
+    out = np.tile(np.eye(4), (len(prediction.position), 1, 1))
+    out[:, :3, :3], out[:, :3, 3] = prediction.rotation, prediction.position
+    return out
+
+
+def _rigid(body: Floats, world: Floats) -> Floats:
+    b, w = body.mean(axis=0), world.mean(axis=0)
+    T = np.eye(4)
+    T[:3, :3] = nearest_rotation((world - w).T @ (body - b))
+    T[:3, 3] = w - T[:3, :3] @ b
+    return T
+
+
+def linear_frames(f: Floats, F: Floats, p: Floats, guess: Floats) -> tuple[Floats, Floats]:
+    """Base pose (4, 4) and tool point (3,) from flange positions f (N, 3) and turns F (N, 3, 3) to points p (N, 3)."""
+    rows = len(f)
+    A = np.zeros((rows, 3, 15))
+    centre = p.mean(axis=0)
+    for i in range(3):
+        A[:, i, 3 * i : 3 * i + 3] = p - centre
+        A[:, i, 9 + i] = 1.0
+    A[:, :, 12:] = -F
+    # A ridge towards the nominal tool point: poses that share an orientation cannot tell the tool from the base.
+    ridge = 1e-4 * np.sqrt(rows) * np.hstack([np.zeros((3, 12)), np.eye(3)])
+    solution = np.linalg.lstsq(
+        np.vstack([A.reshape(-1, 15), ridge]),
+        np.concatenate([f.reshape(-1), -0.0 + 1e-4 * np.sqrt(rows) * guess]),
+        rcond=None,
+    )[0]
+    return _rigid(f + F @ solution[12:], p), solution[12:]

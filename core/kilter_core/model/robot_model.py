@@ -1,0 +1,387 @@
+"""The robot model: a chain plus an ordered list of effects; poses, exact Jacobian, and what each effect contributes."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.frames import frame_parameters, increment
+from kilter_core.arm.kernels import kinematics
+from kilter_core.arm.loads.chain import LoadChain
+from kilter_core.arm.loads.slopes import LoadSlopes, payload_sensitivity
+from kilter_core.arm.loads.wrenches import Loads, axial_loads, loads_of
+from kilter_core.arm.robot import Robot
+from kilter_core.effects import Batch, Effect, effect_from_document
+from kilter_core.errors import ObservationError
+from kilter_core.model.chain_rule import ToolColumns, Total
+from kilter_core.model.elements import Program, model_program
+from kilter_core.model.load_errors import Reader
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter, indices, refuse_collisions
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+THE_ROBOTS_OWN = np.empty((0, 0))
+NOTHING = np.zeros(0, dtype=np.int64)  # no parameter
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Tool ``position (N, 3)`` m and ``rotation (N, 3, 3)`` in the frame of the measurements."""
+
+    position: Floats
+    rotation: Floats
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """Chain and effects. Parameters in order: base increments, chain constants, tool increments, effects.
+
+    ``T_base`` and ``T_tool`` (4, 4) are the frames about which the six increments of each are taken, in their own axes;
+    an identification folds the increments back into them, so there is no gimbal lock. Loads are taken on ``load_chain``,
+    the chain as drawn when None.
+    """
+
+    robot: Robot
+    effects: tuple[Effect, ...] = ()
+    T_base: Floats = field(default_factory=lambda: THE_ROBOTS_OWN)
+    T_tool: Floats = field(default_factory=lambda: THE_ROBOTS_OWN)
+    load_chain: LoadChain | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("T_base", "T_tool"):
+            if getattr(self, name) is THE_ROBOTS_OWN:
+                object.__setattr__(self, name, getattr(self.robot, name))
+        object.__setattr__(self, "effects", tuple(effect.on(self.robot) for effect in self.effects))
+        refuse_collisions([p.name for p in self.parameters])
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters, in order."""
+        chain = self.robot.chain
+        made = frame_parameters("base") + [chain.elements[k].parameter() for k in chain.named]
+        made += frame_parameters("tool")
+        for effect in self.effects:
+            made += effect.parameters(self.robot)
+        return tuple(made)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return tuple(p.name for p in self.parameters)
+
+    def parameter(self, name: str) -> Parameter:
+        """Look a parameter up by name; unknown names raise :class:`~kilter_core.errors.OptionError`."""
+        return self.parameters[int(indices(self.names, [name])[0])]
+
+    @cached_property
+    def n_geometric(self) -> int:
+        """Number of geometric parameters: base, chain and tool."""
+        return len(self.robot.chain.named) + 12
+
+    def values0(self) -> Floats:
+        """Nominal values (P,): the robot as drawn, without any effect."""
+        return np.array([p.value for p in self.parameters], dtype=np.float64)
+
+    def effect_slices(self) -> dict[str, slice]:
+        """Where the parameters of each effect stand, keyed by ``id`` or ``id#k`` for the k-th of a kind."""
+        return dict(self._slices)
+
+    @property
+    def placed(self) -> tuple[tuple[Effect, slice], ...]:
+        """Each effect and where its parameters stand."""
+        return tuple(zip(self.effects, self._slices.values(), strict=True))
+
+    @cached_property
+    def _slices(self) -> dict[str, slice]:
+        out: dict[str, slice] = {}
+        start = self.n_geometric
+        for effect in self.effects:
+            count = len(effect.parameters(self.robot))
+            out[effect.id if effect.id not in out else f"{effect.id}#{len(out)}"] = slice(start, start + count)
+            start += count
+        return out
+
+    @cached_property
+    def program(self) -> Program:
+        """Kernel arrays of base increments, chain and tool increments."""
+        return model_program(self.robot.chain)
+
+    def batch(self, observations: Observations) -> Batch:
+        """Conditions of the rows with the load on each joint, from the load chain and the joint readings.
+
+        Raises:
+            ObservationError: the rows do not have the robot's number of joints.
+
+        """
+        if observations.q.shape[1] != self.robot.n_joints:
+            raise ObservationError(
+                f"The rows have {observations.q.shape[1]} joints, the robot {self.robot.name!r} has {self.robot.n_joints}."
+            )
+        o, robot = observations, self.load_robot
+        loads = self._loads(o)
+        return Batch(
+            q=o.q, wrench=loads.joints, axial=axial_loads(robot, loads),
+            end_wrench=loads.ends, base_wrench=loads.base, tool_point=loads.tool_point,
+            link_vectors=robot.chain.link_vectors, direction=o.direction, qd=o.qd, qdd=o.qdd, t=o.t,
+            temperature_c=o.temperature_c, payload_kg=o.payload_kg, session=o.session,
+            payload_axial=payload_sensitivity(robot, o) if "payload_kg" in self._needs else None, setup=o.setup,
+            slopes=LoadSlopes(robot, o) if any(e.changes_loads for e in self.effects) else None,
+        )  # fmt: skip
+
+    @cached_property
+    def load_robot(self) -> Robot:
+        """The robot that loads are computed from: the nominal one on the load chain."""
+        return self.robot if self.load_chain is None else self.load_chain.of(self.robot)
+
+    @cached_property
+    def _reader(self) -> Reader:
+        return Reader(self.effects, self._slices)
+
+    @cached_property
+    def _needs(self) -> frozenset[str]:
+        return frozenset[str]().union(*(effect.needs for effect in self.effects))
+
+    def _loads(self, o: Observations) -> Loads:
+        if self.effects:
+            return loads_of(self.load_robot, o)
+        none = np.zeros((*o.q.shape, 6))
+        return Loads(none, none, np.zeros((len(o), 6)), np.zeros((len(o), 3)))
+
+    def predict(self, observations: Observations | Batch, values: Floats) -> Prediction:
+        """Tool poses at ``values (P,)``.
+
+        Of observations every effect is asked, and may refuse what they lack; of a batch, as fits have it, those with values.
+        """
+        batch = self._as_batch(observations)
+        total, _ = self._local(batch, values, NOTHING if batch is observations else np.arange(len(values)))
+        position, rotation = np.empty((len(batch), 3)), np.empty((len(batch), 3, 3))
+        p = self.program
+        kinematics.poses(
+            p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
+            batch.q, total.dq, total.xi, position, rotation,
+        )  # fmt: skip
+        return Prediction(position if total.stretch is None else position * total.stretch, rotation)
+
+    def jacobian(
+        self, observations: Observations | Batch, values: Floats, free: Ints | None = None, turns: bool = True
+    ) -> tuple[Prediction, Floats]:
+        """Poses and their exact derivative (N, 6, F) by the parameters ``free`` (ascending indices; all when None).
+
+        Rows 0-2 are the position (m per unit), 3-5, with ``turns``, the rotation vector in the measurements' frame (rad).
+        """
+        batch = self._as_batch(observations)
+        free = np.arange(len(self.names)) if free is None else free
+        total, here = self._local(batch, values, free)
+        prediction, J, columns = self._screws(batch, values, total, free, 6 if turns else 3)
+        self._put_effects(J, total, free, columns, prediction.position)
+        self._put_loads(J, here, values, free, columns)
+        if total.stretch is None:
+            return prediction, J
+        J[:, :3] *= total.stretch[:, :, None]
+        return Prediction(prediction.position * total.stretch, prediction.rotation), J
+
+    def loaded(self, batch: Batch, values: Floats) -> Batch:
+        """The rows with the loads that load errors among the effects leave."""
+        return self._reader.loaded(batch, values)
+
+    def doubts(self, observations: Observations | Batch, values: Floats) -> tuple[Prediction, Floats]:
+        """Poses and (N, 6, S) the independent displacements of one standard deviation that blurred loads leave open."""
+        batch = self._as_batch(observations)
+        total, here = self._local(batch, values)
+        prediction, _, columns = self._screws(batch, values, total, NOTHING)
+        live = ((effect, values[at]) for effect, at in self._reader if np.any(values[at]))
+        found = [d for effect, own in live for d in effect.doubt(here, own)]
+        out = np.zeros((*columns.JQ.shape[:2], len(found)))
+        for k, d in enumerate(found):
+            columns.put(out, k, d)
+        return prediction, out
+
+    def joint_jacobian(self, observations: Observations | Batch, values: Floats) -> tuple[Prediction, Floats]:
+        """Poses and their derivative (N, 6, n) by the joint readings, the effects held still."""
+        batch = self._as_batch(observations)
+        prediction, _, columns = self._screws(batch, values, self._local(batch, values)[0], NOTHING)
+        return prediction, columns.JQ
+
+    def contribution(self, observations: Observations, values: Floats) -> dict[str, Floats]:
+        """Displacement of the tool point (N, 3) m by each effect: the model with all effects minus that without it."""
+        batch = self._as_batch(observations)
+        whole = self.predict(batch, values).position
+        out = {}
+        for key, where in self.effect_slices().items():
+            without = values.copy()
+            without[where] = 0.0
+            out[key] = whole - self.predict(batch, without).position
+        return out
+
+    def link_angles(self, observations: Observations | Batch, values: Floats) -> Floats:
+        """Joint angles (N, n) behind gear and play: reading plus zero offset error plus the effects' corrections."""
+        batch = self._as_batch(observations)
+        return batch.q + self._local(batch, values)[0].dq
+
+    def absorb_frame_increments(self, values: Floats) -> tuple[RobotModel, Floats]:
+        """Move the base and tool increments of ``values`` into the frames: an equal model with increments zero."""
+        n = self.n_geometric
+        T_base = self.T_base @ increment(values[:6])
+        T_tool = self.T_tool @ increment(values[n - 6 : n])
+        flat = values.copy()
+        flat[:6] = 0.0
+        flat[n - 6 : n] = 0.0
+        return self.in_frames(T_base, T_tool), flat
+
+    def loads_at(self, values: Floats) -> RobotModel:
+        """Return the same model with its loads on the chain, and under the tool, that ``values (P,)`` describe."""
+        n = self.n_geometric
+        T_tool = self.T_tool @ increment(values[n - 6 : n])
+        return replace(self, load_chain=LoadChain.fitted(self.robot, values[6 : n - 6], T_tool))
+
+    def in_frames(self, T_base: Floats, T_tool: Floats) -> RobotModel:
+        """Return the same model about other base and tool frames (4, 4)."""
+        other = copy.copy(self)  # with the cached parameters and kernel arrays, which know nothing of the frames
+        object.__setattr__(other, "T_base", T_base)
+        object.__setattr__(other, "T_tool", T_tool)
+        return other
+
+    def _as_batch(self, observations: Observations | Batch) -> Batch:
+        return observations if isinstance(observations, Batch) else self.batch(observations)
+
+    def _element_values(self, values: Floats) -> Floats:
+        out = self.program.value.copy()
+        out[self.program.element_of] = values[: self.n_geometric]
+        return out
+
+    def _local(self, batch: Batch, values: Floats, free: Ints = NOTHING) -> tuple[Total, Batch]:
+        """Sum of the local corrections of effects with values or ``free`` parameters, and the loads that these read."""
+        live = [
+            (e, at) for e, at in self._reader if np.any(values[at]) or np.any((free >= at.start) & (free < at.stop))
+        ]
+        batch = self._reader.read(batch, values, [e for e, _ in live])
+        parts = tuple((at.start, effect.local(batch, values[at])) for effect, at in live)
+        moves = [bool(np.any(values[at])) for _, at in live]
+        return Total.of(parts, moves, len(batch), self.robot.chain.program.joint_frame), batch
+
+    def _screws(
+        self, batch: Batch, values: Floats, total: Total, free: Ints, each: int = 6
+    ) -> tuple[Prediction, Floats, ToolColumns]:
+        """Poses, their derivatives (N, each, F) with the columns of geometry filled in, and those of local corrections."""
+        rows, n = batch.q.shape
+        p = self.program
+        geometric = free[free < self.n_geometric]
+        column = np.full(len(p.axis), -1, dtype=np.int64)
+        column[p.element_of[geometric]] = np.arange(len(geometric))
+        position, rotation = np.empty((rows, 3)), np.empty((rows, 3, 3))
+        J, JQ = np.zeros((rows, each, len(free))), np.empty((rows, each, n))
+        JX = np.empty((rows if len(total.xi) else 0, each, 6 * n + 12))
+        kinematics.screws(
+            p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
+            batch.q, total.dq, total.xi, column, position, rotation, J, JQ, JX,
+        )  # fmt: skip
+        return Prediction(position, rotation), J, ToolColumns(self.robot.chain.program.joint_frame, JQ, JX)
+
+    def _put_effects(self, J: Floats, total: Total, free: Ints, columns: ToolColumns, position: Floats) -> None:
+        """Chain rule: tool columns of the free effect parameters from the local derivatives."""
+        place = {int(k): c for c, k in enumerate(free) if k >= self.n_geometric}
+        for start, local in total.parts:
+            for d in local.derivatives:
+                c = place.get(start + d.parameter)
+                if c is None:
+                    continue
+                columns.put(J, c, d)
+                if d.scale is not None:
+                    assert total.stretch is not None
+                    # The stretch that multiplies all columns afterwards must not multiply its own derivative.
+                    J[:, :3, c] += position / total.stretch * d.scale[:, None]
+
+    def _put_loads(self, J: Floats, batch: Batch, values: Floats, free: Ints, columns: ToolColumns) -> None:
+        """Chain rule for the load errors: they change the loads that the other effects read."""
+        place = {int(k): c for c, k in enumerate(free) if k >= self.n_geometric}
+        errors = [(place[k], error) for k, error in self._reader.load_errors(batch, place)]
+        if errors and batch.slopes is not None:
+            columns.put_loads(J, self._reader.slopes(batch, values), batch.slopes, errors)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A model with values: what a parameter version holds. ``marker_points (m, 3)`` m are in the tool frame.
+
+    ``wanted_base`` and ``wanted_tool`` (4, 4) are the frames in which the nominal chain says where the tool should be:
+    the robot's own where the measurements were taken in them, else those of the registration. The difference to the
+    identified frames is part of the arm's error, for base and first joint, tool and last joint share what they share.
+    """
+
+    model: RobotModel
+    values: Floats
+    marker_points: Floats | None = None
+    wanted_base: Floats | None = None
+    wanted_tool: Floats | None = None
+
+    @staticmethod
+    def nominal(robot: Robot, effects: tuple[Effect, ...] = ()) -> Calibration:
+        """The robot as drawn."""
+        model = RobotModel(robot, effects)
+        return Calibration(model, model.values0())
+
+    @property
+    def robot(self) -> Robot:
+        """The nominal robot."""
+        return self.model.robot
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.model.names
+
+    def predict(self, observations: Observations) -> Prediction:
+        """Tool poses of the rows."""
+        return self.model.predict(observations, self.values)
+
+    def with_effects(self, effects: Sequence[Effect]) -> Calibration:
+        """The same values with another list of effects; parameters of new effects start at their prior mean."""
+        model = replace(self.model, effects=tuple(effects))
+        known = dict(zip(self.names, self.values, strict=True))
+        values = np.array([known.get(p.name, p.value) for p in model.parameters])
+        return replace(self, model=model, values=values)
+
+    def wanted(self) -> Calibration:
+        """The nominal chain in the wanted frames: where the tool should be."""
+        base = self.robot.T_base if self.wanted_base is None else self.wanted_base
+        tool = self.robot.T_tool if self.wanted_tool is None else self.wanted_tool
+        model = RobotModel(self.robot, (), base, tool)
+        return Calibration(model, model.values0())
+
+    def to_document(self) -> dict[str, Any]:
+        """JSON-able state, SI: frames, effects, and every parameter's value by name."""
+        model, values = self.model.absorb_frame_increments(self.values)
+        return {
+            "T_base": model.T_base.tolist(),
+            "T_tool": model.T_tool.tolist(),
+            "effects": [effect.to_document() for effect in model.effects],
+            "values": dict(zip(model.names, values.tolist(), strict=True)),
+            "marker_points": _listed(self.marker_points),
+            "wanted_base": _listed(self.wanted_base),
+            "wanted_tool": _listed(self.wanted_tool),
+            "load_chain": None if model.load_chain is None else model.load_chain.to_document(model.robot),
+        }
+
+    @staticmethod
+    def from_document(robot: Robot, document: Mapping[str, Any]) -> Calibration:
+        """Rebuild from :meth:`to_document` for the same robot; names the robot does not have raise ``OptionError``."""
+        effects = tuple(effect_from_document(e) for e in document["effects"])
+        frames = np.array(document["T_base"]), np.array(document["T_tool"])
+        model = RobotModel(robot, effects, *frames, LoadChain.from_document(robot, document.get("load_chain")))
+        values = model.values0()
+        stored = document["values"]
+        values[indices(model.names, stored)] = list(stored.values())
+        others = (document.get(name) for name in ("marker_points", "wanted_base", "wanted_tool"))
+        return Calibration(model, values, *(None if other is None else np.array(other) for other in others))
+
+
+def _listed(array: Floats | None) -> Any:
+    return None if array is None else array.tolist()

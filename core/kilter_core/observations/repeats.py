@@ -1,0 +1,94 @@
+"""Which joint vectors are repeats of one pose: told by their distance, never by rounding.
+
+Rounded readings fall apart where a pose lies near the edge between two steps: 20 poses measured three times with noise of
+a ten-thousandth of a degree became 47, and repeats of a pose sat on both sides of a split.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+NEAR = 1e-4  # rad or m (6 thousandths of a degree): readings of a pose come back nearer than that in every joint
+WIDE = 3.0  # times that: rows that hang together over a wider span are a motion, whose rows are no repeats
+STEP = 1e-5  # of the readings of a motion: rows within one are the same place
+
+
+def readings(q: Floats) -> Ints:
+    """Joint vectors (N, n) in whole steps."""
+    return np.asarray(np.round(q / STEP).astype(np.int64))
+
+
+def numbered_rows(keys: Ints) -> Ints:
+    """Number the rows (N, n) in ascending order, equal ones alike.
+
+    As ``np.unique`` along axis 0, which sorts whole rows without letting any other thread run: a second for 200 000 rows.
+    """
+    if not len(keys):
+        return np.zeros(0, dtype=np.int64)
+    order = np.lexsort(keys.T[::-1])
+    new = np.ones(len(keys), dtype=bool)
+    new[1:] = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)
+    out = np.empty(len(keys), dtype=np.int64)
+    out[order] = np.cumsum(new) - 1
+    return out
+
+
+def rounded_poses(q: Floats) -> Ints:
+    """Number joint vectors (N, n) by their rounded readings, as versions were split by before poses had a distance."""
+    return numbered_rows(readings(q))
+
+
+def numbered_poses(q: Floats) -> Ints:
+    """Number the poses of joint vectors (N, n): rows that lie within ``NEAR`` of each other share a number.
+
+    Neighbours are linked, so no edge parts them. Links over more than ``WIDE`` times that are a fine trajectory: there
+    only rows of the same step share a number. The numbers ascend with the smallest reading of each pose, whatever the
+    order of the rows.
+    """
+    if not len(q):
+        return np.zeros(0, dtype=np.int64)
+    steps = rounded_poses(q)
+    group = _linked(q)
+    count = int(group.max()) + 1
+    order = np.argsort(group, kind="stable")
+    start = np.searchsorted(group[order], np.arange(count))
+    ordered = q[order]
+    span = (np.maximum.reduceat(ordered, start) - np.minimum.reduceat(ordered, start)).max(axis=1)
+    first = np.minimum.reduceat(steps[order], start)
+    key = np.where(span[group] > WIDE * NEAR, steps, first[group])
+    return np.unique(key, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def last_motion(q: Floats) -> Floats:
+    """Direction {-1, 0, 1} in which each joint moved last, (N, n), for rows that follow one another; 0 before it moves."""
+    step = np.diff(q, axis=0, prepend=q[:1])
+    sign = np.where(np.abs(step) > NEAR, np.sign(step), 0.0)
+    since = np.maximum.accumulate(np.where(sign != 0, np.arange(len(q))[:, None], 0), axis=0)
+    return np.take_along_axis(sign, since, axis=0)
+
+
+def _linked(q: Floats) -> Ints:
+    """Components (N,) of the rows linked to their neighbours; rows of one cell of a grid are linked without a search."""
+    from kilter_core.observations import neighbours  # compiled: not at the start of the API process
+
+    cell = _hashed(np.floor(q / NEAR).astype(np.int64))
+    count = np.bincount(cell)
+    middle = np.stack([np.bincount(cell, weights=column) for column in q.T], axis=1) / count[:, None]
+    # Rows that lie near each other lie near each other along any direction; a random one has no ties.
+    along = np.random.default_rng(0).normal(size=q.shape[1])
+    order = np.argsort(middle @ along, kind="stable")
+    ordered = np.ascontiguousarray(middle[order])
+    group = np.empty(len(count), dtype=np.int64)
+    group[order] = neighbours.linked(ordered, ordered @ along, NEAR, NEAR * float(np.abs(along).sum()))
+    return np.asarray(group[cell])
+
+
+def _hashed(keys: Ints) -> Ints:
+    """Number the rows (N, n), equal ones alike, in no order: one sort of a hash instead of a sort of rows."""
+    odd = np.random.default_rng(1).integers(0, 2**62, keys.shape[1]) * 2 + 1
+    with np.errstate(over="ignore"):
+        return np.asarray(np.unique((keys * odd).sum(axis=1), return_inverse=True)[1].reshape(-1).astype(np.int64))

@@ -1,0 +1,148 @@
+"""What was measured, as arrays: joint readings, tool positions or poses, and the conditions of each row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import ObservationError
+from kilter_core.observations.repeats import numbered_poses, numbered_rows
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Rows of one or more campaigns, SI and radians, batch axis first.
+
+    Shapes: ``q (N, n)``; ``position (N, 3)`` m; ``rotation (N, 3, 3)``; ``markers (N, m, 3)`` m with NaN where a marker
+    was not seen; ``tip (N, 3)`` m a point of the tool digitised while the markers were seen, NaN elsewhere; ``link_q
+    (N, n)`` the joint angle behind gear and play; ``direction (N, n)`` in {-1, 0, +1}, the last
+    motion of each joint; ``sigma (N, 3)`` m, the standard deviation of each position coordinate; ``wrench (N, 6)`` force N
+    and moment N·m on the tool point in the tool frame; ``payload_com (N, 3)`` m, where the payload has its centre in the
+    tool frame, the tool point when None. Without an instrument: ``socket``, ``plane`` and ``bar (N,)`` the
+    number of the ball socket, plane or ball bar that the tool's ball is held by in a row, 0 for none; ``bar_length (N,)``
+    m that the bar reads. ``setup (N,)`` numbers the set-ups of the instrument where each has a frame of its own.
+    ``tilt (N, n, 3)`` what each joint turned about x, y and z of its frame beyond its command, up to a constant, as
+    inclinometers read it, NaN where none did.
+    """
+
+    q: Floats
+    position: Floats | None = None
+    rotation: Floats | None = None
+    markers: Floats | None = None
+    link_q: Floats | None = None
+    direction: Floats | None = None
+    qd: Floats | None = None
+    qdd: Floats | None = None
+    tau: Floats | None = None
+    t: Floats | None = None
+    payload_kg: Floats | None = None
+    payload_com: Floats | None = None
+    temperature_c: Floats | None = None
+    session: Ints | None = None
+    pose_id: Ints | None = None
+    sigma: Floats | None = None
+    tip: Floats | None = None
+    wrench: Floats | None = None
+    socket: Ints | None = None
+    plane: Ints | None = None
+    bar: Ints | None = None
+    bar_length: Floats | None = None
+    setup: Ints | None = None
+    tilt: Floats | None = None
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is not None and len(value) != len(self.q):
+                raise ObservationError(
+                    f"{field.name} has {len(value)} rows where q has {len(self.q)}: give every row its own value.",
+                    field=field.name,
+                )
+
+    def __len__(self) -> int:
+        return int(self.q.shape[0])
+
+    def select(self, index: NDArray[Any] | slice) -> Observations:
+        """Return the rows of ``index`` (integers, a mask or a slice)."""
+        return replace(self, **{name: value[index] for name, value in self._present().items()})
+
+    @staticmethod
+    def concatenate(parts: Sequence[Observations]) -> Observations:
+        """Stack campaigns. A column that only some of them have is an error, for a guess would enter the fit.
+
+        Raises:
+            ObservationError: no parts, or parts with different columns.
+
+        """
+        if not parts:
+            raise ObservationError("No observations: name at least one campaign that has some.")
+        if any(part.tip is not None for part in parts):
+            # A tip is digitised once; the other campaigns of the same markers need no columns for it.
+            parts = [
+                part if part.tip is not None else replace(part, tip=np.full((len(part), 3), np.nan)) for part in parts
+            ]
+        if any(part.payload_com is not None for part in parts):
+            # A payload whose place is not stated hangs at the tool point.
+            parts = [
+                part if part.payload_com is not None else replace(part, payload_com=np.zeros((len(part), 3)))
+                for part in parts
+            ]
+        names = set(parts[0]._present())
+        for part in parts[1:]:
+            if set(part._present()) != names:
+                odd = sorted(set(part._present()) ^ names)
+                raise ObservationError(
+                    f"The campaigns differ in their columns ({', '.join(odd)}): identify them apart, "
+                    "or upload the missing columns.",
+                    columns=odd,
+                )
+        return Observations(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+    def carrying(self, payload_kg: float, payload_com: Sequence[float]) -> Observations:
+        """Return the rows with this payload (kg, and m in the tool frame) where they state none."""
+        if self.payload_kg is not None:
+            return self
+        com = np.tile(np.asarray(payload_com, dtype=np.float64), (len(self), 1))
+        return replace(
+            self,
+            payload_kg=np.full(len(self), payload_kg),
+            payload_com=com if self.payload_com is None else self.payload_com,
+        )
+
+    def pose_groups(self) -> Ints:
+        """Number the poses, shape (N,): rows of one ``pose_id``, else rows with nearly the same joint readings, share one."""
+        return self._groups
+
+    @cached_property
+    def _groups(self) -> Ints:
+        if self.pose_id is not None:
+            return np.unique(self.pose_id, return_inverse=True)[1].astype(np.int64)
+        return numbered_poses(self.q)
+
+    def conditions(self) -> Ints:
+        """Number what repeats must share beside the pose, shape (N,): pose, approach, payload and session together."""
+        columns = [self.pose_groups().astype(np.float64)[:, None]]
+        beside = (self.direction, self.payload_kg, self.payload_com, self.session, self.setup)
+        columns += [c.reshape(len(c), -1).astype(np.float64) for c in beside if c is not None]
+        return numbered_rows(np.unique(np.hstack(columns), return_inverse=True)[1].reshape(len(self), -1))
+
+    def visits(self) -> Ints:
+        """Number the visits, shape (N,): rows of one pose that follow each other under the same conditions are one.
+
+        No clock parts them: without motion between them shots share how the arm settled, however long they took.
+        """
+        condition = self.conditions()
+        new = np.ones(len(self), dtype=bool)
+        new[1:] = condition[1:] != condition[:-1]
+        return np.asarray(np.cumsum(new) - 1)
+
+    def _present(self) -> dict[str, NDArray[Any]]:
+        return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}

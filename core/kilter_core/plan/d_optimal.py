@@ -1,0 +1,120 @@
+"""Poses that determine a model's parameters best: greedy D-optimal choice among random poses within the limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.driving_order import joint_ranges, short_way
+from kilter_core.arm.robot import Robot
+from kilter_core.effects import Effect
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.model.region import Region
+from kilter_core.observations import Observations
+
+Floats = NDArray[np.float64]
+
+POOL = 600
+
+
+def d_optimal_poses(
+    start: Calibration,
+    count: int,
+    effects: Sequence[Effect] = (),
+    noise: float = 5e-5,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+    region: Region | None = None,
+    payloads_kg: Sequence[float] = (),
+    payload_com: Sequence[float] = (),
+) -> Observations:
+    """Rows (count) that maximise the determinant of the information, within the priors, of position measurements.
+
+    ``effects`` are looked for beside those of ``start``; ``noise`` is the standard deviation of a coordinate in m. Poses
+    are in ``region`` (within the limits when None), in the order of a short way. A row has ``direction`` where an effect
+    needs it, from either side, and ``payload_kg`` where loads matter and ``payloads_kg`` are at hand, at
+    ``payload_com`` m in the tool frame; else the robot's default load where loads matter.
+
+    Raises:
+        RobotError: joint limits are missing, or hardly a pose is in the region.
+
+    """
+    rng = np.random.default_rng(seed)
+    whole, values, free = _looked_for(start, effects)
+    needs = frozenset[str]().union(*(e.needs for e in whole.effects))
+    pool = _conditions((region or Region.of(start)).draw(max(POOL, 3 * count), rng), needs, payloads_kg, rng)
+    pool = _loaded(pool, needs, start.robot, payload_com)
+    J = whole.jacobian(_complete(pool, needs), values, free)[1][:, :3]
+    X = J * np.array([whole.parameters[k].prior_sigma for k in free]) / noise
+    C = np.eye(X.shape[2])
+    picked: list[int] = []
+    for k in range(count):
+        XC = X @ C
+        S = np.eye(3) + XC @ X.transpose(0, 2, 1)
+        gain = np.linalg.slogdet(S)[1]
+        gain[picked] = -np.inf
+        best = int(np.argmax(gain))
+        picked.append(best)
+        C = C - XC[best].T @ np.linalg.solve(S[best], XC[best])
+        if progress is not None:
+            progress((k + 1) / count)
+    chosen = pool.select(np.array(picked))
+    return chosen.select(short_way(chosen.q, joint_ranges(start.robot)))
+
+
+def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Floats:
+    """Joints (count, n), uniform within the limits less a margin.
+
+    Raises:
+        RobotError: joint limits are missing.
+
+    """
+    return Region.of(Calibration.nominal(robot)).draw(count, rng)
+
+
+def _conditions(
+    q: Floats, needs: frozenset[str], payloads_kg: Sequence[float], rng: np.random.Generator
+) -> Observations:
+    """Rows at ``q``, from either side and under the payloads at hand where an effect feels them."""
+    loads = bool(needs & {"moments", "payload_kg"}) and len(payloads_kg) > 0
+    return Observations(
+        q,
+        direction=rng.choice([-1.0, 1.0], q.shape) if "direction" in needs else None,
+        payload_kg=rng.choice(np.asarray(payloads_kg, dtype=np.float64), len(q)) if loads else None,
+    )
+
+
+def _loaded(rows: Observations, needs: frozenset[str], robot: Robot, payload_com: Sequence[float]) -> Observations:
+    """Rows with their loads where they hang, or under the robot's default load where loads matter and none is at hand."""
+    if rows.payload_kg is not None and len(payload_com):
+        return replace(rows, payload_com=np.tile(np.asarray(payload_com, dtype=np.float64), (len(rows), 1)))
+    if robot.load is None or not needs & {"moments", "payload_kg"}:
+        return rows
+    return rows.carrying(robot.load.mass, robot.load.com)
+
+
+def _complete(rows: Observations, needs: frozenset[str]) -> Observations:
+    """Rows with constants for what a pose cannot choose, so that the effects can be evaluated."""
+    n = len(rows)
+    made = {
+        "qd": np.zeros_like(rows.q), "qdd": np.zeros_like(rows.q), "t": np.zeros(n), "temperature_c": np.full(n, 20.0),
+        "payload_kg": np.zeros(n), "session": np.zeros(n, dtype=np.int64), "direction": np.zeros_like(rows.q),
+    }  # fmt: skip
+    return replace(rows, **{name: made[name] for name in needs if name in made and getattr(rows, name) is None})
+
+
+def _looked_for(start: Calibration, effects: Sequence[Effect]) -> tuple[RobotModel, Floats, NDArray[np.int64]]:
+    """The start's model with the effects it lacks, its values, and what an identification would free."""
+    model, values = start.model.absorb_frame_increments(start.values)
+    missing = tuple(effect for effect in effects if not _has(model, effect))
+    whole = replace(model, effects=(*model.effects, *missing))
+    values = np.concatenate([values, whole.values0()[len(values) :]])
+    return whole, values, IdentifyOptions().free_parameters(whole, sees_orientation=False)
+
+
+def _has(model: RobotModel, effect: Effect) -> bool:
+    return bool({p.name for p in effect.parameters(model.robot)} & set(model.names))

@@ -1,0 +1,350 @@
+"""Circle point analysis: axes from rows in which one joint moved at a time, and with them a robot nobody had drawn.
+
+What one joint carries goes round its axis. All points of a joint are fitted together as one rigid body that turns by the
+joint's readings, so that an arc does as well as a circle; short arcs are refused, for they say little about the middle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+
+from kilter_core.arm.conversions import Screws, pose_document, robot_document
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.errors import ObservationError, TooFewPosesError
+from kilter_core.measurement.markers import fit_poses, marker_shape
+from kilter_core.procedures.circle_coupling import PARALLEL as COUPLED
+from kilter_core.procedures.circle_coupling import checked_follows, keeps_direction, leader_point, refuse_coupled
+from kilter_core.transforms import aligned, inverse, nearest_rotation
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LEAST_ROWS = 5
+LEAST_ARC = math.radians(30.0)
+LEAST_STROKE_M = 0.01
+STILL = 2e-4  # rad or m: others that move less are taken to stand
+ROUND = 0.005  # share of the radius by which points may be off the circle, beside three times their noise
+SCALE = 0.05  # share by which a slide's readings and way may disagree
+PARALLEL = 1e-3
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """An axis as its circle shows it, in the device's frame with the other joints at ``others (n,)``.
+
+    ``arc`` rad (m for a slide), ``radius`` m of the widest circle, ``rms`` m of the fit, and standard deviations of the
+    direction (rad) and of the place across it (m).
+    """
+
+    direction: Floats
+    point: Floats
+    prismatic: bool
+    others: Floats
+    rows: int
+    arc: float
+    radius: float
+    rms: float
+    sigma_rad: float
+    sigma_m: float
+
+
+@dataclass(frozen=True)
+class CircleRobot:
+    """The robot document found, what each axis rests on, and how far the whole robot is from all rows (rms, m)."""
+
+    document: dict[str, Any]
+    axes: tuple[AxisFit, ...]
+    rms: float
+
+
+def robot_from_circles(
+    q: Floats,
+    prismatic: NDArray[np.bool_],
+    points: Floats,
+    tip: Floats | None = None,
+    *,
+    name: str,
+    convention: str = "chain",
+    frame: str = "axis",
+    follows: Mapping[int, int] | None = None,
+) -> CircleRobot:
+    """Find the axes of a robot from readings ``q (N, n)`` and measured ``points (N, m, 3)`` m (one point, or markers).
+
+    The base frame stands on the first axis, its z along it (``frame`` "axis"), or is the device's ("device"). The flange is
+    the measured point (the markers' middle, or the digitised ``tip (N, 3)``), turned as the markers are, or as the base.
+    ``follows`` are joints (from 0) read against the horizontal, follower -> leader: their links do not turn with the leader.
+
+    Raises:
+        ObservationError: ``joint_constant``, ``arc_too_short`` or ``circle_not_round``, naming the joint.
+        TooFewPosesError: fewer than five rows of a joint.
+
+    """
+    pairs = checked_follows(follows or {}, prismatic)
+    middle = points.mean(axis=1, keepdims=True)
+    seen = [middle if j in pairs.values() else points for j in range(q.shape[1])]
+    fits = [_axis_or_pair(q, seen[j], j, prismatic) for j in range(q.shape[1])]
+    for follower, leader in pairs.items():
+        fits[leader] = _led(q, middle, fits[leader], fits[follower], (leader, follower))
+    screws = _at_zero(fits, pairs)
+    home, rms = _home(screws, q, points, tip)
+    base = np.eye(4) if frame == "device" else _on_first_axis(screws)
+    placed = screws.moved(inverse(base), np.eye(4))
+    axes = [
+        {
+            "joint": f"j{placed.joint[k] + 1}",
+            "ratio": float(placed.ratio[k]),
+            "type": "prismatic" if placed.prismatic[k] else "revolute",
+            "direction": placed.direction[k].tolist(),
+            "point_mm": (1e3 * placed.point[k]).tolist(),
+        }
+        for k in range(len(placed))
+    ]
+    document = {
+        "name": name,
+        "convention": "poe",
+        "axes": axes,
+        "home": pose_document(inverse(base) @ home),
+        "base": pose_document(base),
+    }
+    return CircleRobot(robot_document(robot_from_document(document), convention), tuple(fits), rms)
+
+
+def _axis_or_pair(q: Floats, points: Floats, j: int, prismatic: NDArray[np.bool_]) -> AxisFit:
+    """Fit an axis; where its circle is none because a parallel joint is read against the horizontal, name that one."""
+    try:
+        return _axis(q, points, j, bool(prismatic[j]))
+    except ObservationError as error:
+        rows = _alone(q, j)
+        rows = rows[~np.isnan(points[rows]).any(axis=(1, 2))]
+        if error.code != "circle_not_round" or prismatic[j] or not keeps_direction(points[rows]):
+            raise
+        own = _axis(q, points.mean(axis=1, keepdims=True), j, False)
+        for k in range(j + 1, q.shape[1]):
+            if not prismatic[k] and abs(_axis(q, points, k, False).direction @ own.direction) > COUPLED:
+                refuse_coupled(j, k)
+        raise
+
+
+def _led(q: Floats, middle: Floats, fit: AxisFit, follower: AxisFit, pair: tuple[int, int]) -> AxisFit:
+    """The leader's axis: its circle's middle is off by as much as the points are off the follower's axis."""
+    leader, last = pair
+    before = [k for k in range(last) if k != leader]
+    apart = float(np.abs(fit.others[before] - follower.others[before]).max(initial=0.0))
+    if apart > STILL or abs(fit.direction @ follower.direction) < COUPLED:
+        what = "the axes are not parallel" if apart <= STILL else "the joints before stood elsewhere for their circles"
+        raise ObservationError(
+            f"Joint {last + 1} cannot follow joint {leader + 1}: {what}. Leave it out of follows, or measure both circles with "
+            "the joints before at the same readings.",
+            joint=leader + 1,
+            follower=last + 1,
+        )
+    rows = _alone(q, leader)
+    rows = rows[~np.isnan(middle[rows]).any(axis=(1, 2))]
+    at = float(follower.others[leader])
+    point = leader_point(q[rows, leader], middle[rows, 0], fit.direction, fit.point, at, follower.point)
+    return replace(fit, point=point)
+
+
+def _axis(q: Floats, points: Floats, j: int, prismatic: bool) -> AxisFit:
+    rows = _alone(q, j)
+    name = f"Joint {j + 1}"
+    span = float(np.ptp(q[rows, j])) if len(rows) else 0.0
+    if span < 10 * STILL:
+        raise ObservationError(
+            f"{name} never moves alone: measure rows in which it moves and all others stand.",
+            code="joint_constant",
+            joint=j + 1,
+        )
+    seen = rows[~np.isnan(points[rows]).any(axis=(1, 2))]
+    places = len(np.unique(np.round(q[seen, j] / STILL)))
+    if places < LEAST_ROWS:
+        raise TooFewPosesError(
+            f"{name} has {places} places at which all points were seen: measure {LEAST_ROWS} or more along its arc.",
+            joint=j + 1,
+        )
+    arc = float(np.ptp(q[seen, j]))
+    least, what = (LEAST_STROKE_M, "mm") if prismatic else (LEAST_ARC, "degrees")
+    if arc < least * (1.0 - 1e-9):
+        scale = 1e3 if prismatic else 180.0 / math.pi
+        raise ObservationError(
+            f"{name} moves over {arc * scale:.3g} {what} only: {least * scale:.0f} are needed, and more are better, for a "
+            "short arc hardly shows where its axis is.",
+            code="arc_too_short",
+            joint=j + 1,
+            arc=arc,
+        )
+    fit = _slide if prismatic else _turn
+    return fit(q[seen, j], points[seen], q[seen[0]], j)
+
+
+def _alone(q: Floats, j: int) -> Ints:
+    """Rows (K,) in which the other joints stand in one place: of all such places the one with the widest arc."""
+    others = np.delete(q, j, axis=1)
+    # Rows in one place are near in any one direction: looking there only, many places cost no more than their number.
+    # The direction is drawn anew each time, so that no table can be made whose rows all agree along it.
+    weight: Floats = np.random.default_rng().uniform(0.5, 1.0, (others.shape[1],))
+    along = others @ weight
+    order = np.argsort(along, kind="stable")
+    width = STILL * float(weight.sum()) * (1.0 + 1e-9)
+    starts = np.searchsorted(along[order], along - width, side="left")
+    ends = np.searchsorted(along[order], along + width, side="right")
+    left, best = np.ones(len(q), dtype=bool), np.zeros(0, dtype=np.int64)
+    for first in range(len(q)):
+        if not left[first]:
+            continue
+        near = order[starts[first] : ends[first]]
+        same = np.sort(near[np.all(np.abs(others[near] - others[first]) < STILL, axis=1)])
+        left[same] = False
+        if len(same) > 1 and (len(best) == 0 or np.ptp(q[same, j]) > np.ptp(q[best, j])):
+            best = same
+    return best
+
+
+def _turn(angle: Floats, points: Floats, others: Floats, j: int) -> AxisFit:
+    """Fit p = P + Rot(n, angle) X for all points: n and P by least squares, every X eliminated."""
+    A = np.column_stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)])
+    flat = points.reshape(len(angle), -1)
+    centre, cosine, sine = np.linalg.lstsq(A, flat, rcond=None)[0].reshape(3, -1, 3)
+    z0, P0 = _circle_start(centre, cosine, sine)
+    u, v = aligned(np.eye(3), z0)[:, :2].T
+
+    def place(x: Floats) -> tuple[Floats, Floats]:
+        z = z0 + x[0] * u + x[1] * v
+        return z / np.linalg.norm(z), P0 + x[2] * u + x[3] * v
+
+    def left(x: Floats) -> Floats:
+        z, P = place(x)
+        back = _rotations(z, -angle)
+        local = np.einsum("kij,kmj->kmi", back, points - P)
+        return np.asarray((local - local.mean(axis=0)).ravel())
+
+    found = scipy.optimize.least_squares(left, np.zeros(4), x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    z, P = place(found.x)
+    arms = points - P
+    radius = float(np.linalg.norm(arms - (arms @ z)[..., None] * z, axis=2).max())
+    rms = float(np.sqrt(np.mean(found.fun**2) * 3.0))
+    free = _free_rms(angle, flat)
+    if rms > max(ROUND * radius, 3.0 * free + 1e-9) or radius < 1e-6:
+        _refuse_not_round(j, radius, rms)
+    freedom = max(points.size - 3 * points.shape[1] - 4, 1)
+    J = np.asarray(found.jac)
+    covariance = np.linalg.pinv(J.T @ J) * float(found.fun @ found.fun) / freedom
+    sigma = np.sqrt(np.diag(covariance))
+    arc = float(np.ptp(angle))
+    return AxisFit(
+        z, P, False, others, len(angle), arc, radius, rms, float(np.hypot(*sigma[:2])), float(np.hypot(*sigma[2:]))
+    )
+
+
+def _circle_start(centre: Floats, cosine: Floats, sine: Floats) -> tuple[Floats, Floats]:
+    """Direction and point to start from; ellipses of short arcs still lean the right way."""
+    normal = np.cross(cosine, sine).sum(axis=0)
+    size = float(np.linalg.norm(normal))
+    z = normal / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
+    weight = np.linalg.norm(np.cross(cosine, sine), axis=1)
+    P = np.average(centre, axis=0, weights=weight + 1e-12)
+    return z, P
+
+
+def _free_rms(angle: Floats, flat: Floats) -> float:
+    """Scatter m about a smooth curve of the reading, whatever its shape: the noise, where readings and circle disagree."""
+    x = (angle - angle.mean()) / max(float(np.ptp(angle)), 1e-12)
+    A = np.vander(x, min(6, len(angle) - 1))
+    left = flat - A @ np.linalg.lstsq(A, flat, rcond=None)[0]
+    return float(np.sqrt(np.sum(left**2) / (max(len(angle) - A.shape[1], 1) * flat.shape[1] / 3.0)))
+
+
+def _refuse_not_round(j: int, radius: float, rms: float) -> None:
+    raise ObservationError(
+        f"The points of joint {j + 1} are {rms * 1e3:.3g} mm (rms) off the circle that its readings ask for (radius "
+        f"{radius * 1e3:.4g} mm): the readings are in another unit or of another joint, or another joint moved along.",
+        code="circle_not_round",
+        joint=j + 1,
+        rms_m=rms,
+    )
+
+
+def _slide(shift: Floats, points: Floats, others: Floats, j: int) -> AxisFit:
+    A = np.column_stack([np.ones(len(shift)), shift])
+    flat = points.reshape(len(shift), -1)
+    start, slope = np.linalg.lstsq(A, flat, rcond=None)[0]
+    mean = slope.reshape(-1, 3).mean(axis=0)
+    size, left = float(np.linalg.norm(mean)), flat - A @ np.vstack([start, slope])
+    rms = float(np.sqrt(np.mean(left**2) * 3.0))
+    stroke = float(np.ptp(shift))
+    if abs(size - 1.0) > SCALE or rms > SCALE * stroke:
+        _refuse_not_round(j, stroke, max(rms, abs(size - 1.0) * stroke))
+    spread = float(np.sqrt(np.sum((shift - shift.mean()) ** 2) * points.shape[1]))
+    sigma = rms / math.sqrt(3.0) / spread * math.sqrt(2.0)
+    point = start.reshape(-1, 3).mean(axis=0)
+    return AxisFit(mean / size, point, True, others, len(shift), stroke, 0.0, rms, sigma, 0.0)
+
+
+def _at_zero(fits: Sequence[AxisFit], pairs: Mapping[int, int]) -> Screws:
+    """Axes with all joints at zero: each was seen with the joints before it wherever they stood.
+
+    The axis of a follower stands twice: its leader turns it back, then it turns itself.
+    """
+    out = Screws(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool), np.zeros(0, np.int64), np.zeros(0), np.eye(4))
+    for i, fit in enumerate(fits):
+        back = inverse(out.poses(fit.others[None])[0])
+        direction, point = back[:3, :3] @ fit.direction, back[:3, :3] @ fit.point + back[:3, 3]
+        if i in pairs:
+            sense = math.copysign(1.0, fit.direction @ fits[pairs[i]].direction)
+            out = _with(out, direction, point, fit.prismatic, pairs[i], -sense)
+        out = _with(out, direction, point, fit.prismatic, i, 1.0)
+    return out
+
+
+def _with(screws: Screws, direction: Floats, point: Floats, prismatic: bool, joint: int, ratio: float) -> Screws:
+    return Screws(
+        np.vstack([screws.direction, direction]),
+        np.vstack([screws.point, point]),
+        np.append(screws.prismatic, prismatic),
+        np.append(screws.joint, joint),
+        np.append(screws.ratio, ratio),
+        screws.home,
+    )
+
+
+def _home(screws: Screws, q: Floats, points: Floats, tip: Floats | None) -> tuple[Floats, float]:
+    """Pose (4, 4) of the measured point at zero, the mean over all rows, and what is left of the rows (rms, m)."""
+    T = screws.poses(q)
+    home = np.eye(4)
+    if points.shape[1] >= 3:
+        position, rotation, usable = fit_poses(marker_shape(points, tip), points)
+        home[:3, :3] = nearest_rotation(np.mean(T[usable, :3, :3].transpose(0, 2, 1) @ rotation[usable], axis=0))
+    else:
+        position, usable = points[:, 0], np.asarray(~np.isnan(points[:, 0]).any(axis=1))
+    local = np.einsum("kji,kj->ki", T[usable, :3, :3], position[usable] - T[usable, :3, 3])
+    home[:3, 3] = local.mean(axis=0)
+    return home, float(np.sqrt(np.mean(np.sum((local - home[:3, 3]) ** 2, axis=1))))
+
+
+def _on_first_axis(screws: Screws) -> Floats:
+    """Frame on the first axis where the second comes nearest; the device's own where the first joint slides."""
+    base = np.eye(4)
+    if screws.prismatic[0]:
+        return base
+    z, p = screws.direction[0], screws.point[0]
+    base[:3, :3] = aligned(np.eye(3), z)
+    towards = screws.home[:3, 3]
+    if len(screws) > 1 and not screws.prismatic[1]:
+        a = screws.direction[1]
+        across = np.cross(np.cross(z, a), a)
+        bend = float(z @ across)
+        towards = screws.point[1] if abs(bend) < PARALLEL else p + z * ((screws.point[1] - p) @ across / bend)
+    base[:3, 3] = p + z * (z @ (towards - p))
+    return base
+
+
+def _rotations(z: Floats, angle: Floats) -> Floats:
+    W = np.array([[0.0, -z[2], z[1]], [z[2], 0.0, -z[0]], [-z[1], z[0], 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle)[:, None, None] * W + (1.0 - np.cos(angle))[:, None, None] * (W @ W))
