@@ -1,6 +1,6 @@
-/* Speaks frames over standard input and output: a line "q ..." prints the setpoint to send in hexadecimal, a line
- * "a <hex>" what an answer says, a line "c <epoch> <version> <hex>" whether an answer to the last setpoint may be acted on.
- * A real controller begins seq and clock at random, as kilter_frames.h says.
+/* Reads and writes messages of the stream on standard input and output: a line "q ..." prints the setpoint to send in
+ * hexadecimal, a line "a <hex>" what an answer says, a line "c <epoch> <version> <hex>" whether an answer to the last
+ * setpoint may be used. A real controller begins seq and clock at random, as kilter_frames.h says.
  * Build: cc -std=c99 -Wall -Wextra -o controller controller.c */
 #include <stdio.h>
 #include <stdlib.h>

@@ -1,14 +1,14 @@
-/* Frames of a Kilter stream for a controller in C99: encode a setpoint, decode its answer. docs/reference/stream.md says
- * more. No allocation, no dependency, any byte order, any alignment. Angles rad, sliding joints m.
+/* Messages of a Kilter stream for a controller in C99: encode a setpoint, decode its answer. See docs/reference/stream.md.
+ * No allocation, no dependency, any byte order, any alignment. Angles in rad, prismatic joints in m.
  *
- * Every number is little-endian. A frame begins with 32 bytes:
+ * Every number is little-endian. A message begins with 32 bytes:
  *
  *   offset  bytes  type     field
  *        0      4  char[4]  magic, "KLT1"
  *        4      1  uint8    kind: 0 a setpoint or its answer (1 chunk, 2 trajectory: not in this file)
  *        5      1  uint8    joints n, 1 to 16; in an answer 0 unless the status is KILTER_OK
  *        6      2  uint16   flags
- *        8      8  uint64   seq, one more with every frame; echoed
+ *        8      8  uint64   seq, one more with every message; echoed
  *       16      8  uint64   t_send_ns, the controller's clock; echoed
  *       24      8  uint64   t_apply_ns, the same clock, 0 for at once; echoed
  *
@@ -25,12 +25,12 @@
  *       48      4  uint32   processing_ns
  *       52      4  int32    reserved, 0
  *
- * What a controller owes to its arm: wait until a deadline of its own for an answer that kilter_accept takes. Anybody can
- * publish on the key of the answers, so begin seq at a random number, add a random offset to the clock of both times, draw
- * the last 20 bits of t_send_ns anew for every setpoint, and set t_apply_ns always. In time and KILTER_OK: send q. Else
- * send the wanted joints plus the last good difference, for a few cycles; then let that difference fade out, or stop. After
- * KILTER_STALE, KILTER_SEQ_BACK or KILTER_RATE_LIMIT, and after two KILTER_SEQ_GAP in a row, send the next setpoint with
- * KILTER_RESET | KILTER_SETTLED. Let the difference change by no more than your arm may leap. */
+ * What a controller must do: wait, up to its own deadline, for an answer that kilter_accept accepts. Anybody can publish
+ * on the key of the answers, so begin seq at a random number, add a random offset to the clock of both times, draw new
+ * random last 20 bits of t_send_ns for every setpoint, and always set t_apply_ns. In time and KILTER_OK: send q.
+ * Otherwise send the wanted joints plus the last good difference for a few cycles; then fade that difference out, or
+ * stop. After KILTER_STALE, KILTER_SEQ_BACK or KILTER_RATE_LIMIT, and after two KILTER_SEQ_GAP in a row, send the next
+ * setpoint with KILTER_RESET | KILTER_SETTLED. Limit the change of the difference to what your arm can follow. */
 #ifndef KILTER_FRAMES_H
 #define KILTER_FRAMES_H
 

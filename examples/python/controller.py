@@ -21,7 +21,7 @@ STOP_S = 0.3  # from full speed to rest
 
 
 class Arm:
-    """Stands for the drives: keeps the last command and the largest step between two."""
+    """Simulates the drives: keeps the last command and the largest step between two."""
 
     def __init__(self) -> None:
         self.q: tuple[float, ...] = ()
@@ -37,7 +37,7 @@ class Arm:
 
 
 class Motion:
-    """Setpoints on a smooth path; ``speed`` between 0 and 1 slows the way along it down."""
+    """Setpoints on a smooth path; ``speed`` between 0 and 1 slows the motion along it."""
 
     def __init__(self, start: Sequence[float], end: Sequence[float], seconds: float) -> None:
         self._start, self._end, self._seconds = start, end, seconds

@@ -19,7 +19,8 @@ def test_a_check_says_what_a_job_would_do_and_makes_none(
     assert run(["identify", robot, "-c", "rows", "-v", "0.25", "--check"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     expected = (
-        "would run; nothing was queued", "held out: 15 poses", "identifiable, rank", "not told by these data", "it would take",
+        "would run; nothing was queued", "held out: 15 poses", "identifiable, rank", "not determined by these data",
+        "it would take",
     )  # fmt: skip
     for words in expected:
         assert words in said, words

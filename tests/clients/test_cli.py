@@ -261,7 +261,7 @@ def test_a_failed_job_exits_1_with_its_problem(robot: str, command: Command, wri
         ("identify arm -c a --level 4", "--level"),
         ("identify arm -c a --base loose", "--base"),
         ("identify arm -c a --option seed", "NAME=VALUE"),
-        ("identify arm -c a --effects {", "is no JSON object"),
+        ("identify arm -c a --effects {", "is not a JSON object"),
         ("identify arm -c a --colour red", "--colour"),
         ("robot add", "either a FILE or --preset"),
         ("robot add --preset ur10 --tip-link t", "belong to a .urdf"),

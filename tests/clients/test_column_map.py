@@ -133,7 +133,7 @@ def test_a_quaternion_is_reordered_and_made_unit(tmp_path: Path) -> None:
         ("[rows]", "[row]", r"row: unknown key \(did you mean 'rows'"),
         ("decimal =", "decimals =", r"file.decimals: unknown key \(did you mean 'decimal'"),
         ('from = "X"', 'form = "X"', r"columns.x_mm.form: unknown key \(did you mean 'from'"),
-        ("x_mm =", "x =", "columns.x: is no contract column"),
+        ("x_mm =", "x =", "columns.x: is not a contract column"),
         ('from = "X", unit = "m"', 'from = "X"', "columns.x_mm: needs the unit the file has it in"),
         ('from = "X", unit = "m"', 'from = "X", unit = "deg"', "columns.x_mm.unit: 'deg' cannot become 'mm'"),
         ("value = 2.5", 'value = 2.5, unit = "g"', "columns.payload_kg: a constant is already in the target's unit"),
@@ -146,7 +146,7 @@ def test_a_quaternion_is_reordered_and_made_unit(tmp_path: Path) -> None:
         ('delimiter = ";"', 'delimiter = ","', "the two differ"),
         (', equals = "ok"', "", "needs 'column' and either"),
         ('from = "X"', 'from = "x"', "there is no column 'x'"),
-        ("[columns]", "[columns", "is no readable column map"),
+        ("[columns]", "[columns", "is not a readable column map"),
         ('[file]', '[file]\nformat = "xls"', "file.format: must be one of csv, mat, parquet"),
         ('[file]', "[file]\nskip_rows = -1", "file.skip_rows: must be a whole number"),
     ],
@@ -183,7 +183,7 @@ def test_mat_columns_count_from_0_in_brackets_and_from_1_in_parentheses(tmp_path
         ("q[:,2]", "outside the array"),
         ("q", "name one column"),
         ("p[:,0]", "needs a variable 'p'; the file has q"),
-        ("q[1:2,0]", "is no column of a .mat file"),
+        ("q[1:2,0]", "is not a column of a .mat file"),
         ("q[0,0]", "must keep one direction whole"),
     ],
 )
@@ -197,7 +197,7 @@ def test_a_wrong_mat_column_is_explained(tmp_path: Path, expression: str, words:
 def test_no_mat_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "log.mat").write_text("nothing")
     (tmp_path / "map.toml").write_text('[columns]\nq1_rad = { from = "q", unit = "rad" }\n')
-    with pytest.raises(FileError, match=r"no \.mat file that scipy can read"):
+    with pytest.raises(FileError, match=r"not a \.mat file that scipy can read"):
         prepare(tmp_path / "log.mat", column_map=tmp_path / "map.toml")
 
 

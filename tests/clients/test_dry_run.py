@@ -141,7 +141,7 @@ def test_rows_that_rules_leave_out_and_joints_that_do_not_fit(robot: str, tmp_pa
     assert found["refused"] == ["the file has joints 1, the robot 5"]
     (tmp_path / "gap.csv").write_text("q1_deg,x_mm,y_mm,z_mm\n1,2,3,\n")
     found = document(capsys, "upload", robot, tmp_path / "gap.csv", "--dry-run", code=1)
-    assert "z_mm is empty or no number in 1 rows (row 1)" in found["refused"]
+    assert "z_mm is empty or not a number in 1 rows (row 1)" in found["refused"]
 
 
 def test_the_second_file_of_a_map_is_named_on_the_command_line(

@@ -1,4 +1,4 @@
-"""Problem documents become exceptions of their code; what is no problem document is still explained."""
+"""Problem documents become exceptions of their code; what is not a problem document is still explained."""
 
 from __future__ import annotations
 

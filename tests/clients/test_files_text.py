@@ -83,7 +83,7 @@ def test_a_damaged_file_is_refused_with_its_line(tmp_path: Path, text: str, word
 
 def test_a_bad_cell_is_named_by_line_and_column(tmp_path: Path) -> None:
     source = read_text(write(tmp_path, "joint 1,b\n1,2\n1.2.3,4\n"), Layout())
-    with pytest.raises(FileError, match=r"line 3, column 'joint 1': '1.2.3' is no number") as caught:
+    with pytest.raises(FileError, match=r"line 3, column 'joint 1': '1.2.3' is not a number") as caught:
         source.numbers("joint 1")
     assert caught.value.context["line"] == 3
     assert caught.value.context["column"] == "joint 1"

@@ -57,7 +57,7 @@ def test_while_a_job_runs(robot: str, kilter: Kilter, write_campaign: Write, com
         process.stderr.readline()
         job = process.stderr.readline().split()[1]
     _, err = interrupted(process)
-    assert f"job {job} goes on at the server" in err
+    assert f"job {job} continues at the server" in err
     assert f"`kilter jobs watch {job}` follows it, `kilter jobs cancel {job}` stops it." in err
     assert kilter.jobs.get(job)["state"] in ("queued", "running")
     assert run(["jobs", "cancel", job]) == 0
@@ -140,6 +140,6 @@ def test_while_a_path_is_corrected(
 def test_anywhere_else(server: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Kilter, "health", pressed)
     assert run(["status"]) == 130
-    assert "Interrupted. What the server had begun it finishes" in capsys.readouterr().err
+    assert "Interrupted. The server finishes what it had begun" in capsys.readouterr().err
     assert run(["status", "--json"]) == 130
     assert json.loads(capsys.readouterr().out)["code"] == "interrupted"

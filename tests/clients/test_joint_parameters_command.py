@@ -83,7 +83,7 @@ def test_payloads_of_a_proposal_hang_where_they_were_said_to(shell: Shell, tmp_p
     ("text", "says"),
     [
         (HEAD + "j1,x,1,2,0,0,\n", "line 2, column 'reading_deg': there is no reading"),
-        (HEAD + "j1,x,1,two,0,0,0.1\n", "line 2, column 'q2_deg': 'two' is no number"),
+        (HEAD + "j1,x,1,two,0,0,0.1\n", "line 2, column 'q2_deg': 'two' is not a number"),
         (HEAD + "# a note\n\nj1,x,1,2,0,0\n", "line 4: 6 cells under 7 columns"),
         (HEAD.replace("axis", "side") + "j1,x,1,2,0,0,0.1\n", "column 'side': an unknown column"),
         (HEAD.replace("q1_deg,", "") + "j1,x,2,0,0,0.1\n", "joint values are not q1 to qn"),

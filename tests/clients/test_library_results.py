@@ -83,7 +83,7 @@ def test_fields_and_the_document_behind_them() -> None:
 def test_text_says_it_with_units() -> None:
     result = IdentifyResult.read(DOCUMENT)
     assert repr(result) == (
-        "version ver_0123456789abcdef: mean error of 20 held-out points: 1.25 mm as drawn, 0.835 mm registration only, "
+        "version ver_0123456789abcdef: mean error of 20 held-out points: 1.25 mm nominal, 0.835 mm registration only, "
         "0.018 mm identified; 3 parameters; 1 warning"
     )
     assert repr(Metrics.read({})) == "no errors of the tool: none was measured"

@@ -170,7 +170,7 @@ def test_things_are_named_by_results_names_and_prefixes(k: Kilter, robot: str, w
     again = k.identify(robot, "monday", start=v, free="theta_offset_*", fix=np.array(["alpha_2"]), progress=False)
     assert k.version(again).parent_id == v.version_id
     assert k.diff(v, "latest", robot=robot).b == again.version_id
-    with pytest.raises(UsageError, match="is no version"):
+    with pytest.raises(UsageError, match="is not a version"):
         k.activate(stored)
 
 

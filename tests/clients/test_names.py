@@ -35,9 +35,7 @@ Capture = pytest.CaptureFixture[str]
 def test_the_nearest_plain_name(text: str, name: str) -> None:
     assert plain_name(text) == name
     assert checked_name(name) == name
-    with pytest.raises(
-        UsageError, match=rf"Give --name {name}; campaigns, files and columns may be called as you like"
-    ):
+    with pytest.raises(UsageError, match=rf"Give --name {name}; campaigns, files and columns may have any name"):
         checked_name(text)
 
 

@@ -94,8 +94,8 @@ def test_an_exported_ur_calibration_comes_back_to_the_same_poses(tmp_path: Path)
     [
         ("theta,d_mm,a_mm,alpha_deg\n0,0,0,0\n", "column 'theta' has no unit"),
         ("theta_offset_deg,d_mm,a_mm,twist_deg\n0,0,0,0\n", "column 'twist_deg' is not known"),
-        ("theta_offset_deg,d_mm\n0,x1\n", "line 2, d: 'x1' is no number"),
-        ("theta_offset_deg,d_mm\n0,nan\n", "is no number"),
+        ("theta_offset_deg,d_mm\n0,x1\n", "line 2, d: 'x1' is not a number"),
+        ("theta_offset_deg,d_mm\n0,nan\n", "is not a number"),
         ("theta_offset_deg,d_mm\n0\n", "line 2: 1 cells where the header has 2"),
         ("theta_offset_deg,d_deg\n0,1\n", "d of a revolute joint cannot be in deg"),
         ("type,d_mm\nball,1\n", "type 'ball' is neither"),
@@ -117,13 +117,13 @@ def test_dh_and_mdh_are_never_guessed(tmp_path: Path) -> None:
 
 
 def test_workbooks_that_are_none_or_bombs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert "is no XLSX workbook" in refused(write(tmp_path / "t.xlsx", "text"), convention="dh")
+    assert "is not an XLSX workbook" in refused(write(tmp_path / "t.xlsx", "text"), convention="dh")
     with zipfile.ZipFile(tmp_path / "bomb.xlsx", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("xl/worksheets/sheet1.xml", b"0" * 30_000_000)
     assert "unpacks to 30 MB" in refused(tmp_path / "bomb.xlsx", convention="dh")
     with zipfile.ZipFile(tmp_path / "zip.xlsx", "w") as archive:
         archive.writestr("a.txt", b"0")
-    assert "is no workbook" in refused(tmp_path / "zip.xlsx", convention="dh")
+    assert "is not a workbook" in refused(tmp_path / "zip.xlsx", convention="dh")
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     assert "save the sheet as CSV" in refused(tmp_path / "zip.xlsx", MissingPackageError, convention="dh")
 
@@ -167,13 +167,13 @@ def test_factory_calibrations_are_of_the_model_that_is_named(tmp_path: Path, mod
         for other in DEFAULTS:
             if other != model:
                 detail = refused(path, model=other)
-                assert f"is no {other.upper()}" in detail
+                assert f"is not a {other.upper()}" in detail
                 assert model.upper() in detail.split(". ")[-1]
 
 
 def test_a_ur10_that_is_a_ur10e_is_caught_with_the_length_that_tells(tmp_path: Path) -> None:
     detail = refused(ur_file(tmp_path / "c.yaml", "ur10e", 5), model="ur10")
-    assert "is no UR10: d1 is 18" in detail
+    assert "is not a UR10: d1 is 18" in detail
     assert "a UR10 has 127.3. It is a UR10E or UR12E." in detail
 
 
@@ -185,7 +185,7 @@ def test_the_nominal_calibration_is_the_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a: [", "is no YAML"),
+        ("a: [", "is not YAML"),
         ("other: 1", "has no 'kinematics'"),
         ("kinematics: {shoulder: {x: 0}}", "kinematics.shoulder.y is None"),
         ("kinematics: {shoulder: {x: .inf, y: 0, z: 0, roll: 0, pitch: 0, yaw: 0}}", "shoulder.x is inf"),

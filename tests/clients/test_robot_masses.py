@@ -94,7 +94,7 @@ def test_a_workbook_and_metres_give_the_same_masses(tmp_path: Path) -> None:
         (",6.25,", ",-6.25,", "line 3, column 'mass_kg': -6.25 kg: a mass cannot be negative"),
         (",0.29,", ",-0.29,", "line 3, column 'izz_kg_m2': -0.29 kg m2"),
         (",0.004,", ",4,", "line 3, column 'ixy_kg_m2': 4 kg m2 is more than the moments allow"),
-        (",-230,", ",left,", "line 3, com_x: 'left' is no number"),
+        (",-230,", ",left,", "line 3, com_x: 'left' is not a number"),
         (",com_y_mm", ",com_y", "column 'com_y' has no unit"),
         (",mass_kg", ",mass_g", "column 'mass_g' is not known"),
         (",mass_kg", ",mass_kgs", "did you mean 'mass_kg'"),

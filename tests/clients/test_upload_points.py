@@ -75,7 +75,7 @@ def test_what_does_not_fit_is_said_and_nothing_is_stored(
     few = document(capsys, "upload", robot, export, "--preset", "leica", "--joints", joints, code=1)
     assert "12 points, but 11 poses of joints" in few["detail"]
     assert "belong to a text export" in document(capsys, "upload", robot, export, "--euler", "XYZ", code=2)["detail"]
-    assert "is none of" in document(capsys, "upload", robot, export, "--preset", "lieca", code=2)["detail"]
+    assert "is not one of" in document(capsys, "upload", robot, export, "--preset", "lieca", code=2)["detail"]
     assert kilter.campaigns.list(robot) == []
 
 

@@ -51,7 +51,7 @@ BEHAVIOUR = {
     "Every result": (record.Record,),
     "Lists of results": (record.Records, tables.Tabular),
     "Parameters": (shown.ShownParameter,),
-    "Identifications, versions and hunts": (shown.Shown, shown.Asking),
+    "Identifications, versions and gap searches": (shown.Shown, shown.Asking),
     "Plans": (shown_jobs.ShownPlan,),
     "Figures": (shown.ShownFigure,),
     "Rows": (rows.Rows,),
@@ -62,10 +62,11 @@ SECTION = re.compile(r"^(Args|Raises):\n", re.MULTILINE)
 GIVEN = {
     "Thing": "a robot, campaign, version or job: its name, its id or the beginning of it, `latest`, or the result that made "
     "it. Names and `latest` of campaigns, versions and jobs need `robot=` where no robot is named.",
-    "Data": "rows: a path, columns by name, a structured array, a pandas frame, or an array of two dimensions with "
+    "Data": "rows: a path, columns by name, a structured array, a pandas DataFrame, or an array of two dimensions with "
     "`columns=`. Names are the [columns of a measurement](columns.md), with their unit.",
     "HeldOut": 'a share of the poses (`0.3`), a campaign or several, `{"folds": 5}`, or None: nothing is held out.',
-    "Watching": "True: a bar where somebody watches; False: none; or a function of the fraction done and the stage.",
+    "Watching": "True: a progress bar on a terminal or in a notebook; False: none; or a function of the fraction done "
+    "and the stage.",
     "Records": "a list of results, also by name, and a table.",
 }
 WIDEST = 100

@@ -101,7 +101,7 @@ def as_it_is(path: Path) -> Prepared:
     kind = TYPES.get(path.suffix.lower())
     if kind is None:
         raise FileError(
-            f"{path}: the ending {path.suffix!r} is none of {', '.join((*TYPES, '.xlsx'))}. Bring it in with a column map "
+            f"{path}: the ending {path.suffix!r} is none of {', '.join((*TYPES, '.xlsx'))}. Send it with a column map "
             f"(--map columns.toml; a first one: `kilter inspect {quote(str(path))} --draft columns.toml`) or name its device "
             f"({', '.join(DEVICES)}).",
             file=str(path),

@@ -36,7 +36,7 @@ class Arm:
         """Return the joints of a log (n, joints) in rad and mm.
 
         Raises:
-            FileError: the log has another number of joints, or an angle where the robot slides.
+            FileError: the log has another number of joints, or an angle for a prismatic joint.
 
         """
         if len(log.joints) != self.joints:
@@ -45,20 +45,20 @@ class Arm:
         slides = {int(j) for j in self.joint[self.slides]}
         for i, name in enumerate(log.joints):
             if (i in slides) != name.endswith(("_mm", "_m")):
-                what = f"joint {i + 1} of {self.name} {'slides' if i in slides else 'turns'}"
+                what = f"joint {i + 1} of {self.name} is {'prismatic' if i in slides else 'revolute'}"
                 raise fault(log.path, what, f"Name the column q{i + 1}_{'mm' if i in slides else 'deg'}.", column=name)
         turns = np.array([i not in slides for i in range(self.joints)])
         return np.asarray(np.where(turns, np.radians(log.q_even()), log.q_even()))
 
     def poses(self, q: Floats) -> tuple[Floats, Floats]:
-        """Return turns (n, 3, 3) and places (n, 3) mm of the tool at joints ``q`` (n, joints) in rad and mm."""
+        """Return orientations (n, 3, 3) and positions (n, 3) mm of the tool at joints ``q`` (n, joints) in rad and mm."""
         turn, place = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
         for k in range(len(self.joint)):
             turn, place = self._after(k, q, turn, place)
         return turn @ self.home_turn, np.einsum("nij,j->ni", turn, self.home_mm) + place
 
     def axes(self, q: Floats) -> list[tuple[Floats, Floats]]:
-        """Return for each axis the turn (n, 3, 3) of the link before it and where its point is (n, 3) mm."""
+        """Return for each axis the orientation (n, 3, 3) of the link before it and the position (n, 3) of its point, mm."""
         turn, place, out = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3)), []
         for k in range(len(self.joint)):
             out.append((turn, turn @ self.point[k] + place))

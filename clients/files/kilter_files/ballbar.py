@@ -67,8 +67,8 @@ def read_ballbar(path: Path, nominal_mm: float | None = None) -> BallBar:
     """Read a ball bar log.
 
     Raises:
-        FileError: no angle and radius, a deviation without nominal radius, a unit that is missing, a cell that is no
-            number, a radius far from the nominal one.
+        FileError: no angle and radius, a deviation without nominal radius, a unit that is missing, a cell that is not
+            a number, a radius far from the nominal one.
 
     """
     layout = sniff(path)
@@ -81,7 +81,7 @@ def read_ballbar(path: Path, nominal_mm: float | None = None) -> BallBar:
     values, run, line, cut = _rows(path, layout, [angle, length, *joints])
     degrees = _converted(path, layout, angle, values[:, 0], "deg", "deg")
     if layout.units[angle] is None and np.ptp(degrees) < 6.5 and len(degrees) > 20:
-        what = f"turns only {np.ptp(degrees):.3g} in all: are these radians"
+        what = f"rotates by only {np.ptp(degrees):.3g} in all: are these radians"
         raise fault(path, what, "State the unit: angle_rad or angle_deg.", column=layout.names[angle])
     lengths = _converted(path, layout, length, values[:, 1], "mm", None)
     said = nominal_mm or _nominal(path, layout)
@@ -133,7 +133,7 @@ def _rows(
         elif _is_title(cells, layout):
             titled = True
         else:
-            what = f"{text.strip()[:60]!r} is no row of {layout.width} numbers"
+            what = f"{text.strip()[:60]!r} is not a row of {layout.width} numbers"
             error = fault(path, what, "Correct the row; other notes belong above the table.", line=number)
             broken = error, cut_remark(number, len(cells), layout.width)
             if broken[1] is None:
@@ -159,7 +159,7 @@ def _is_title(cells: list[str], layout: TextLayout) -> bool:
 
 
 def _turned(angle: Floats, run: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Begin a run also where the bar turns back for good."""
+    """Begin a run also where the bar reverses for good."""
     step = np.diff(angle)
     way = np.sign(np.where(np.abs(step) > 180, 0.0, step))
     out = run.copy()
@@ -201,7 +201,7 @@ def _nominal(path: Path, layout: TextLayout) -> float | None:
 
 def _refuse(path: Path, radii: Floats, nominal: float, line: NDArray[np.int64], column: str) -> None:
     if not 0 < nominal < LONGEST_MM:
-        raise fault(path, f"a nominal radius of {nominal:g} mm", "No ball bar is like that: check the unit.")
+        raise fault(path, f"a nominal radius of {nominal:g} mm", "No ball bar has that: check the unit.")
     wild = np.abs(radii - nominal) > MOST_OFF * nominal
     if wild.any():
         row = int(np.argmax(wild))
@@ -237,7 +237,7 @@ def analysed(found: BallBar) -> list[dict[str, Any]]:
 
 
 def ballbar_table(path: Path) -> Table:
-    """Read a ball bar log with joints as lengths of a bar (``bar_id``, ``bar_mm``): each run about a foot of its own.
+    """Read a ball bar log with joints as lengths of a bar (``bar_id``, ``bar_mm``): each run about a centre mount of its own.
 
     Raises:
         FileError: no joints in the file, or whatever ``read_ballbar`` refuses.
@@ -255,6 +255,6 @@ def ballbar_table(path: Path) -> Table:
     columns["bar_mm"] = [round(float(v), 6) for v in found.radius_mm]
     table = Table(columns, [int(line) for line in found.line], list(found.notes), list(found.warnings))
     table.notes.append(
-        "bar_id counts the runs: give runs about one foot the same number, and the arm's size is seen better"
+        "bar_id counts the runs: give runs about one centre mount the same number to determine the scale of the arm better"
     )
     return table

@@ -28,7 +28,7 @@ UPRIGHT = 0.1
 
 @dataclass(frozen=True)
 class Pass:
-    """One way round: rows of the log, their angle in degrees, which only rises or only falls, and the foot's place."""
+    """One pass: rows of the log, their angle in degrees, which only rises or only falls, and the centre mount's place."""
 
     rows: NDArray[np.int64]
     angle_deg: Floats
@@ -70,7 +70,7 @@ def join_ballbar(bar: BallBar, log: JointLog, zero_deg: float = 0.0) -> tuple[Ta
         columns["bar_mm"] += [round(float(v), 6) for v in bar.radius_mm[run]]
         lines += [int(line) for line in bar.line[run]]
     table = Table(columns, lines, list(bar.notes), list(bar.warnings))
-    table.notes.append(f"{len(runs)} runs about {len(feet)} feet have their joints from {log.path.name}")
+    table.notes.append(f"{len(runs)} runs about {len(feet)} centre mounts have their joints from {log.path.name}")
     return table, {"rows": len(lines), "runs": len(runs), "feet": len(feet), "radius_mm": round(passes[0].radius_mm, 4)}
 
 
@@ -165,7 +165,7 @@ def _within(bar: BallBar, angle: Floats, way: Pass, zero_deg: float) -> Floats:
     turns = [k for k in range(-4, 5) if angle.min() + 360 * k >= low and angle.max() + 360 * k <= high]
     if len(turns) != 1:
         there = f"from {way.angle_deg[0] % 360:.1f} deg over {np.ptp(way.angle_deg):.1f} deg"
-        what = f"a run begins at {angle[0] % 360:.1f} deg and turns {np.ptp(angle):.1f} deg, the log goes {there}"
+        what = f"a run begins at {angle[0] % 360:.1f} deg and covers {np.ptp(angle):.1f} deg, the log goes {there}"
         other = (zero_deg + way.angle_deg[0] - angle[0]) % 360
         remedy = f"If the bar's angle 0 is not the robot's x axis, give where it is (here --zero-deg {other:.1f})"
         raise fault(bar.path, what, remedy + "; or give the log of these runs alone.")

@@ -1,6 +1,6 @@
-"""A whole body of markers knocked on its mount: distances stay, but what the robot's model leaves steps at that moment.
+"""A whole body of markers knocked on its mount: distances stay, but the residual of the robot's model steps at that moment.
 
-Each row is turned into the tool's frame and brought to six numbers, how far and how much turned the body sits from where
+Each row is transformed into the tool's frame and reduced to six numbers, shift and rotation of the body from where
 it should. What base, markers and small errors of the arm explain of them is taken off; then a step is sought in time.
 """
 
@@ -89,7 +89,7 @@ def _in_tool(arm: Arm, q: Floats, points: Floats, start: Registration) -> tuple[
 
 
 def _rigid(markers: Floats) -> Floats:
-    """An orthonormal basis of small rigid motions of the markers: (3 m, 6), fewer where they do not show a turn."""
+    """An orthonormal basis of small rigid motions of the markers: (3 m, 6), fewer where they do not show a rotation."""
     away = markers - markers.mean(axis=0)
     columns = [np.tile(axis, (len(markers), 1)).ravel() for axis in np.eye(3)]
     columns += [np.cross(axis, away).ravel() / 100.0 for axis in np.eye(3)]

@@ -123,10 +123,10 @@ def _frames(
     whole = path.stat().st_size == start + room * size
     if room and room < frames and whole:
         # The header is written first, with the frames that were planned; a copy that broke off ends within a frame.
-        warnings.append(f"stopped early: {name} states {frames} frames, the {room} that are there are whole and taken")
+        warnings.append(f"stopped early: {name} states {frames} frames, the {room} in it are complete and used")
         return room
     if frames > room and allow_cut and room:
-        warnings.append(f"cut off: {name} states {frames} frames, the {room} that are whole are taken")
+        warnings.append(f"cut off: {name} states {frames} frames, the {room} complete ones are used")
         return room
     if frames > room or not frames:
         what = f"is cut off: {name} states {frames} frames ({frames * size} bytes), {room} are there"
@@ -147,7 +147,7 @@ def _check_end(path: Path, end: int, warnings: list[str]) -> None:
         for at in {end, padded}:
             stream.seek(at)
             if is_c3d(stream.read(SECTOR)):
-                what = "two recordings are glued together"
+                what = "two recordings are concatenated"
                 raise fault(path, what, "Give each recording as a file of its own.", byte=at)
     if size - end >= SECTOR:
         warnings.append(f"{size - end} bytes after the last frame are left out")

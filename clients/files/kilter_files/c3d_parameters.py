@@ -49,7 +49,9 @@ def read_header(path: Path, content: bytes) -> Header:
 
     """
     if not is_c3d(content):
-        raise fault(path, "is no C3D file (its second byte is not 0x50)", "Is it of another device? " + BROKEN, byte=1)
+        raise fault(
+            path, "is not a C3D file (its second byte is not 0x50)", "Is it of another device? " + BROKEN, byte=1
+        )
     start = (content[0] - 1) * SECTOR
     if len(content) < start + 4:
         raise fault(path, "is cut off before its parameters", BROKEN, byte=len(content))

@@ -21,7 +21,7 @@ def element_of(name: str) -> tuple[str, int] | None:
 
 
 def parse_list(text: str, decimal: str = ".") -> list[float] | None:
-    """Return the numbers of a cell such as ``[1, 2]``, ``(1; 2)`` or numpy's ``[1. 2.]``, None when it is no list of them."""
+    """Return the numbers of a cell such as ``[1, 2]``, ``(1; 2)`` or numpy's ``[1. 2.]``; None for anything else."""
     match = WRAPPED.fullmatch(text.strip())
     if match is None:
         return None
@@ -42,7 +42,7 @@ def element(texts: list[str], index: int, decimal: str, wrong: Callable[[int, st
     """Return the cells' element ``index`` as text; empty cells stay empty.
 
     Raises:
-        Exception: what ``wrong(row, why)`` makes of a cell that is no list, or not as long as the first.
+        Exception: what ``wrong(row, why)`` makes of a cell that is not a list, or not as long as the first.
 
     """
     out, length = [], None
@@ -52,7 +52,7 @@ def element(texts: list[str], index: int, decimal: str, wrong: Callable[[int, st
             continue
         found = parse_list(text, decimal)
         if found is None:
-            raise wrong(row, f"{text[:40]!r} is no list of numbers such as [1.0, 2.0]")
+            raise wrong(row, f"{text[:40]!r} is not a list of numbers such as [1.0, 2.0]")
         length = len(found) if length is None else length
         if len(found) != length or not index < length:
             why = f"has no element {index} (from 0)" if len(found) == length else f"the first list has {length}"

@@ -1,4 +1,4 @@
-"""Numbers as they stand in cells."""
+"""Numbers in cells."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from kilter_files.joint_log import JointLog
 from kilter_files.speeds import likeness
 
 LEAST_CORRELATION = 0.3
-MOST_DRIFT = 5e-4  # quartz clocks keep within some hundred parts in a million
+MOST_DRIFT = 5e-4  # quartz clocks agree within a few hundred parts in a million
 SHOWN = 5
 
 
@@ -39,7 +39,7 @@ class Checks:
 
         """
         if not self.unchecked:
-            raise fault(path, what, f"{remedy} --unchecked sends it all the same.")
+            raise fault(path, what, f"{remedy} --unchecked sends it anyway.")
         return what
 
 
@@ -92,7 +92,9 @@ def _refuse_other_model(path: Path, log: JointLog, checks: Checks, left: float) 
         f"the model of {checks.arm.name} explains no part of it with the joints of {log.path.name}: "
         f"{left:.0%} of the markers' motion is left at best"
     )
-    remedy = "Is it the log of this recording, the robot that was measured, and are the joints in its order and sense?"
+    remedy = (
+        "Is it the log of this recording, the robot that was measured, and are the joints in its order and direction?"
+    )
     return checks.refuse(path, what, remedy)
 
 
@@ -100,14 +102,14 @@ def refuse_drift(path: Path, log: JointLog, drift: float, sigma: float, checks: 
     """Refuse a drift that no clock has; a warning where the person allows it.
 
     Raises:
-        FileError: the clocks run apart by more than 500 ppm, beyond three standard deviations.
+        FileError: the clocks drift apart by more than 500 ppm, beyond three standard deviations.
 
     """
     if not abs(drift) - 3 * sigma > MOST_DRIFT:
         return []
     what = (
-        f"its clock and that of {log.path.name} run apart by {drift * 1e6:+.0f} ppm (± {sigma * 1e6:.0f}); clocks keep within "
-        f"some hundred, {MOST_DRIFT * 1e6:.0f} is the limit"
+        f"its clock and that of {log.path.name} drift apart by {drift * 1e6:+.0f} ppm (± {sigma * 1e6:.0f}); clocks agree "
+        f"within a few hundred, {MOST_DRIFT * 1e6:.0f} is the limit"
     )
     return [checks.refuse(path, what, "Is the frame rate right (--rate), and t_s of the log in seconds?")]
 
@@ -128,9 +130,7 @@ def _refuse_jumps(path: Path, log: JointLog, found: LagPath, checks: Checks) -> 
     elif checks.piecewise:
         return f"{what}: matched part by part"
     else:
-        remedy = (
-            "Match the parts before and after by themselves with --piecewise, or one of them with --until or --since."
-        )
+        remedy = "Match the parts before and after separately with --piecewise, or one of them with --until or --since."
     if checks.unchecked and found.found is None:
         return checks.refuse(path, what, remedy)
     raise fault(path, what, remedy)

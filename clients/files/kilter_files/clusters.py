@@ -1,4 +1,4 @@
-"""Which readings are one and the same place: told by the gaps between them, never by rounding."""
+"""Which readings are the same position: decided by the gaps between them, never by rounding."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def read_map(path: Path) -> ColumnMap:
     """Read a column map.
 
     Raises:
-        FileError: no TOML, an unknown key, a target that is no contract column, units that do not fit.
+        FileError: no TOML, an unknown key, a target that is not a contract column, units that do not fit.
 
     """
     try:
@@ -71,7 +71,7 @@ def read_map(path: Path) -> ColumnMap:
     except UnicodeDecodeError as error:
         raise FileError(f"{path}: is not UTF-8 text, as TOML is. Save it as UTF-8.", file=str(path)) from error
     except (OSError, tomllib.TOMLDecodeError) as error:
-        raise FileError(f"{path}: is no readable column map: {error}.", file=str(path)) from error
+        raise FileError(f"{path}: is not a readable column map: {error}.", file=str(path)) from error
     form, layout = _file(top.part("file"))
     rows = top.part("rows")
     columns = read_columns(top)
@@ -118,14 +118,14 @@ def _orientation(top: Section) -> Orientation | None:
     euler, quaternion, unit = section.text("euler"), section.text("quaternion"), section.text("unit")
     section.finish()
     if UNKNOWN in (euler, quaternion, unit, *sources):
-        raise section.error('the draft could not tell: fill in what is "?", or delete the table')
+        raise section.error('the draft could not determine: fill in what is "?", or delete the table')
     if quaternion is not None and (quaternion not in QUATERNIONS or euler or unit or len(sources) != 4):
         raise section.error('a quaternion is four columns and quaternion = "wxyz" or "xyzw", without unit')
     if quaternion is not None:
         return Orientation(sources, quaternion)
     if euler is None or not is_sequence(euler) or len(sources) != 3 or unit not in units_like("rad"):
         raise section.error(
-            'Euler angles are three columns in turning order, unit = "deg" or "rad", and euler = three letters: '
+            'Euler angles are three columns in the order of rotation, unit = "deg" or "rad", and euler = three letters: '
             '"XYZ" about the moving axes (intrinsic), "xyz" about the fixed ones (extrinsic)'
         )
     return Orientation(sources, euler, unit or "rad")

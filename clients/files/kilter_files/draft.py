@@ -61,7 +61,7 @@ def draft(path: Path) -> Draft:
     taken = {name for entry in axes for name in entry.used} | set(turn.names if turn else ())
     place, elsewhere = points(columns, taken)
     entries = [*axes] or [_unknown_joints(columns)]
-    entries += place or [Entry(f"{a}_mm", UNKNOWN, "mm", "could not tell which column this is") for a in "xyz"]
+    entries += place or [Entry(f"{a}_mm", UNKNOWN, "mm", "could not determine which column this is") for a in "xyz"]
     taken |= {name for entry in place for name in entry.used}
     for entry in _rest(columns, taken):
         entries.append(entry)
@@ -120,7 +120,8 @@ def _line(columns: Columns, entry: Entry) -> str:
 
 def _unknown_joints(columns: Columns) -> Entry:
     numeric = [name for name in columns.names if columns.numbers(name)]
-    told = f'could not tell which columns are joints, write one line each or from = "A*"; numbers are in {_listed(numeric)}'
+    listed = _listed(numeric)
+    told = f'could not determine which columns are joints, write one line each or from = "A*"; numbers are in {listed}'
     return Entry("q*", UNKNOWN, UNKNOWN, told)
 
 

@@ -28,7 +28,7 @@ TURNED = re.compile(
     r"\b(?:rot|rotation|quat\w*|orient\w*|q @|r @|n @)\b|^[rq]@|\b(?:std|sigma|u95|rms|unc\w*|goal|force|vel\w*|acc\w*)\b"
 )
 COMPUTED = re.compile(r"\b(?:tcp|flange|flansch|tool|cart\w*)\b")
-ASK_INSTRUMENT = "is this an instrument's reading? What the controller computes from its joints is no measurement"
+ASK_INSTRUMENT = "is this an instrument's reading? What the controller computes from its joints is not a measurement"
 VECTORS = (3, 6, 7)  # a point, a point with three angles, a point with a quaternion
 ARMS = (
     ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3"),
@@ -117,7 +117,7 @@ def joints(columns: Columns) -> tuple[list[Entry], list[str]]:
     best = ranked[0][1]
     equal = [family.pattern for score, family in ranked if score == ranked[0][0] and not _shared(family, best)]
     if equal:
-        told = f"could not tell which of these are the arm's joints: {', '.join([best.pattern, *equal])}"
+        told = f"could not determine which of these are the arm's joints: {', '.join([best.pattern, *equal])}"
         return [Entry("q*", UNKNOWN, _angle(columns, best.names)[0], told)], []
     others = [family.pattern for score, family in ranked[1:] if not set(family.names) & set(best.names)]
     units = {columns.unit(name) for name in best.names}
@@ -187,7 +187,10 @@ def _angle(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
         return "deg", f"the file states no unit; values up to {size:.4g} are degrees"
     if 0.3 < size <= 6.6:
         return "rad", f"the file states no unit; values up to {size:.4g} look like radians: check"
-    return UNKNOWN, f"the file states no unit, and values up to {size:.4g} do not tell: deg, rad or turn with a scale"
+    return (
+        UNKNOWN,
+        f"the file states no unit, and values up to {size:.4g} do not decide between deg, rad and 'turn' with a scale",
+    )
 
 
 def points(columns: Columns, taken: set[str]) -> tuple[list[Entry], list[str]]:
@@ -205,7 +208,7 @@ def points(columns: Columns, taken: set[str]) -> tuple[list[Entry], list[str]]:
     unit, remark = _length(columns, best.names)
     equal = [t.pattern for t in ranked[1:] if _point_score(columns, t) == _point_score(columns, best)]
     if equal:
-        told = f"could not tell which of these is the position: {', '.join([best.pattern, *equal])}"
+        told = f"could not determine which of these is the position: {', '.join([best.pattern, *equal])}"
         return [Entry(f"{axis}_mm", UNKNOWN, unit, told) for axis in "xyz"], []
     said = words_of(best.pattern)
     if COMPUTED.search(said) and not re.search(r"\b(?:meas\w*|tracker|laser|leica|smr|gemessen)\b", said):
@@ -253,7 +256,7 @@ def _length(columns: Columns, names: Sequence[str]) -> tuple[str, str]:
         return "mm", f"the file states no unit; values up to {size:.4g} are mm"
     if 0.1 < size <= 8.0:
         return "m", f"the file states no unit; values up to {size:.4g} look like metres: check"
-    return UNKNOWN, f"the file states no unit, and values up to {size:.4g} do not tell: mm, m or inch"
+    return UNKNOWN, f"the file states no unit, and values up to {size:.4g} do not decide between mm, m and inch"
 
 
 def time(columns: Columns, taken: set[str]) -> Entry | None:

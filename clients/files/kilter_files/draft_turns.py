@@ -15,7 +15,7 @@ QUATERNIONS: tuple[tuple[str, ...], ...] = (
     ("q0", "q1", "q2", "q3"),
     ("quat w", "quat x", "quat y", "quat z"),
 )
-# names of three angles, in turning order -> the convention of whoever calls them so
+# names of three angles, in the order of rotation -> the convention of whoever uses these names
 ANGLES: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (("a", "b", "c"), "ZYX", "KUKA's A, B, C"),
     (("w", "p", "r"), "xyz", "FANUC's W, P, R"),

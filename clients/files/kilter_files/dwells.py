@@ -100,7 +100,7 @@ def _moving(thinned: Thinned, half: int, speed: float | None) -> NDArray[np.bool
     if len(p) < 4 * half + 2:
         return np.ones(len(p), bool)
     sigma = noise(p)
-    # spans without the outermost fiftieths: a spike is no motion
+    # spans without the outermost fiftieths: a spike is not a motion
     ordered = np.sort(np.where(np.isnan(p), mean_seen(p, 0), p), axis=0)
     span = (ordered[-1 - len(p) // 50] - ordered[len(p) // 50]).max(axis=1)
     with np.errstate(invalid="ignore"):

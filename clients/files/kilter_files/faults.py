@@ -1,4 +1,4 @@
-"""The refusal of a file: where, what, and what to do."""
+"""Errors of files: where, what, and what to do."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from kilter_files.errors import FileError, MissingPackageError
 
-CUT = "Copy or export it again. If it was recorded like that, allow_cut (--allow-cut) takes the whole frames."
+CUT = "Copy or export it again. If it was recorded like that, allow_cut (--allow-cut) uses the complete frames."
 
 
 def fault(path: Path, what: str, remedy: str, **place: Any) -> FileError:

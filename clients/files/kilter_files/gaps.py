@@ -26,7 +26,7 @@ def without_gaps(points: Floats, residual: NDArray[np.floating] | None = None) -
 
 
 def unit_quaternions(turned: Floats, points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return ``turned`` (n, markers, 4) at unit length, NaN where nothing was seen, and which were no rotation."""
+    """Return ``turned`` (n, markers, 4) at unit length, NaN where nothing was seen, and which were not a rotation."""
     seen = ~np.isnan(points[..., 0])
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.sqrt((turned * turned).sum(axis=-1))

@@ -81,7 +81,7 @@ def read_heights(
     elif kind == "text":
         t, values, unit, name, cut = _text(path, channel, time)
     else:
-        raise fault(path, f"is a {kind} file, no log of a height", "Give TDMS, CSV or .mat.")
+        raise fault(path, f"is a {kind} file, not a log of heights", "Give TDMS, CSV or .mat.")
     if len(values) < 2:
         raise fault(path, f"has {len(values)} values", "Record the whole drawing.", column=name)
     if not (np.isfinite(values).all() and np.isfinite(t).all()):
@@ -89,7 +89,7 @@ def read_heights(
         raise fault(path, f"value {row + 1} is missing", "Fill it or leave it out.", column=name)
     if np.any(np.diff(t) <= 0):
         row = int(np.argmax(np.diff(t) <= 0)) + 2
-        raise fault(path, f"time goes back or stands still at value {row}", "Split the file there.", column=name)
+        raise fault(path, f"time goes back or stops at value {row}", "Split the file there.", column=name)
     note = f"height from {name!r} of {path.name}" + ("" if cut is None else f" ({cut})")
     return Heights(path, t, _in_mm(path, name, values, unit, calibration), note)
 

@@ -33,7 +33,7 @@ class Inclinations:
 
 
 def tilts_of(layout: TextLayout) -> dict[str, int]:
-    """Return which column is the inclination x and y; empty when it is no inclinometer's file."""
+    """Return which column is the inclination x and y; empty when it is not an inclinometer's file."""
     found: dict[str, int] = {}
     for i, name in enumerate(layout.names):
         match = TILT.match(plain(name))
@@ -43,7 +43,7 @@ def tilts_of(layout: TextLayout) -> dict[str, int]:
 
 
 def read_inclinometer(path: Path, unit: str | None = None) -> Inclinations:
-    """Read an inclinometer log; ``unit`` goes before what the file says of its angles.
+    """Read an inclinometer log; ``unit`` overrides what the file says of its angles.
 
     Raises:
         FileError: no inclination or time among the columns, no unit, an angle that cannot be, time that goes back.
@@ -60,7 +60,7 @@ def read_inclinometer(path: Path, unit: str | None = None) -> Inclinations:
     raw = np.concatenate(list(blocks(path, layout, wanted, rows)))
     t = raw[:, wanted.index(time)] * SIZES["time"].get(layout.units[time] or "s", 1.0)
     _refuse(path, layout, np.isnan(raw).any(axis=1), "a cell is empty", None)
-    _refuse(path, layout, np.diff(t, prepend=-np.inf) < 0, "time goes back: two logs glued together", time)
+    _refuse(path, layout, np.diff(t, prepend=-np.inf) < 0, "time goes back: two logs concatenated", time)
     columns: dict[str, Floats] = {"t_s": t - t[0]}
     notes, warnings = [], [] if cut is None else [cut]
     for axis, column in sorted(tilts.items()):
@@ -85,7 +85,7 @@ def _too_steep(path: Path, layout: TextLayout, row: int, column: int, stated: st
     """Say which smaller unit the angles may be in."""
     smaller = [unit for unit in ("deg", "mrad", "arcmin", "arcsec") if SIZES["angle"][unit] < SIZES["angle"][stated]]
     factors = [f"{unit} ({SIZES['angle'][unit] / SIZES['angle'][stated]:.4g} of it)" for unit in smaller]
-    what = f"more than half a turn, declared as {stated}: are these {' or '.join(factors) or 'no angles'}"
+    what = f"more than 180 degrees, declared as {stated}: are these {' or '.join(factors) or 'no angles'}"
     remedy = f"Give the unit (--unit {smaller[0]}), or correct the row." if smaller else "Correct the row."
     return fault(path, what, remedy, line=line_of(path, layout, row), column=layout.names[column])
 

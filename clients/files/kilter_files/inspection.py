@@ -1,4 +1,4 @@
-"""What a file is understood to be, before anything is sent: one document for people and programs."""
+"""How a file is read, before anything is sent: one document for people and programs."""
 
 from __future__ import annotations
 

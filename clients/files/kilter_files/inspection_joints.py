@@ -1,4 +1,4 @@
-"""What a joint log is understood to be: a bag's topics and joints, a program's targets."""
+"""How a joint log is read: a bag's topics and joints, a program's targets."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def describe_log(log: JointLog) -> Document:
     """Describe a joint log that was read."""
     q, warnings = np.abs(log.q_even()), list(log.warnings)
     if all(name.endswith("_deg") for name in log.joints) and len(log) > 20 and q.max() < 3.2:
-        warnings.append("no joint turns more than 3.2 deg: are these radians?")
+        warnings.append("no joint moves by more than 3.2 deg: are these radians?")
     still = [name for name in log.joints if len(log) > 20 and np.ptp(log.columns[name]) == 0]
     if still:
         warnings.append(f"never move: {', '.join(still)}")

@@ -1,4 +1,4 @@
-"""What an unknown table is understood to be: its layout, its columns with ranges, and the way to bring it in."""
+"""How an unknown table is read: its layout, its columns with ranges, and how to send it."""
 
 from __future__ import annotations
 

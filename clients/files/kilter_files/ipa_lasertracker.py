@@ -40,7 +40,7 @@ def read_ipa_lasertracker(path: Path) -> Table:
     absent = [name for name in NEEDED if not source.has(name)]
     if absent:
         raise FileError(
-            f"{path}: is no series of the IPA data, {', '.join(absent)} missing. Upload a measurements_*.csv; "
+            f"{path}: is not a series of the IPA data, {', '.join(absent)} missing. Upload a measurements_*.csv; "
             "the hand-eye calibration holds no joint readings.",
             file=str(path),
             column=absent[0],

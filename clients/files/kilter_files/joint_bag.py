@@ -189,7 +189,7 @@ class _Kept:
             return
         row = [float(state.position[place[name]]) for name in self.names]
         if not np.isfinite(row).all():
-            what = f"the position of {self.names[int(np.argmin(np.isfinite(row)))]!r} is no number"
+            what = f"the position of {self.names[int(np.argmin(np.isfinite(row)))]!r} is not a number"
             raise fault(self.path, what, "Cut the bag there, or record again.", message=number)
         stamp = int(state.header.stamp.sec) * 10**9 + int(state.header.stamp.nanosec)
         if self.stamped is None:
@@ -218,7 +218,7 @@ class _Kept:
         self.numbers = [number for number, same in zip(self.numbers, again, strict=True) if not same]
         back = np.flatnonzero(np.diff(np.array(self.times, dtype=np.int64)) <= 0)
         if len(back):
-            what = "its clock goes back or stands still: two recordings, or two publishers"
+            what = "its clock goes back or stops: two recordings, or two publishers"
             raise fault(
                 self.path, what, "Split the bag there (`ros2 bag convert`).", message=self.numbers[int(back[0]) + 1]
             )

@@ -22,7 +22,7 @@ from kilter_files.units import unit_of
 
 JOINT = re.compile(r"q([1-9]\d?)_(deg|rad|mm|m)")
 MARKER = re.compile(r"m[1-9]\d?[xyz]_(mm|m)")
-MOST_RAD = 4.2 * math.pi  # no revolute joint of an arm turns more than two times either way
+MOST_RAD = 4.2 * math.pi  # no revolute joint of an arm makes more than two turns either way
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class JointLog:
 class LogHints:
     """What the person says of a log: the topic of a bag, and its joints from the base to the tool.
 
-    ``order`` are joint names; one that slides is written ``name:m``. ``likely`` is taken when the log has all of them.
+    ``order`` are joint names; a prismatic joint is ``name:m``. ``likely`` is used when the log has all of them.
     """
 
     topic: str | None = None
@@ -82,7 +82,7 @@ def read_joint_log(path: Path, column_map: Path | None = None, hints: LogHints =
     names = list(getattr(source, "names", []))
     unknown = [name for name in names if unit_of(name) is None]
     if unknown:
-        what = "is no contract column such as q1_deg or t_s"
+        what = "is not a contract column such as q1_deg or t_s"
         raise fault(path, what, "Rename it, or give the log's column map (--joints-map).", line=1, column=unknown[0])
     lines = source.lines if isinstance(source, TextSource) else []
     return _checked(path, {name: np.array(source.numbers(name)) for name in names}, lines)
@@ -122,7 +122,7 @@ def _of_targets(path: Path) -> JointLog:
 def _checked(path: Path, columns: dict[str, Floats], lines: list[int], rows: str = "line") -> JointLog:
     numbered = sorted((int(m[1]), name) for name in columns if (m := JOINT.fullmatch(name)))
     if not numbered or [number for number, _ in numbered] != list(range(1, len(numbered) + 1)):
-        remedy = "A joint log has q1_deg, q2_deg, ... without a gap; other names come in with a column map."
+        remedy = "A joint log has q1_deg, q2_deg, ... without a gap; for other names use a column map."
         raise fault(path, f"its joints are {', '.join(name for _, name in numbered) or 'missing'}", remedy)
     for name, values in columns.items():
         if np.isnan(values).any() and not MARKER.fullmatch(name):
@@ -131,7 +131,7 @@ def _checked(path: Path, columns: dict[str, Floats], lines: list[int], rows: str
     _refuse_degrees(path, columns, lines, rows)
     back = np.flatnonzero(np.diff(columns["t_s"]) <= 0) if "t_s" in columns else np.zeros(0, int)
     if len(back):
-        what = "time goes back or stands still: two logs glued together"
+        what = "time goes back or stops: two logs concatenated"
         raise fault(path, what, "Split the log there.", **{rows: _line(lines, int(back[0]) + 1)}, column="t_s")
     return JointLog(path, tuple(name for _, name in numbered), columns)
 

@@ -1,4 +1,4 @@
-"""Which joint of a log is the first of the arm: messages name their joints, in any order, often by the alphabet."""
+"""Which joint of a log is the first of the arm: messages name their joints in any order, often alphabetically."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def knocks_of_frames(thinned: Thinned) -> list[Knock]:
 
 
 def _named(points: Floats, spans: Floats, cuts: list[Cut], chosen: NDArray[np.int64]) -> list[Knock]:
-    """Turn cuts into knocks; a row in the middle of which the knock came gives two cuts, which are one."""
+    """Make knocks of cuts; a row in the middle of which the knock came gives two cuts, which are one."""
     out: list[Knock] = []
     for cut in cuts:
         knock = _knock(points, spans, *cut)

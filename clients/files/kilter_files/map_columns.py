@@ -15,7 +15,7 @@ TIMESTAMP = "timestamp"
 UNKNOWN = "?"  # what a draft writes where it could not tell
 NUMBERED = ("q", "link", "qd", "qdd", "tau", "dir", "m")
 NO_CONTRACT_COLUMN = (
-    "is no contract column; those are q1_deg or _rad, x_mm y_mm z_mm, qw qx qy qz, m1x_mm, link1_deg, t_s, tau1_nm, dir1, "
+    "is not a contract column; those are q1_deg or _rad, x_mm y_mm z_mm, qw qx qy qz, m1x_mm, link1_deg, t_s, tau1_nm, dir1, "
     "payload_kg, payload_com_x_mm, fx_n, mx_nm, temperature_c, session, pose_id, sx_mm, tipx_mm, socket_id, plane_id, bar_id, "
     "bar_mm, each with its unit in the name"
 )
@@ -58,7 +58,7 @@ def read_columns(top: Section, key: str = "columns") -> Columns:
     """Read the table of columns.
 
     Raises:
-        FileError: no table, a target that is no contract column, units that do not fit.
+        FileError: no table, a target that is not a contract column, units that do not fit.
 
     """
     section = top.part(key)
@@ -68,7 +68,7 @@ def read_columns(top: Section, key: str = "columns") -> Columns:
 
 
 def expanded(columns: Columns, choices: Sequence[str], map_path: Path, file: Path) -> tuple[Column, ...]:
-    """Return single columns: each pattern becomes one per matching name of the file; what is named singly goes before it.
+    """Return single columns: each pattern becomes one per matching name of the file; what is named singly wins.
 
     Raises:
         FileError: no name matches, a number is missing, or lists of another length.
@@ -138,7 +138,7 @@ def _column(columns: Section, target: str) -> Column:
     sign, still = section.number("sign"), section.number("still_below")
     section.finish()
     if source == UNKNOWN:
-        raise section.error("the draft could not tell which column this is: name it, or delete the line", "from")
+        raise section.error("the draft could not determine which column this is: name it, or delete the line", "from")
     if (source is None) == (value is None):
         raise section.error("needs either 'from' (a column of the file) or 'value' (a constant)")
     if value is not None and (unit or scale or offset or sign):
@@ -160,17 +160,19 @@ def _pattern(columns: Section, target: str) -> Pattern:
     still = section.number("still_below")
     section.finish()
     if source == UNKNOWN:
-        raise section.error("the draft could not tell which columns these are: name them, or delete the line", "from")
+        raise section.error(
+            "the draft could not determine which columns these are: name them, or delete the line", "from"
+        )
     if source is None or source.count("*") != 1 or target.count("*") != 1:
         raise section.error('a pattern has one * on either side, for example q*_deg = { from = "A*", unit = "deg" }')
     if unit == UNKNOWN:
-        raise section.error("the draft could not tell the unit: fill it in", "unit")
+        raise section.error("the draft could not determine the unit: fill it in", "unit")
     named = _with_unit(target, unit)
     wanted = None if named is None else unit_of(named.replace("*", "1"))
     if named is None or wanted is None:
         stems = ", ".join(f"{stem}*" for stem in NUMBERED[:-1])
         raise section.error(
-            f"is no pattern of contract columns; those are {stems}, m*x_mm, each with its unit or 'unit'"
+            f"is not a pattern of contract columns; those are {stems}, m*x_mm, each with its unit or 'unit'"
         )
     if any(sign not in (1.0, -1.0) for sign in signs) or 0.0 in scales:
         raise section.error("'sign' is 1 or -1, 'scale' is not 0")
@@ -204,7 +206,7 @@ def _check_still(section: Section, target: str, source: str | int | None, still:
 
 def _check_unit(section: Section, target: str, wanted: str, unit: str | None, value: float | None) -> None:
     if unit == UNKNOWN:
-        raise section.error(f"the draft could not tell the unit: one of {', '.join(units_like(wanted))}", "unit")
+        raise section.error(f"the draft could not determine the unit: one of {', '.join(units_like(wanted))}", "unit")
     if not wanted and unit:
         raise section.error(f"{target} is a plain number and takes no unit", "unit")
     if not wanted or value is not None or (unit == TIMESTAMP and wanted == "s"):

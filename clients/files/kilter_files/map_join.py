@@ -181,7 +181,7 @@ def stamps(source: Source, column: str | int, path: Path) -> list[Stamp]:
         if stamp is None:
             line = source.lines[row] if row < len(source.lines) else row + 1
             raise FileError(
-                f"{path}, line {line}, column {column!r}: {text[:40]!r} is no time stamp such as 12:00:01.5, "
+                f"{path}, line {line}, column {column!r}: {text[:40]!r} is not a time stamp such as 12:00:01.5, "
                 "2026-11-22 12:00:01.5 or 22.11.2026 12:00:01. Write it so, or give the unit of numbers.",
                 file=str(path),
                 line=line,

@@ -30,7 +30,7 @@ def read_mapped(path: Path, column_map: ColumnMap, joined: Path | None = None) -
     """Read ``path`` as ``column_map`` says; ``joined`` is the second file, before the one that its [join] names.
 
     Raises:
-        FileError: a column that is not there, a cell that is no number, columns of different lengths, no row left.
+        FileError: a column that is not there, a cell that is not a number, columns of different lengths, no row left.
 
     """
     source = open_source(path, column_map.form, column_map.layout)

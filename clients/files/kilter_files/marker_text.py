@@ -19,11 +19,11 @@ from kilter_files.text_layout import TextLayout, sniff
 from kilter_files.units import SIZES
 
 SAMPLE_FRAMES = 2000
-GLUED = "If two recordings are glued together, split the file there."
+GLUED = "If two recordings are concatenated, split the file there."
 
 
 def read_marker_text(path: Path, rate_hz: float | None = None, allow_cut: bool = False) -> Recording:
-    """Read a text recording; ``rate_hz`` goes before what the file says.
+    """Read a text recording; ``rate_hz`` overrides what the file says.
 
     Raises:
         FileError: no markers among its columns, no rate, fewer rows than it states, or a damaged row.
@@ -85,7 +85,7 @@ def _rows(path: Path, layout: TextLayout, allow_cut: bool) -> tuple[int, tuple[s
         line = line_of(path, layout, int(stated))
         raise fault(path, f"has {lines} frames where it states {stated:.0f}", GLUED, line=line)
     short = stated is not None and rows < stated
-    said = f"cut off: the {rows} frames that are whole are taken"
+    said = f"cut off: the {rows} complete frames are used"
     return rows, tuple(text for text in (cut, said if short else None) if text is not None)
 
 
@@ -152,7 +152,7 @@ def _count(reader: _Reader, table: Floats, row: int) -> Floats:
     counter: Floats = table[:, reader.columns.needed.index(reader.columns.counter)]
     whole = np.isnan(counter) | (counter == np.round(counter))
     if not whole.all():
-        raise _at(reader, row + int(np.argmin(whole)), "the frame counter is no whole number: columns moved here")
+        raise _at(reader, row + int(np.argmin(whole)), "the frame counter is not a whole number: columns moved here")
     return counter
 
 
@@ -181,7 +181,7 @@ def _turned(reader: _Reader, raw: Floats, points: Floats, row: int) -> Floats:
     if wrong.any():
         frame, marker = np.argwhere(wrong)[0]
         column = reader.layout.names[reader.columns.turns[marker][0]]
-        what = f"the quaternion of {reader.columns.names[marker]} has not length 1: did the columns move here"
+        what = f"the quaternion of {reader.columns.names[marker]} does not have length 1: did the columns move here"
         raise _at(reader, row + int(frame), what, column)
     return turned
 

@@ -1,4 +1,4 @@
-"""MATLAB files looked through before a library trusts their numbers: cut off, bombs, arrays larger than their bytes."""
+"""MATLAB files checked before a library trusts their numbers: cut off, bombs, arrays larger than their bytes."""
 
 from __future__ import annotations
 

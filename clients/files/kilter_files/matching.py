@@ -22,7 +22,7 @@ from kilter_files.survey import jumps
 
 SAME_POSE_DEG = 0.01
 MOVED_DEG = 0.05
-OFF_SHAPE_MM = 1.0  # further from the body's shape is no noise: a marker moved, or is another one
+OFF_SHAPE_MM = 1.0  # further from the body's shape is not noise: a marker moved, or is another one
 
 Columns = dict[str, Floats]
 

@@ -1,4 +1,4 @@
-"""MCAP and SQLite files looked through before a library trusts their numbers: cut off, or claiming too much."""
+"""MCAP and SQLite files checked before a library trusts their numbers: cut off, or claiming too much."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def check_mcap(path: Path) -> None:
                 break
         stream.seek(at)
         if stream.read(len(MCAP)) != MCAP or at + len(MCAP) != size:
-            raise fault(path, "goes on behind its end: is another file glued to it", AGAIN, byte=at)
+            raise fault(path, "goes on behind its end: is another file appended to it", AGAIN, byte=at)
 
 
 def check_sqlite(path: Path) -> None:
@@ -74,7 +74,7 @@ def _check_chunk(path: Path, stream: BinaryIO, at: int, length: int) -> None:
     packing = stream.read(min(named, 16)).decode("latin-1")
     stated = stream.read(8)
     if named > 16 or len(stated) < 8:
-        raise fault(path, "a chunk is packed in no known way", AGAIN, byte=at)
+        raise fault(path, "a chunk has an unknown compression", AGAIN, byte=at)
     packed = struct.unpack("<Q", stated)[0]
     if packed != length - CHUNK.size - named - 8:
         raise fault(path, "a chunk's size is not that of its record", AGAIN, byte=at)
@@ -102,4 +102,6 @@ def _unpacker(path: Path, packing: str, at: int) -> Any:
         from backports import zstd
 
         return zstd.ZstdDecompressor()
-    raise fault(path, f"a chunk is packed with {packing!r}", "Record with zstd, lz4 or without packing.", byte=at)
+    raise fault(
+        path, f"a chunk is compressed with {packing!r}", "Record with zstd, lz4 or without compression.", byte=at
+    )

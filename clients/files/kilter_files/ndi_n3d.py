@@ -36,7 +36,10 @@ def read_n3d(path: Path, allow_cut: bool = False) -> Recording:
     head = head_of(path, HEADER_BYTES)
     if len(head) < HEADER_BYTES or not is_n3d(head):
         raise fault(
-            path, "is no NDI floating-point file", "Export it as '3D data, floating point' or as C3D or CSV.", byte=0
+            path,
+            "is not an NDI floating-point file",
+            "Export it as '3D data, floating point' or as C3D or CSV.",
+            byte=0,
         )
     _, items, parts, frames, rate, _ = HEAD.unpack_from(head)
     if parts != 3:
@@ -59,7 +62,7 @@ def _frames(path: Path, items: int, frames: int, allow_cut: bool, warnings: list
     wanted, size = HEADER_BYTES + 12 * items * frames, path.stat().st_size
     there = (size - HEADER_BYTES) // (12 * items)
     if size < wanted and allow_cut and there:
-        warnings.append(f"cut off: the header states {frames} frames, the {there} that are whole are taken")
+        warnings.append(f"cut off: the header states {frames} frames, the {there} complete ones are used")
         return there
     if size < wanted:
         what = f"is cut off: the header states {frames} frames of {items} markers ({wanted} bytes), {there} are there"
@@ -68,7 +71,7 @@ def _frames(path: Path, items: int, frames: int, allow_cut: bool, warnings: list
         with path.open("rb") as stream:
             stream.seek(wanted)
             more = is_n3d(stream.read(HEADER_BYTES))
-        what = "two recordings are glued together" if more else f"has {size - wanted} bytes more than its header states"
+        what = "two recordings are concatenated" if more else f"has {size - wanted} bytes more than its header states"
         raise fault(path, f"{what}, after frame {frames}", "Give each recording as a file of its own.", byte=wanted)
     return frames
 

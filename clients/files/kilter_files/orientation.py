@@ -24,7 +24,7 @@ def from_euler(angles: tuple[float, float, float], sequence: str) -> Quaternion:
 
 
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Return the quaternion of turning by ``b`` in the frame turned by ``a``."""
+    """Return the quaternion of the rotation ``b`` in the frame rotated by ``a``."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (

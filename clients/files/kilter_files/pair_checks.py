@@ -54,7 +54,7 @@ def _said(recording: Recording, found: list[Knock], checks: Checks) -> list[str]
     what = "; ".join(knock.said(recording.markers) for knock in found[:SHOWN]) + (" ..." if len(found) > SHOWN else "")
     names = sorted({recording.markers[k] for knock in found for k in knock.markers})
     without = (
-        f"Leave it out (--without {names[0]})" if len(names) == 1 else "Leave the one that moved out (--without NAME)"
+        f"Leave it out (--without {names[0]})" if len(names) == 1 else "Leave out the one that moved (--without NAME)"
     )
     first, last = found[0], found[-1]
     remedy = f"{without}, or match one part: --until {first.from_s:.2f} or --since {last.to_s:.2f}."
@@ -138,7 +138,7 @@ def _explained(arm: Arm, log: JointLog, q: Floats, points: Floats, spans: Floats
     """Say what is wrong with pairs, and the remedy."""
     if _fits(arm, q[::-1], points):
         what = f"the poses of {log.path.name} come in the reverse order of the dwells, by the model of {arm.name}"
-        return what, "Turn the rows of the log round."
+        return what, "Reverse the rows of the log."
     unit = next((u for u in UNITS if _fits(arm, q, points * u[0])), None)
     if unit is not None:
         what = f"the model of {arm.name} explains the pairs when coordinates are taken {unit[0]:g} times as large"
@@ -148,7 +148,10 @@ def _explained(arm: Arm, log: JointLog, q: Floats, points: Floats, spans: Floats
             f"the model of {arm.name} explains no stretch of the pairs with {log.path.name}: {pairing.share:.0%} of the "
             f"markers' spread of {spread(points):.0f} mm is left at best"
         )
-        remedy = "Are the poses in the order of the dwells, is it this robot, and are its joints in order and sense?"
+        remedy = (
+            "Are the poses in the order of the dwells, is it this robot, "
+            "and are its joints in the right order and direction?"
+        )
         return what, remedy
     wrong = np.flatnonzero(pairing.wrong)
     first, last = wrong[0], wrong[-1]
@@ -163,4 +166,4 @@ def _explained(arm: Arm, log: JointLog, q: Floats, points: Floats, spans: Floats
         usual = int(np.median(shifts))
         if np.mean(shifts == usual) > 0.7:
             what += f"; they fit the pose {abs(usual)} {'later' if usual > 0 else 'earlier'}"
-    return what, "Bring the poses into the order of the dwells, or leave those out that were not measured."
+    return what, "Put the poses in the order of the dwells, or leave those out that were not measured."

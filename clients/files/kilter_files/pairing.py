@@ -62,7 +62,7 @@ def check_pairs(arm: Arm, q: Floats, points: Floats) -> Pairing | None:
 
 
 def _sharper(arm: Arm, q: Floats, points: Floats, first: Pairing) -> Pairing:
-    """Fit small errors of the arm too, where the rows allow it, so that a small wrong turn shows."""
+    """Fit small errors of the arm too, where the rows allow it, so that a small wrong rotation shows."""
     good = np.flatnonzero(~first.wrong & ~np.isnan(first.off_mm))
     if len(good) < CALIBRATED_ROWS or first.found is None:
         return first

@@ -20,7 +20,7 @@ def prepare_points(path: Path, preset: str, euler: str | None = None, joints: Jo
     """
     table = read_tracker(path, preset, euler, None if joints is None else _columns(joints))
     if not any(JOINT.fullmatch(name) for name in table.columns):
-        remedy = "Name the file that holds them (--joints), or bring the export in with a column map (--map)."
+        remedy = "Name the file that holds them (--joints), or send the export with a column map (--map)."
         raise fault(path, "holds points, but no joints with a unit", remedy)
     if joints is not None:
         table.notes += [f"joints from {joints.path.name}, row by row", *joints.notes]

@@ -86,16 +86,14 @@ def read_long(path: Path, layout: TextLayout, columns: LongColumns, rate_hz: flo
             raise fault(path, what, "Correct the row; if another table begins here, split the file.", line=line)
         number = _number(path, layout, parts, columns.frame, line)
         if not float(number).is_integer():
-            raise fault(path, "the frame is no whole number", "Did the columns move here?", line=line)
+            raise fault(path, "the frame is not a whole number", "Did the columns move here?", line=line)
         if not frames or int(number) > frames[-1]:
             frames.append(int(number))
         elif int(number) < frames[-1]:
-            raise fault(path, "the frame goes back: two recordings glued together", "Split the file there.", line=line)
+            raise fault(path, "the frame goes back: two recordings concatenated", "Split the file there.", line=line)
         tool = tools.setdefault(parts[columns.tool], len(tools))
         if (len(frames), tool) in there:
-            raise fault(
-                path, f"tool {parts[columns.tool]!r} stands twice in frame {int(number)}", "Split it.", line=line
-            )
+            raise fault(path, f"tool {parts[columns.tool]!r} is twice in frame {int(number)}", "Split it.", line=line)
         there.add((len(frames), tool))
         wanted = (*columns.xyz, *columns.turns, *(() if columns.time is None else (columns.time,)))
         cells.append((len(frames) - 1, tool, line, [_number(path, layout, parts, i, line) for i in wanted]))
@@ -121,7 +119,9 @@ def _recording(
     if wrong.any():
         frame, k = np.argwhere(wrong)[0]
         where = int(line[np.flatnonzero((at == frame) & (tool == k))[0]])
-        raise fault(path, f"the quaternion of {tools[k]} has not length 1", "Did the columns move here?", line=where)
+        raise fault(
+            path, f"the quaternion of {tools[k]} does not have length 1", "Did the columns move here?", line=where
+        )
     rows = np.zeros(len(frames), np.int64)
     rows[at[::-1]] = line[::-1]
     t, rate = _time(path, layout, columns, rate_hz, frames, at, values)
@@ -146,7 +146,7 @@ def _turns(path: Path, values: Floats, points: Floats, line: Floats) -> Floats:
         wrong = seen & ~((off < 0.02) & (np.linalg.det(matrices) > 0))
     if wrong.any():
         where = int(line[int(np.argmax(wrong))])
-        raise fault(path, "R00 to R22 are no rotation", "Did the columns move here?", line=where)
+        raise fault(path, "R00 to R22 are not a rotation", "Did the columns move here?", line=where)
     return quaternions_of(np.where(seen[:, None, None], matrices, np.nan))
 
 
@@ -164,7 +164,7 @@ def _time(
     t[at[::-1]] = values[::-1, -1] * SIZES["time"].get(unit, 1.0)
     step = np.diff(t)
     if (step < 0).any() or len(t) < 2 or not t[-1] > t[0]:
-        raise fault(path, "its time goes back or stands still", "Give the rate in Hz (--rate).", line=layout.first_line)
+        raise fault(path, "its time goes back or stops", "Give the rate in Hz (--rate).", line=layout.first_line)
     return t - t[0], float(1.0 / np.median(step[step > 0]))
 
 
@@ -172,6 +172,6 @@ def _number(path: Path, layout: TextLayout, cells: list[str], i: int, line: int)
     text = cells[i]
     value = float("nan") if text in MISSING or text.lower() in NOT_SEEN else parse_number(text, layout.decimal)
     if value is None:
-        what = f"{text[:40]!r} is no number with decimal {layout.decimal!r}"
+        what = f"{text[:40]!r} is not a number with decimal {layout.decimal!r}"
         raise fault(path, what, "Correct the cell; did the columns move here?", line=line, column=layout.names[i])
     return value

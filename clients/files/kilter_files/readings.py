@@ -20,11 +20,11 @@ OTHERS = ("joint", "axis", "payload_kg", *CENTRE, "series")
 def read_readings(path: Path) -> list[dict[str, Any]]:
     """Readings for a ``joint_parameters`` job.
 
-    Columns: ``joint``, ``axis`` (x, y or z), ``q1_deg`` ... (``_mm`` for slides), ``reading_deg`` (or ``_mrad``,
+    Columns: ``joint``, ``axis`` (x, y or z), ``q1_deg`` ... (``_mm`` if prismatic), ``reading_deg`` (or ``_mrad``,
     ``_arcmin``), optional ``payload_kg``, ``payload_com_x_mm`` ... and ``series``. Lines that start with # are notes.
 
     Raises:
-        FileError: a column that is missing or unknown, or a cell that is no number; names line and column.
+        FileError: a column that is missing or unknown, or a cell that is not a number; names line and column.
 
     """
     try:
@@ -55,7 +55,9 @@ def _columns(path: Path, names: Sequence[str], line: int) -> tuple[list[str], st
         if not there:
             raise fault(path, f"the column {name} is missing or there twice", "Name it so.", line=line)
     if sorted(places) != list(range(1, len(places) + 1)) or not places:
-        raise fault(path, "the joint values are not q1 to qn", "Give every joint, as q1_deg (slides q1_mm).", line=line)
+        raise fault(
+            path, "the joint values are not q1 to qn", "Give every joint, as q1_deg (prismatic: q1_mm).", line=line
+        )
     return [places[k] for k in sorted(places)], readings[0]
 
 
@@ -74,7 +76,7 @@ def _reading(
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            raise fault(path, f"{row[name]!r} is no number", "Correct the cell.", line=line, column=name)
+            raise fault(path, f"{row[name]!r} is not a number", "Correct the cell.", line=line, column=name)
         return number
 
     out: dict[str, Any] = {"joint": row["joint"], "axis": row["axis"].lower(), "q_deg": [value(q) for q in joints]}

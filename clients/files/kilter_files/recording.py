@@ -68,11 +68,11 @@ def in_unit(recording: Recording, unit: str) -> Recording:
     """Read the coordinates in ``unit``, whatever the file states.
 
     Raises:
-        FileError: it is no unit of length.
+        FileError: it is not a unit of length.
 
     """
     if unit not in SIZES["length"]:
-        raise fault(recording.path, f"{unit!r} is no unit of length", f"Give one of {', '.join(SIZES['length'])}.")
+        raise fault(recording.path, f"{unit!r} is not a unit of length", f"Give one of {', '.join(SIZES['length'])}.")
     if unit == recording.unit:
         return recording
     factor = SIZES["length"][unit] / SIZES["length"][recording.unit]

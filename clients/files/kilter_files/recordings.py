@@ -19,8 +19,8 @@ OTHERS = {
     b"TDSm": ("a TDMS file", "See what it holds with kilter inspect."),
     SQLITE: ("a ROS 2 bag (SQLite)", "It is the joint log: kilter match RECORDING BAG."),
     MCAP: ("a ROS 2 bag (MCAP)", "It is the joint log: kilter match RECORDING BAG."),
-    b"PAR1": ("a Parquet file", "Contract columns are sent with kilter upload, others come in with a column map."),
-    b"MATLAB 5.0": ("a MATLAB file", "It comes in with a column map (kilter upload --map)."),
+    b"PAR1": ("a Parquet file", "Send contract columns with kilter upload, others with a column map."),
+    b"MATLAB 5.0": ("a MATLAB file", "Send it with a column map (kilter upload --map)."),
     b"\x89HDF": ("an HDF5 file (MATLAB 7.3)", "Save it in MATLAB with '-v7'."),
     ZIP: ("a ZIP archive or a spreadsheet", "Unpack it; a spreadsheet is read as .xlsx or CSV."),
     b"\x1f\x8b": ("compressed with gzip", "Unpack it first."),
@@ -58,7 +58,7 @@ def kind_of(path: Path) -> str:
 def open_recording(
     path: Path, rate_hz: float | None = None, allow_cut: bool = False, unit: str | None = None
 ) -> Recording:
-    """Read a recording of markers or tools: C3D, NDI floating point, or text; ``unit`` goes before what the file states.
+    """Read a recording of markers or tools: C3D, NDI floating point, or text; ``unit`` overrides what the file states.
 
     Raises:
         FileError: the file of another device, or a damaged one.
@@ -74,5 +74,5 @@ def _opened(path: Path, rate_hz: float | None, allow_cut: bool) -> Recording:
         return read_c3d(path, allow_cut) if kind == "c3d" else read_n3d(path, allow_cut)
     if kind != "text":
         what, remedy = next(found for magic, found in OTHERS.items() if head_of(path, 16).startswith(magic))
-        raise fault(path, f"is {what}, no recording of markers", remedy)
+        raise fault(path, f"is {what}, not a recording of markers", remedy)
     return read_marker_text(path, rate_hz, allow_cut)

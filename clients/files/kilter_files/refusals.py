@@ -1,4 +1,4 @@
-"""What the server would refuse of a file, as far as it can be told before anything is sent."""
+"""What the server would refuse in a file, as far as this is known before anything is sent."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SHOWN = 5
 def refusals(columns: Columns, joints: Sequence[Mapping[str, Any]] | None, lines: Sequence[int] = ()) -> list[str]:
     """Name every rule that is broken, with rows; ``joints`` are those of the robot as the server knows it."""
     found = [
-        f"{name} is empty or no number {_in_rows([math.isnan(v) for v in values], lines)}"
+        f"{name} is empty or not a number {_in_rows([math.isnan(v) for v in values], lines)}"
         for name, values in columns.items()
         if not MAY_BE_EMPTY.fullmatch(name) and any(math.isnan(v) for v in values)
     ]

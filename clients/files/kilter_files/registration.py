@@ -62,7 +62,7 @@ def calibrated(arm: Arm, q: Floats, points: Floats, start: Registration, steps: 
 def error_columns(arm: Arm, q: Floats, points: Floats) -> Floats:
     """Return how points (n, m, 3) in the base frame move (n, m, 3, errors) with small errors of the arm.
 
-    Six for each axis (turned and moved before it), and two that a joint's angle errs with its sine and cosine. They are
+    Six for each axis (a rotation and a shift before it), and two for an error of its angle by sine and cosine. They are
     scaled by what is plausible, so that a fit holds them at size one.
     """
     out = []

@@ -96,7 +96,7 @@ def register(path: Path, points: Floats, radius_mm: float, faces_down: bool = Fa
     """Lay the sheet through the four quarter points (4, 3); its face is up unless it ``faces_down``.
 
     Raises:
-        FileError: they are no four quarters of such a circle, or run the other way round.
+        FileError: they are not four quarters of such a circle, or run in the opposite direction.
 
     """
     turn = np.arange(4) * np.pi / 2
@@ -155,8 +155,8 @@ def join(circle: Circle, log: JointLog, heights: Heights | None, frame: Frame, o
     table.notes.append(note)
     if circle.along_mm is None:
         table.warnings.append(
-            f"the line shows no error along itself: the command stands in, as {taken:g} mm. Identify joint offsets at "
-            "most from such rows (--level 1)"
+            f"the line shows no error along itself: the command is used instead, with an uncertainty of {taken:g} mm. "
+            "Identify joint offsets at most from such rows (--level 1)"
         )
     moved = at_sheet[rows] - on_sheet
     report = {
@@ -185,7 +185,7 @@ def _along(circle: Circle, options: JoinOptions) -> tuple[Floats, float]:
         return circle.along_mm, 0.0
     if options.taken_mm is None:
         what = "shows no error along the circle: it has no strokes across the line"
-        remedy = "Draw strokes, or let the command stand in, as uncertain as the robot is: --take-command 1."
+        remedy = "Draw strokes, or use the command with the uncertainty of the robot: --take-command 1."
         raise fault(circle.path, what, remedy)
     return np.zeros(len(circle.turn)), options.taken_mm
 
@@ -211,7 +211,7 @@ def _matched(
     angle = np.arctan2(at_sheet[:, 1], at_sheet[:, 0])
     off = np.hypot(at_sheet[:, 0], at_sheet[:, 1]) - circle.radius_mm
     known = np.flatnonzero(~(np.isnan(circle.out_mm) | np.isnan(along)))
-    turned = 0.0  # the sheet may lie a little turned against the command
+    turned = 0.0  # the sheet may be rotated a little against the command
     rows = np.zeros(0, dtype=np.int64)
     for _ in range(2):
         aside = _wrapped(angle[None, :] - circle.turn[known][:, None] - turned) * circle.radius_mm

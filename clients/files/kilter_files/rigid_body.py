@@ -64,7 +64,7 @@ def aligned(shape: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def shape_of(points: Floats) -> Floats | None:
-    """Return the mean shape (m, 3) of markers (n, m, 3) about its centre, turned as when all were first seen.
+    """Return the mean shape (m, 3) of markers (n, m, 3) about its centre, oriented as when all were first seen.
 
     None when they are never seen together, or lie in a line.
     """
@@ -131,7 +131,7 @@ def _digitised(recording: Recording, path: Path) -> Body:
     tip = mean_seen(tips, 0)
     spread = float(np.sqrt(np.nanmean(np.sum((tips - tip) ** 2, axis=1))))
     if not spread < TIP_STILL_MM:
-        what = f"the tip wanders {spread:.3g} mm on the body"
+        what = f"the tip moves by {spread:.3g} mm on the body"
         raise fault(path, what, "Hold the probe still on the tool point, or is the last marker another one?")
     return Body(shape, tip, f"{path.name}, tip digitised to {spread:.3g} mm a frame")
 

@@ -70,7 +70,7 @@ class MatSource:
         """
         match = EXPRESSION.fullmatch(str(name).strip())
         if not match:
-            raise self._error(name, 'is no column of a .mat file: write "q[:,0]" (from 0), "q(:,1)" (from 1) or "t"')
+            raise self._error(name, 'is not a column of a .mat file: write "q[:,0]" (from 0), "q(:,1)" (from 1) or "t"')
         array = self._array(name, match["name"])
         column = array if match["kind"] is None else self._slice(name, array, match)
         if column.ndim != 1:
@@ -88,7 +88,7 @@ class MatSource:
             value = value[part]
         array = numpy.asarray(value)
         if array.dtype.kind not in "iufb" or array.ndim not in (1, 2):
-            raise self._error(expression, f"is no real array (type {array.dtype}, shape {array.shape})")
+            raise self._error(expression, f"is not a real array (type {array.dtype}, shape {array.shape})")
         return array
 
     def _slice(self, expression: str | int, array: Any, match: re.Match[str]) -> Any:
@@ -135,5 +135,5 @@ def read_mat(path: Path, missing: tuple[float, ...] = ()) -> MatSource:
     except NotImplementedError as error:
         raise FileError(f"{path}: a .mat file of version 7.3. Save it in MATLAB with '-v7'.", file=str(path)) from error
     except Exception as error:  # of a damaged file scipy lets zlib.error, KeyError, IndexError and more through
-        raise FileError(f"{path}: is no .mat file that scipy can read ({error}).", file=str(path)) from error
+        raise FileError(f"{path}: is not a .mat file that scipy can read ({error}).", file=str(path)) from error
     return MatSource(path, {name: value for name, value in content.items() if not name.startswith("__")}, missing)

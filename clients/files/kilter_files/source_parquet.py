@@ -121,4 +121,4 @@ def read_parquet(path: Path, missing: tuple[float, ...] = ()) -> ParquetSource:
         _refuse_large(path, pyarrow.parquet.read_metadata(path))
         return ParquetSource(path, pyarrow.parquet.read_table(path), missing)
     except (OSError, pyarrow.ArrowException) as error:
-        raise FileError(f"{path}: is no Parquet file ({error}).", file=str(path)) from error
+        raise FileError(f"{path}: is not a Parquet file ({error}).", file=str(path)) from error

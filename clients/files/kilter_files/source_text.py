@@ -103,7 +103,7 @@ class TextSource:
         """Return a column as numbers, NaN where a cell is empty or stands for "missing".
 
         Raises:
-            FileError: no such column, or a cell that is no number (line and column named).
+            FileError: no such column, or a cell that is not a number (line and column named).
 
         """
         missing = {str(m) for m in self.layout.missing}
@@ -111,7 +111,7 @@ class TextSource:
         for row, text in enumerate(self.texts(name)):
             value = math.nan if text in missing else parse_number(text, self.layout.decimal)
             if value is None:
-                why = f"{text[:40]!r} is no number with decimal '{self.layout.decimal}'"
+                why = f"{text[:40]!r} is not a number with decimal '{self.layout.decimal}'"
                 raise self.wrong(row, name, why, self._remedy(name, text))
             values.append(value)
         return values

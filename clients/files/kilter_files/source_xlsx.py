@@ -114,7 +114,7 @@ def _opened(path: Path, read: Callable[[Any], Found]) -> Found:
     except FileError:
         raise
     except Exception as error:  # of a damaged workbook openpyxl, zipfile, zlib and the XML parser each raise their own
-        raise fault(path, f"is no workbook that can be read ({error})", "Save it again, or as CSV.") from error
+        raise fault(path, f"is not a workbook that can be read ({error})", "Save it again, or as CSV.") from error
 
 
 def _sheet(path: Path, book: Any, wanted: str | int | None) -> Any:
@@ -160,7 +160,7 @@ def _refuse_large(path: Path) -> None:
             items: Iterable[zipfile.ZipInfo] = archive.infolist()
             size = sum(item.file_size for item in items)
     except (OSError, NotImplementedError, zipfile.BadZipFile) as error:
-        remedy = "Save it as .xlsx (an .xls of old has another format), or as CSV."
-        raise fault(path, f"is no .xlsx workbook ({error})", remedy) from error
+        remedy = "Save it as .xlsx (an old .xls has another format), or as CSV."
+        raise fault(path, f"is not an .xlsx workbook ({error})", remedy) from error
     if size > MOST_BYTES:
         raise fault(path, f"unpacks to {size / 1e6:.0f} MB", "Save the one sheet by itself, or as CSV or Parquet.")

@@ -1,4 +1,4 @@
-"""How fast the markers go and how fast the joints turn: alike, whatever the arm, so they tell how the clocks lie."""
+"""Speeds of the markers and of the joints: similar for any arm, so they show how the clocks are related."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def summary(prepared: Prepared, conditions: Mapping[str, Any]) -> Document:
 
 
 def columns_of(prepared: Prepared) -> Columns:
-    """Return every column as numbers, NaN where a cell is empty or no number; nothing where the bytes are not understood."""
+    """Return every column as numbers, NaN where a cell is empty or not a number; nothing where the bytes are not understood."""
     if prepared.content_type == CSV_TYPE:
         return _csv(prepared.content)
     if prepared.content_type == JSON_TYPE:

@@ -68,7 +68,7 @@ class Prepared:
 
     @classmethod
     def from_table(cls, table: Table) -> Prepared:
-        """Turn a converted table into CSV bytes: the same file gives the same bytes everywhere."""
+        """Write a converted table as CSV bytes: the same file gives the same bytes everywhere."""
         return cls(
             table.to_csv(),
             CSV_TYPE,

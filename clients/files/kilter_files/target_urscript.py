@@ -21,7 +21,7 @@ def read(path: Path, text: str, found: Targets) -> None:
     """Read the joints that movej goes to, in the order of the program.
 
     Raises:
-        FileError: a variable that is not set to numbers in the program, values that are no numbers, or degrees.
+        FileError: a variable that is not set to numbers in the program, values that are not numbers, or degrees.
 
     """
     text = without_comments(text, "#")
@@ -40,8 +40,8 @@ def read(path: Path, text: str, found: Targets) -> None:
             found.poses.append((name, line))
             continue
         if written is None:
-            what = f"movej goes to {match[5]!r}, which is set to no joints in this program"
-            raise fault(path, what, f"Write {match[5]} = [...] before it, or the joints in its place.", line=line)
+            what = f"movej goes to {match[5]!r}, to which this program assigns no joints"
+            raise fault(path, what, f"Write {match[5]} = [...] before it, or the joints instead.", line=line)
         found.add(name, _degrees(path, written, line), line)
     found.poses += [("a move along a line or arc", line_at(text, match.start())) for match in OTHER_MOVE.finditer(text)]
     if near:
@@ -58,5 +58,5 @@ def _degrees(path: Path, written: str, line: int) -> list[float]:
     except ValueError as error:
         raise fault(path, f"movej goes to {written[:40]!r}, no numbers", "Give numbers.", line=line) from error
     if any(not abs(v) <= 4.2 * math.pi for v in radians):
-        raise fault(path, "movej goes more than two turns: are these degrees", "Give radians.", line=line)
+        raise fault(path, "movej moves by more than two turns: are these degrees", "Give radians.", line=line)
     return [math.degrees(v) for v in radians]

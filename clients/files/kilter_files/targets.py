@@ -75,7 +75,7 @@ def read_targets(path: Path) -> Targets:
     _check(path, found)
     found.notes.insert(0, f"{name}: {len(found.joints_deg)} joint targets, in degrees")
     if found.poses:
-        said = f"{len(found.poses)} places are left out, for they are poses and hold no joints: {found.poses_said()}"
+        said = f"{len(found.poses)} targets are left out because they are poses without joints: {found.poses_said()}"
         found.warnings.append(said)
     return found
 

@@ -134,7 +134,7 @@ def _walk(path: Path) -> None:
             if not lead and at:
                 return
             if len(lead) < LEAD_IN.size or lead[:4] != b"TDSm":
-                what = "is no TDMS file" if at == 0 else "a segment does not begin where the one before ends"
+                what = "is not a TDMS file" if at == 0 else "a segment does not begin where the one before ends"
                 raise fault(path, what, AGAIN, byte=at)
             _, contents, _, after, raw = LEAD_IN.unpack(lead)
             if contents & BIG_ENDIAN:

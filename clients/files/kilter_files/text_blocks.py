@@ -26,7 +26,7 @@ def blocks(path: Path, layout: TextLayout, columns: Sequence[int], rows: int) ->
     """Read ``columns`` (n, columns) of the first ``rows`` rows of numbers, NaN where a cell is empty.
 
     Raises:
-        FileError: a row with more or fewer cells, or a cell that is no number; line and column are named.
+        FileError: a row with more or fewer cells, or a cell that is not a number; line and column are named.
 
     """
     if layout.delimiter == " ":
@@ -140,7 +140,7 @@ def _number(path: Path, layout: TextLayout, line: int, cells: list[str], i: int)
         raise _glued(path, line)
     if value is None:
         name = layout.names[i]
-        what = f"{text[:40]!r} is no number with decimal {layout.decimal!r}"
+        what = f"{text[:40]!r} is not a number with decimal {layout.decimal!r}"
         if stamp_of(text) is not None:
             raise fault(path, f"{text[:40]!r} is a time stamp", STAMPED, line=line, column=name)
         raise fault(path, what, "Correct the cell; if all columns moved here, export again.", line=line, column=name)
@@ -153,4 +153,4 @@ def _is_header_again(layout: TextLayout, cells: list[str]) -> bool:
 
 
 def _glued(path: Path, line: int) -> FileError:
-    return fault(path, "a second header stands here: two recordings are glued together", "Split the file.", line=line)
+    return fault(path, "a second header is here: two recordings are concatenated", "Split the file.", line=line)

@@ -67,7 +67,7 @@ def encoding_of(path: Path, head: bytes) -> str:
     """Return the encoding of a text's beginning.
 
     Raises:
-        FileError: it is no text.
+        FileError: it is not text.
 
     """
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):

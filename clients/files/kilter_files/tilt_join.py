@@ -1,4 +1,4 @@
-"""Inclinometer logs joined with the joint log: rests are found and averaged as a tracker's are, and become readings."""
+"""Inclinometer logs joined with the joint log: dwells are found and averaged as those of a tracker, and become readings."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def join_tilts(
     """Readings of one joint: configuration (``q1_deg`` ...) and ``reading_deg`` of every rest, and how they were found.
 
     ``joints`` are the robot's names of the joints. A reading is the inclination after the joint, minus that before it,
-    minus the commanded turn where the axis is the joint's own.
+    minus the commanded rotation where the axis is the joint's own.
 
     Raises:
         FileError: rests that do not fit the log, angles in another unit than stated, an earlier joint that moves unseen.
@@ -87,7 +87,9 @@ def join_tilts(
     if options.axis == "z":
         tilt = _beyond_command(after, q[:, options.joint - 1], tilt, options)
     if len(rows) < 2:
-        raise fault(after, f"has {len(rows)} rests in common with the log", "Record all of them with both instruments.")
+        raise fault(
+            after, f"has {len(rows)} dwells in common with the log", "Record all of them with both instruments."
+        )
     columns = {_degrees(name): q[:, k] for k, name in enumerate(log.joints)}
     report |= {"readings": len(rows), "joint": joints[options.joint - 1], "axis": options.axis}
     return columns | {"reading_deg": tilt}, report
@@ -111,17 +113,15 @@ def _rests(path: Path, log: JointLog, options: TiltOptions) -> tuple[Floats, Flo
 def _refuse_unseen(path: Path, q: Floats, options: TiltOptions, joints: Sequence[str]) -> None:
     moving = [joints[k] for k in range(options.joint - 1) if len(q) and np.ptp(q[:, k]) > STILL_DEG]
     if moving:
-        what = (
-            f"{', '.join(moving)} before {joints[options.joint - 1]} moves too, and one inclinometer sees all of them"
-        )
+        what = f"{', '.join(moving)} before {joints[options.joint - 1]} moves too, and one inclinometer measures all of them"
         raise fault(path, what, "Give the log of the inclinometer on the link before the joint (--before).")
 
 
 def _beyond_command(path: Path, q: Floats, tilt: Floats, options: TiltOptions) -> Floats:
-    """Inclination minus the commanded turn; its sign is the mounting's."""
+    """Inclination minus the commanded rotation; its sign is that of the mounting."""
     if not len(q) or np.ptp(q) < TURNED_DEG:
-        what = f"the joint turns {np.ptp(q) if len(q) else 0.0:.3g} deg between the rests"
-        raise fault(path, what, f"Turn it by more than {TURNED_DEG:g} deg, so that sign and unit can be seen.")
+        what = f"the joint rotates by {np.ptp(q) if len(q) else 0.0:.3g} deg between the dwells"
+        raise fault(path, what, f"Rotate it by more than {TURNED_DEG:g} deg, so that sign and unit can be seen.")
     slope = float(np.polyfit(q, tilt, 1)[0])
     if abs(abs(slope) - 1.0) > UNIT_TOLERANCE:
         raise _other_unit(path, slope, options.unit or stated_unit(path))
@@ -132,11 +132,11 @@ def _other_unit(path: Path, slope: float, stated: str) -> FileError:
     """Say which unit would make the inclination follow the joint; angles were brought to degrees as ``stated``."""
     size = SIZES["angle"][stated] / max(abs(slope), 1e-9)
     likely = [unit for unit, own in SIZES["angle"].items() if abs(own / size - 1.0) < UNIT_TOLERANCE]
-    what = f"the inclination changes {abs(slope):.4g} times as much as the joint turns"
+    what = f"the inclination changes {abs(slope):.4g} times as much as the joint rotates"
     if likely:
         what += f": the angles are {likely[0]} declared as {stated}"
         return fault(path, what, f"Give the unit: --unit {likely[0]}.")
-    return fault(path, what, "Is it another joint, another axis (--axis), or does its axis stand steep?")
+    return fault(path, what, "Is it another joint, another axis (--axis), or is its axis steep?")
 
 
 def stated_unit(path: Path) -> str:

@@ -100,7 +100,9 @@ def _position(export: _Export, values: dict[str, Floats]) -> None:
     for axis in AXES:
         unit = _unit(export, axis, default)
         if unit not in SIZES["length"]:
-            raise fault(export.path, f"is in {unit}, no length", "Are the columns shifted?", column=_name(export, axis))
+            raise fault(
+                export.path, f"is in {unit}, not a length", "Are the columns shifted?", column=_name(export, axis)
+            )
         export.columns[f"{axis}_mm"] = values[axis] * (SIZES["length"][unit] / SIZES["length"]["mm"])
         stated = export.layout.units[export.means[axis]] or unit_above(export.layout)
         export.notes.append(f"{axis}_mm from {_name(export, axis)!r} [{unit}{'' if stated else ', not stated'}]")
@@ -110,7 +112,9 @@ def _orientation(export: _Export, values: dict[str, Floats]) -> None:
     if all(f"q{part}" in values for part in "wxyz"):
         turned = np.stack([values[f"q{part}"] for part in "wxyz"], axis=1)
         size = np.linalg.norm(turned, axis=1)
-        _refuse(export, np.abs(size - 1) > 0.02, "qw", "no unit quaternion with its neighbours: columns shifted here?")
+        _refuse(
+            export, np.abs(size - 1) > 0.02, "qw", "not a unit quaternion with its neighbours: columns shifted here?"
+        )
         for i, part in enumerate("wxyz"):
             export.columns[f"q{part}"] = turned[:, i] / size
         export.notes.append("qw, qx, qy, qz from the quaternion")
@@ -126,7 +130,7 @@ def _euler(export: _Export, values: dict[str, Floats]) -> None:
         unit = _unit(export, f"r{axis}", "deg")
         convert = converter(unit, "rad")
         if convert is None:
-            raise fault(export.path, f"is in {unit}, no angle", "Correct it.", column=_name(export, f"r{axis}"))
+            raise fault(export.path, f"is in {unit}, not an angle", "Correct it.", column=_name(export, f"r{axis}"))
         values[f"r{axis}"] = values[f"r{axis}"] * convert(1.0)
         wild = np.abs(values[f"r{axis}"]) > 2 * math.pi + 0.1
         _refuse(export, wild, f"r{axis}", f"more than a full turn, declared as {unit}: are these degrees?")
@@ -169,7 +173,7 @@ def _joints_and_more(export: _Export, values: dict[str, Floats]) -> None:
     if "t" in values:
         t = (values["t"] - values["t"][0]) * SIZES["time"].get(_unit(export, "t", "s"), 1.0)
         if np.isnan(t).any() or (np.diff(t) < 0).any() or not 0 < t[-1] < LONGEST_S:
-            export.warnings.append(f"{_name(export, 't')!r} left out: it is no time in seconds that goes on")
+            export.warnings.append(f"{_name(export, 't')!r} left out: it is not a time in seconds that goes on")
         else:
             export.columns["t_s"] = t
 

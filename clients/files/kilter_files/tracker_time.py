@@ -20,7 +20,7 @@ def stamped_times(path: Path, layout: TextLayout, means: Mapping[str, int], rows
     """Return the seconds of a column of time stamps, NaN where a cell is empty; None where the column holds numbers.
 
     Raises:
-        FileError: a cell that is no time stamp among others that are.
+        FileError: a cell that is not a time stamp among others that are.
 
     """
     column = means.get("t")
@@ -35,6 +35,6 @@ def stamped_times(path: Path, layout: TextLayout, means: Mapping[str, int], rows
     for line, text, stamp in found:
         if stamp is None:
             remedy = "Write it as 12:00:01.5 or 2026-11-22 12:00:01.5, or take the column out."
-            raise fault(path, f"{text[:40]!r} is no time stamp", remedy, line=line, column=layout.names[column])
+            raise fault(path, f"{text[:40]!r} is not a time stamp", remedy, line=line, column=layout.names[column])
     seconds = iter(seconds_of([stamp for _, _, stamp in found if stamp is not None]))
     return np.array([next(seconds) if text else np.nan for _, text in texts])

@@ -1,4 +1,4 @@
-"""Markers in contract columns, looked at before they are sent: whether one was knocked on the way through the rows."""
+"""Markers in contract columns, checked before they are sent: whether one was knocked between the rows."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ def refuse_knocked_rows(path: Path, prepared: Prepared, unchecked: bool) -> list
     if unchecked:
         return [what]
     if exchanged:
-        raise fault(path, what, "Exchange their columns from there on. --unchecked sends the file all the same.")
+        raise fault(path, what, "Exchange their columns from there on. --unchecked sends the file anyway.")
     columns = f"the columns of {names[found[0].markers[0]]}" if len(found[0].markers) == 1 else "its columns"
     remedy = (
-        f"Send the rows before and after as campaigns of their own, or leave {columns} out and number the others anew."
+        f"Send the rows before and after as campaigns of their own, or leave {columns} out and renumber the others."
     )
-    raise fault(path, what, f"{remedy} --unchecked sends it all the same.")
+    raise fault(path, what, f"{remedy} --unchecked sends it anyway.")
 
 
 def _knocks(points: Floats) -> list[Knock]:
@@ -65,7 +65,7 @@ def _knocks(points: Floats) -> list[Knock]:
 
 
 def changed_places(points: Floats, knock: Knock) -> tuple[int, ...]:
-    """Markers (from 0) whose exchange after a change makes the body of before; none where no exchange does."""
+    """Markers (from 0) whose exchange after a change restores the former body; none where no exchange does."""
     at = round(knock.from_s)
     before, after = (_lengths(part) for part in (points[:at], points[at:]))
     if len(before) > MOST_EXCHANGED or np.isnan(before).any() or np.isnan(after).any():
@@ -97,7 +97,7 @@ def _names(prepared: Prepared) -> list[str]:
 
 
 def _points(prepared: Prepared, numbers: Sequence[int]) -> Floats | None:
-    """The markers (n, m, 3) mm; None where the cells are no numbers, which the server says better."""
+    """The markers (n, m, 3) mm; None where the cells are not numbers, which the server says better."""
     names = {(m[1], m[2]): name for name in _names(prepared) if (m := MARKER.fullmatch(name))}
     wanted = [names.get((str(k), axis)) for k in numbers for axis in "xyz"]
     if None in wanted:

@@ -36,11 +36,11 @@ def test_cut_off_glued_and_of_wrong_magic(tmp_path: Path, kind: str) -> None:
     refused(path, "is cut off: .* states 40 frames")
     assert open_recording(path, allow_cut=True).frames < 40
     path.write_bytes(whole + whole)
-    refused(path, "two recordings are glued together")
+    refused(path, "two recordings are concatenated")
     path.write_bytes(b"\x07\x07" + whole[2:])
-    refused(path, "is no ")
+    refused(path, "is not an? ")
     path.write_bytes(whole[:100])
-    refused(path, "is no |is cut off")
+    refused(path, "is not an? |is cut off")
 
 
 def test_a_header_that_claims_ten_gigabytes(tmp_path: Path) -> None:
@@ -60,8 +60,8 @@ def test_a_header_that_claims_ten_gigabytes(tmp_path: Path) -> None:
         (b"", "is empty"),
         (b"PK\x03\x04" + b"\0" * 600, "ZIP archive or a spreadsheet. Unpack it"),
         (b"\x1f\x8b" + b"\0" * 600, "compressed with gzip"),
-        (b"TDSm" + b"\0" * 600, "TDMS file, no recording of markers"),
-        (b"MATLAB 5.0 MAT-file" + b"\0" * 600, "MATLAB file, no recording"),
+        (b"TDSm" + b"\0" * 600, "TDMS file, not a recording of markers"),
+        (b"MATLAB 5.0 MAT-file" + b"\0" * 600, "MATLAB file, not a recording"),
         (b"\x00\x01\x02" * 300, "binary file, not text"),
         (b"just some words\nand more of them\n", "no table of numbers"),
     ],
@@ -76,14 +76,14 @@ def test_the_file_of_another_device(tmp_path: Path, content: bytes, words: str) 
     ("change", "words", "line", "column"),
     [
         (lambda r: [*r[:20], r[20].rsplit(",", 1)[0], *r[21:]], "9 cells where the first row has 10", 21, None),
-        (lambda r: [*r[:20], r[20].replace(r[20].split(",")[4], "oops"), *r[21:]], "'oops' is no number", 21, "Marker_2 x"),
-        (lambda r: [*r[:20], *r[4:6], *r[20:]], "a second header stands here|states 40", None, None),
+        (lambda r: [*r[:20], r[20].replace(r[20].split(",")[4], "oops"), *r[21:]], "'oops' is not a number", 21, "Marker_2 x"),
+        (lambda r: [*r[:20], *r[4:6], *r[20:]], "a second header is here|states 40", None, None),
         (lambda r: [*r[:15], *(f"{row.split(',', 1)[0]},,{row.split(',', 1)[1].rsplit(',', 1)[0]}" for row in r[15:])],
          "x of Marker_1 is blank where its other coordinates are not", 16, "Marker_1 x"),
         (lambda r: [*r[:15], *("," + row.rsplit(",", 1)[0] for row in r[15:])], "frame counter is missing", 16, None),
         (lambda r: r[:30], "is cut off: it states 40 frames, 25 are there", None, None),
         (lambda r: [*r, *r[5:]], "has 80 frames where it states 40", 46, None),
-        (lambda r: [*r[1:], *r[5:]], "the frame counter goes back. If two recordings are glued together", 45, None),
+        (lambda r: [*r[1:], *r[5:]], "the frame counter goes back. If two recordings are concatenated", 45, None),
     ],
 )  # fmt: skip
 def test_a_damaged_text(tmp_path: Path, change, words: str, line: int | None, column: str | None) -> None:
@@ -97,7 +97,7 @@ def test_a_quaternion_that_is_none(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = "\n".join(f"{i},1,2,3,1,0,0,0" for i in range(1, 9))
     path.write_text(f"Frequency,60\nFrame,Tx,Ty,Tz,Q0,Qx,Qy,Qz\n{rows}\n9,1,2,3,12,0,0,0\n")
-    refused(path, "quaternion of Marker_1 has not length 1", line=11, column="Q0")
+    refused(path, "quaternion of Marker_1 does not have length 1", line=11, column="Q0")
 
 
 def test_no_rate(tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_inspect_and_upload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert table["bar_mm"] == pytest.approx(100 + deviation(ANGLES) / 1000, abs=1e-5)
     assert set(table["bar_id"]) == {1}
     assert (table["q1_deg"][10], table["q2_deg"][10]) == (2.0, 5.0)
-    assert any("runs about one foot" in text for text in prepared.notes)
+    assert any("runs about one centre mount" in text for text in prepared.notes)
 
 
 def test_an_inclinometer_makes_no_campaign(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ GOOD = [f"{a},100.0" for a in ANGLES]
         ("angle,radius_mm", [f"{np.radians(a):.5f},100" for a in ANGLES], "are these radians"),
         ("angle_deg,deviation_um", GOOD, "without the nominal radius"),
         ("angle_deg,radius_mm", [*GOOD[:9], "18,0.1", *GOOD[10:]], r"line 11, column 'radius': a radius of 0.1 mm"),
-        ("angle_deg,radius_mm", [*GOOD[:9], "18,abc", *GOOD[10:]], r"line 11: '18,abc' is no row of 2 numbers"),
+        ("angle_deg,radius_mm", [*GOOD[:9], "18,abc", *GOOD[10:]], r"line 11: '18,abc' is not a row of 2 numbers"),
         ("angle_deg,radius_mm", GOOD[:4], "has 4 readings"),
         ("angle_deg,temperature_c", GOOD, "no angle and radius among"),
         ("Nominal radius (mm): 0\nangle_deg,deviation_um", GOOD, "nominal radius.*cannot be"),

@@ -117,9 +117,9 @@ def test_a_pattern_takes_columns_of_a_matrix(tmp_path: Path) -> None:
         ('q* = { from = "A", unit = "deg" }', r"columns.q\*: a pattern has one \* on either side"),
         ('q* = { from = "A*", unit = "kg" }', r"columns.q\*.unit: 'kg' cannot become 'deg'"),
         ('q* = { from = "A*" }', r"columns.q\*: needs the unit the file has it in"),
-        ('u* = { from = "A*", unit = "deg" }', r"columns.u\*: is no pattern of contract columns; those are q\*"),
+        ('u* = { from = "A*", unit = "deg" }', r"columns.u\*: is not a pattern of contract columns; those are q\*"),
         ('q* = { from = "A*", unit = "deg", sign = [1, 2] }', "'sign' is 1 or -1"),
-        ('q* = { from = "A*", unit = "?" }', "the draft could not tell the unit"),
+        ('q* = { from = "A*", unit = "?" }', "the draft could not determine the unit"),
     ],
 )
 def test_patterns_that_are_refused(tmp_path: Path, line: str, words: str) -> None:
@@ -200,7 +200,7 @@ def test_the_second_file_may_be_a_program_and_be_named_on_the_way(tmp_path: Path
         ('by = "name"', JOINTS, "join.by: how rows of both files belong together is one of row, id, time"),
         ('by = "time"\nhere = "Time"\nunit = "s"', JOINTS, "join: by time needs within_s"),
         ('by = "row"\nwithin_s = 1', JOINTS, "'within_s' and 'offset_s' belong to by = \"time\""),
-        (ID.replace("id", "time") + '\nunit = "timestamp"\nwithin_s = 1', JOINTS, "line 2, .*: 'P1' is no time stamp"),
+        (ID.replace("id", "time") + '\nunit = "timestamp"\nwithin_s = 1', JOINTS, "line 2, .*: 'P1' is not a time stamp"),
     ],
 )  # fmt: skip
 def test_joins_that_are_refused(tmp_path: Path, how: str, joints: str, words: str) -> None:
@@ -269,7 +269,7 @@ def test_a_sheet_of_a_workbook_with_spaces_and_umlauts(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("cells", "change", "words"),
     [
-        ([1, "1,5", 1, 1, 1], ("", ""), r"'Messung 1', cell B3, column 'Gelenk 2': '1,5' is no number.*set 'decimal'"),
+        ([1, "1,5", 1, 1, 1], ("", ""), r"'Messung 1', cell B3, column 'Gelenk 2': '1,5' is not a number.*set 'decimal'"),
         ([1, None, 1, 1, 1], ("", ""), r"sheet 'Messung 1', row 3: q2_deg is missing.*A formula that was never computed"),
         ([1, "#DIV/0!", 1, 1, 1], ("", ""), r"sheet 'Messung 1', cell B3 holds the error #DIV/0!. Correct the formula"),
         ([1, 2, 1, 1, 1], ('"Messung 1"', '"Messung"'), r"no sheet 'Messung' \(did .* Its sheets are 'Übersicht', 'Messung 1'"),
@@ -313,7 +313,7 @@ def test_a_workbook_of_contract_columns_needs_no_map(tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", [b"PK\x03\x04nothing", b"\xd0\xcf\x11\xe0old xls", b""])
 def test_no_workbook_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.xlsx").write_bytes(content)
-    with pytest.raises(FileError, match=r"is no \.xlsx workbook .*or as CSV"):
+    with pytest.raises(FileError, match=r"is not an \.xlsx workbook .*or as CSV"):
         prepare(tmp_path / "a.xlsx")
 
 
@@ -359,7 +359,7 @@ def test_lists_in_cells_over_several_lines(tmp_path: Path) -> None:
             "joints[0]",
             r"line 5, column 'joints\[0\]': a list of 3 numbers: the first list has 2. Correct",
         ),
-        ('"[1,\ntwo]"', "joints[0]", r"line 5, column 'joints\[0\]': '\[1,\\ntwo\]' is no list of numbers"),
+        ('"[1,\ntwo]"', "joints[0]", r"line 5, column 'joints\[0\]': '\[1,\\ntwo\]' is not a list of numbers"),
         ('"[1,\n2]"', "joints[2]", r"line 3, column 'joints\[2\]': a list of 2 numbers: has no element 2 \(from 0\)"),
         ('"[1,\n2]"', "joints", r"The cell is a list: name one element, for example from = \"joints\[0\]\""),
         ('"[1,\n2]"', "joint[0]", r"there is no column 'joint\[0\]'"),
@@ -391,7 +391,7 @@ def test_time_stamps(tmp_path: Path, stamps: list[str], seconds: list[float]) ->
 @pytest.mark.parametrize("stamp", ["11/12/2026 12:00", "12:61:00", "31.02.2026 10:00", "noon"])
 def test_time_stamps_that_are_refused(tmp_path: Path, stamp: str) -> None:
     columns = '[columns]\nq1_deg = { from = "j", unit = "deg" }\nt_s = { from = "t", unit = "timestamp" }\n'
-    with pytest.raises(FileError, match=r"line 2, column 't': .* is no time stamp such as 12:00:01.5"):
+    with pytest.raises(FileError, match=r"line 2, column 't': .* is not a time stamp such as 12:00:01.5"):
         mapped(tmp_path, f"j,t\n1,{stamp}\n", columns)
     with pytest.raises(FileError, match=r"columns.q1_deg.unit: 'timestamp' cannot become 'deg'"):
         mapped(tmp_path, f"j,t\n1,{stamp}\n", columns.replace('"deg"', '"timestamp"'))

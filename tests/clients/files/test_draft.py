@@ -42,7 +42,7 @@ def test_a_draft_means_what_the_lab_measured(tmp_path: Path, capsys: Capture, na
     found = document(capsys, "inspect", path, "--draft", target)
     assert found["open"] == list(LABS[name].open)
     if LABS[name].open:
-        with pytest.raises(FileError, match=r"the draft could not tell"):
+        with pytest.raises(FileError, match=r"the draft could not determine"):
             prepare(path, column_map=target)
     target.write_text(fill(target.read_text(encoding="utf-8"), name), encoding="utf-8")
     columns = columns_of(prepare(path, column_map=target))
@@ -105,10 +105,10 @@ def test_the_actual_joints_go_before_the_commanded_ones(tmp_path: Path) -> None:
 def test_two_arms_in_one_file_are_left_to_the_person(tmp_path: Path) -> None:
     text = drafted(tmp_path, table("left_joint1,left_joint2,right_joint1,right_joint2,x,y", ROWS))
     assert (
-        'from = "?", unit = "deg" }   # ? could not tell which of these are the arm\'s joints: left_joint*, right_joint*'
+        'from = "?", unit = "deg" }   # ? could not determine which of these are the arm\'s joints: left_joint*, right_joint*'
         in text
     )
-    with pytest.raises(FileError, match=r"columns.q\*.from: the draft could not tell which columns these are"):
+    with pytest.raises(FileError, match=r"columns.q\*.from: the draft could not determine which columns these are"):
         prepare(tmp_path / "lab.csv", column_map=write(tmp_path / "m.toml", text))
 
 
@@ -121,7 +121,7 @@ def test_vectors_with_numbers_and_compound_words(tmp_path: Path) -> None:
     text = drafted(tmp_path, table(",".join(head), [[*r[:3], 1, 2, 3, *r[3:], 0.1, 0.2, 0.3] for r in ROWS]))
     assert '"q*" = { from = "actual_q_*", unit = "deg" }' in text
     assert 'z_mm = { from = "actual_TCP_pose_2", unit = "mm" }' in text
-    assert "What the controller computes from its joints is no measurement" in text
+    assert "What the controller computes from its joints is not a measurement" in text
     text = drafted(
         tmp_path,
         table(
@@ -169,7 +169,7 @@ def test_angles_of_unknown_order_are_marked_and_refused_until_filled(tmp_path: P
     text = drafted(tmp_path, table(HEAD + ",rx,ry,rz", [[*r, 10.0, 20.0, 170.0] for r in ROWS]))
     assert 'euler = "?"   # ? order of the angles' in text
     column_map = write(tmp_path / "m.toml", text)
-    with pytest.raises(FileError, match=r"orientation: the draft could not tell: fill in what is \"\?\""):
+    with pytest.raises(FileError, match=r"orientation: the draft could not determine: fill in what is \"\?\""):
         prepare(tmp_path / "lab.csv", column_map=column_map)
     write(column_map, text.replace('euler = "?"', 'euler = "xyz"'))
     assert "qw" in columns_of(prepare(tmp_path / "lab.csv", column_map=column_map))
@@ -200,8 +200,11 @@ def test_joints_of_a_points_file_come_by_the_join_that_the_draft_offers(tmp_path
 
 def test_small_values_leave_the_unit_open(tmp_path: Path) -> None:
     text = drafted(tmp_path, table(HEAD, [[v / 1000 for v in row] for row in ROWS]))
-    assert '"q*" = { from = "j*", unit = "?" }   # ? the file states no unit, and values up to 0.1 do not tell' in text
-    with pytest.raises(FileError, match=r"columns.q\*.unit: the draft could not tell the unit"):
+    assert (
+        '"q*" = { from = "j*", unit = "?" }   # ? the file states no unit, and values up to 0.1 do not decide between'
+        in text
+    )
+    with pytest.raises(FileError, match=r"columns.q\*.unit: the draft could not determine the unit"):
         prepare(tmp_path / "lab.csv", column_map=write(tmp_path / "m.toml", text))
 
 

@@ -254,7 +254,7 @@ def test_rapid_with_declarations_of_poses_beside_joints(tmp_path: Path) -> None:
     )
     found = targets_of(tmp_path, text)
     assert len(found.joints_deg) == 3
-    assert "2 places are left out, for they are poses and hold no joints: pA (line 2), p1 (line 8)" in found.warnings
+    assert "2 targets are left out because they are poses without joints: pA (line 2), p1 (line 8)" in found.warnings
 
 
 def test_krl_with_declarations(tmp_path: Path) -> None:
@@ -262,7 +262,7 @@ def test_krl_with_declarations(tmp_path: Path) -> None:
     assert found.names == ["XP1", "Q[1]", "Q[2]"]
     assert [q[0] for q in found.joints_deg] == [1, 2, 3]
     assert found.lines == [4, 6, 7]
-    assert "1 places are left out, for they are poses and hold no joints: XP0 (line 3)" in found.warnings
+    assert "1 targets are left out because they are poses without joints: XP0 (line 3)" in found.warnings
     moves = "DEF MEASURE()\n PTP Q[2]\n LIN XP0\n PTP XP1\nEND\n"
     found = targets_of(tmp_path, KRL_DATA + moves)
     assert found.names == ["Q[2]", "XP1"]
@@ -281,7 +281,7 @@ def test_urscript_with_variables(tmp_path: Path) -> None:
     assert found.names == ["here", "Waypoint_1_q"]
     assert found.lines == [5, 6]
     assert any("1 moves to a pose count with the joints of their qnear" in text for text in found.warnings)
-    said = "2 places are left out, for they are poses and hold no joints: Waypoint_1_p (line 7), a move along"
+    said = "2 targets are left out because they are poses without joints: Waypoint_1_p (line 7), a move along"
     assert any(said in text for text in found.warnings)
 
 
@@ -304,7 +304,8 @@ def test_a_program_comes_in_through_a_map_by_its_content(tmp_path: Path) -> None
         ("/PROG A\n/POS\nP[1]{\n GP1:\n X = 1 mm\n};\nP[7]{\n GP1:\n X = 2 mm\n};\n",
          r"line 3: are given as poses: P\[1\] \(line 3\), P\[7\] \(line 7\). Show them as joints"),
         ("movej(p[.4, .1, .3, 0, 3.14, 0])\n", r"line 1: holds poses and no joints: movej \(line 1\). Give movej joints"),
-        ("movej(home)\n", r"line 1: movej goes to 'home', which is set to no joints .* Write home = \[...\] before"),
+        ("movej(home)\n",
+         r"line 1: movej goes to 'home', to which this program assigns no joints\. Write home = \[...\] before"),
     ],
 )  # fmt: skip
 def test_programs_of_poses_are_refused_with_every_place(tmp_path: Path, text: str, words: str) -> None:
@@ -330,7 +331,7 @@ def test_a_new_dialect_is_one_entry_and_its_reader(tmp_path: Path, monkeypatch: 
         (RAPID.replace("0,-10.5,20", "0,-10.5"), "line 3: jHome is not made of six joints and six external axes"),
         ("/PROG A\n/POS\nP[1]{\n GP1:\n X = 1 mm, Y = 2 mm\n};\n", r"line 3: P\[1\] is given as a pose. Show it as joints"),
         ("DECL E6AXIS X={A1 1,A3 2,A4 3,A5 4}\n", r"line 1: X lacks axes: it has \[1, 3, 4, 5\]"),
-        ("movej([0,90,0,0,0,0])\n", "line 1: movej goes more than two turns: are these degrees"),
+        ("movej([0,90,0,0,0,0])\n", "line 1: movej moves by more than two turns: are these degrees"),
         ("movej([a,b])\n", "line 1: movej goes to 'a,b', no numbers"),
         ("LOCAL VAR jointtarget a;\n", "holds no joint targets of RAPID"),
     ],

@@ -41,7 +41,7 @@ def test_optotrak_c3d_that_stopped_early_is_taken_and_said_to_be_so(shared_data:
     np.testing.assert_array_equal(points, by_ezc3d(path))
     assert points.shape == (29, 54, 3)
     assert np.isnan(points).mean() == pytest.approx(0.038, abs=0.001)
-    assert "POINT:FRAMES states 1149 frames, the 29 that are there are whole" in found.warnings[0]
+    assert "POINT:FRAMES states 1149 frames, the 29 in it are complete" in found.warnings[0]
 
 
 def test_n3d(shared_data: Path) -> None:

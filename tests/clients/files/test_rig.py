@@ -62,7 +62,7 @@ def test_bad_tdms(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="byte 0: is cut off"):
         channels(path)
     path.write_bytes(b"XXXX" + whole[4:])
-    with pytest.raises(FileError, match="is no TDMS file"):
+    with pytest.raises(FileError, match="is not a TDMS file"):
         channels(path)
     path.write_bytes(whole + b"rubbish")
     with pytest.raises(FileError, match="does not begin where the one before ends"):
@@ -81,8 +81,8 @@ def test_inclinometer(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("t,tilt\n0,1\n1,2\n", "no stated unit. Give the unit"),
-        ("t,tilt [rad]\n0,0.1\n1,90\n", r"line 3, column 'tilt': more than half a turn, declared as rad"),
-        ("t,tilt [deg]\n0,1\n1,2\n0.5,2\n", r"line 4, column 't': time goes back: two logs glued"),
+        ("t,tilt [rad]\n0,0.1\n1,90\n", r"line 3, column 'tilt': more than 180 degrees, declared as rad"),
+        ("t,tilt [deg]\n0,1\n1,2\n0.5,2\n", r"line 4, column 't': time goes back: two logs concatenated"),
         ("t,tilt [deg]\n0,1\n1,\n2,1\n", "line 3: (1 cells|a cell is empty)"),
     ],
 )

@@ -166,10 +166,13 @@ def test_long_tables_of_tools(tmp_path: Path, matrix: bool) -> None:
     ("edit", "words"),
     [
         ({"_9": "8700339,1600000000.1,1004,1,2,3,1,0,0,0,0.1,7"}, "line 10: 12 cells where the first row has 11"),
-        ({"_9": "8700339,1600000000.1,1004,1,2,3,1,2,0,0,0.1"}, "line 10: the quaternion of 8700339 has not length 1"),
+        (
+            {"_9": "8700339,1600000000.1,1004,1,2,3,1,2,0,0,0.1"},
+            "line 10: the quaternion of 8700339 does not have length 1",
+        ),
         ({"_9": "8700339,1600000000.1,900,1,2,3,1,0,0,0,0.1"}, "line 10: the frame goes back"),
-        ({"_10": "8700339,1600000000.1,1004,1,2,3,1,0,0,0,0.1"}, "line 11: tool '8700339' stands twice in frame 1004"),
-        ({"_9": "8700339,1600000000.1,1004,oops,2,3,1,0,0,0,0.1"}, "line 10, column 'Tx': 'oops' is no number"),
+        ({"_10": "8700339,1600000000.1,1004,1,2,3,1,0,0,0,0.1"}, "line 11: tool '8700339' is twice in frame 1004"),
+        ({"_9": "8700339,1600000000.1,1004,oops,2,3,1,0,0,0,0.1"}, "line 10, column 'Tx': 'oops' is not a number"),
     ],
 )
 def test_damaged_long_tables(tmp_path: Path, edit: dict[str, str], words: str) -> None:

@@ -89,7 +89,7 @@ def test_two_jumps_are_both_named() -> None:
     assert "by -1.00 s" in said
 
 
-@pytest.mark.parametrize(("factor", "words"), [(1.004, r"run apart by \+\d{4} ppm .*500 is the limit"), (1.0001, "")])
+@pytest.mark.parametrize(("factor", "words"), [(1.004, r"drift apart by \+\d{4} ppm .*500 is the limit"), (1.0001, "")])
 def test_a_drift_no_clock_has(factor: float, words: str) -> None:
     plan = Plan(13, poses=22)
     made = make(plan)

@@ -69,9 +69,9 @@ def test_quaternions(tmp_path: Path) -> None:
         ("x,y,z,rx [rad],ry [rad],rz [rad]\n1,2,3,0,0,0\n1,2,3,0,90,0\n",
          r"line 3, column 'ry': more than a full turn, declared as rad: are these degrees"),
         ("x,y,z,q0,q1,q2,q3\n1,2,3,1,0,0,0\n3,1,0,0,0,2,9\n",
-         r"line 3, column 'q0': no unit quaternion .* columns shifted here"),
+         r"line 3, column 'q0': not a unit quaternion .* columns shifted here"),
         ("x,y,z,u95\n1,2,3,0.1\n1,2,3,-4\n", r"line 3, column 'u95': a negative uncertainty"),
-        ("x,y,z\n1,2,3\n1,2,3\nx,y,z\n1,2,3\n", r"line 4: a second header stands here: two recordings are glued"),
+        ("x,y,z\n1,2,3\n1,2,3\nx,y,z\n1,2,3\n", r"line 4: a second header is here: two recordings are concatenated"),
         ("x,y,z\n1,2,3\n1,2,3\n1,2,3,4\n", r"line 4: 4 cells where the first row has 3"),
         ("name,a,b\nP1,1,2\nP2,1,2\n", "no columns x, y and z among name, a, b. Write a column map .*--draft"),
     ],
@@ -110,7 +110,7 @@ def test_time_stamps_with_and_without_a_spreadsheets_apostrophe(tmp_path: Path, 
     assert table.columns["t_s"] == [0, 1, 2, 3]
     assert table.columns["x_mm"] == [100, 101, 102, 103]
     path.write_text("\n".join(["Name;Time;X [mm];Y [mm];Z [mm]", rows[0], "P9;soon;1;2;3"]) + "\n")
-    with pytest.raises(FileError, match=r"line 3, column 'Time': 'soon' is no time stamp. Write it as 12:00:01.5"):
+    with pytest.raises(FileError, match=r"line 3, column 'Time': 'soon' is not a time stamp. Write it as 12:00:01.5"):
         read_tracker(path)
 
 

@@ -53,15 +53,15 @@ def png(width: int, height: int, data: bytes = b"") -> bytes:
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("empty.png", b"", "is no PNG, JPEG or PDF"),
-        ("text.png", b"angle,radius\n1,2\n", "is no PNG, JPEG or PDF"),
+        ("empty.png", b"", "is not a PNG, JPEG or PDF"),
+        ("text.png", b"angle,radius\n1,2\n", "is not a PNG, JPEG or PDF"),
         ("claims.png", png(100_000, 100_000), "more pixels|100000 x 100000 pixels"),
         ("claims2.png", png(2_000_000_000, 2), "more pixels|pixels"),
         ("long.png", png(40_000, 100), "40000 x 100 pixels"),
         ("short.png", png(4000, 4000), "damaged or cut off"),
         ("none.pdf", b"%PDF-1.4\n1 0 obj<</Type/Catalog/Pages 2 0 R>>endobj\n"
-         b"2 0 obj<</Type/Pages/Kids[]/Count 0>>endobj\ntrailer<</Root 1 0 R>>\n%%EOF", "has no pages|no readable PDF"),
-        ("rubbish.pdf", b"%PDF-1.7\n" + bytes(range(256)) * 8, "is no readable PDF"),
+         b"2 0 obj<</Type/Pages/Kids[]/Count 0>>endobj\ntrailer<</Root 1 0 R>>\n%%EOF", "has no pages|not a readable PDF"),
+        ("rubbish.pdf", b"%PDF-1.7\n" + bytes(range(256)) * 8, "is not a readable PDF"),
     ],
 )  # fmt: skip
 def test_files_that_are_no_pictures(name: str, content: bytes, message: str, tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_pdfs_of_other_pages(tmp_path: Path) -> None:
     locked.drawString(10, 10, "x")
     locked.showPage()
     locked.save()
-    refused(path, "no readable PDF.*password")
+    refused(path, "not a readable PDF.*password")
 
 
 def test_a_scan_that_is_cut_off(scan: Image.Image, tmp_path: Path) -> None:

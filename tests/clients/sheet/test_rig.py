@@ -196,7 +196,7 @@ def test_what_was_not_measured_is_not_made_up() -> None:
     with pytest.raises(FileError, match="no strokes across the line"):
         join(circle(along=False), log(ring(30, 24)), None, Frame.own(), JoinOptions())
     joined = join(circle(along=False), log(ring(30, 24)), None, Frame.own(), JoinOptions(taken_mm=1.0))
-    assert any("as 1 mm. Identify joint offsets at most" in text for text in joined.table.warnings)
+    assert any("with an uncertainty of 1 mm. Identify joint offsets at most" in text for text in joined.table.warnings)
     with pytest.raises(FileError, match="shows no height"):
         join(circle(), log(ring(30, 24)), None, Frame.own(), JoinOptions())
 
@@ -241,7 +241,7 @@ def test_heights_of_text_and_what_is_wrong_with_them(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"no channel 'pot_v'.*did you mean 'poti_v'"):
         read_heights(path, "pot_v")
     path.write_text("t_s,h_mm\n0,1\n1,2\n1,3\n2,4\n")
-    with pytest.raises(FileError, match="stands still at value 3"):
+    with pytest.raises(FileError, match="stops at value 3"):
         read_heights(path)
     path.write_text("a_mm,h_mm\n0,1\n1,2\n1,3\n2,4\n")
     with pytest.raises(FileError, match="no time among"):

@@ -45,8 +45,8 @@ def test_every_method_has_an_estimator_and_a_page() -> None:
     for method in METHODS:
         page = (pages / f"method-{method.replace('_', '-')}.md").read_text(encoding="utf-8")
         assert f"`{method}`" in page or f"--method {method}" in page
-        assert "**Take it**" in page
-        assert "**Do not take it**" in page
+        assert "**Use it**" in page
+        assert "**Do not use it**" in page
 
 
 @pytest.mark.parametrize("method", ["pose_pseudo_inverse", "influence"])

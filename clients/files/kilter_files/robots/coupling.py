@@ -1,4 +1,4 @@
-"""Joints as controllers count them: turned round, or measured against the horizontal instead of the link before."""
+"""Joints as controllers count them: reversed, or measured against the horizontal instead of the link before."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> It
     """Return the document as a chain in which ``turned`` joints count backwards and each "j3=j2" is uncoupled.
 
     "j3=j2" is for arms whose third joint is read against the horizontal (FANUC, parallelogram arms): when j2 moves,
-    the forearm keeps its direction in space, so j3's axis is turned back by j2.
+    the forearm keeps its orientation in space, so j3's axis is rotated back by j2.
 
     Raises:
         UsageError: a joint that is not there, or a document of another convention than chain, dh and mdh.
@@ -27,7 +27,7 @@ def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> It
     if document["convention"] in ("dh", "mdh"):
         document = _as_chain(document)
     if document["convention"] != "chain":
-        raise UsageError("--turned and --follows need a table or a chain; in a URDF, axis and mimic say the same.")
+        raise UsageError("--turned and --follows need a table or a chain; in a URDF, axis and mimic express the same.")
     elements = [dict(element) for element in document["elements"]]
     for name in turned:
         for element in _of(elements, name):
@@ -47,7 +47,7 @@ def _of(elements: list[Item], name: str) -> list[Item]:
 
 
 def _uncouple(elements: list[Item], follower: str, leader: str) -> None:
-    """Turn the follower's axis back by the leader; their axes must be parallel."""
+    """Rotate the follower's axis back by the leader; their axes must be parallel."""
     first, second = _of(elements, leader)[0], _of(elements, follower)[0]
     start, end = elements.index(first), elements.index(second)
     between = elements[start + 1 : end]
@@ -94,7 +94,7 @@ def _link(number: int, row: Item, dh: bool, inner: bool) -> list[Item]:
     alpha = float(row.get("alpha_deg") or 0.0)
     turn = {"axis": "Rx", "name": f"alpha_{number}", "value": alpha}
     shift = {"axis": "Tx", "name": f"a_{number}", "value": row.get("a_mm", 0.0)}
-    # As the server does for tables: parallel axes need Hayati's small turn to stay identifiable.
+    # As the server does for tables: parallel axes need Hayati's small rotation to stay identifiable.
     parallel = inner and abs(math.sin(math.radians(alpha))) < PARALLEL
     beta = row.get("beta_deg")
     tilt = [{"axis": "Ry", "name": f"beta_{number}", "value": beta or 0.0}] if beta is not None or parallel else []

@@ -22,7 +22,7 @@ def read_katana(path: Path, name: str) -> dict[str, Any]:
     """Return a chain document whose joints are read as KNI reads them: angles between angleOffset and its range.
 
     Raises:
-        FileError: a motor or a segment is missing, or a value is no number.
+        FileError: a motor or a segment is missing, or a value is not a number.
 
     """
     motors, segments = _entries(path)
@@ -104,5 +104,5 @@ def _number(path: Path, line: int, key: str, text: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         where = f", line {line}" if line else ""
-        raise FileError(f"{path}{where}: {key} is {text!r}, no number.", file=str(path), place=key)
+        raise FileError(f"{path}{where}: {key} is {text!r}, not a number.", file=str(path), place=key)
     return value

@@ -60,7 +60,7 @@ def _link(sheet: Sheet, line: int, cells: Cells, inertia: bool) -> dict[str, Any
     if mass < 0:
         raise _error(sheet, line, "mass", f"{mass:g} kg: a mass cannot be negative.")
     if mass == 0 and all(value is None for quantity, value in cells.items() if quantity != "mass"):
-        return {"mass_kg": 0.0}  # nothing is there, and so is no centre
+        return {"mass_kg": 0.0}  # no mass, so no centre either
     link: dict[str, Any] = {"mass_kg": mass, "com_mm": [_number(sheet, line, cells, q) for q in CENTRE]}
     if inertia:
         link["inertia_kg_m2"] = [_number(sheet, line, cells, q) for q in INERTIA]

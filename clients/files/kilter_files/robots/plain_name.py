@@ -31,7 +31,7 @@ def checked_name(name: str) -> str:
     """
     if not PLAIN.fullmatch(name):
         raise UsageError(
-            f"The robot's name {name!r} holds more than letters A to Z, digits and _ . - (64 at most): it stands in addresses "
-            f"and topics. Give --name {plain_name(name)}; campaigns, files and columns may be called as you like."
+            f"The robot's name {name!r} has other characters than letters A to Z, digits and _ . - (64 at most): it is part of "
+            f"addresses and topics. Give --name {plain_name(name)}; campaigns, files and columns may have any name."
         )
     return name

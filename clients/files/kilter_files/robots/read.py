@@ -101,7 +101,7 @@ def _json(path: Path) -> dict[str, Any]:
     try:
         document = json.loads(read_text(path))
     except ValueError as error:
-        raise FileError(f"{path}: is no JSON ({error}).", file=str(path)) from error
+        raise FileError(f"{path}: is not JSON ({error}).", file=str(path)) from error
     if not isinstance(document, dict):
-        raise FileError(f"{path}: is no JSON object. Describe one robot, see the robots reference.", file=str(path))
+        raise FileError(f"{path}: is not a JSON object. Describe one robot, see the robots reference.", file=str(path))
     return document

@@ -34,7 +34,7 @@ def read_table(path: Path, convention: str | None, name: str) -> dict[str, Any]:
     """Return the robot document of a table with columns such as ``theta_offset_deg, d_mm, a_mm, alpha_deg``.
 
     Raises:
-        FileError: an unknown column, one without a unit, or a cell that is no number; the message names it.
+        FileError: an unknown column, one without a unit, or a cell that is not a number; the message names it.
         UsageError: neither the file nor ``convention`` says whether it is DH or MDH.
         MissingPackageError: XLSX without openpyxl.
 
@@ -68,7 +68,7 @@ def _convention(sheet: Sheet, given: str | None) -> str:
     found = given or said
     if found is None:
         raise UsageError(
-            f"{sheet.path.name}: is this a dh or an mdh (Craig) table? They have the same columns and another geometry: "
+            f"{sheet.path.name}: is this a dh or an mdh (Craig) table? They have the same columns but another geometry: "
             "give --convention dh or --convention mdh."
         )
     if found not in ("dh", "mdh"):
@@ -114,7 +114,7 @@ def _columns(sheet: Sheet, convention: str) -> list[tuple[str, str]]:
     masses.refuse_half_a_group(sheet, {quantity for quantity, _ in out})
     if convention == "dh" and any(quantity == "beta" for quantity, _ in out):
         raise FileError(
-            f"{sheet.path}: a dh table has no beta; take --convention mdh.", file=str(sheet.path), column="beta"
+            f"{sheet.path}: a dh table has no beta; use --convention mdh.", file=str(sheet.path), column="beta"
         )
     return out
 
@@ -183,7 +183,7 @@ def _number(sheet: Sheet, line: int, column: str, cell: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise FileError(
-            f"{sheet.path}, line {line}, {column}: {cell!r} is no number.",
+            f"{sheet.path}, line {line}, {column}: {cell!r} is not a number.",
             file=str(sheet.path),
             line=line,
             column=column,

@@ -11,7 +11,7 @@ def read_text(path: Path) -> str:
     """Return a file's text, with or without a byte order mark.
 
     Raises:
-        FileError: it is no text.
+        FileError: it is not text.
 
     """
     try:

@@ -79,7 +79,7 @@ def refuse_other_model(path: Path, model: str, found: tuple[float, ...]) -> None
 
     """
     gaps = {name: max(abs(a - b) for a, b in zip(found, table, strict=True)) for name, table in MODELS.items()}
-    # The sign of a calibrated frame may be turned by half a turn about x; lengths then agree in size.
+    # A calibrated frame may be rotated by 180 degrees about x; lengths then agree in size.
     turned = {
         name: max(abs(abs(a) - abs(b)) for a, b in zip(found, table, strict=True)) for name, table in MODELS.items()
     }
@@ -88,9 +88,9 @@ def refuse_other_model(path: Path, model: str, found: tuple[float, ...]) -> None
     k = max(range(6), key=lambda k: abs(abs(found[k]) - abs(MODELS[model][k])))
     nearest = min(turned, key=lambda other: turned[other])
     same = " or ".join(name.upper() for name in MODELS if turned[name] == turned[nearest])
-    guess = f"It is a {same}." if turned[nearest] <= TOLERANCE_MM else "It is none of the models Kilter knows."
+    guess = f"It is a {same}." if turned[nearest] <= TOLERANCE_MM else "It is not one of the models that Kilter knows."
     raise FileError(
-        f"{path}: is no {model.upper()}: {SIZES[k]} is {abs(found[k]):.1f} mm, a {model.upper()} has "
+        f"{path}: is not a {model.upper()}: {SIZES[k]} is {abs(found[k]):.1f} mm, a {model.upper()} has "
         f"{abs(MODELS[model][k]):.1f}. {guess}",
         file=str(path),
         model=model,
@@ -106,7 +106,7 @@ def _origins(path: Path) -> dict[str, tuple[float, ...]]:
     try:
         document = yaml.safe_load(read_text(path))
     except yaml.YAMLError as error:
-        raise FileError(f"{path}: is no YAML ({error}).", file=str(path)) from error
+        raise FileError(f"{path}: is not YAML ({error}).", file=str(path)) from error
     kinematics = document.get("kinematics") if isinstance(document, dict) else None
     if not isinstance(kinematics, dict):
         raise FileError(f"{path}: has no 'kinematics'. Extract it with ur_calibration.", file=str(path))
@@ -119,5 +119,5 @@ def _origin(path: Path, link: str, values: Any) -> tuple[float, ...]:
     for key in KEYS:
         value = values.get(key)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise FileError(f"{path}: kinematics.{link}.{key} is {value!r}, no number.", file=str(path), place=link)
+            raise FileError(f"{path}: kinematics.{link}.{key} is {value!r}, not a number.", file=str(path), place=link)
     return tuple(float(values[key]) for key in KEYS)

@@ -33,7 +33,7 @@ def read_workbook(path: Path) -> Sheet:
         found = list(enumerate(sheet.iter_rows(values_only=True, max_row=MAX_ROWS), 1))
         book.close()
     except Exception as error:  # of a damaged workbook openpyxl, zipfile, zlib and the XML parser each raise their own
-        raise FileError(f"{path}: is no workbook that can be read ({error}).", file=str(path)) from error
+        raise FileError(f"{path}: is not a workbook that can be read ({error}).", file=str(path)) from error
     rows = [(line, [_text(cell) for cell in cells]) for line, cells in found]
     return _sheet(path, [(line, cells) for line, cells in rows if any(cells)])
 
@@ -58,7 +58,7 @@ def _refuse_large(path: Path) -> None:
         with zipfile.ZipFile(path) as archive:
             size = sum(item.file_size for item in archive.infolist())
     except (OSError, NotImplementedError, zipfile.BadZipFile) as error:  # a zip of a version nobody has yet
-        raise FileError(f"{path}: is no XLSX workbook ({error}).", file=str(path)) from error
+        raise FileError(f"{path}: is not an XLSX workbook ({error}).", file=str(path)) from error
     if size > MAX_BYTES:
         raise FileError(
             f"{path}: unpacks to {size / 1e6:.0f} MB; a robot's table is small. Save the one sheet by itself.",

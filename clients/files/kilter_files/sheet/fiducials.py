@@ -45,7 +45,7 @@ def find_marks(picture: Picture, radius_mm: float | None) -> Marks:
     if len(corners) < 3:
         if len(_markers(np.ascontiguousarray(picture.rgb[:, ::-1]))) >= 3:
             what = "is mirrored: its markers can be read in a mirror only"
-            raise fault(picture.path, what, "Turn the mirroring off in the scanner's or the camera's settings.")
+            raise fault(picture.path, what, "Switch mirroring off in the scanner's or the camera's settings.")
         return _by_targets(picture, radius_mm, seen)
     sheet = _sheet(picture, seen, radius_mm)
     known = sheet.markers()
@@ -242,7 +242,7 @@ def _centre_of_dark(rgb: Pixels, camera: Camera, target: Floats) -> Floats | Non
         patch = cv2.remap(rgb, at[:, 0].reshape(x.shape), at[:, 1].reshape(x.shape), cv2.INTER_LINEAR)
         value = patch.astype(np.float64).mean(axis=2)
         outside = np.hypot(x, y) > TARGET_MM + 0.9
-        # The tick on the inner side is no paper.
+        # The tick on the inner side is not paper.
         plane = np.stack([np.ones_like(x), x, y], axis=-1)
         paper = outside & (value > np.median(value[outside]) - 40)
         shade = plane @ np.linalg.lstsq(plane[paper], value[paper], rcond=None)[0]

@@ -79,7 +79,7 @@ def sheet_for(radius_mm: float, page: Page | None = None) -> Sheet:
     """Return the sheet of a radius on ``page``, or on A4 where it fits and else on A3.
 
     Raises:
-        UsageError: a radius that fits no page or is no multiple of half a mm.
+        UsageError: a radius that fits no page or is not a multiple of half a mm.
 
     """
     steps = radius_mm / RADIUS_STEP_MM

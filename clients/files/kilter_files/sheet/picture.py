@@ -34,7 +34,7 @@ class Picture:
 
 
 def read_picture(path: Path, page: int = 1) -> Picture:
-    """Read a PNG, a JPEG, or the page of a PDF, turned as a camera says it was held.
+    """Read a PNG, a JPEG, or the page of a PDF, rotated as the camera says it was held.
 
     Raises:
         FileError: another format, a damaged or cut file, more pixels than any scan needs, no such page.
@@ -49,7 +49,7 @@ def read_picture(path: Path, page: int = 1) -> Picture:
         return _pdf(path, page)
     if head.startswith((b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")):
         return _image(path)
-    raise fault(path, "is no PNG, JPEG or PDF", "Save the scan as PNG: it loses nothing.", byte=0)
+    raise fault(path, "is not a PNG, JPEG or PDF", "Save the scan as PNG: it loses nothing.", byte=0)
 
 
 def missing(package: str) -> MissingPackageError:
@@ -120,7 +120,7 @@ def _pdf(path: Path, page: int) -> Picture:
         document = pypdfium2.PdfDocument(path)
     except pypdfium2.PdfiumError as error:
         remedy = "Open it in a viewer and print it to a new PDF; a password must be taken off."
-        raise fault(path, f"is no readable PDF: {str(error)[:120]}", remedy) from error
+        raise fault(path, f"is not a readable PDF: {str(error)[:120]}", remedy) from error
     try:
         count = len(document)
         if not 1 <= page <= count:

@@ -158,7 +158,7 @@ def _check_line(path: Path, line: Line, allow_gaps: bool, warnings: list[str]) -
     second = np.flatnonzero(line.second)
     if len(second) > SECOND_IN * np.count_nonzero(there):
         what = f"two lines run beside each other, first at {second[0] * step:.0f} deg"
-        raise fault(path, what, "Draw one run on each sheet, and no second turn.")
+        raise fault(path, what, "Draw only one run on each sheet.")
     start, longest = _longest_run(~there)
     if longest > LONGEST_MISSING and not allow_gaps:
         first, last = start * step, (start + longest - 1) * step
@@ -171,7 +171,7 @@ def _check_line(path: Path, line: Line, allow_gaps: bool, warnings: list[str]) -
         what = f"the line is more than {REACH_MM - 0.9:.1f} mm from the circle at {at:.0f} deg"
         raise fault(path, what, "Register the robot to the four quarter points first, then draw again.")
     if float(np.nanmedian(line.width_mm)) > BLUNT_MM:
-        warnings.append(f"the line is {np.nanmedian(line.width_mm):.1f} mm wide: a blunt pencil, or two turns")
+        warnings.append(f"the line is {np.nanmedian(line.width_mm):.1f} mm wide: a blunt pencil, or two runs")
 
 
 def _longest_run(missing: Any) -> tuple[int, int]:
@@ -226,7 +226,7 @@ def _reading(
     } | rim
     notes = [f"placed by {len(marks.mm)} marks ({marks.way}), lens {camera.lens:+.4f}"]
     notes.append(
-        "strokes across the line tell errors along it" if drawn else "no strokes: errors along it are not seen"
+        "strokes across the line show errors along it" if drawn else "no strokes: errors along it are unobservable"
     )
     return SheetReading(
         picture.path,

@@ -57,7 +57,7 @@ try
     code = problem.code;
     detail = problem.detail;
 catch
-    % An answer that is no problem document comes from something else than Kilter; its status is all there is to say.
+    % An answer that is not a problem document comes from something else than Kilter; its status is all there is to say.
 end
 error(['kilter:' code], '%s', detail);
 end

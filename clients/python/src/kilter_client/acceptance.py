@@ -1,4 +1,4 @@
-"""What a stream believes of an answer: nothing that is not the echo of what it sent, and nothing that is too large.
+"""Which answers a stream accepts: only echoes of what it sent, with corrections that are not too large.
 
 Everybody who reaches the corrector's network can publish on the key of the answers. The sequence number and the time of
 sending are drawn at random, so only somebody who reads the setpoints can echo them. Whoever does that can still only move

@@ -1,4 +1,4 @@
-"""The library's front door."""
+"""The entry point of the library."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ class _Versions(Versions):
 def connect(url: str | None = None, token: str | None = None) -> Kilter:
     """Connect to a server: the one at ``url``, else of KILTER_URL, else the one running on this machine.
 
-    Errors speak of verbs and their arguments, where those of ``Kilter(...)`` have the server's own words.
+    Errors name verbs and their arguments; those of ``Kilter(...)`` are in the server's own words.
 
     Raises:
         ServerUnreachableError: nothing says where the server is.

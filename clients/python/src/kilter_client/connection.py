@@ -206,7 +206,7 @@ def _in_words(reword: Reword | None) -> Iterator[None]:
 
 @contextmanager
 def reaching(url: str) -> Iterator[None]:
-    """Turn what goes wrong on the way to a server into the client's own error."""
+    """Raise errors of the connection to a server as the client's own."""
     import httpx
 
     try:

@@ -99,7 +99,7 @@ class JobCancelledError(JobFailedError):
 
 
 class JobTimeoutError(KilterError):
-    """A job that did not end within the caller's time; it goes on at the server."""
+    """A job that did not end within the caller's time; it continues at the server."""
 
     default_code = "job_timeout"
     default_title = "Job still running"

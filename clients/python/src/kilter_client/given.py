@@ -1,4 +1,4 @@
-"""What a script may give for rows of measurements or of a trajectory: a path, columns, an array or a pandas frame."""
+"""What a script may give for rows of measurements or of a trajectory: a path, columns, an array or a DataFrame."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kilter_client.errors import UsageError
 from kilter_files import prepare
 from kilter_files.table import CSV_TYPE, WHOLE_NUMBERS, Prepared
 
-# A path, what `prepare` made, columns by name, a structured array, a 2-D array with `columns`, or a pandas frame.
+# A path, what `prepare` made, columns by name, a structured array, a 2-D array with `columns`, or a DataFrame.
 Data: TypeAlias = "str | PathLike[str] | Prepared | Mapping[str, Any] | Any"
 
 
@@ -59,13 +59,13 @@ def _columns(data: Any, columns: Sequence[str] | None) -> dict[str, list[Any]]:
     names = getattr(getattr(data, "dtype", None), "names", None)
     if names:  # a structured array
         return {name: data[name].tolist() for name in names}
-    if hasattr(data, "columns") and hasattr(data, "iloc"):  # a pandas frame
+    if hasattr(data, "columns") and hasattr(data, "iloc"):  # a pandas DataFrame
         return {str(name): data[name].tolist() for name in data.columns}
     shape = getattr(data, "shape", None)
     if shape is None or len(shape) != 2:
         raise UsageError(
             f"{type(data).__name__} holds no rows: give a path, a mapping of columns (q1_deg, x_mm, ...), a structured "
-            "array, a pandas frame, or an array of two dimensions with columns=."
+            "array, a pandas DataFrame, or an array of two dimensions with columns=."
         )
     if columns is None or len(columns) != shape[1]:
         given = "not given" if columns is None else f"{len(columns)} names"
@@ -99,7 +99,7 @@ def _cell(name: str, value: Any) -> str:
         return value
     try:
         number = math.nan if value is None else float(value)
-    except (TypeError, ValueError):  # pandas' NA has no float; what else is no number is refused by the server
+    except (TypeError, ValueError):  # pandas' NA has no float; what else is not a number is refused by the server
         return "" if str(value) in ("<NA>", "NaT") else str(value)
     if math.isnan(number):
         return ""

@@ -1,4 +1,4 @@
-"""Which versions a stream takes answers of.
+"""The versions whose answers a stream accepts.
 
 Anybody on the network can publish an announcement, so one is never believed by itself: it may only *add* a version whose
 answers are taken, and makes the stream ask. What the stream knew stays until an answer to its own question replaces it.

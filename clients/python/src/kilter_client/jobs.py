@@ -1,4 +1,4 @@
-"""Jobs: ask for one, follow it, take its result."""
+"""Jobs: submit one, follow it, read its result."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Jobs:
     ) -> Document:
         """Ask for a job (identify, gap, evaluate, plan, joint_parameters) and return its document, still queued.
 
-        ``confirmation`` are campaigns of another day or set-up in which a gap hunt must see again what it found.
+        ``confirmation`` are campaigns of another day or set-up in which a gap search must see again what it found.
         Campaigns and versions may be named by the beginning of an id, a name, or ``latest``. ``name`` is that of the job
         and of the version it makes.
         """

@@ -1,4 +1,4 @@
-"""A long table sent in parts, whole or not at all: each part is one upload whose hash the server knows.
+"""A long table sent in parts, completely or not at all: each part is one upload whose hash the server knows.
 
 The same recording gives the same parts, so a broken sending goes on; nobody sees the campaign before the last part.
 """
@@ -57,7 +57,7 @@ def send_whole(
 ) -> Sent:
     """Send a table in parts to a campaign that nobody sees before the last part is there.
 
-    A sending that broke off goes on where it stopped. A part that is refused takes the whole campaign with it.
+    A sending that broke off continues where it stopped. A part that is refused takes the whole campaign with it.
     ``pieces`` gives the parts from the first, as often as asked; ``progress`` is told the rows of each and whether it
     was there already.
 
@@ -80,7 +80,7 @@ def send_whole(
             kilter.campaigns.discard(campaign)
             error.detail += REFUSED
             raise
-        error.detail += " Nothing of it is visible yet: give the same command again, and it goes on."
+        error.detail += " Nothing of it is visible yet: give the same command again, and it continues."
         raise
     except KilterError as error:
         kilter.campaigns.discard(campaign)

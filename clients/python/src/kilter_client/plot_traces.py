@@ -119,7 +119,7 @@ def _heatmap(canvas: Any, axes: Any, trace: Trace) -> None:
 
 
 def _names(axes: Any, names: list[str]) -> None:
-    """Names below the axis, turned where they would meet."""
+    """Names below the axis, rotated where they would meet."""
     turned = sum(map(len, names)) > 60 or max(map(len, names)) * len(names) > 60
     look: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if turned else {}
     axes.set_xticks(range(len(names)), [words(name) for name in names], **look)

@@ -37,7 +37,7 @@ class Kept:
         return self._run(kept.change(self.kind, reference, name, notes, robot))
 
     def retire(self, reference: str, robot: str | None = None) -> Document:
-        """Take it out of use; what cites it stays as it is."""
+        """Take it out of use; what cites it does not change."""
         return self._run(kept.do(self.kind, reference, "retire", robot))
 
     def restore(self, reference: str, robot: str | None = None) -> Document:

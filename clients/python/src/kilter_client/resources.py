@@ -59,7 +59,7 @@ class Robots:
         self._run(robots.remove(name))
 
     def note(self, name: str, remarks: str) -> Document:
-        """Keep a note with a robot, in the place of the one before."""
+        """Add a note to a robot, replacing the previous one."""
         return self._run(robots.note(name, remarks))
 
     def retire(self, name: str) -> Document:
@@ -155,7 +155,7 @@ class Versions(Kept):
     def activate(self, version: str, *, force: bool = False, reason: str = "", robot: str | None = None) -> Document:
         """Make a version the one that corrects, unless it predicts worse than the active one.
 
-        ``force`` activates it all the same; the log keeps that and the ``reason``.
+        ``force`` activates it nevertheless; the log records this and the ``reason``.
         """
         return self._run(versions.activate(version, force, reason, robot))
 
@@ -168,7 +168,7 @@ class Versions(Kept):
         return self._run(robots.do(robot, "rollback"))
 
     def diff(self, first: str, second: str, robot: str | None = None) -> Document:
-        """Compare two versions; ``nominal`` stands for the robot as drawn."""
+        """Compare two versions; ``nominal`` stands for the nominal robot."""
         return self._run(versions.diff(first, second, robot))
 
     def residuals(

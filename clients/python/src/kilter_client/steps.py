@@ -1,4 +1,4 @@
-"""What is asked of a server, said without sending it.
+"""Requests to a server as steps, separate from sending them.
 
 A call is a generator: it yields a step, is given the answer, and returns what it read. Whoever runs it does the sending,
 ``Connection`` with threads and ``AsyncConnection`` under asyncio, so that what is asked and how answers are read is
@@ -123,7 +123,7 @@ def read(request: Request) -> Steps[Document]:
     """Send a request and return the JSON object it is answered with.
 
     Raises:
-        ApiError: it holds something else, so this is no Kilter server.
+        ApiError: it holds something else, so this is not a Kilter server.
 
     """
     answer = yield from answer_of(request)
@@ -133,7 +133,7 @@ def read(request: Request) -> Steps[Document]:
         found = None
     if not isinstance(found, dict):
         raise ApiError(
-            f"{answer.url} answered something that is no JSON object: is KILTER_URL a Kilter server?",
+            f"{answer.url} answered something that is not a JSON object: is KILTER_URL a Kilter server?",
             status=answer.status,
         )
     return found

@@ -5,7 +5,7 @@
     for q in corrected(setpoints, robot="katana450", period_s=0.004):
         send_to_arm(q)
 
-Joints are radians (metres for a joint that slides). Every answer says where it comes from: "corrected"; "held", when
+Joints are radians (metres for a prismatic joint). Every answer says where it comes from: "corrected"; "held", when
 the answer was late or refused and the last correction is used again; or "bypass", when that lasted too long and the
 correction is being released. Nothing here needs numpy; zenoh is loaded when a stream is opened.
 """
@@ -52,7 +52,7 @@ class CorrectedStream:
         settled: the arm rests at the first setpoint, so give it the whole correction at once; else it ramps in.
         version: number of the version to insist on (``active["version"]``, hexadecimal); others are refused.
         largest_deg: no correction of a joint beyond this is taken, whatever the version allows.
-        largest_mm: the same for joints that slide.
+        largest_mm: the same for prismatic joints.
         quickest_s: the time in which the correction may change from nothing to its largest while the arm rests. In motion
             it may change by a tenth of that besides.
         connect_timeout_s: how long to wait for the corrector and its version when the stream is opened.
@@ -181,7 +181,7 @@ class CorrectedStream:
 
     def _on_answer(self, sample: Any) -> None:
         data = sample.payload.to_bytes()
-        # What is no echo goes no further: it would wait in the queue before the answer.
+        # What is not an echo goes no further: it would wait in the queue before the answer.
         if self._acceptance.echoes(data) and self._answers.qsize() < _MOST_WAITING:
             self._answers.put(data)
 
@@ -227,8 +227,8 @@ class CorrectedStream:
         where = f"The corrector at {', '.join(self._endpoints)}"
         if self._publisher.matching_status.matching:
             raise StreamError(
-                f"{where} knows no active version of a robot {self.robot!r}: activate one with `kilter activate`, or mend "
-                "the robot's name."
+                f"{where} knows no active version of a robot {self.robot!r}: activate one with `kilter activate`, "
+                "or correct the robot's name."
             )
         raise StreamError(f"{where} does not answer: is `kilterd serve` up, and its site {self._site!r}?")
 

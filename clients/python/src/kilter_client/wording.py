@@ -1,4 +1,4 @@
-"""Refusals in the words of a script: its verbs and their arguments.
+"""Errors in terms of a script: its verbs and their arguments.
 
 The server speaks of requests ("options.level", "GET /v1/..."), and of the command ("--role confirmation"), which whoever
 wrote ``k.identify(..., level=7)`` did not type.

@@ -1,4 +1,4 @@
-"""Calls about jobs: ask for one, follow it to its end."""
+"""Calls about jobs: submit one, follow it to its end."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def _may_pass(error: ServerUnreachableError | ApiError) -> bool:
 
 def _gone(job_id: str) -> ServerUnreachableError:
     return ServerUnreachableError(
-        f"The server has not answered for {PATIENCE_S:.0f} s. Job {job_id} is stored there and goes on when it is back: "
+        f"The server has not answered for {PATIENCE_S:.0f} s. Job {job_id} is stored there and continues when it is back: "
         f"`kilter jobs watch {job_id}` follows it.",
         job_id=job_id,
     )

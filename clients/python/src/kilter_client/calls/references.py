@@ -49,7 +49,7 @@ def id_of(kind: Kind, reference: str, robot: str | None = None) -> Steps[str]:
 
 
 def resolved_request(robot: str, request: Mapping[str, Any]) -> Steps[Document]:
-    """Return a request for a job with ids in the place of references, all of its robot."""
+    """Return a request for a job with ids instead of references, all of its robot."""
     out = dict(request)
     for key in ("campaigns", "validation", "confirmation"):
         if isinstance(out.get(key), list | tuple):

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from kilter_files import Prepared
 
 LONG_TIMEOUT_S = 600.0
-NOMINAL = "nominal"  # in a comparison: the robot as drawn
+NOMINAL = "nominal"  # in a comparison: the nominal robot
 
 
 def listed(robot: str, retired: bool = False) -> Steps[list[Document]]:
@@ -48,7 +48,7 @@ def activations(robot: str) -> Steps[list[Document]]:
 
 
 def diff(first: str, second: str, robot: str | None = None) -> Steps[Document]:
-    """Compare two versions; ``nominal`` stands for the robot as drawn."""
+    """Compare two versions; ``nominal`` stands for the nominal robot."""
     one = first if first == NOMINAL else (yield from id_of("version", first, robot))
     other = second if second == NOMINAL else (yield from id_of("version", second, robot))
     return (yield from get(address("versions", one, "diff", other)))

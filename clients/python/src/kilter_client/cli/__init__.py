@@ -49,7 +49,7 @@ def first(
         raise typer.Exit(2)
     if as_json:
         name = context.invoked_subcommand
-        raise UsageError(f"--json belongs behind the command: `kilter {name} ... --json`.")
+        raise UsageError(f"--json belongs after the command: `kilter {name} ... --json`.")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -1,4 +1,4 @@
-"""What an activation said, and the log of activations, for people."""
+"""The result of an activation, and the log of activations, as text."""
 
 from __future__ import annotations
 

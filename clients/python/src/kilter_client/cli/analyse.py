@@ -81,7 +81,7 @@ def identify(
     refit: Annotated[
         Literal["base", "none"] | None,
         typer.Option(
-            help="base: a base to each campaign and session; none: one to all; left out: sheets and bars have their own."
+            help="base: one for each campaign and session; none: one for all; left out: sheets and bars have their own."
         ),
     ] = None,
     loss: Loss = None,
@@ -181,7 +181,7 @@ def evaluate(
     robot: Robot,
     campaign: CampaignIds = None,
     version: Annotated[str | None, typer.Option(help=EVALUATE["version"])] = None,
-    refit: Annotated[str | None, typer.Option(metavar="base,tool", help="Frames that were set up anew.")] = None,
+    refit: Annotated[str | None, typer.Option(metavar="base,tool", help="Frames that were set up again.")] = None,
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
@@ -230,7 +230,7 @@ def plan(
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
-    """Plan poses to measure: for ISO 9283, to identify well, or to tell two effects apart."""
+    """Plan poses to measure: for ISO 9283, to identify well, or to distinguish two effects."""
     needs_result(no_wait, output=output)
     chosen = arguments.options(
         option,
@@ -276,7 +276,7 @@ def needs_result(no_wait: bool, **files: Path | None) -> None:
 def write_poses(file: Path, text: str | None, as_json: bool) -> None:
     """Write poses as CSV and say how many."""
     if not text:
-        note(f"{file}: not written, no pose would tell more.", as_json)
+        note(f"{file}: not written: no pose would add information.", as_json)
         return
     write(file, text.encode())
     note(f"{file}: {text.count(chr(10)) - 1} poses", as_json)

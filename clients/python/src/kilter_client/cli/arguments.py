@@ -65,7 +65,8 @@ NoWait = Annotated[bool, typer.Option("--no-wait", help="Return as soon as the j
 Check = Annotated[
     bool,
     typer.Option(
-        "--check", help="Only say what it would do: what it uses, what its data tell, what is missing, how long."
+        "--check",
+        help="Only say what it would do: what it uses, what its data determine, what is missing, how long it takes.",
     ),
 ]
 MoreOptions = Annotated[
@@ -137,7 +138,7 @@ def numbers(name: str, text: str) -> list[float]:
     """Understand numbers given as ``a,b``.
 
     Raises:
-        UsageError: something that is no number.
+        UsageError: something that is not a number.
 
     """
     found = [_number(part) for part in text.split(",")]
@@ -187,4 +188,4 @@ def _document(text: str) -> dict[str, Any]:
     try:
         return dict(json.loads(text))
     except ValueError as error:
-        raise UsageError(f"--effects {text}: is no JSON object ({error}).") from error
+        raise UsageError(f"--effects {text}: is not a JSON object ({error}).") from error

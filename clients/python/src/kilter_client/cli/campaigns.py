@@ -52,7 +52,7 @@ Device = Annotated[
 ]
 IntoCampaign = Annotated[
     str | None,
-    typer.Option("--campaign", metavar="ID", help="Add to this campaign (id, name or `latest`), make none."),
+    typer.Option("--campaign", metavar="ID", help="Add to this campaign (id, name or `latest`) instead of making one."),
 ]
 ToolForce = Annotated[str | None, typer.Option(metavar="FX,FY,FZ", help="Force on the tool point, in its frame, N.")]
 ToolMoment = Annotated[str | None, typer.Option(metavar="MX,MY,MZ", help="Moment on the tool, in its frame, N m.")]
@@ -71,7 +71,7 @@ ColumnMap = Annotated[
 ]
 CampaignName = Annotated[
     str | None,
-    typer.Option(help="Name of the campaign; default is the file's, with a number behind it when that is taken."),
+    typer.Option(help="Name of the campaign; default is the file's, with a number added when that is taken."),
 ]
 
 
@@ -195,7 +195,7 @@ def _prepared(robot: str, file: Path, device: str | None, column_map: Path | Non
             )
         return prepare(file, device, column_map, points.joints)
     if preset not in PRESETS:
-        raise UsageError(f"--preset {preset}: is none of {', '.join(PRESETS)}.")
+        raise UsageError(f"--preset {preset}: is not one of {', '.join(PRESETS)}.")
     check_numpy()
     from kilter_files.inspection import is_contract
     from kilter_files.joint_bag import is_bag
@@ -270,11 +270,11 @@ def _taken_back(kilter: Kilter, campaign: str) -> str:
     try:
         kilter.campaigns.discard(campaign)
     except ConflictError:  # its last request had reached the server
-        return f"campaign {campaign} is stored, whole."
+        return f"campaign {campaign} is stored completely."
     except KilterError as error:
         return (
-            f"campaign {campaign} is begun, seen and used by nobody, and could not be taken back ({error.detail}). "
-            "The same command sends the file anew."
+            f"campaign {campaign} is begun but not visible, and could not be withdrawn ({error.detail}). "
+            "The same command sends the file again."
         )
     return "nothing is stored. The same command sends the file again."
 

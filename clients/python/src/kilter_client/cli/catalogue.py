@@ -21,7 +21,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
     "Measure": {
         "upload": Entry("campaigns", "Send measurements of a robot; they become a campaign."),
         "campaigns": Entry("campaigns", "List, name, retire and purge campaigns."),
-        "inspect": Entry("inspect", "Show what is understood of a file; nothing is sent."),
+        "inspect": Entry("inspect", "Show how a file is read; nothing is sent."),
         "match": Entry("match", "Join a recording of markers with a joint log."),
         "sheet": Entry("sheet", "Write the sheet to print for measuring with a pencil."),
         "sheet-read": Entry("sheet", "Read a scan or photo of a drawn sheet."),
@@ -36,7 +36,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "identify": Entry("analyse", "Identify parameters from campaigns; makes a version."),
         "gap": Entry("analyse", "Find and name what the model lacks; makes a version."),
         "evaluate": Entry("analyse", "Compare a version with a campaign."),
-        "joint-parameters": Entry("joints", "Measure play and stiffness of joints directly."),
+        "joint-parameters": Entry("joints", "Measure clearance, backlash and stiffness directly."),
         "jobs": Entry("jobs", "List, show, watch and cancel jobs."),
         "effects": Entry("lists", "List the physical effects that can be identified."),
         "methods": Entry("lists", "List the methods of an identification."),
@@ -48,7 +48,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "rollback": Entry("versions", "Return to the version that was active before."),
         "activations": Entry("versions", "List who activated which version, when and why."),
         "diff": Entry("versions", "Compare the parameters of two versions."),
-        "residuals": Entry("residuals", "Write what a version leaves of every measured row."),
+        "residuals": Entry("residuals", "Write the residual of every measured row."),
         "export": Entry("versions", "Write a version as a file for other programs."),
     },
     "Correct": {

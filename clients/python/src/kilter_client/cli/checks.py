@@ -1,4 +1,4 @@
-"""What a person says of the checks of ``kilter match``: the robot's model, parts of the recording, what is allowed."""
+"""Options for the checks of ``kilter match``: the robot's model, parts of the recording, what is allowed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Model = Annotated[str | None, typer.Option(help="Robot whose model checks the pairing; default is --robot's.")]
 Piecewise = Annotated[bool, typer.Option("--piecewise", help="Match the parts between jumps of the clocks.")]
-Unchecked = Annotated[bool, typer.Option("--unchecked", help="Warn of wrong pairs and knocks, refuse none.")]
+Unchecked = Annotated[bool, typer.Option("--unchecked", help="Only warn of wrong pairs and knocks.")]
 
 
 def checks_of(robot: str | None, piecewise: bool, unchecked: bool, since: float | None, until: float | None) -> Checks:

@@ -1,4 +1,4 @@
-"""``kilter robot from-circles`` and ``kilter robot frame``: a robot nobody drew, and a frame from digitised points."""
+"""``kilter robot from-circles`` and ``kilter robot frame``: a robot without a data sheet, and a frame from digitised points."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def read_points(file: Path) -> dict[str, Any]:
     """Read digitised points: x_mm, y_mm, z_mm beside known_x_mm ..., or beside a column feature (plane, line, origin).
 
     Raises:
-        FileError: other columns, a cell that is no number, or an unknown feature; file and line are named.
+        FileError: other columns, a cell that is not a number, or an unknown feature; file and line are named.
 
     """
     rows = list(csv.DictReader(read_text(file).splitlines()))
@@ -98,7 +98,7 @@ def read_points(file: Path) -> dict[str, Any]:
         return {"points": points}
     if not set(MEASURED) | {"feature"} <= columns:
         raise FileError(
-            f"{file}: has not the columns {', '.join(MEASURED)} with either {', '.join(KNOWN)} or feature "
+            f"{file}: does not have the columns {', '.join(MEASURED)} with either {', '.join(KNOWN)} or feature "
             f"({', '.join(FEATURES)}).",
             file=str(file),
         )

@@ -1,4 +1,4 @@
-"""The report of a gap hunt for people: where, what, how much it closes, what could not be tested, what to measure."""
+"""The report of a gap search as text: where, what, how much it closes, what could not be tested, what to measure."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
 from kilter_client.results.digits import decimals, ends, estimate
 
-NOMINAL_DIGITS = 7  # the robot as drawn is exact
+NOMINAL_DIGITS = 7  # the nominal robot is exact
 MANY_WEIGHTS = 12  # learned weights from which a line stands for all of them
 LEARNED = "residual_"
 INDICES = ("O1", "O2", "O3", "O4", "O5")
@@ -114,7 +114,7 @@ def _remark(p: Mapping[str, Any]) -> str:
     if p.get("stiffness_nm_deg"):
         return f"stiffness {number(p['stiffness_nm_deg'])} N m/deg"
     if not p.get("identifiable", True):
-        return "not identifiable: these poses do not tell it apart"
+        return "not identifiable from these poses"
     return "" if p.get("plausible", True) else "outside its physical range: look for what is missing in the model"
 
 

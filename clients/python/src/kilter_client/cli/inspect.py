@@ -1,4 +1,4 @@
-"""``kilter inspect``: what a file is understood to be, before anything is sent."""
+"""``kilter inspect``: how a file is read, before anything is sent."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Unit = Annotated[
     str | None,
     typer.Option("--unit", help="Unit of the coordinates or angles, whatever the file states: mm, m, inch, mrad."),
 ]
-AllowCut = Annotated[bool, typer.Option("--allow-cut", help="Take the whole frames of a file that is cut off.")]
+AllowCut = Annotated[bool, typer.Option("--allow-cut", help="Use the complete frames of a truncated file.")]
 Topic = Annotated[str | None, typer.Option("--topic", help="Bag: the topic of the joint states, if there are several.")]
 JointOrder = Annotated[
     str | None,
     typer.Option(
         "--joint-order",
         metavar="A,B",
-        help="Bag: the arm's joints from the base to the tool; one that slides is NAME:m.",
+        help="Bag: the arm's joints from the base to the tool; a prismatic one is NAME:m.",
     ),
 ]
 FileOrBag = Annotated[
@@ -46,7 +46,7 @@ def inspect(
     rate: Rate = None,
     allow_cut: AllowCut = False,
     preset: Annotated[
-        str, typer.Option(help="Whose text export it is: leica, faro, spatialanalyzer, polyworks, generic.")
+        str, typer.Option(help="Origin of the text export: leica, faro, spatialanalyzer, polyworks, generic.")
     ] = "generic",
     euler: Annotated[
         str | None, typer.Option(help="Order of its angles: XYZ about the moving axes, xyz about the fixed ones.")
@@ -59,7 +59,7 @@ def inspect(
         typer.Option(
             "--draft",
             metavar="MAP",
-            help="Write a first column map there; what could not be told is marked ?.",
+            help="Write a first column map there; what could not be determined is marked ?.",
             dir_okay=False,
         ),
     ] = None,
@@ -76,7 +76,7 @@ def inspect(
     from kilter_files.tracker_header import PRESETS
 
     if preset not in PRESETS:
-        raise UsageError(f"--preset {preset}: is none of {', '.join(PRESETS)}.")
+        raise UsageError(f"--preset {preset}: is not one of {', '.join(PRESETS)}.")
     if rate is not None and not rate > 0:
         raise UsageError(f"--rate {rate}: give frames per second, above 0.")
     log = LogHints(topic, arguments.split_names([joint_order or ""]))

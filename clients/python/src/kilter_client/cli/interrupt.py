@@ -1,4 +1,4 @@
-"""What Ctrl-C leaves behind: one sentence with what is stored and how to go on, and exit code 130."""
+"""What Ctrl-C leaves: one sentence with what is stored and how to continue, and exit code 130."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kilter_client.errors import KilterError
 
 CODE = 130
 UNKNOWN = (
-    "Interrupted. What the server had begun it finishes: `kilter jobs` and `kilter campaigns ROBOT` show what is there."
+    "Interrupted. The server finishes what it had begun: `kilter jobs` and `kilter campaigns ROBOT` show what is there."
 )
 
 
@@ -38,6 +38,6 @@ def on_interrupt(tell: Callable[[], str]) -> Iterator[None]:
 def job_goes_on(job_id: str) -> str:
     """Say that a job goes on, and the commands for it."""
     return (
-        f"job {job_id} goes on at the server. `kilter jobs watch {job_id}` follows it, "
+        f"job {job_id} continues at the server. `kilter jobs watch {job_id}` follows it, "
         f"`kilter jobs cancel {job_id}` stops it."
     )

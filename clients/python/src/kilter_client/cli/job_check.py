@@ -1,4 +1,4 @@
-"""What a job would do, for people: what is used, what the data can tell, what is missing, how long it takes."""
+"""What a job would do, as text: what it uses, what the data determine, what is missing, how long it takes."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _show_missing(missing: Sequence[Mapping[str, Any]]) -> None:
     for one in missing:
         by_remedy.setdefault((one["reason"], one["remedy"]), []).append(one["what"])
     if by_remedy:
-        say("not told by these data:")
+        say("not determined by these data:")
     for (reason, remedy), names in by_remedy.items():
         say(f"  {', '.join(names)}: {reason}")
         say(f"    {remedy}")

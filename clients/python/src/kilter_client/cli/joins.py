@@ -34,7 +34,7 @@ def ballbar_join(
     radius_mm: Annotated[
         float | None, typer.Option("--radius-mm", help="The bar's length, whatever its log says, mm.")
     ] = None,
-    zero_deg: Annotated[float, typer.Option(help="Where the bar's angle 0 lies, from the robot's x axis.")] = 0.0,
+    zero_deg: Annotated[float, typer.Option(help="Angle of the bar's zero from the robot's x axis.")] = 0.0,
     joints_map: Map = None,
     as_json: Json = False,
 ) -> None:
@@ -54,7 +54,7 @@ def tilt_join(
     robot: Robot,
     file: File,
     joints: Joints,
-    joint: Annotated[str, typer.Option(metavar="NAME", help="Joint that the inclinometer sits behind.")],
+    joint: Annotated[str, typer.Option(metavar="NAME", help="Joint before the inclinometer.")],
     output: Output,
     before: Annotated[
         Path | None,
@@ -65,15 +65,17 @@ def tilt_join(
         ),
     ] = None,
     axis: Annotated[
-        Literal["x", "y", "z"], typer.Option(help="Axis of the joint frame it turns about; z is its own.")
+        Literal["x", "y", "z"], typer.Option(help="Axis of the joint frame about which it reads; z is the joint's own.")
     ] = "z",
     channel: Annotated[Literal["x", "y"], typer.Option(help="Which of its inclinations.")] = "x",
     unit: Annotated[
         str | None, typer.Option(help="Unit of its angles, whatever the log states: deg, mrad, arcmin.")
     ] = None,
-    by: Annotated[Literal["order", "time"], typer.Option(help="How rests find their row of the joint log.")] = "time",
-    shortest: Annotated[float, typer.Option(help="Shortest rest, s.")] = 0.3,
-    settle: Annotated[float, typer.Option(help="Left out at the beginning of a rest, s.")] = 0.1,
+    by: Annotated[
+        Literal["order", "time"], typer.Option(help="How dwells are matched with rows of the joint log.")
+    ] = "time",
+    shortest: Annotated[float, typer.Option(help="Shortest dwell, s.")] = 0.3,
+    settle: Annotated[float, typer.Option(help="Left out at the beginning of a dwell, s.")] = 0.1,
     payload_kg: Annotated[float, typer.Option(help="Payload of all readings.", min=0.0)] = 0.0,
     payload_com_mm: PayloadCentre = None,
     series: Annotated[int, typer.Option(help="Number of this mounting of the inclinometers.")] = 0,

@@ -18,14 +18,14 @@ Reference = Annotated[
     str, typer.Argument(metavar="ID", help="Its id or the beginning of it, its name, or `latest`.", show_default=False)
 ]
 Text = Annotated[str, typer.Argument(help="The text.", show_default=False)]
-Yes = Annotated[bool, typer.Option("--yes", help="Really: this cannot be undone.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Confirm: this cannot be undone.")]
 
 
 class ListsByDefault(Group):
     """A group whose ``list`` may be left out: ``kilter versions ur10`` lists as it always did."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put ``list`` before what is no command."""
+        """Put ``list`` before what is not a command."""
         if args and args[0] not in self.commands and args[0] != "--help":
             args = ["list", *args]
         return super().parse_args(ctx, args)
@@ -53,7 +53,7 @@ def _register_words(group: typer.Typer, kind: Kind) -> None:
 
     @group.command(epilog=f'Example: kilter {kind}s note {example} "flange replaced"')
     def note(reference: Reference, text: Text, robot: OfRobot = None, as_json: Json = False) -> None:
-        """Keep a note with it, in the place of the one before."""
+        """Add a note to it, replacing the previous one."""
         _change(kind, reference, robot, as_json, notes=text)
 
 
@@ -94,7 +94,7 @@ def register_robot(group: typer.Typer) -> None:
 
     @group.command(epilog='Example: kilter robot note ur10 "the left one"')
     def note(robot: Robot, text: Text, as_json: Json = False) -> None:
-        """Keep a note with a robot, in the place of the one before."""
+        """Add a note to a robot, replacing the previous one."""
         with Kilter() as kilter:
             emit(kilter.robots.note(robot, text), as_json, lambda _: say(f"robot {robot}: {text}"))
 
@@ -130,11 +130,11 @@ def _change(kind: Kind, reference: str, robot: str | None, as_json: bool, **word
 
 
 def _of(kilter: Kilter, kind: Kind, reference: str) -> str:
-    """Return what a reference that is no full id stands for, as the end of a sentence."""
+    """Return what a reference that is not a full id stands for, as the end of a sentence."""
     try:
         return f": {reference!r} is {kilter.resolve(kind, reference).id}. Give that, if it is the one."
     except ApiError:  # nothing, or several of different robots
-        return f", {reference!r} is none: `kilter {kind}s ROBOT` lists them."
+        return f", {reference!r} is not one: `kilter {kind}s ROBOT` lists them."
 
 
 def _refuse_unsure(yes: bool, command: str) -> None:

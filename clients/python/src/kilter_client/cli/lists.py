@@ -57,7 +57,7 @@ def presets(as_json: Json = False) -> None:
 def formats(as_json: Json = False) -> None:
     """List the files that are read and written, with their endings and the command that takes them."""
     _show("formats", list(_formats()), ("use", "id", "endings", "what"), ("use", "format", "endings", "what"), as_json)
-    note("`kilter inspect FILE` shows what is understood of a file.", as_json)
+    note("`kilter inspect FILE` shows how it reads a file.", as_json)
 
 
 def columns(as_json: Json = False) -> None:
@@ -74,7 +74,7 @@ def columns(as_json: Json = False) -> None:
     if not as_json:
         rows = [{**row, "meaning": _first(row["meaning"])} for row in rows]
     _show("columns", rows, ("columns", "unit", "meaning"), ("columns", "unit", "meaning"), as_json)
-    note("Other names and units come in with a column map: `kilter inspect FILE --draft columns.toml`.", as_json)
+    note("For other names and units use a column map: `kilter inspect FILE --draft columns.toml`.", as_json)
 
 
 def _formats() -> Iterator[dict[str, str]]:

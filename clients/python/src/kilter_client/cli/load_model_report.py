@@ -1,4 +1,4 @@
-"""Masses and centres as stated and as the data leave them, for people."""
+"""Masses and centres as stated and as identified, as text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def show_load_model(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print the masses that the data could see, and count the others."""
     seen = [row for row in rows if row["seen"]]
     if seen:
-        show_rows(HEAD, [_row(row) for row in seen], title="Masses that the data could see")
+        show_rows(HEAD, [_row(row) for row in seen], title="Masses that the data determine")
     if len(seen) < len(rows):
         say(f"{len(rows) - len(seen)} of {len(rows)} masses and centres are known no better than stated; see --json")
 

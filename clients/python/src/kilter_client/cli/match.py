@@ -32,8 +32,8 @@ Tcp = Annotated[
     str | None,
     typer.Option(
         metavar="mean|X,Y,Z|FILE",
-        help="Send poses of one rigid body, not markers: of the markers' mean, of a point in the body's frame (mm), or of "
-        "the point that FILE has digitised as its last marker.",
+        help="Send poses of one rigid body instead of markers: of the markers' mean, of a point in the body's frame (mm), "
+        "or of the point that FILE has digitised as its last marker.",
     ),
 ]
 Joints = Annotated[
@@ -115,7 +115,7 @@ def match(
 
 
 def joints_of(robot: str | None) -> list[str]:
-    """Return the joint names of a robot of the server, for logs that name their joints; those that slide end in ``:m``."""
+    """Return the joint names of a robot of the server, for logs that name them; prismatic ones end in ``:m``."""
     if robot is None:
         return []
     with Kilter() as kilter:
@@ -168,7 +168,7 @@ def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, Any], as_json: b
             done["rows"] += count
             bar(done["rows"], max(rows, done["rows"]))
 
-        with on_interrupt(lambda: f"{done['rows']} rows are kept for it. The same command goes on where it stopped."):
+        with on_interrupt(lambda: f"{done['rows']} rows are kept for it. The same command continues where it stopped."):
             sent = send_whole(kilter, robot, dict(wanted), pieces, progress)
     return {"campaign_id": sent.campaign_id, "rows": sent.rows, "rows_there_already": sent.there}
 

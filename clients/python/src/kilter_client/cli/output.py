@@ -15,8 +15,7 @@ from kilter_client.errors import KilterError, UsageError
 Document = dict[str, Any]
 
 REMEDY_FOR_COLUMNS = (
-    "A lab's own columns come in with --map columns.toml; "
-    "`kilter inspect FILE --draft columns.toml` writes a first one."
+    "For a lab's own columns use --map columns.toml; `kilter inspect FILE --draft columns.toml` writes a first one."
 )
 
 

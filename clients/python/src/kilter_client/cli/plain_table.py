@@ -1,4 +1,4 @@
-"""Text in columns as wide as the screen; cells that are too long go on in the next line."""
+"""Text in columns as wide as the screen; cells that are too long continue in the next line."""
 
 from __future__ import annotations
 

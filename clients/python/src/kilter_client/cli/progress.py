@@ -1,4 +1,4 @@
-"""Progress bars on stderr, only where somebody watches."""
+"""Progress bars on stderr, only on a terminal."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """What a command would load and does not need: 0.2 s of processor time of the 0.4 s that listing versions took.
 
-Both parts lean on how typer and httpx are made inside. Where that is otherwise they change nothing.
+Both parts depend on the internals of typer and httpx. Where these differ they change nothing.
 """
 
 from __future__ import annotations

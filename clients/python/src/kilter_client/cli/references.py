@@ -1,4 +1,4 @@
-"""References of the command line: what they stand for is said before it is used."""
+"""References on the command line: the command says what they stand for before it uses them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kilter_client.references import Kind, is_full
 
 OfRobot = Annotated[
     str | None,
-    typer.Option("--robot", metavar="ROBOT", help="The robot it is of, where `latest` or a name leaves that open."),
+    typer.Option("--robot", metavar="ROBOT", help="Its robot, where `latest` or a name is ambiguous."),
 ]
 
 
@@ -47,7 +47,7 @@ def resolved_all(
 def resolved_options(
     kilter: Kilter, options: dict[str, Any], robot: str, as_json: bool, typed: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, Any]:
-    """Return the options of a job with ids in the place of references to versions.
+    """Return the options of a job with ids instead of references to versions.
 
     ``typed`` says which option of the command stands for one of the job, where the names differ.
     """

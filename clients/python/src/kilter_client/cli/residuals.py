@@ -1,4 +1,4 @@
-"""``kilter residuals``: what a version leaves of every row, as a file."""
+"""``kilter residuals``: the residuals of every row, as a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results of jobs and versions for people: metrics, parameters, what the data could not tell."""
+"""Results of jobs and versions as text: metrics, parameters, what the data could not determine."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def show_plan(result: Mapping[str, Any]) -> None:
     """Print how many poses were planned and what they are worth."""
     say(f"{result['count']} poses for {result['purpose']}")
     if result.get("separates"):
-        say(f"{' and '.join(result['separates'])} are alike by {number(result['correlation'], 3)} in what there is")
+        say(f"{' and '.join(result['separates'])} correlate by {number(result['correlation'], 3)} in these data")
     for proposal in result.get("proposals") or ():
         worth = number(proposal["information_factor"], 3)
         say(f"  {proposal['change'] or 'new poses'}: {proposal['poses']}, information times {worth}")
@@ -159,13 +159,13 @@ def _configurations(configurations: list[Mapping[str, Any]]) -> None:
         for c in configurations
     ]
     if rows:
-        show_rows(("joint", "axis", "payload kg", "joint values (deg, slides mm)"), rows)
+        show_rows(("joint", "axis", "payload kg", "joint values (deg, prismatic mm)"), rows)
 
 
 def _null_directions(directions: list[Any]) -> None:
     if not directions:
         return
-    say("What these data cannot tell apart:")
+    say("What these data cannot distinguish:")
     for direction in directions:
         sentence = direction.get("sentence") if isinstance(direction, Mapping) else direction
         say(f"  - {sentence or _combination(direction)}")

@@ -1,4 +1,4 @@
-"""The options by which a command is told a robot, the same for every command that reads one."""
+"""The options that describe a robot, the same for every command that reads one."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ OPTIONS: dict[str, Any] = {
     "file": Annotated[Path | None, typer.Argument(help=ROBOT_FILE, exists=True, dir_okay=False, show_default=False)],
     "preset": Annotated[str | None, typer.Option(help="A robot that ships with Kilter, instead of a file.")],
     "name": Annotated[str | None, typer.Option(help="Name to give it; only robot.json has one.")],
-    "payload_kg": Annotated[
-        float | None, typer.Option(min=0.0, help="What it carries where nobody states a payload, kg.")
-    ],
+    "payload_kg": Annotated[float | None, typer.Option(min=0.0, help="Payload where none is stated, kg.")],
     "payload_com_mm": PayloadCentre,
     "base_link": Annotated[str | None, typer.Option(help="URDF: first link of the chain.")],
     "tip_link": Annotated[str | None, typer.Option(help="URDF: last link of the chain.")],
     "convention": Annotated[str | None, typer.Option(help="Table: dh or mdh (Craig).", metavar="dh|mdh")],
-    "model": Annotated[str | None, typer.Option(help="UR calibration: the model it must be of, for example ur10e.")],
+    "model": Annotated[
+        str | None, typer.Option(help="UR calibration: the model that it must match, for example ur10e.")
+    ],
     "turned": Annotated[
-        list[str] | None, typer.Option(help="A joint the controller counts backwards; repeat for more.")
+        list[str] | None,
+        typer.Option(help="A joint that the controller counts in the opposite direction; repeat for more."),
     ],
     "follows": Annotated[
         list[str] | None,
@@ -74,7 +75,7 @@ class RobotSource:
             return document
         if replace(described, name=None) != Described():
             raise UsageError(
-                "A preset is whole: --tip-link and --base-link belong to a .urdf file, the others to other files."
+                "A preset is complete: --tip-link and --base-link belong to a .urdf file, the others to other files."
             )
         return {"name": described.name or self.preset, "convention": "preset", "preset": self.preset}
 

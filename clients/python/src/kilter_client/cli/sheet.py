@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from kilter_files.rig import Circle
 
 RadiusMm = Annotated[
-    float | None, typer.Option("--radius-mm", help="The sheet's radius, where its marker is cut away; else checked.")
+    float | None, typer.Option("--radius-mm", help="The sheet's radius, where its marker is missing; else checked.")
 ]
 PageNumber = Annotated[int, typer.Option("--page", min=1, help="Page of a PDF.")]
 BarsMm = Annotated[
     str | None,
     typer.Option("--bars-mm", metavar="X,Y", help="The two scale bars as measured on the paper, across and upright."),
 ]
-AllowGaps = Annotated[bool, typer.Option("--allow-gaps", help="Take a line that is missing somewhere.")]
+AllowGaps = Annotated[bool, typer.Option("--allow-gaps", help="Accept a line with gaps.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -43,7 +43,7 @@ def sheet(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="sheet.pdf or sheet.svg.")],
     page: Annotated[
         Literal["a4", "a3", "letter"] | None,
-        typer.Option(help="Paper, to a radius of 87 mm (A4), 90 (letter), 130.5 (A3); default is A4, else A3."),
+        typer.Option(help="Paper; largest radius 87 mm (A4), 90 (letter), 130.5 (A3); default is A4, else A3."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -121,7 +121,7 @@ def sheet_join(
     height_starts_s: Annotated[float, typer.Option(help="Time of the joint log at which it begins.")] = 0.0,
     take_command: Annotated[
         float | None,
-        typer.Option(metavar="MM", help="Let the command stand in for what was not measured, as uncertain as this."),
+        typer.Option(metavar="MM", help="Use the command for what was not measured, with this uncertainty."),
     ] = None,
     joints_map: Annotated[
         Path | None, typer.Option(help="Column map of the joint log (TOML).", exists=True, dir_okay=False)
@@ -179,7 +179,7 @@ def read(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, al
     """Read a sheet with the options of the command line.
 
     Raises:
-        UsageError: bars that are no two lengths.
+        UsageError: bars that are not two lengths.
         MissingPackageError: the extra ``sheet`` is not installed.
 
     """

@@ -56,7 +56,7 @@ def version(version: VersionId, robot: OfRobot = None, as_json: Json = False) ->
 
 def activate(
     version: VersionId,
-    force: Annotated[bool, typer.Option("--force", help="Even if it predicts worse; the log keeps that.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Even if it predicts worse; the log records it.")] = False,
     reason: Annotated[str, typer.Option("--reason", help="Why, for the log.")] = "",
     robot: OfRobot = None,
     as_json: Json = False,
@@ -84,11 +84,11 @@ def activations(robot: Robot, as_json: Json = False) -> None:
 
 def diff(
     first: Annotated[str, typer.Argument(help="A version: id, name, `latest`, or `nominal`.", show_default=False)],
-    second: Annotated[str, typer.Argument(help="Another; `nominal` is the robot as drawn.", show_default=False)],
+    second: Annotated[str, typer.Argument(help="Another; `nominal` is the nominal robot.", show_default=False)],
     robot: OfRobot = None,
     as_json: Json = False,
 ) -> None:
-    """Compare the parameters of two versions, or of a version and the robot as drawn."""
+    """Compare the parameters of two versions, or of a version and the nominal robot."""
     with Kilter() as kilter:
         both = [one if one == NOMINAL else resolved(kilter, "version", one, robot, as_json) for one in (first, second)]
         document = kilter.versions.diff(*both)

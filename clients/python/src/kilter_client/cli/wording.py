@@ -1,4 +1,4 @@
-"""Refusals of the server in the words of the command that was typed: its options, its arguments, its commands.
+"""Errors of the server in terms of the command that was typed: its options, its arguments, its commands.
 
 The server speaks of requests ("options.loss", "query.format", "POST /v1/..."); whoever typed ``--loss`` reads ``--loss``.
 """

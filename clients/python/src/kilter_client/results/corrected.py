@@ -30,7 +30,7 @@ class Corrected(bytes):
 
     @property
     def rows(self) -> Rows:
-        """The rows: joints in deg (slides in mm), the predicted error removed as ``dx_mm`` to ``dz_mm``, ``status``.
+        """The rows: joints in deg (prismatic in mm), the predicted error removed as ``dx_mm`` to ``dz_mm``, ``status``.
 
         Raises:
             MissingPackageError: it is Parquet and pyarrow is not installed.
@@ -54,7 +54,7 @@ class Corrected(bytes):
         return self.rows.to_numpy()
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the rows as a pandas frame."""
+        """Return the rows as a pandas DataFrame."""
         return self.rows.to_pandas()
 
     @property

@@ -71,7 +71,7 @@ class Record:
     def _asked(self, call: Steps[R], instead: str) -> R:
         ask: Ask | None = getattr(self, "_ask", None)
         if ask is None:
-            raise UsageError(f"This result asks no server by itself: use {instead}.")
+            raise UsageError(f"This result is not connected to a server: use {instead}.")
         found: R = ask(call)
         return found
 

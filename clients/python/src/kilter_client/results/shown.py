@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from kilter_client.results.rows import Rows
 
 MODELS = {
-    "nominal": "as drawn",
+    "nominal": "nominal",
     "registration_only": "registration only",
     "geometry_only": "geometry only",
     "identified": "identified",
@@ -27,7 +27,7 @@ ERRORS = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "orientation_deg")
 
 
 class ShownParameter:
-    """A parameter; ``change`` is its value minus nominal, in its unit, None where one of them is not there."""
+    """A parameter; ``change`` is its value minus nominal, in its unit, None where one of them is missing."""
 
     nominal: float | None
     value: float | None
@@ -79,7 +79,7 @@ class Asking:
     """A result of which the server knows more."""
 
     def residuals(self, campaigns: Sequence[str] = ()) -> Rows:
-        """Return what the version leaves of every row, in mm: of these campaigns, or of all its own.
+        """Return the residuals of every row, in mm: of these campaigns, or of all its own.
 
         Raises:
             UsageError: it made no version, or came from an ``AsyncKilter``: ``await k.residuals(result)``.
@@ -133,7 +133,7 @@ class Shown:
 
     @property
     def job(self) -> Record | None:
-        """The job that found it, with its campaigns and options; None where it is no answer of a job."""
+        """The job that found it, with its campaigns and options; None where it is not an answer of a job."""
         return getattr(self, "_job", None)
 
     def _line(self) -> str:

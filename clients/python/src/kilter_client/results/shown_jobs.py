@@ -67,7 +67,7 @@ class ShownVersion(ShownFit):
 
 
 class ShownHunt(Shown, Asking):
-    """A gap hunt: what it names, and how the gap shrank."""
+    """A gap search: what it names, and how the gap shrank."""
 
     verdict: str | None
     sentence: str | None
@@ -101,7 +101,7 @@ class ShownEvaluation(Shown):
     version_id: str | None
 
     def _line(self) -> str:
-        of = f"version {self.version_id}" if self.version_id else "the robot as drawn"
+        of = f"version {self.version_id}" if self.version_id else "the nominal robot"
         known = [(campaign, errors.identified or errors.nominal) for campaign, errors in self.metrics.items()]
         shown = [f"{campaign} mean error {errors.mean_mm:.3g} mm" for campaign, errors in known if errors is not None]
         for campaign, report in self.iso9283.items():

@@ -1,4 +1,4 @@
-"""Tables: columns with units in their names as lists, numpy arrays or a pandas frame, and in a notebook."""
+"""Tables: columns with units in their names as lists, numpy arrays or a DataFrame, and in a notebook."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ REMEDY = "pip install 'kilter-client[notebook]'. to_dict() needs nothing."
 
 
 class Tabular:
-    """Columns, as lists, numpy arrays or a pandas frame; a table in a notebook."""
+    """Columns, as lists, numpy arrays or a DataFrame; a table in a notebook."""
 
     def to_dict(self) -> dict[str, list[Any]]:
         """Return the columns by name."""
         return {}
 
     def to_numpy(self) -> np.ndarray[Any, Any]:
-        """Return the rows as a structured array; a number that is not there is NaN.
+        """Return the rows as a structured array; a missing number is NaN.
 
         Raises:
             MissingPackageError: numpy is not installed.
@@ -43,7 +43,7 @@ class Tabular:
         return found if dtype is None else found.astype(dtype)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a pandas frame.
+        """Return a pandas DataFrame.
 
         Raises:
             MissingPackageError: pandas is not installed.

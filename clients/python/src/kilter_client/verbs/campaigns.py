@@ -44,24 +44,24 @@ def upload(
 
     Args:
         robot: name of the robot.
-        data: a path; or columns by name (``{"q1_deg": ..., "x_mm": ...}``), a structured array, a pandas frame.
+        data: a path; or columns by name (``{"q1_deg": ..., "x_mm": ...}``), a structured array, a pandas DataFrame.
         columns: names of the columns of an array of two dimensions, with units.
-        name: name of the campaign; without one it is the file's, with a number behind it where that is taken.
+        name: name of the campaign; without one it is the file's, with a number added where that is taken.
         role: what the rows are for.
-        device: what they were measured with; files of some devices are converted.
+        device: the measuring device; files of some devices are converted.
         column_map: column map of a lab's own file.
         payload_kg: mass at the tool point during the campaign, kg.
         payload_com_mm: its centre in the tool frame, mm.
         temperature_c: temperature of the arm, degrees Celsius.
         tool_force_n: force on the tool point in its frame, N.
         tool_moment_nm: moment on the tool point in its frame, N m.
-        notes: whatever else is worth knowing.
-        campaign: add to this campaign, make none.
+        notes: anything else worth knowing.
+        campaign: add to this campaign instead of making one.
         progress: True for a bar, False for none, or a function of the fraction sent and the stage.
 
     Raises:
         FileError: the file is not what it should be.
-        UsageError: the data are no rows, or ``campaign`` is given with what it has already.
+        UsageError: the data are not rows, or ``campaign`` is given with what it has already.
         ObservationError: the rows are not what their columns say; nothing is stored.
 
     """
@@ -138,7 +138,7 @@ def campaign(campaign: Thing, *, robot: str | None = None) -> Steps[Campaign]:
     """Return a campaign: its rows, role, conditions and uploads.
 
     Raises:
-        NotFoundError: there is none; ConflictError: the name stands for several.
+        NotFoundError: there is none; ConflictError: the name is ambiguous.
 
     """
     from kilter_client.typed.campaigns import Campaign

@@ -52,12 +52,12 @@ def identify(
         validation: what to hold out: a share of the poses (0.3), campaigns, or ``{"folds": 5}``.
         name: name of the job and of the version.
         progress: True for a bar, False for none, or a function of the fraction done and the stage.
-        timeout_s: seconds to wait at most; the job goes on.
+        timeout_s: seconds to wait at most; the job continues.
         options: the options of the job by name, as ``level=2``, ``effects=["backlash"]``.
 
     Raises:
         OptionError: an option that does not exist or does not fit.
-        JobFailedError: the job ended without a result; JobTimeoutError: it goes on.
+        JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
     asked = _asked("identify", robot, campaigns, options, validation, name)
@@ -82,7 +82,7 @@ def gap(
 
     Raises:
         OptionError: an option that does not exist or does not fit.
-        JobFailedError: the job ended without a result; JobTimeoutError: it goes on.
+        JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
     asked = _asked("gap", robot, campaigns, options, validation, name, confirmation)
@@ -100,11 +100,11 @@ def evaluate(
 ) -> Steps[EvaluateResult]:
     """Compare a version with campaigns: errors in mm and degrees, or the criteria of ISO 9283.
 
-    Without ``version`` it is the active one, else the robot as drawn.
+    Without ``version`` it is the active one, else the nominal robot.
 
     Raises:
         OptionError: an option that does not exist or does not fit.
-        JobFailedError: the job ended without a result; JobTimeoutError: it goes on.
+        JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
     asked = _asked("evaluate", robot, campaigns, options, None, name)
@@ -120,11 +120,11 @@ def plan(
     timeout_s: float | None = None,
     **options: Unpack[PlanOptions],
 ) -> Steps[PlanResult]:
-    """Plan poses to measure: for ISO 9283, to identify well, or to tell two effects apart.
+    """Plan poses to measure: for ISO 9283, to identify well, or to distinguish two effects.
 
     Raises:
         OptionError: an option that does not exist or does not fit.
-        JobFailedError: the job ended without a result; JobTimeoutError: it goes on.
+        JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
     asked = _asked("plan", robot, campaigns, options, None, name)
@@ -149,7 +149,7 @@ def joint_parameters(
     Raises:
         FileError: the file is not what it should be.
         OptionError: an option that does not exist or does not fit.
-        JobFailedError: the job ended without a result; JobTimeoutError: it goes on.
+        JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
     chosen: dict[str, Any] = dict(options)
@@ -171,7 +171,7 @@ def submit(
     name: str = "",
     **options: Any,
 ) -> Steps[Record]:
-    """Ask for a job without waiting for it: ``"identify"``, ``"gap"``, ``"evaluate"``, ``"plan"``, ``"joint_parameters"``.
+    """Submit a job without waiting for it: ``"identify"``, ``"gap"``, ``"evaluate"``, ``"plan"``, ``"joint_parameters"``.
 
     Returns the job, still queued; ``wait`` follows it. The rest is as in the verb of the kind.
 
@@ -194,7 +194,7 @@ def check(
 ) -> Steps[Record]:
     """Say at once what a job would do, and start nothing: what it uses and holds out, what is missing, how long it takes.
 
-    The arguments are those of ``submit``. Of ``"identify"`` also what the poses can tell apart, of ``"gap"`` which
+    The arguments are those of ``submit``. For ``"identify"`` also what the poses can determine, for ``"gap"`` which
     effects can be tested.
 
     Raises:
@@ -215,14 +215,14 @@ def wait(
     """Follow a job to its end and return its result, as the verb of its kind does.
 
     Raises:
-        JobFailedError: it ended without a result; JobCancelledError: it was cancelled; JobTimeoutError: it goes on.
+        JobFailedError: it ended without a result; JobCancelledError: it was cancelled; JobTimeoutError: it continues.
 
     """
     return (yield from _waited(reference("job", job), robot, progress, timeout_s))
 
 
 def job(job: Thing, *, robot: str | None = None) -> Steps[Record]:
-    """Return a job: how it stands, what was asked, and its result if there is one.
+    """Return a job: its state, its request, and its result if there is one.
 
     Raises:
         NotFoundError: there is none.

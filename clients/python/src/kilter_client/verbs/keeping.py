@@ -24,7 +24,7 @@ def change(
     kind: What | None = None,
     robot: str | None = None,
 ) -> Steps[Record]:
-    """Name a campaign or version, or note something on it or on a robot; what is left out stays.
+    """Name a campaign or version, or add a note to it or to a robot; what is left out stays.
 
     Raises:
         UsageError: a name alone does not say what it is: give ``kind``.
@@ -41,7 +41,7 @@ def change(
 
 
 def retire(thing: Thing, *, kind: What | None = None, robot: str | None = None) -> Steps[Record]:
-    """Take a campaign, a version or a robot out of use; what cites it stays as it is.
+    """Take a campaign, a version or a robot out of use; what cites it does not change.
 
     Raises:
         UsageError: a name alone does not say what it is: give ``kind``.
@@ -62,7 +62,7 @@ def restore(thing: Thing, *, kind: What | None = None, robot: str | None = None)
 
 
 def purge(thing: Thing, *, kind: What | None = None) -> Steps[Tombstone]:
-    """Delete a retired campaign, version or robot for good, by its full id; returns what is left: its hash, who, when.
+    """Delete a retired campaign, version or robot for good, by its full id; returns its tombstone: its hash, who, when.
 
     Raises:
         ConflictError: something cites it, or it is in use.

@@ -42,7 +42,7 @@ def add_robot(
         base_link: of a URDF, where the arm begins.
         tip_link: of a URDF, where it ends.
         model: of a calibration file of Universal Robots.
-        turned: joints whose controller counts the other way.
+        turned: joints that the controller counts in the opposite direction.
         follows: pairs ``"j3=j2"`` of joints of which the first is read against the horizontal.
 
     Raises:
@@ -69,7 +69,7 @@ def check_robot(
     turned: Sequence[str] = (),
     follows: Sequence[str] = (),
 ) -> Steps[RobotCheck]:
-    """Return what a robot comes to without adding it: axes, the arm at zero and its reach in mm, what looks wrong.
+    """Evaluate a robot without adding it: axes, the arm at zero and its reach in mm, what looks wrong.
 
     Arguments are those of ``add_robot``.
 
@@ -92,7 +92,7 @@ def convert_robot(source: str | PathLike[str] | Mapping[str, Any], to: str) -> S
         to: ``"chain"``, ``"dh"``, ``"mdh"``, ``"s_model"``, ``"poe"``, ``"cpc"``, ``"mcpc"`` or ``"urdf"``.
 
     Raises:
-        FileError: the file is not what it should be; RobotError: it cannot be an arm, or not be written so.
+        FileError: the file is not what it should be; RobotError: it cannot be an arm, or not be written like this.
 
     """
     return (yield from calls.convert(_document(source, None, None, _Described()), to))
@@ -110,15 +110,15 @@ def find_robot(
     """Find a robot from rows in which one joint moved at a time: its document as ``robot``, and each axis.
 
     Args:
-        data: a path, columns by name, a structured array, or a pandas frame.
+        data: a path, columns by name, a structured array, or a pandas DataFrame.
         name: name of the robot.
         columns: names of the columns of an array of two dimensions, with units.
         convention: of the document.
-        base: ``"axis"`` puts the base on the first axis, ``"device"`` leaves it where the rows are measured from.
+        base: ``"axis"`` puts the base on the first axis, ``"device"`` uses the frame of the device.
         follows: pairs ``"j3=j2"`` of joints that are read against the horizontal.
 
     Raises:
-        ObservationError: the rows are no circles; FileError: the file is not what it should be.
+        ObservationError: the rows are not circles; FileError: the file is not what it should be.
 
     """
     from kilter_client.typed.robots import FoundRobot

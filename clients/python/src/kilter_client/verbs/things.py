@@ -25,7 +25,7 @@ def reference(what: What, thing: Thing) -> str:
     """Return the words that name a thing.
 
     Raises:
-        UsageError: it is no such thing.
+        UsageError: it is something else.
 
     """
     if isinstance(thing, str):
@@ -35,7 +35,7 @@ def reference(what: What, thing: Thing) -> str:
         fitting = [name for name in named if what == "robot" or BEGINNINGS.get(name[:4]) == what]
         if fitting and (what != "robot" or "convention" in thing):
             return fitting[0]
-    raise UsageError(f"{thing!r} is no {what}: give its name or id, or the result that made it.")
+    raise UsageError(f"{thing!r} is not a {what}: give its name or id, or the result that made it.")
 
 
 def references(what: What, things: Thing | Sequence[Thing]) -> list[str]:

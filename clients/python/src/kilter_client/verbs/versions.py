@@ -24,7 +24,7 @@ def version(version: Thing, *, robot: str | None = None) -> Steps[Version]:
     """Return a version: its parameters with nominal, value and sigma, its errors in mm, what it was made from.
 
     Raises:
-        NotFoundError: there is none; ConflictError: the name stands for several.
+        NotFoundError: there is none; ConflictError: the name is ambiguous.
 
     """
     from kilter_client.typed.versions import Version
@@ -45,7 +45,7 @@ def activate(
 ) -> Steps[ActivatedVersion]:
     """Make a version the one that corrects, unless it predicts worse than the active one.
 
-    ``force`` activates it all the same; the log keeps that and the ``reason``.
+    ``force`` activates it nevertheless; the log records this and the ``reason``.
 
     Raises:
         NotFoundError: there is no such version.
@@ -85,7 +85,7 @@ def preview(version: Thing, *, robot: str | None = None) -> Steps[VersionPreview
 
 
 def diff(first: Thing, second: Thing, *, robot: str | None = None) -> Steps[VersionDiff]:
-    """Compare two versions, parameter by parameter; ``"nominal"`` in the place of one is the robot as drawn.
+    """Compare two versions, parameter by parameter; ``"nominal"`` is the nominal robot.
 
     Raises:
         NotFoundError: there is no such version.
@@ -98,7 +98,7 @@ def diff(first: Thing, second: Thing, *, robot: str | None = None) -> Steps[Vers
 
 
 def residuals(version: Thing, campaigns: Thing | Sequence[Thing] = (), *, robot: str | None = None) -> Steps[Rows]:
-    """Return what a version leaves of every row, mm: of these campaigns, or of all its own.
+    """Return the residuals of every row, mm: of these campaigns, or of all its own.
 
     Raises:
         NotFoundError: there is no such version or campaign.
@@ -116,7 +116,7 @@ def export(
     """Return a version as a file (``"json"``, ``"urdf"``, ``"dh-csv"``, ...), and write it to ``path`` if one is given.
 
     Raises:
-        OptionError: there is no such form; FileError: the file cannot be written.
+        OptionError: there is no such format; FileError: the file cannot be written.
 
     """
     from kilter_client.results.rows import saved
@@ -143,17 +143,17 @@ def correct(
 
     Args:
         robot: name of the robot.
-        trajectory: a path; or columns by name (``{"t_s": ..., "q1_deg": ...}``), a structured array, a pandas frame.
+        trajectory: a path; or columns by name (``{"t_s": ..., "q1_deg": ...}``), a structured array, a pandas DataFrame.
         columns: names of the columns of an array of two dimensions, with units.
         version: another version than the active one.
         form: another format than the one sent.
-        payload_kg: what hangs on the tool along the whole path, kg.
+        payload_kg: mass on the tool along the whole path, kg.
         payload_com_mm: its centre in the tool frame, mm.
 
     Raises:
         ConflictError: the robot has no active version.
         ObservationError: the rows are not what their columns say.
-        FileError, UsageError: the trajectory is no such file, or no rows.
+        FileError, UsageError: the trajectory is neither such a file nor rows.
 
     """
     from kilter_client.results.corrected import Corrected

@@ -1,0 +1,246 @@
+"""The words of the documentation, the help, the errors and the docstrings: standard terms, plain English, short lines.
+
+``RULES`` is the one table: what is refused, the term that stands for it, and the areas in which it is refused so far.
+``python -m tests.contract.test_words core service`` lists what would be refused in areas that have not joined yet.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import sys
+import tokenize
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+MOST_CHARACTERS = 120
+FENCE = r"^ *```.*?^ *```"
+# Made by `make contract` from the contract and from docstrings: the words of their sources are looked at instead.
+GENERATED = (
+    "docs/reference/library.md",
+    "docs/reference/library-types.md",
+    "clients/python/src/kilter_client/typed/",
+    "clients/python/src/kilter_client/cli/option_texts.py",
+    "clients/python/src/kilter_client/cli/listed_texts.py",
+    *(f"clients/matlab/+kilter/{kind}.m" for kind in ("identify", "gap", "evaluate", "plan")),
+)
+# Where words are looked for. `core` and `service` join by being named in MENDED.
+AREAS = {
+    "docs": ("README.md", "CONTRIBUTING.md", "SECURITY.md", "docs", "clients", "core/README.md"),
+    "clients": ("clients", "examples"),
+    "core": ("core",),
+    "service": ("service",),
+}
+MENDED = ("docs", "clients")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A word that is refused, unless it is used in one of its other senses.
+
+    ``term`` is what the glossary has instead, empty where there is no term. ``wrong`` must be found and ``fine`` must
+    not; the comment beside ``fine`` gives the reason for ``other_senses``.
+    """
+
+    refused: str
+    term: str
+    wrong: str
+    fine: str = ""
+    other_senses: str = ""
+    areas: tuple[str, ...] = MENDED
+
+    def found(self, text: str) -> list[str]:
+        allowed = [match.span() for match in re.finditer(self.other_senses, text, re.I)] if self.other_senses else []
+        return [
+            match.group()
+            for match in re.finditer(self.refused, text, re.I)
+            if not any(start <= match.start() and match.end() <= end for start, end in allowed)
+        ]
+
+
+RULES = (
+    # Standard terms of the field.
+    Rule(r"\bslid(?:es?|ing)\b", "prismatic joint", "A sliding joint is given in mm."),
+    Rule(
+        r"\bturn(?:s|ed|ing)?\b", "rotation", "The tool is turned by the last joint.",
+        # A turn is an angle of 360 degrees; the rest are idioms that mean no motion.
+        "A full turn, twice per turn, a turn of the motor; each in turn, degrees turned into radians, it turned out to be.",
+        r"\bin turns?\b|\b(?:full|whole|half|per|motor|motor's|gear's|one|two|three|of a|by a|than a) turns?\b"
+        r"|\bturns? of the (?:motor|gear|bar|screw)\b|\bturn(?:s|ed)? (?:into|out to be|off)\b|\*turn\* is a unit",
+    ),
+    Rule(r"\blean(?:s|ed|ing)?\b", "tilt", "The joint leans under load."),
+    Rule(r"\b(?:gives?|gave|giving) way\b", "deflection", "The gear gives way under load."),
+    Rule(
+        r"\bas (?:it (?:was|is) |they (?:were|are) )?drawn\b|\bdrawn (?:arm|robot|chain|geometry)\b"
+        r"|\b(?:robot|arm|chain|joints?) (?:as )?drawn\b|\b(?:the|a|no) drawing\b",
+        "nominal", "The arm as drawn is 1 mm off.",
+        # A pencil draws on a sheet, and chance draws samples.
+        "Poses are drawn at random; the drawing on the sheet is scanned.",
+        r"\b(?:the|a|no) drawing (?:on|of) the sheet\b",
+    ),
+    Rule(r"\bf(?:oo|ee)t\b", "base", "Gravity pulls at the foot of the robot."),
+    Rule(
+        r"\bbeams?\b", "link", "Each beam bends.",
+        # A laser tracker measures along a beam of light.
+        "The laser beam was interrupted; noise across the beam of the tracker.",
+        r"\b(?:laser|interrupted|across the|tracker's) beams?\b",
+    ),
+    Rule(
+        r"\bpedestals?\b", "base mount", "The pedestal tilts.",
+        # The glossary says what a base mount may be.
+        "Its base mount: a pedestal, a table.", r": a pedestal\b",
+    ),
+    Rule(r"\b(?:blind|null|unseen) directions?\b", "unobservable direction", "A null direction is left alone."),
+    Rule(r"\bspare\b", "dependent parameter", "A spare element is held."),
+    Rule(r"\bshort way\b", "fast path", "A plain setpoint goes the short way."),
+    Rule(
+        r"\bplay\b", "backlash", "The joint has play.",
+        "Masses play no part here.", r"\bplays? (?:no|a) (?:part|role)\b",  # an idiom
+    ),
+    Rule(r"\bhunt(?:s|ing)?\b", "gap search", "The hunt names an effect."),
+    Rule(r"\bfore(?:tells?|told|sees?|seen)\b", "predicted", "The error was foretold."),
+    Rule(r"\blook-?alikes?\b", "alias", "Its look-alike does as well."),
+    Rule(
+        r"\bworlds?\b", "world", "Kilter is used all over the world.",
+        # The one sense that is left: the frame of the measuring device.
+        "The world is the frame of the measuring device: its pose in the world, the world frame.",
+        r"\bin the world\b|\bworld frame\b|\bthe world is the frame\b|\| world \|",
+    ),
+    Rule(
+        r"\bframes? of the stream\b|\b(?:zenoh|stream(?:'s)?|damaged|bad|forged) frames?\b", "message",
+        "A million damaged frames.", "A damaged message; the frame of the base.",
+    ),
+    Rule(r"\bpandas frames?\b", "frame", "Give a pandas frame.", "Give a pandas DataFrame."),
+    # Plain English: what is of another language.
+    Rule(
+        r"(?<!there )\b(?:is|are|was|were|be) no (?!longer|more|less|fewer|larger|smaller|shorter|better|worse|later"
+        r"|further|farther|nearer|higher|lower|faster|slower|newer|older|different|one\b)\w+", "",
+        "The file is no JSON.", "The file is not JSON. There is no file. It is no larger than that.",
+    ),
+    Rule(r"\bneeds? it not\b|\bknows? it not\b", "", "SVG needs it not.", "SVG does not need it."),
+    Rule(r"\bat the first time\b", "", "It is built at the first time.", "It is built the first time."),
+    Rule(r"\balike by\b|\bin what there is\b", "", "They are alike by 0.84 in what there is.", "They correlate by 0.84."),
+    Rule(r"\bkeeps? (?:\w+ ){1,5}true\b", "", "Kilter keeps an arm true.", "Kilter keeps an arm accurate."),
+    Rule(r"\bin the place of\b", "", "A table in the place of a file.", "A table instead of a file."),
+    Rule(r"\bgo(?:es)? before\b", "", "The option goes before the file.", "The option takes precedence over the file."),
+    Rule(r"\band be it\b|\bof before\b", "", "Versions of before.", "Earlier versions."),
+    # British spelling, as most of the pages had it.
+    Rule(
+        r"\b(?:colors?|behaviors?|centers?|centered|(?:milli|centi|micro)?meters|favor|gray|modeling"
+        r"|(?:analy|recogni|lineari|normali|minimi|optimi|initiali|summari|organi|characteri)z(?:e[sd]?|ing|ation))\b",
+        "", "The center is linearized.", "The centre is linearised.", areas=("docs",),
+    ),
+)  # fmt: skip
+
+
+def files(area: str) -> Iterator[Path]:
+    endings = (".md",) if area == "docs" else (".py", ".m", ".c", ".h", ".toml")
+    for part in AREAS[area]:
+        path = REPOSITORY / part
+        for found in [path] if path.is_file() else sorted(path.rglob("*")):
+            name = str(found.relative_to(REPOSITORY))
+            if found.suffix in endings and not name.startswith(GENERATED):
+                yield found
+
+
+def empty_lines(match: re.Match[str]) -> str:
+    return "\n" * match.group().count("\n")
+
+
+def prose_of_page(text: str) -> str:
+    """A page without code, addresses of links, and what `make contract` writes into it; lines stay where they are."""
+    text = re.sub(FENCE + r"|<!-- make contract:.*?<!-- end -->", empty_lines, text, flags=re.M | re.S)
+    text = re.sub(r"`[^`\n]*`|\]\([^)\s]*\)", " x ", text)
+    return re.sub(r"\n(?=[a-z(*])", " \n", text)
+
+
+def prose_of_code(text: str) -> Iterator[tuple[int, str]]:
+    """Docstrings, other strings of several words, and comments, with the line on which each begins."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value.strip():
+            yield node.lineno, re.sub(r"``?[^`]*``?|'turn'|--[\w-]+|^ +\w+: ", " x ", node.value, flags=re.M)
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.start[0], re.sub(r"`[^`]*`", " x ", token.string)
+
+
+def passages(path: Path) -> Iterator[tuple[int, str]]:
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".py":
+        yield from prose_of_code(text)
+    elif path.suffix == ".md":
+        yield from paragraphs(prose_of_page(text))
+    else:
+        for number, line in enumerate(text.splitlines(), 1):
+            yield from ((number, said) for said in re.findall(r"(?:%|//|/?\*|#)(.*)", line))
+
+
+def paragraphs(text: str) -> Iterator[tuple[int, str]]:
+    """Paragraphs joined to one line each, because a phrase may run over the end of a line."""
+    for match in re.finditer(r"[^\n]+(?:\n(?![|#\n]| *[-*] | *\d+\. )[^\n]+)*", text):
+        yield text.count("\n", 0, match.start()) + 1, re.sub(r"\s+", " ", match.group())
+
+
+@cache
+def said_in(area: str) -> tuple[tuple[str, str], ...]:
+    """Every passage of an area, on one line, with its place."""
+    return tuple(
+        (f"{path.relative_to(REPOSITORY)}:{line}", re.sub(r"\s+", " ", said))
+        for path in files(area)
+        for line, said in passages(path)
+    )
+
+
+def refused(rule: Rule, area: str) -> list[str]:
+    return [f"{place}: {word!r}" for place, said in said_in(area) for word in rule.found(said)]
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.wrong)
+def test_no_word_stands_for_a_standard_term(rule: Rule) -> None:
+    found = [place for area in rule.areas for place in refused(rule, area)]
+    assert not found, f"write {rule.term or rule.fine!r}; docs/reference/glossary.md has the terms"
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.wrong)
+def test_each_rule_refuses_its_word_and_no_other_sense(rule: Rule) -> None:
+    assert rule.found(rule.wrong)
+    assert not rule.found(rule.fine)
+
+
+def terms() -> list[str]:
+    page = (REPOSITORY / "docs/reference/glossary.md").read_text(encoding="utf-8")
+    return re.findall(r"^\| (?!term |---)([^|]+?) \|", page, re.MULTILINE)
+
+
+def test_the_glossary_has_every_term_that_replaces_a_word() -> None:
+    known = terms()
+    assert len(known) >= 60
+    assert known == sorted(known, key=str.lower)
+    assert not {rule.term for rule in RULES if rule.term} - set(known)
+
+
+def long_lines(page: Path) -> list[str]:
+    """Lines of prose beyond the limit; tables, code and a line of one unbreakable link or span are left alone."""
+    lines = re.sub(FENCE, empty_lines, page.read_text(encoding="utf-8"), flags=re.M | re.S).splitlines()
+    return [
+        f"{page.relative_to(REPOSITORY)}:{number}"
+        for number, line in enumerate(lines, 1)
+        if len(line) > MOST_CHARACTERS and not line.startswith(("|", "<!--", "![", "#")) and " " in line.strip()
+    ]
+
+
+def test_lines_of_the_documentation_are_short() -> None:
+    assert not [place for page in files("docs") for place in long_lines(page)]
+
+
+if __name__ == "__main__":
+    for wanted in sys.argv[1:] or AREAS:
+        for each in RULES:
+            for place in refused(each, wanted):
+                print(place, "->", each.term or each.fine)
