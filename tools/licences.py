@@ -30,8 +30,9 @@ LESSER_GPL_TAKEN = {
 }
 HEAD = """# Licences
 
-What Kilter needs at run time, by distribution, with the licence each package states; written by `make licences` from the
-packages installed, compared by `make check`. Nothing under the GPL is needed. What is needed only by an extra is named so.
+What Kilter needs at run time, by distribution, with the licence that each package states. `make licences` writes this
+page from the installed packages, `make check` compares it. Nothing under the GPL is needed; what only an extra needs is
+marked.
 
 """
 NORMAL = (
