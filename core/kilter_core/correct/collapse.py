@@ -85,8 +85,8 @@ def load_rows(loads: Folded) -> Floats:
     return rows
 
 
-def _write_constants(P: Floats, column: int, folded: Folded) -> None:
-    for row, T in enumerate(folded.constants):
+def _write_constants(P: Floats, column: int, absorb_frame_increments: Folded) -> None:
+    for row, T in enumerate(absorb_frame_increments.constants):
         P[row, column : column + 9] = T[:3, :3].ravel()
         P[row, column + 9 : column + 12] = T[:3, 3]
 

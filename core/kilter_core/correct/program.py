@@ -249,18 +249,23 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
         message = f"task {task!r} holds {len(rows)} rows, the robot has {n} joints: give position."
         raise OptionError(message, option="task")
     arm = calibration.with_effects([e for e in calibration.model.effects if e.stage != "measurement"])
-    folded, values = arm.model.folded(arm.values)
-    moved = dict(zip(folded.names, values.tolist(), strict=True))
+    absorb_frame_increments, values = arm.model.absorb_frame_increments(arm.values)
+    moved = dict(zip(absorb_frame_increments.names, values.tolist(), strict=True))
     ideal = calibration.wanted().model
     nominal = fold(robot, _drawn(robot), np.eye(4), np.asarray(ideal.T_tool))
     # Seen from the wanted base, so that the frames, too, are part of the error.
-    seen = np.linalg.solve(np.asarray(ideal.T_base), np.asarray(folded.T_base))
+    seen = np.linalg.solve(np.asarray(ideal.T_base), np.asarray(absorb_frame_increments.T_base))
     actual = fold(
-        robot, [moved[e.name] if e.name else e.value for e in robot.chain.elements], seen, np.asarray(folded.T_tool)
+        robot,
+        [moved[e.name] if e.name else e.value for e in robot.chain.elements],
+        seen,
+        np.asarray(absorb_frame_increments.T_tool),
     )
     load = options.load(robot)
-    robot, carried = weighed_anew(folded, values, load.mass, load.com)
-    loads = nominal if folded.load_chain is None else fold(robot, _drawn(robot), np.eye(4), robot.T_tool)
+    robot, carried = weighed_anew(absorb_frame_increments, values, load.mass, load.com)
+    loads = (
+        nominal if absorb_frame_increments.load_chain is None else fold(robot, _drawn(robot), np.eye(4), robot.T_tool)
+    )
     m = len(nominal.constants) - 1
     head = np.zeros((m + 1, kernel.COLUMNS))
     write_moves(head, nominal, actual)
@@ -271,7 +276,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
         np.zeros((n, kernel.COLUMNS)),
     )
     _write_joints(written.joints, robot, options)
-    supported, unsupported, loaded = _write_effects(written, folded, values)
+    supported, unsupported, loaded = _write_effects(written, absorb_frame_increments, values)
     scalars = _scalars(robot, options, rows, m)
     scalars[kernel.LOADED] = float(loaded)
     scalars[kernel.CURVES], scalars[kernel.BEAMS] = len(written.curves), len(written.beams) // 2
