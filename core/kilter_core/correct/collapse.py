@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.arm.chain import Axis, Element
 from kilter_core.arm.robot import Robot
-from kilter_core.correct.kernels import correction as kernel
+from kilter_core.correct.kernels import layout
 from kilter_core.types import Floats
 
 
@@ -69,19 +69,19 @@ def fold(robot: Robot, values: list[float], T_base: Floats, T_tool: Floats) -> F
 
 def write_moves(P: Floats, nominal: Folded, actual: Folded) -> None:
     """Write the constants of both chains and what moves between them."""
-    _write_constants(P, kernel.NOMINAL, nominal)
-    _write_constants(P, kernel.IDENTIFIED, actual)
+    _write_constants(P, layout.NOMINAL, nominal)
+    _write_constants(P, layout.IDENTIFIED, actual)
     for row, (_, joint, ratio, slides, primary) in enumerate(nominal.moves):
-        P[row, kernel.KIND] = float(slides)
-        P[row, kernel.JOINT] = joint
-        P[row, kernel.RATIO] = ratio
-        P[row, kernel.PRIMARY] = 0.0 if primary else -1.0
+        P[row, layout.KIND] = float(slides)
+        P[row, layout.JOINT] = joint
+        P[row, layout.RATIO] = ratio
+        P[row, layout.PRIMARY] = 0.0 if primary else -1.0
 
 
 def load_rows(loads: Folded) -> Floats:
     """Rows with the constants of the chain that loads are taken on, for where it is not the nominal one."""
-    rows = np.zeros((len(loads.constants), kernel.COLUMNS))
-    _write_constants(rows, kernel.NOMINAL, loads)
+    rows = np.zeros((len(loads.constants), layout.COLUMNS))
+    _write_constants(rows, layout.NOMINAL, loads)
     return rows
 
 
@@ -128,7 +128,7 @@ def _write_body(row: Floats, parts: list[tuple[float, Floats, Floats]]) -> None:
     for m, c, own in parts:
         d = c - com
         inertia += own + m * (d @ d * np.eye(3) - np.outer(d, d))
-    row[kernel.MASS] = mass
-    row[kernel.COM : kernel.COM + 3] = com
+    row[layout.MASS] = mass
+    row[layout.COM : layout.COM + 3] = com
     xx, yy, zz, xy, xz, yz = (inertia[a, b] for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
-    row[kernel.INERTIA : kernel.INERTIA + 6] = xx, yy, zz, xy, xz, yz
+    row[layout.INERTIA : layout.INERTIA + 6] = xx, yy, zz, xy, xz, yz

@@ -16,7 +16,7 @@ from numpy.polynomial import legendre
 
 from kilter_core.arm.loads.slopes import EACH, weighed, with_masses, with_payload
 from kilter_core.arm.robot import Robot
-from kilter_core.correct.kernels import correction as kernel
+from kilter_core.correct.kernels import layout
 from kilter_core.effects import Effect
 from kilter_core.effects.axial_compliance import AxialCompliance
 from kilter_core.effects.backlash import Backlash
@@ -73,11 +73,11 @@ class Written:
 
     def curve(self, joint: int, shape: float, a: float, b: float = 0.0, **columns: float) -> None:
         """Add a curve of ``joint``; columns by their name in the kernel, the driver being the joint itself."""
-        row = np.zeros(kernel.COLUMNS)
-        row[kernel.CURVED], row[kernel.SHAPE] = joint, shape
-        row[kernel.DRIVER] = columns.get("driver", joint)
-        row[kernel.AMPLITUDE_A], row[kernel.AMPLITUDE_B] = a, b
-        row[kernel.FACTOR] = columns.get("factor", 1.0)
+        row = np.zeros(layout.COLUMNS)
+        row[layout.CURVED], row[layout.SHAPE] = joint, shape
+        row[layout.DRIVER] = columns.get("driver", joint)
+        row[layout.AMPLITUDE_A], row[layout.AMPLITUDE_B] = a, b
+        row[layout.FACTOR] = columns.get("factor", 1.0)
         if a != 0.0 or b != 0.0:
             self.curves.append(row)
 
@@ -87,12 +87,12 @@ class Written:
         The kernel moves the wrench to the end of the link: once for each row with a link, so give none where no moment
         at the end counts.
         """
-        rows = np.zeros((2, kernel.COLUMNS))
+        rows = np.zeros((2, layout.COLUMNS))
         rows[0, :36], rows[1, :36] = of_joint.ravel(), of_end.ravel()
-        rows[0, kernel.BEAM_JOINT] = joint
-        rows[0, kernel.BEAM_LINK : kernel.BEAM_LINK + 3] = link
+        rows[0, layout.BENDING_JOINT] = joint
+        rows[0, layout.BENDING_LINK : layout.BENDING_LINK + 3] = link
         self.beams.extend(rows)
-        self.joints[joint, kernel.TWISTED] = 1.0
+        self.joints[joint, layout.TWISTED] = 1.0
 
     def free(self, column: int, joints: tuple[int, ...]) -> bool:
         """Whether a column that holds one effect only is still empty at these joints."""
@@ -122,24 +122,24 @@ def _softening(written: Written, effect: ClearanceTilt | BacklashLoad) -> dict[i
 
 
 def _tilt(written: Written, effect: ClearanceTilt, values: Floats) -> bool:
-    if not written.free(kernel.TILT, effect.acting(written.robot.n_joints)):
+    if not written.free(layout.TILT, effect.acting(written.robot.n_joints)):
         return False
     widths = _softening(written, effect)
     for j, value in _pairs(written, effect, values):
         row = written.joints[j]
-        row[kernel.TILT] = math.tan(value)
-        row[kernel.TILT_SHARE] = 0.0 if effect.share == "thesis" else 1.0
-        row[kernel.TILT_SOFT] = widths[j]
+        row[layout.TILT] = math.tan(value)
+        row[layout.TILT_SHARE] = 0.0 if effect.share == "thesis" else 1.0
+        row[layout.TILT_SOFT] = widths[j]
     return True
 
 
 def _play(written: Written, effect: BacklashLoad, values: Floats) -> bool:
-    if not written.free(kernel.PLAY, effect.acting(written.robot.n_joints)):
+    if not written.free(layout.PLAY, effect.acting(written.robot.n_joints)):
         return False
     widths = _softening(written, effect)
     for j, value in _pairs(written, effect, values):
-        written.joints[j, kernel.PLAY] = value
-        written.joints[j, kernel.PLAY_SOFT] = widths[j]
+        written.joints[j, layout.PLAY] = value
+        written.joints[j, layout.PLAY_SOFT] = widths[j]
     return True
 
 
@@ -161,7 +161,7 @@ def _waves(written: Written, effect: Effect, values: Floats, factors: Mapping[in
     for place, j in enumerate(acting):
         for order, factor in enumerate(factors[j]):
             start = 2 * order * count + place
-            written.curve(j, kernel.WAVE, float(values[start]), float(values[start + count]), factor=factor)
+            written.curve(j, layout.WAVE, float(values[start]), float(values[start + count]), factor=factor)
 
 
 def _harmonic(factor: float) -> _Writer:
@@ -183,7 +183,7 @@ def _joint_curve(written: Written, effect: UnknownJointCurve, values: Floats) ->
     _waves(written, effect, values, {j: [float(m) for m in effect.orders] for j in acting})
     if effect.partner is not None:
         for j, value in zip(acting, values[len(values) - len(acting) :].tolist(), strict=True):
-            written.curve(j, kernel.SINES, value, driver=effect.partner)
+            written.curve(j, layout.SINES, value, driver=effect.partner)
     return True
 
 
@@ -191,13 +191,13 @@ def _smooth(written: Written, effect: UnknownSmoothCurve, values: Floats) -> boo
     acting = effect.acting(written.robot.n_joints)
     ranges = zip(acting, effect.centres or (), effect.halves or (), strict=True)
     for place, (j, centre, half) in enumerate(ranges):
-        series = np.zeros(kernel.HIGHEST - kernel.POWERS + 1)
+        series = np.zeros(layout.HIGHEST - layout.POWERS + 1)
         series[list(effect.orders)] = values[place :: len(acting)]
-        written.curve(j, kernel.POLYNOMIAL, 1.0)
+        written.curve(j, layout.POLYNOMIAL, 1.0)
         powers = legendre.leg2poly(series)
         row = written.curves[-1]
-        row[kernel.EXTRA : kernel.EXTRA + 2] = centre, half
-        row[kernel.POWERS : kernel.POWERS + len(powers)] = powers
+        row[layout.EXTRA : layout.EXTRA + 2] = centre, half
+        row[layout.POWERS : layout.POWERS + len(powers)] = powers
     return True
 
 
@@ -205,28 +205,28 @@ def _spring(written: Written, effect: GravitySpring, values: Floats) -> bool:
     if effect.arms_m is None:
         return _harmonic(1.0)(written, effect, values)
     for j, value in _pairs(written, effect, values):
-        written.curve(j, kernel.SPRING, value)
+        written.curve(j, layout.SPRING, value)
         if value != 0.0:
             extra = (*effect.arms_m, effect.angle_rad, effect.free_length_m)
-            written.curves[-1][kernel.EXTRA : kernel.EXTRA + 4] = extra
+            written.curves[-1][layout.EXTRA : layout.EXTRA + 4] = extra
     return True
 
 
 def _scale(written: Written, effect: EncoderScale, values: Floats) -> bool:
     for j, value in _pairs(written, effect, values):
-        written.curve(j, kernel.LINEAR, value)
+        written.curve(j, layout.LINEAR, value)
     return True
 
 
 def _coupling(written: Written, effect: JointCoupling, values: Floats) -> bool:
     for (j, value), driver in zip(_pairs(written, effect, values), effect.drivers or (), strict=True):
-        written.curve(j, kernel.LINEAR, value, driver=driver)
+        written.curve(j, layout.LINEAR, value, driver=driver)
     return True
 
 
 def _lag(written: Written, effect: TrackingLag, values: Floats) -> bool:
     for j, value in _pairs(written, effect, values):
-        written.curve(j, kernel.LAG, value)
+        written.curve(j, layout.LAG, value)
     return True
 
 
@@ -254,8 +254,8 @@ def _growth(written: Written, effect: ThermalGrowth, values: Floats) -> bool:
     grown = (
         float(values[0]) * (written.conditions.temperature_c - effect.reference_c) * written.robot.chain.link_vectors
     )
-    written.joints[:, kernel.XI : kernel.XI + 3] += grown[:-1]
-    written.joints[:, kernel.TWISTED] = 1.0
+    written.joints[:, layout.XI : layout.XI + 3] += grown[:-1]
+    written.joints[:, layout.TWISTED] = 1.0
     written.foot += grown[-1]
     return True
 
@@ -265,8 +265,8 @@ def _link_growth(written: Written, effect: LinkGrowth, values: Floats) -> bool:
         return False
     warmer = written.conditions.temperature_c - effect.reference_c
     for j, value in _pairs(written, effect, values):
-        written.joints[j, kernel.XI : kernel.XI + 3] += value * warmer * written.robot.chain.link_vectors[j]
-        written.joints[j, kernel.TWISTED] = 1.0
+        written.joints[j, layout.XI : layout.XI + 3] += value * warmer * written.robot.chain.link_vectors[j]
+        written.joints[j, layout.TWISTED] = 1.0
     return True
 
 
@@ -274,7 +274,7 @@ def _zeros(written: Written, effect: ZeroThermal, values: Floats) -> bool:
     if written.conditions.temperature_c is None:
         return False
     for j, value in _pairs(written, effect, values):
-        written.joints[j, kernel.DQ] += value * (written.conditions.temperature_c - effect.reference_c)
+        written.joints[j, layout.DQ] += value * (written.conditions.temperature_c - effect.reference_c)
     return True
 
 
@@ -331,10 +331,10 @@ def weighed_anew(
 _WRITERS: Mapping[str, _Writer] = {
     ClearanceTilt.id: _tilt,
     BacklashLoad.id: _play,
-    Backlash.id: _adds(kernel.REVERSAL),
-    FrictionWindup.id: _adds(kernel.REVERSAL, 2.0),  # its k is half a backlash
-    AxialCompliance.id: _adds(kernel.COMPLIANCE),
-    RadialCompliance.id: _adds(kernel.RADIAL),
+    Backlash.id: _adds(layout.REVERSAL),
+    FrictionWindup.id: _adds(layout.REVERSAL, 2.0),  # its k is half a backlash
+    AxialCompliance.id: _adds(layout.COMPLIANCE),
+    RadialCompliance.id: _adds(layout.RADIAL),
     Eccentricity.id: _harmonic(1.0),
     SecondHarmonic.id: _harmonic(2.0),
     GearError.id: _gear,
@@ -352,8 +352,8 @@ _WRITERS: Mapping[str, _Writer] = {
     LinkGrowth.id: _link_growth,
     ColumnBending.id: _column,
     ToolSag.id: _sag,
-    Hardening.id: _adds(kernel.HARDENING),
-    DirectionCompliance.id: _adds(kernel.SIDED),
+    Hardening.id: _adds(layout.HARDENING),
+    DirectionCompliance.id: _adds(layout.SIDED),
     ReadingTilt.id: _reading,
     LoadError.id: _masses,
 }
