@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Effect, Local
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -50,6 +51,12 @@ class ToyWobble(Effect):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by w."""
         return self.joint_angle(batch, values, np.sin(3.0 * batch.q))
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add a wave for each joint."""
+        for j, value in zip(self.acting(len(form.joints)), values.tolist(), strict=True):
+            form.curve(j, Shape.WAVE, value, factor=3.0)
+        return True
 '''
 USE_EFFECT = """
 import numpy as np
@@ -78,6 +85,10 @@ assert abs(row["value"] - np.degrees(2e-3)) < 1e-3, row
 again = Calibration.from_document(robot, found.calibration.to_document())
 assert np.allclose(again.predict(rows).position, found.calibration.predict(rows).position)
 assert "toy_wobble" in {c.id for c in library_of(robot, rows).candidates}
+from kilter_core.correct.program import compile_program
+from kilter_core.correct.reference import correct
+program = compile_program(again)
+assert (program.supported, program.unsupported) == (("toy_wobble",), ()), program.unsupported
 """
 
 METHOD = '''"""Least squares that looks twice: the fit, and again from where it ended."""

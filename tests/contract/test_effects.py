@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Robot
+from kilter_core.correct.program import CorrectionOptions, compile_program
+from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import BASE, EFFECTS, TOOL, Batch, Effect, Local, effect_from_document, make_effect
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.model import Prediction, RobotModel
+from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.transforms import rotation_log
 
@@ -75,6 +77,15 @@ ODD_ARM = {
     "tool": {"x_mm": 20, "y_mm": 30, "z_mm": 100, "rx_deg": 10, "ry_deg": 20, "rz_deg": -15},
 }
 
+# As many joints as a pose has numbers: then one answer corrects a pose, however it is reached.
+SIX_JOINTS = {
+    **ODD_ARM,
+    "joints": [*ODD_ARM["joints"], {"name": "f", "limits_deg": [-170, 170]}],
+    "elements": [*ODD_ARM["elements"], {"axis": "Ry", "joint": "f"}, {"axis": "Tx", "value": 60}],
+    "links": [*ODD_ARM["links"], {"mass_kg": 0.5, "com_mm": [30, 10, 0]}],
+}
+ARMS: Mapping[str, Any] = {"odd": ODD_ARM, "six": SIX_JOINTS}
+
 READ_BY = {
     "moments": {"wrench", "axial", "end_wrench", "base_wrench", "blur"},
     "payload_kg": {"payload_kg", "payload_axial"},
@@ -85,7 +96,7 @@ PARTS = ("dq", "xi", "base", "tool", "scale")
 
 @cache
 def robot_named(name: str) -> Robot:
-    return robot_from_document(ODD_ARM if name == "odd" else preset_document(name))
+    return robot_from_document(ARMS[name] if name in ARMS else preset_document(name))
 
 
 def observed(robot: Robot, count: int, seed: int = 1) -> Observations:
@@ -297,6 +308,60 @@ def test_parameters_are_physical(case: Case) -> None:
         assert p.unit
         assert p.description
         assert p.lower >= 0.0 or (case.effect.signs == "any" and p.lower == -p.upper)
+
+
+DAMPED, RESIDUAL = 0x0800, 0x1000
+TASK = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])  # weights of the rows of a pose, m a radian
+CORRECTED: Any = {
+    "least_softening_nm": 0.0, "largest_rad": 0.5, "largest_m": 0.3, "farthest_m": 0.5, "iterations": 60, "step": 1e-14,
+    "reached_m": 1e-9, "singular_m": 1e-9, "weak_m": 1e-8, "temperature_c": 31.0, "payload_com": (0.01, -0.02, 0.03),
+}  # fmt: skip
+RUN_TIME_OPTIONS: Mapping[str, list[dict[str, Any]]] = {
+    "payload_error": [{"compliances": (1e-4,) * 6}],
+    # The first joints carry a load in every pose.
+    "clearance_tilt": [{"joints": (0, 1, 2)}, {"joints": (0, 1, 2), "share": "vector", "softening_nm": 0.1}],
+}
+
+
+@pytest.mark.parametrize("payload_kg", [0.0, 2.0])
+@pytest.mark.parametrize("arm", ["ur10", "six"])
+@pytest.mark.parametrize("name", EFFECTS)
+def test_what_acts_at_run_time_is_corrected_as_the_reference_does(name: str, arm: str, payload_kg: float) -> None:
+    robot = robot_named(arm)
+    rows = replace(
+        observed(robot, 100, seed=8),
+        payload_kg=np.full(100, payload_kg),
+        payload_com=np.tile([0.01, -0.02, 0.03], (100, 1)),
+        temperature_c=np.full(100, 31.0),
+    )
+    for options in RUN_TIME_OPTIONS.get(name, OPTIONS.get(name, [{}])):
+        case = Case(make_effect(name, **options).on(robot, observed(robot, 12)), robot, rows)
+        calibration = Calibration(case.model, case.whole(0.1 * case.values()))
+        program = compile_program(calibration, CorrectionOptions(**CORRECTED, payload_kg=payload_kg))
+        if case.effect.stage == "measurement":
+            assert (program.supported, program.unsupported) == ((), ())  # no error of the arm
+            continue
+        if type(case.effect).at_run_time is Effect.at_run_time or program.unsupported:
+            assert (program.supported, program.unsupported) == ((), (name,))
+            continue
+        motion = {"qd": rows.qd, "qdd": rows.qdd, "direction": rows.direction}
+        ours = program.correct_rows(rows.q, **motion)
+        theirs = correct(
+            calibration, rows.q, **motion, payload_kg=rows.payload_kg, payload_com=rows.payload_com,
+            temperature_c=rows.temperature_c,
+            options=CorrectOptions(max_joint_rad=0.5, max_shift_m=0.5, tolerance_m=1e-13, iterations=60),
+        )  # fmt: skip
+        good = (theirs.residual < 1e-11) & (theirs.status == 0) & (ours.status == 0)
+        good &= (ours.flags & (DAMPED | RESIDUAL)) == 0
+        # Near a singularity what is left after the last look at the loads is a larger part of a joint.
+        J = calibration.model.joint_jacobian(rows, calibration.values)[1] * TASK[:, None]
+        good &= np.linalg.svd(J, compute_uv=False)[:, -1] > 0.05
+        if (
+            name == "clearance_tilt"
+        ):  # where next to no load lies across a joint, its tilt hangs on the correction itself
+            good &= np.abs(case.batch().moment[:, :3, :2]).min(axis=(1, 2)) > 0.1
+        assert good.sum() > 15
+        assert np.abs(ours.q - theirs.q)[good].max() < 1e-9
 
 
 def test_simulated_effect_is_identified(case: Case) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from kilter_core.arm.chain import Element
 from kilter_core.arm.robot import Robot
-from kilter_core.correct.kernels import correction as kernel
+from kilter_core.correct.kernels import chain, inverse, layout, newton_euler
 from kilter_core.correct.program import CorrectionOptions, Track, compile_program
 from kilter_core.correct.reference import correct
 from kilter_core.effects import Batch, Effect, Local
@@ -140,16 +140,16 @@ def test_moments_and_poses_equal_pinocchio(
     zeros = np.zeros(n)
     for q, qd, qdd in zip(data["q"], data["qd"], data["qdd"], strict=True):
         work = program.memory()[len(program.array) :]
-        work[m + 1 : m + 1 + n, kernel.WANTED] = work[m + 1 : m + 1 + n, kernel.COMMAND] = q
-        work[m + 1 : m + 1 + n, kernel.SPEED_NOW], work[m + 1 : m + 1 + n, kernel.ACCEL_NOW] = qd, qdd
-        kernel._prepare(program.array, work, n, m, m + 1, m + 1 + n, 3)
-        tool = np.array(kernel._load_frames(program.array, work, 0, m, m + 1))
-        kernel._loads(program.array, work, len(program.array) - 1, m, m + 1, dynamic)
+        work[m + 1 : m + 1 + n, layout.WANTED] = work[m + 1 : m + 1 + n, layout.COMMAND] = q
+        work[m + 1 : m + 1 + n, layout.SPEED_NOW], work[m + 1 : m + 1 + n, layout.ACCEL_NOW] = qd, qdd
+        inverse.prepare(program.array, work, n, m, m + 1, m + 1 + n, 3)
+        tool = np.array(chain.load_frames(program.array, work, 0, m, m + 1))
+        newton_euler.load_moments(program.array, work, len(program.array) - 1, m, m + 1, dynamic)
         tau = pin.rnea(model, state, q, qd if dynamic else zeros, qdd if dynamic else zeros)
         pin.framesForwardKinematics(model, state, q)
         # The load is what the links do to the joint: minus the torque that holds them.
-        assert np.allclose(work[m + 1 : m + 1 + n, kernel.MOMENT + 2], -tau, rtol=0, atol=1e-9)
-        across = work[m + 1 : m + 1 + n, kernel.MOMENT : kernel.MOMENT + 2]
+        assert np.allclose(work[m + 1 : m + 1 + n, layout.MOMENT + 2], -tau, rtol=0, atol=1e-9)
+        across = work[m + 1 : m + 1 + n, layout.MOMENT : layout.MOMENT + 2]
         for j, k in enumerate(calibration.robot.chain.primary):
             held = -state.f[j + 1].angular
             z = calibration.robot.chain.elements[k].axis % 3

@@ -10,7 +10,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.program import CorrectionOptions, CorrectionProgram, Track, compile_program
-from kilter_core.effects import EFFECTS, make_effect
+from kilter_core.effects import EFFECTS, Effect, make_effect
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 
@@ -29,13 +29,10 @@ CONFIG: dict[str, dict[str, Any]] = {
     "unknown_smooth_curve": {"joints": (1, 3), "centres": (0.2, -0.1), "halves": (1.0, 1.5)},
     "unknown_residual": {"inputs": (1, 2), "length": 1.0, "centres": ((0.1, 0.5), (1.0, -0.4))},
 }
-AT_RUN_TIME = (
-    "clearance_tilt", "backlash", "backlash_load", "axial_compliance", "radial_compliance", "eccentricity",
-    "second_harmonic", "gear_error", "encoder_scale", "joint_coupling", "gravity_spring", "link_bending",
-    "base_compliance", "thermal_growth", "friction_windup", "tracking_lag", "unknown_joint_curve",
-    "zero_thermal", "link_growth", "column_bending", "hardening", "direction_compliance", "reading_tilt",
-    "unknown_smooth_curve",
-)  # fmt: skip
+# An effect says in its own file whether it acts at run time; those apart do so for some loads only.
+APART = ("payload_error", "tool_sag", "load_error")
+ACTING = tuple(name for name, kind in EFFECTS.items() if kind.at_run_time is not Effect.at_run_time)
+AT_RUN_TIME = tuple(name for name in ACTING if name not in APART)
 NAMED = ("drift", "thermal_drift", "unknown_field", "unknown_residual", "zero_drift", "settling", "random_walk")
 OF_THE_INSTRUMENT = ("time_offset", "measurement_scale", "session_shift")
 
@@ -77,8 +74,9 @@ def landing(calibration: Calibration, program: CorrectionProgram, dynamic: bool,
 
 
 def test_every_effect_has_its_place() -> None:
-    apart = {"payload_error", "tool_sag", "load_error"}
-    assert set(AT_RUN_TIME) | set(NAMED) | set(OF_THE_INSTRUMENT) | apart == set(EFFECTS)
+    assert not set(ACTING) & {*NAMED, *OF_THE_INSTRUMENT}
+    assert set(NAMED) | set(OF_THE_INSTRUMENT) <= set(EFFECTS)
+    assert len(ACTING) >= 27  # those of the library, which may only become more
 
 
 @pytest.mark.parametrize("name", AT_RUN_TIME)

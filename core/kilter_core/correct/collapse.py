@@ -1,4 +1,4 @@
-"""A chain folded for the correction kernel: everything that does not move multiplied into constants."""
+"""A chain for the correction kernel: everything that does not move is multiplied into constants."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 
 from kilter_core.arm.chain import Axis, Element
 from kilter_core.arm.robot import Robot
-from kilter_core.correct.kernels import correction as kernel
+from kilter_core.correct.kernels import layout
 from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class Folded:
-    """Chain as constants between moves; ``moves`` are (element, joint, ratio, slides, primary)."""
+class CollapsedChain:
+    """Chain as constants between moves; ``moves`` are (element, joint, ratio, prismatic, primary)."""
 
     constants: list[Floats]
     moves: list[tuple[int, int, float, bool, bool]]
@@ -36,8 +36,8 @@ def _elementary(axis: Axis, amount: float) -> Floats:
     return T
 
 
-def _turn_to_z(element: Element, frame: Floats | None) -> Floats:
-    """Turn (4, 4) that brings z onto the element's axis: the joint frame when there is one."""
+def _rotation_to_z(element: Element, frame: Floats | None) -> Floats:
+    """Rotation (4, 4) that brings z onto the element's axis: the joint frame when there is one."""
     T = np.eye(4)
     if frame is not None:
         T[:3, :3] = frame
@@ -47,51 +47,53 @@ def _turn_to_z(element: Element, frame: Floats | None) -> Floats:
     return T
 
 
-def fold(robot: Robot, values: list[float], T_base: Floats, T_tool: Floats) -> Folded:
+def collapse_constants(robot: Robot, values: list[float], T_base: Floats, T_tool: Floats) -> CollapsedChain:
     """Multiply everything that does not move into constants; every move becomes one about or along z."""
     primary = {k: j for j, k in enumerate(robot.chain.primary)}
     frames = robot.chain.program.joint_frame
-    out = Folded([], [], [], [])
+    out = CollapsedChain([], [], [], [])
     since = T_base
     for k, (element, value) in enumerate(zip(robot.chain.elements, values, strict=True)):
         since = since @ _elementary(element.axis, value)
         if element.joint is not None:
-            turn = _turn_to_z(element, frames[primary[k]] if k in primary else None)
-            out.constants.append(since @ turn)
-            sign = turn[element.axis % 3, 2]
+            rotation = _rotation_to_z(element, frames[primary[k]] if k in primary else None)
+            out.constants.append(since @ rotation)
+            sign = rotation[element.axis % 3, 2]
             out.moves.append((k, element.joint, float(sign * element.ratio), not element.axis.rotates, k in primary))
-            since = turn.T
+            since = rotation.T
         out.since_move.append(since)
         out.move_of.append(len(out.moves) - 1)
     out.constants.append(since @ T_tool)
     return out
 
 
-def write_moves(P: Floats, nominal: Folded, actual: Folded) -> None:
+def write_moves(P: Floats, nominal: CollapsedChain, actual: CollapsedChain) -> None:
     """Write the constants of both chains and what moves between them."""
-    _write_constants(P, kernel.NOMINAL, nominal)
-    _write_constants(P, kernel.IDENTIFIED, actual)
-    for row, (_, joint, ratio, slides, primary) in enumerate(nominal.moves):
-        P[row, kernel.KIND] = float(slides)
-        P[row, kernel.JOINT] = joint
-        P[row, kernel.RATIO] = ratio
-        P[row, kernel.PRIMARY] = 0.0 if primary else -1.0
+    _write_constants(P, layout.NOMINAL, nominal)
+    _write_constants(P, layout.IDENTIFIED, actual)
+    for row, (_, joint, ratio, prismatic, primary) in enumerate(nominal.moves):
+        P[row, layout.KIND] = float(prismatic)
+        P[row, layout.JOINT] = joint
+        P[row, layout.RATIO] = ratio
+        P[row, layout.PRIMARY] = 0.0 if primary else -1.0
 
 
-def load_rows(loads: Folded) -> Floats:
+def load_rows(loads: CollapsedChain) -> Floats:
     """Rows with the constants of the chain that loads are taken on, for where it is not the nominal one."""
-    rows = np.zeros((len(loads.constants), kernel.COLUMNS))
-    _write_constants(rows, kernel.NOMINAL, loads)
+    rows = np.zeros((len(loads.constants), layout.COLUMNS))
+    _write_constants(rows, layout.NOMINAL, loads)
     return rows
 
 
-def _write_constants(P: Floats, column: int, folded: Folded) -> None:
-    for row, T in enumerate(folded.constants):
+def _write_constants(P: Floats, column: int, chain: CollapsedChain) -> None:
+    for row, T in enumerate(chain.constants):
         P[row, column : column + 9] = T[:3, :3].ravel()
         P[row, column + 9 : column + 12] = T[:3, 3]
 
 
-def write_bodies(P: Floats, robot: Robot, loads: Folded, payload_kg: float, payload_com: Sequence[float]) -> None:
+def write_bodies(
+    P: Floats, robot: Robot, loads: CollapsedChain, payload_kg: float, payload_com: Sequence[float]
+) -> None:
     """Bodies that ride on the same move become one; the payload keeps its own row, on the last move."""
     last = len(loads.moves)
     bodies: dict[int, list[tuple[float, Floats, Floats]]] = {}
@@ -108,7 +110,7 @@ def write_bodies(P: Floats, robot: Robot, loads: Folded, payload_kg: float, payl
     _write_body(P[last], [(payload_kg, com, np.zeros((3, 3)))])
 
 
-def standing_moment(robot: Robot, loads: Folded) -> Floats:
+def fixed_links_moment(robot: Robot, loads: CollapsedChain) -> Floats:
     """Moment (3,) N·m about the base origin of the links that no joint moves."""
     moment = np.zeros(3)
     for link in robot.links:
@@ -128,7 +130,7 @@ def _write_body(row: Floats, parts: list[tuple[float, Floats, Floats]]) -> None:
     for m, c, own in parts:
         d = c - com
         inertia += own + m * (d @ d * np.eye(3) - np.outer(d, d))
-    row[kernel.MASS] = mass
-    row[kernel.COM : kernel.COM + 3] = com
+    row[layout.MASS] = mass
+    row[layout.COM : layout.COM + 3] = com
     xx, yy, zz, xy, xz, yz = (inertia[a, b] for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
-    row[kernel.INERTIA : kernel.INERTIA + 6] = xx, yy, zz, xy, xz, yz
+    row[layout.INERTIA : layout.INERTIA + 6] = xx, yy, zz, xy, xz, yz

@@ -16,10 +16,19 @@ from typing import Literal
 import numpy as np
 
 from kilter_core.arm.chain import Axis, Chain, Element
+from kilter_core.arm.loads.slopes import with_masses, with_payload
 from kilter_core.arm.robot import Joint, Payload, Robot
-from kilter_core.correct.collapse import Folded, fold, load_rows, standing_moment, write_bodies, write_moves
-from kilter_core.correct.kernels import correction as kernel
-from kilter_core.correct.run_time_effects import Conditions, Written, weighed_anew, write_effect
+from kilter_core.arm.run_time import Conditions, RunTimeForm
+from kilter_core.correct.collapse import (
+    CollapsedChain,
+    collapse_constants,
+    fixed_links_moment,
+    load_rows,
+    write_bodies,
+    write_moves,
+)
+from kilter_core.correct.kernels import layout, stream
+from kilter_core.correct.rows import bending_rows, curve_rows, joint_rows
 from kilter_core.errors import OptionError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.transforms import rotation_exp
@@ -124,7 +133,7 @@ class CorrectionProgram:
     def memory(self) -> Floats:
         """Fresh memory for the kernel: the program, scratch, the state of a stream, joints out and info."""
         scratch = self.moves + 1 + self.n_joints + 6
-        return np.vstack([self.array, np.zeros((scratch + self.n_joints + 3, kernel.COLUMNS))])
+        return np.vstack([self.array, np.zeros((scratch + self.n_joints + 3, layout.COLUMNS))])
 
     def correct_rows(
         self, q: Floats, *, qd: Floats | None = None, qdd: Floats | None = None, direction: Floats | None = None
@@ -140,10 +149,10 @@ class CorrectionProgram:
         """
         x, width = _side_by_side(q, qd, qdd)
         rows, n = len(x), self.n_joints
-        out, info = np.empty((rows, n)), np.empty((rows, kernel.INFO))
+        out, info = np.empty((rows, n)), np.empty((rows, layout.INFO))
         status = np.empty(rows, dtype=np.int64)
         signs = np.zeros((rows, n)) if direction is None else np.ascontiguousarray(direction, dtype=np.float64)
-        kernel.correct_rows(self.memory(), len(self.array), n, x, width, signs, out, info, status)
+        stream.correct_rows(self.memory(), len(self.array), n, x, width, signs, out, info, status)
         return CorrectedRows(
             q=out,
             error_removed=-info[:, 4:7],
@@ -172,12 +181,12 @@ class Track:
         self._rows = len(program.array)
         self.state = self.memory[-(n + 3) : -2]
         self.out = self.memory[-2, :n]
-        self.info = self.memory[-1, : kernel.INFO]
+        self.info = self.memory[-1, : layout.INFO]
 
     def restart(self, *, settled: bool = False) -> None:
         """Forget the past."""
         self.state[:] = 0.0
-        self.state[-1, kernel.REBASE] = 0.0 if settled else 1.0
+        self.state[-1, layout.REBASE] = 0.0 if settled else 1.0
 
     def change(self, program: CorrectionProgram) -> None:
         """Go on with another version of the same robot; the difference is ramped out.
@@ -191,14 +200,14 @@ class Track:
         before = self.state
         self._load(program)
         self.state[:] = before
-        self.state[-1, kernel.REBASE] = 1.0
+        self.state[-1, layout.REBASE] = 1.0
 
     def step(self, x: Floats, width: int, dt: float) -> int:
         """Correct one setpoint into ``self.out`` and ``self.info``; returns the status.
 
         ``x (width * n,)`` holds q, then qd and qdd; ``dt`` s since the last answer.
         """
-        return int(kernel.step(self.memory, self._rows, self.program.n_joints, x, width, dt))
+        return int(stream.step(self.memory, self._rows, self.program.n_joints, x, width, dt))
 
     def follow(self, x: Floats, width: int, dt: Floats, *, atomic: bool = False) -> tuple[int, Floats, Floats, Ints]:
         """Correct points ``x (K, width * n)`` in turn, ``dt (K,)`` s each after the one before.
@@ -207,10 +216,10 @@ class Track:
         (K,), -1 after a refusal. ``atomic``: a refusal leaves the memory as it was.
         """
         n = self.program.n_joints
-        out, info = np.empty((len(x), n)), np.empty((len(x), kernel.INFO))
+        out, info = np.empty((len(x), n)), np.empty((len(x), layout.INFO))
         status = np.empty(len(x), dtype=np.int64)
         before = self.state.copy() if atomic else self.state
-        done = int(kernel.follow(self.memory, self._rows, n, x, width, dt, out, info, status))
+        done = int(stream.follow(self.memory, self._rows, n, x, width, dt, out, info, status))
         if atomic and done < len(x):
             self.state[:] = before
         return done, out, info, status
@@ -234,7 +243,7 @@ def _side_by_side(q: Floats, qd: Floats | None, qdd: Floats | None) -> tuple[Flo
 
 
 def compile_program(calibration: Calibration, options: CorrectionOptions | None = None) -> CorrectionProgram:
-    """Fold a calibration into the kernel's program.
+    """Turn a calibration into the kernel's program.
 
     Raises:
         OptionError: more task rows than joints.
@@ -249,61 +258,74 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
         message = f"task {task!r} holds {len(rows)} rows, the robot has {n} joints: give position."
         raise OptionError(message, option="task")
     arm = calibration.with_effects([e for e in calibration.model.effects if e.stage != "measurement"])
-    folded, values = arm.model.absorb_frame_increments(arm.values)
-    moved = dict(zip(folded.names, values.tolist(), strict=True))
-    ideal = calibration.wanted().model
-    nominal = fold(robot, _drawn(robot), np.eye(4), np.asarray(ideal.T_tool))
-    # Seen from the wanted base, so that the frames, too, are part of the error.
-    seen = np.linalg.solve(np.asarray(ideal.T_base), np.asarray(folded.T_base))
-    actual = fold(
-        robot, [moved[e.name] if e.name else e.value for e in robot.chain.elements], seen, np.asarray(folded.T_tool)
-    )
+    model, values = arm.model.absorb_frame_increments(arm.values)
     load = options.load(robot)
-    robot, carried = weighed_anew(folded, values, load.mass, load.com)
-    loads = nominal if folded.load_chain is None else fold(robot, _drawn(robot), np.eye(4), robot.T_tool)
-    m = len(nominal.constants) - 1
-    head = np.zeros((m + 1, kernel.COLUMNS))
-    write_moves(head, nominal, actual)
-    write_bodies(head, robot, loads, *carried)
-    written = Written(
-        robot,
-        Conditions(options.least_softening_nm, load.mass, options.temperature_c),
-        np.zeros((n, kernel.COLUMNS)),
-    )
-    _write_joints(written.joints, robot, options)
-    supported, unsupported, loaded = _write_effects(written, folded, values)
-    scalars = _scalars(robot, options, rows, m)
-    scalars[kernel.LOADED] = float(loaded)
-    scalars[kernel.CURVES], scalars[kernel.BEAMS] = len(written.curves), len(written.beams) // 2
-    pedestal = _write_foot(head, scalars, written, seen, loads)
-    parts = [head, written.joints, *written.curves, *written.beams]
-    if loads is not nominal:
-        scalars[kernel.LOAD_CHAIN] = sum(len(np.atleast_2d(part)) for part in parts)
+    conditions = Conditions(options.least_softening_nm, load.mass, options.temperature_c)
+    form, supported, unsupported, loaded = _at_run_time(model, values, conditions)
+    chains = _chains(calibration, model, values)
+    weighed = model.load_robot if form.link_errors is None else with_masses(model.load_robot, form.link_errors.tolist())
+    loads = chains.nominal
+    if model.load_chain is not None:
+        loads = collapse_constants(weighed, _nominal_values(weighed), np.eye(4), weighed.T_tool)
+    m = len(chains.nominal.constants) - 1
+    head = np.zeros((m + 1, layout.COLUMNS))
+    write_moves(head, chains.nominal, chains.identified)
+    write_bodies(head, weighed, loads, *with_payload(load.mass, load.com, form.payload_errors.tolist()))
+    scalars = _scalars(weighed, options, rows, m)
+    scalars[layout.LOADED] = float(loaded)
+    scalars[layout.CURVES], scalars[layout.BENDINGS] = len(form.curves), len(form.bending)
+    mount = _write_base(head, scalars, form, chains.base, fixed_links_moment(weighed, loads))
+    parts = [head, _with_limits(joint_rows(form), robot, options), curve_rows(form), bending_rows(form)]
+    if loads is not chains.nominal:
+        scalars[layout.LOAD_CHAIN] = sum(len(part) for part in parts)
         parts.append(load_rows(loads))
-    return CorrectionProgram(np.vstack([*parts, *pedestal, scalars]), n, m, rows, supported, unsupported)
+    return CorrectionProgram(np.vstack([*parts, *mount, scalars]), n, m, rows, supported, unsupported)
 
 
-def _drawn(robot: Robot) -> list[float]:
+@dataclass(frozen=True)
+class _Chains:
+    """The nominal and the identified chain; ``base (4, 4)`` is the identified base frame seen from the wanted one."""
+
+    nominal: CollapsedChain
+    identified: CollapsedChain
+    base: Floats
+
+
+def _chains(calibration: Calibration, model: RobotModel, values: Floats) -> _Chains:
+    robot, ideal = calibration.robot, calibration.wanted().model
+    found = dict(zip(model.names, values.tolist(), strict=True))
+    identified = [found[e.name] if e.name else e.value for e in robot.chain.elements]
+    # Seen from the wanted base, so that the frames, too, are part of the error.
+    base = np.linalg.solve(np.asarray(ideal.T_base), np.asarray(model.T_base))
+    return _Chains(
+        collapse_constants(robot, _nominal_values(robot), np.eye(4), np.asarray(ideal.T_tool)),
+        collapse_constants(robot, identified, base, np.asarray(model.T_tool)),
+        base,
+    )
+
+
+def _nominal_values(robot: Robot) -> list[float]:
     return [element.value for element in robot.chain.elements]
 
 
-def _write_foot(head: Floats, scalars: Floats, written: Written, seen: Floats, loads: Folded) -> list[Floats]:
-    """Let the base frame (4, 4) move: a constant shift at once, a pedestal that gives way as a row of its own."""
-    if written.pedestal is None and not np.any(written.foot) and not np.any(written.lean):
+def _write_base(head: Floats, scalars: Floats, form: RunTimeForm, base: Floats, fixed_moment: Floats) -> list[Floats]:
+    """Let the base frame (4, 4) move: a constant shift at once, a base mount that deflects as a row of its own."""
+    if form.base_compliance is None and not np.any(form.base_shift) and not np.any(form.base_tilt):
         return []
-    first = head[0, kernel.IDENTIFIED : kernel.IDENTIFIED + 12]
-    above = np.linalg.solve(seen, np.vstack([np.column_stack([first[:9].reshape(3, 3), first[9:]]), [0, 0, 0, 1]]))
-    foot = seen.copy()
-    foot[:3, 3] += seen[:3, :3] @ written.foot
-    foot[:3, :3] = seen[:3, :3] @ rotation_exp(written.lean)
-    if written.pedestal is None:
-        first[:] = _flat(foot @ above)
+    first = head[0, layout.IDENTIFIED : layout.IDENTIFIED + 12]
+    first_move = np.linalg.solve(base, np.vstack([np.column_stack([first[:9].reshape(3, 3), first[9:]]), [0, 0, 0, 1]]))
+    moved = base.copy()
+    moved[:3, 3] += base[:3, :3] @ form.base_shift
+    moved[:3, :3] = base[:3, :3] @ rotation_exp(form.base_tilt)
+    if form.base_compliance is None:
+        first[:] = _flat(moved @ first_move)
         return []
-    row = np.zeros(kernel.COLUMNS)
-    row[kernel.FOOT : kernel.FOOT + 12], row[kernel.ABOVE : kernel.ABOVE + 12] = _flat(foot), _flat(above)
-    row[kernel.PEDESTAL_X], row[kernel.PEDESTAL_Y] = written.pedestal
-    row[kernel.STANDING_X], row[kernel.STANDING_Y] = standing_moment(written.robot, loads)[:2]
-    scalars[kernel.PEDESTAL] = 1.0
+    row = np.zeros(layout.COLUMNS)
+    row[layout.BASE_FRAME : layout.BASE_FRAME + 12] = _flat(moved)
+    row[layout.FIRST_MOVE : layout.FIRST_MOVE + 12] = _flat(first_move)
+    row[layout.MOUNT_X], row[layout.MOUNT_Y] = form.base_compliance
+    row[layout.FIXED_MOMENT_X], row[layout.FIXED_MOMENT_Y] = fixed_moment[:2]
+    scalars[layout.MOUNT] = 1.0
     return [row]
 
 
@@ -311,45 +333,47 @@ def _flat(T: Floats) -> Floats:
     return np.concatenate([T[:3, :3].ravel(), T[:3, 3]])
 
 
-def _write_joints(rows: Floats, robot: Robot, options: CorrectionOptions) -> None:
+def _with_limits(rows: Floats, robot: Robot, options: CorrectionOptions) -> Floats:
     for row, joint in zip(rows, robot.joints, strict=True):
-        turns = joint.kind == "revolute"
-        row[kernel.LOWER], row[kernel.UPPER] = joint.lower, joint.upper
-        row[kernel.RATE] = options.rate_rad_s if turns else options.rate_m_s
-        row[kernel.LARGEST] = options.largest_rad if turns else options.largest_m
-        row[kernel.SPEED] = options.speed_rad_s if turns else options.speed_m_s
+        revolute = joint.kind == "revolute"
+        row[layout.LOWER], row[layout.UPPER] = joint.lower, joint.upper
+        row[layout.RATE] = options.rate_rad_s if revolute else options.rate_m_s
+        row[layout.LARGEST] = options.largest_rad if revolute else options.largest_m
+        row[layout.SPEED] = options.speed_rad_s if revolute else options.speed_m_s
+    return rows
 
 
 def _scalars(robot: Robot, options: CorrectionOptions, rows: tuple[int, ...], moves: int) -> Floats:
-    row = np.zeros(kernel.COLUMNS)
-    row[kernel.GRAVITY : kernel.GRAVITY + 3] = robot.gravity
-    row[kernel.ROWS] = len(rows)
-    row[kernel.WEIGHT : kernel.WEIGHT + len(rows)] = [1.0 if r < 3 else options.orientation_weight_m for r in rows]
-    row[kernel.ITERATIONS] = options.iterations
-    row[kernel.STEP] = options.step
-    row[kernel.SINGULAR] = options.singular_m**2
-    row[kernel.WEAK] = options.weak_m**2
-    row[kernel.FARTHEST] = options.farthest_m
-    row[kernel.RAMP] = options.ramp_s
-    row[kernel.FILTER] = 2.0 * math.pi * options.filter_hz
-    row[kernel.HYSTERESIS] = options.reversal_band
-    row[kernel.REACHED] = options.reached_m
-    row[kernel.N] = robot.n_joints
-    row[kernel.M] = moves
+    row = np.zeros(layout.COLUMNS)
+    row[layout.GRAVITY : layout.GRAVITY + 3] = robot.gravity
+    row[layout.ROWS] = len(rows)
+    row[layout.WEIGHT : layout.WEIGHT + len(rows)] = [1.0 if r < 3 else options.orientation_weight_m for r in rows]
+    row[layout.ITERATIONS] = options.iterations
+    row[layout.STEP] = options.step
+    row[layout.SINGULAR] = options.singular_m**2
+    row[layout.WEAK] = options.weak_m**2
+    row[layout.FARTHEST] = options.farthest_m
+    row[layout.RAMP] = options.ramp_s
+    row[layout.FILTER] = 2.0 * math.pi * options.filter_hz
+    row[layout.HYSTERESIS] = options.reversal_band
+    row[layout.REACHED] = options.reached_m
+    row[layout.N] = robot.n_joints
+    row[layout.M] = moves
     return row
 
 
-def _write_effects(
-    written: Written, model: RobotModel, values: Floats
-) -> tuple[tuple[str, ...], tuple[str, ...], bool]:
-    """Write the effects the kernel knows; returns their ids, the names of the others, and whether one needs loads."""
+def _at_run_time(
+    model: RobotModel, values: Floats, conditions: Conditions
+) -> tuple[RunTimeForm, tuple[str, ...], tuple[str, ...], bool]:
+    """What the effects do at run time; ids of those that say so, names of the others, and whether one needs loads."""
+    form = RunTimeForm.empty(model.load_robot, conditions)
     supported: list[str] = []
     unsupported: list[str] = []
     loaded = False
     for effect, (key, where) in zip(model.effects, model.effect_slices().items(), strict=True):
-        if write_effect(written, effect, values[where]):
+        if effect.at_run_time(form, values[where]):
             supported.append(effect.id)
             loaded |= "moments" in effect.needs
         else:
             unsupported.append(key)
-    return tuple(dict.fromkeys(supported)), tuple(unsupported), loaded
+    return form, tuple(dict.fromkeys(supported)), tuple(unsupported), loaded

@@ -1,4 +1,8 @@
-"""Corrected joints: the inverse of the model, iterated to convergence (thesis eq. 5.22)."""
+"""The stated reference of the correction: the inverse of the whole model, iterated to convergence (thesis eq. 5.22).
+
+Readable and slow, and used by tests and tools only: what the compiled program of :mod:`kilter_core.correct.program`
+answers is held against it.
+"""
 
 from __future__ import annotations
 
@@ -67,6 +71,7 @@ def correct(
     direction: Floats | None = None,
     payload_kg: Floats | None = None,
     payload_com: Floats | None = None,
+    temperature_c: Floats | None = None,
     options: CorrectOptions | None = None,
 ) -> Correction:
     """Joints (N, n) that put the real arm where the nominal arm should be at ``q (N, n)``.
@@ -91,7 +96,8 @@ def correct(
     ideal = replace(ideal, model=replace(ideal.model, T_base=np.eye(4)))
     finite = np.asarray(np.isfinite(q).all(axis=1))
     safe = np.where(finite[:, None], q, 0.0)
-    conditions = Observations(safe, qd=qd, qdd=qdd, direction=direction, payload_kg=payload_kg, payload_com=payload_com)
+    conditions = Observations(safe, qd=qd, qdd=qdd, direction=direction, temperature_c=temperature_c)
+    conditions = replace(conditions, payload_kg=payload_kg, payload_com=payload_com)
     conditions = conditions if load is None else conditions.carrying(load.mass, load.com)
     wanted = ideal.predict(Observations(safe))
     before = model.predict(conditions, values)
@@ -128,8 +134,8 @@ def _on_the_arm(calibration: Calibration) -> tuple[RobotModel, Floats]:
 
 def _task_error(wanted: Prediction, actual: Prediction) -> Floats:
     """Position and rotation vector (N, 6) from actual to wanted."""
-    turn = rotation_log(wanted.rotation @ actual.rotation.transpose(0, 2, 1))
-    return np.hstack([wanted.position - actual.position, turn])
+    rotation = rotation_log(wanted.rotation @ actual.rotation.transpose(0, 2, 1))
+    return np.hstack([wanted.position - actual.position, rotation])
 
 
 def _damped_step(J: Floats, error: Floats, floor: float = 1e-3) -> Floats:

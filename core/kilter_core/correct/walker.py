@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kilter_core.correct.kernels import correction as kernel
+from kilter_core.correct.kernels import layout
 from kilter_core.correct.program import CorrectionOptions, CorrectionProgram, Track, compile_program
 from kilter_core.errors import ObservationError
 from kilter_core.model import Calibration
@@ -80,7 +80,7 @@ class CorrectedTrajectory:
         """Last motion (N, n) of each joint that the correction reckoned with; 0 in rows of a stream that were refused."""
         if not _follow_one_another(self.wanted):
             return _named(self.wanted, self.reversal_band)
-        direction, good = np.zeros_like(self.q), self.status == kernel.OK
+        direction, good = np.zeros_like(self.q), self.status == layout.OK
         direction[good] = headings(self.wanted.q[good], self.reversal_band)
         return direction
 
@@ -134,7 +134,7 @@ def walk_on(stretches: Stretches, x: Floats, width: int, t: Floats) -> Walked:
     """
     time_steps(t)
     track = Track(stretches[0][1], settled=True)
-    q, info = np.empty((len(x), track.program.n_joints)), np.empty((len(x), kernel.INFO))
+    q, info = np.empty((len(x), track.program.n_joints)), np.empty((len(x), layout.INFO))
     status = np.empty(len(x), dtype=np.int64)
     answered = t[0]
     for where, program in stretches:
@@ -168,19 +168,19 @@ def _apart(program: CorrectionProgram, x: Floats, width: int, direction: Floats)
     found = program.correct_rows(
         given[0], qd=given[1] if width == 3 else None, qdd=given[2] if width == 3 else None, direction=direction
     )
-    info = np.zeros((len(x), kernel.INFO))
+    info = np.zeros((len(x), layout.INFO))
     info[:, 0], info[:, 1], info[:, 4:7] = found.flags, found.limit_mask, -found.error_removed
     # What a stream refuses before it corrects is refused here too.
     joints = program.array[program.moves + 1 : program.moves + 1 + n]
-    outside = ~((given[0] >= joints[:, kernel.LOWER]) & (given[0] <= joints[:, kernel.UPPER]))
+    outside = ~((given[0] >= joints[:, layout.LOWER]) & (given[0] <= joints[:, layout.UPPER]))
     info[:, 1] = np.where(outside.any(axis=1), outside @ (1 << np.arange(n)), info[:, 1])
-    status = np.where(outside.any(axis=1), kernel.JOINT_LIMIT, found.status)
-    return found.q, info, np.where(np.isfinite(x).all(axis=1), status, kernel.NOT_FINITE)
+    status = np.where(outside.any(axis=1), layout.JOINT_LIMIT, found.status)
+    return found.q, info, np.where(np.isfinite(x).all(axis=1), status, layout.NOT_FINITE)
 
 
 def _each(q: Floats, info: Floats, status: Ints) -> Walked:
     """Points that are refused one by one: those keep no numbers."""
-    refused = status != kernel.OK
+    refused = status != layout.OK
     q[refused], info[refused, 4:7] = np.nan, np.nan
     return Walked(q, info, status, int(refused.argmax()) if refused.any() else len(q))
 

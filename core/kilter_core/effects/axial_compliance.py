@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -30,3 +31,8 @@ class AxialCompliance(Effect):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by c."""
         return self.joint_angle(batch, values, batch.axial)
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the values to their joints."""
+        form.add("compliance", self.acting(len(form.joints)), values)
+        return True

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -38,3 +39,8 @@ class Backlash(Effect):
 
         """
         return self.joint_angle(batch, values, self.column(batch, "direction") / 2.0)
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the values to their joints."""
+        form.add("reversal", self.acting(len(form.joints)), values)
+        return True

@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import (
     SOFTENING,
     Batch,
@@ -52,6 +53,15 @@ class BacklashLoad(Effect):
         """Joint correction and its derivative by b."""
         acting = enumerate(self.acting(batch.q.shape[1]))
         return linear(batch, values, [Derivative(k, j, dq=self._side(batch, k, j)) for k, j in acting])
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the backlash, where no other effect has one by the load."""
+        joints = self.acting(len(form.joints))
+        if not form.free("backlash", joints):
+            return False
+        for j, value, width in zip(joints, values.tolist(), form.softened(self.softening_nm, joints), strict=True):
+            form.joints[j].backlash, form.joints[j].backlash_softening_nm = value, width
+        return True
 
     def softened(self, batch: Batch) -> Self:
         """The sign as soft as it is in this batch."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from kilter_core.arm.loads.slopes import LoadSlopes
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.observations import CONDITIONS, Conditions, Observations
 from kilter_core.parameters import Parameter
@@ -199,6 +200,10 @@ class Effect(ABC):
     @abstractmethod
     def local(self, batch: Batch, values: Floats) -> Local:
         """Local corrections and their derivatives at ``values (P,)``."""
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add what the effect does to a moving arm to ``form``; False where the correction cannot make up for it."""
+        return False
 
     def load_columns(self, slopes: LoadSlopes) -> tuple[int, ...]:
         """Which load errors its parameters are, one each, of an effect that ``changes_loads``; -1 for none of these rows."""

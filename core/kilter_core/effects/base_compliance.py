@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -40,3 +41,9 @@ class BaseCompliance(Effect):
         tilts[0, :, 3] = batch.base_wrench[:, 3]
         tilts[1, :, 4] = batch.base_wrench[:, 4]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(tilts)])
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the compliances of the base mount."""
+        x, y = form.base_compliance or (0.0, 0.0)
+        form.base_compliance = (x + float(values[0]), y + float(values[1]))
+        return True

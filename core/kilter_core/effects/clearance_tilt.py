@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import SOFTENING, Batch, Derivative, Effect, Local, option, soft_sign, width_of
 from kilter_core.errors import OptionError
 from kilter_core.parameters import Parameter
@@ -69,6 +70,17 @@ class ClearanceTilt(Effect):
                 slope[:, column] = dt * part * scale**3
             derivatives.append(Derivative(k, j, xi=slope))
         return Local(xi=xi, derivatives=tuple(derivatives))
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the tilts, where no other effect has one."""
+        joints = self.acting(len(form.joints))
+        if not form.free("tilt", joints):
+            return False
+        for j, value, width in zip(joints, values.tolist(), form.softened(self.softening_nm, joints), strict=True):
+            joint = form.joints[j]
+            joint.tilt, joint.tilt_softening_nm = math.tan(value), width
+            joint.tilt_by_vector = self.share == "vector"
+        return True
 
     def softened(self, batch: Batch) -> Self:
         """The sign as soft as it is in this batch."""

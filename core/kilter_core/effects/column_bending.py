@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -40,3 +41,11 @@ class ColumnBending(Effect):
         turns = np.zeros((2, len(batch), 6))
         turns[0, :, 3] = turns[1, :, 4] = warmer
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(turns)])
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the tilt of the base at the temperature of now."""
+        warmer = form.warmer_than(self.reference_c)
+        if warmer is None:
+            return False
+        form.base_tilt[:2] += values * warmer
+        return True

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -33,3 +34,8 @@ class DirectionCompliance(Effect):
         """Joint correction and its derivative by h."""
         side = np.asarray(self.column(batch, "direction"), dtype=np.float64)
         return self.joint_angle(batch, values, side * batch.axial)
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the values to their joints."""
+        form.add("compliance_by_direction", self.acting(len(form.joints)), values)
+        return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Effect, Local
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -27,3 +28,9 @@ class EncoderScale(Effect):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by k."""
         return self.joint_angle(batch, values, batch.q)
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add a straight line for each joint."""
+        for j, value in zip(self.acting(len(form.joints)), values.tolist(), strict=True):
+            form.curve(j, Shape.LINEAR, value)
+        return True

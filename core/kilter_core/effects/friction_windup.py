@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -33,3 +34,8 @@ class FrictionWindup(Effect):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by k."""
         return self.joint_angle(batch, values, self.column(batch, "direction"))
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the windups: each is half a reversal."""
+        form.add("reversal", self.acting(len(form.joints)), 2.0 * values)
+        return True

@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -72,3 +73,11 @@ class GearError(Effect):
         turns[:, joints] = batch.q[:, joints] * np.asarray(self.ratios)
         waves = [wave(k * turns) for k in self.orders for wave in (np.sin, np.cos)]
         return self.joint_angle(batch, values, *waves)
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the waves of each gear."""
+        ratios = self.ratios or ()
+        form.waves(
+            self.acting(len(form.joints)), values, [[order * ratio for order in self.orders] for ratio in ratios]
+        )
+        return True

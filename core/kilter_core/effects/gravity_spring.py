@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Effect, Local, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -70,3 +71,14 @@ class GravitySpring(Effect):
         angle = batch.q + self.angle_rad
         length = np.sqrt(a * a + b * b - 2.0 * a * b * np.cos(angle))
         return self.joint_angle(batch, values, -np.sin(angle) * (1.0 - self.free_length_m / length))
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the pull of the spring, a wave where its pins are unknown."""
+        joints = self.acting(len(form.joints))
+        if self.arms_m is None:
+            form.waves(joints, values, [(1.0,)] * len(joints))
+            return True
+        for j, value in zip(joints, values.tolist(), strict=True):
+            constants = (*self.arms_m, self.angle_rad, self.free_length_m)
+            form.curve(j, Shape.SPRING, value, constants=constants)
+        return True

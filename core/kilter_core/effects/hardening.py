@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -35,3 +36,8 @@ class Hardening(Effect):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by h."""
         return self.joint_angle(batch, values, -batch.axial * np.abs(batch.axial))
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the values to their joints."""
+        form.add("hardening", self.acting(len(form.joints)), values)
+        return True

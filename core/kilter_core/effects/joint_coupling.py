@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -63,6 +64,13 @@ class JointCoupling(Effect):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by k."""
         return linear(batch, values, [Derivative(k, i, dq=batch.q[:, j]) for k, (i, j) in enumerate(self._pairs())])
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add a straight line by the driver of each joint."""
+        places = zip(self.acting(len(form.joints)), values.tolist(), self.drivers or (), strict=True)
+        for j, value, driver in places:
+            form.curve(j, Shape.LINEAR, value, driver=driver)
+        return True
 
     def _pairs(self) -> list[tuple[int, int]]:
         return list(zip(self.joints or (), self.drivers or (), strict=True))

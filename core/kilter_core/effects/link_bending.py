@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.arm.loads.wrenches import joint_loads
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -74,6 +75,18 @@ class LinkBending(Effect):
             of_root, of_end = _flexed(tuple(map(float, batch.link_vectors[j])), a)
             derivatives.append(Derivative(k, j, xi=root @ of_root + end @ of_end))
         return linear(batch, values, derivatives)
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the twist of each link: linear in the wrenches on its joint and on its end."""
+        chain = form.robot.chain
+        if any(e.joint is not None and k not in chain.primary for k, e in enumerate(chain.elements)):
+            return False  # the end of a link is then not at a constant place
+        none, unit = np.zeros((6, 6)), np.eye(6)
+        places = zip(self.acting(len(form.joints)), values.tolist(), self.centres_m or (), strict=True)
+        for j, value, centre in places:
+            link = chain.link_vectors[j]
+            form.bend(j, value * bent(link, centre, unit, none).T, value * bent(link, centre, none, unit).T, link)
+        return True
 
 
 @lru_cache(maxsize=256)

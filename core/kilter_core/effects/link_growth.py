@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -53,3 +54,12 @@ class LinkGrowth(Effect):
             xi[:, :3] = warmer[:, None] * batch.link_vectors[j]
             derivatives.append(Derivative(k, j, xi=xi))
         return linear(batch, values, derivatives)
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the growth of each link at the temperature of now."""
+        warmer = form.warmer_than(self.reference_c)
+        if warmer is None:
+            return False
+        for j, value in zip(self.acting(len(form.joints)), values.tolist(), strict=True):
+            form.twist(j, value * warmer * form.robot.chain.link_vectors[j])
+        return True

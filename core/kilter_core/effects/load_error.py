@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.arm.loads.slopes import NO_COLUMNS, LoadSlopes, weighed
 from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Link, Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local, option
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -52,6 +53,11 @@ class LoadError(Effect):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Nothing of its own."""
         return Local()
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Change the masses that all loads are computed from."""
+        form.change_masses(values)
+        return True
 
     def load_columns(self, slopes: LoadSlopes) -> tuple[int, ...]:
         """All load errors, in their order."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.arm.loads.slopes import NO_COLUMNS, LoadSlopes
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -84,3 +85,10 @@ class PayloadError(Effect):
         per_unit = np.stack([(mass > 0.0) * 1.0, mass, mass, mass], axis=1)
         signal = np.einsum("njk,nk,j->kjn", batch.payload_axial, per_unit, np.asarray(self.compliances))
         return linear(batch, values, [Derivative(k, j, dq=dq) for k, s in enumerate(signal) for j, dq in enumerate(s)])
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Change the payload; with compliances of its own it acts in rows that carry one, and cannot be corrected there."""
+        if self.compliances:
+            return form.conditions.payload_kg == 0.0
+        form.payload_errors += values
+        return True

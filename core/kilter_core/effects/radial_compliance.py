@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -36,3 +37,8 @@ class RadialCompliance(Effect):
         across[:, :, 3:5] = batch.moment[:, :, :2]
         acting = enumerate(self.acting(batch.q.shape[1]))
         return linear(batch, values, [Derivative(k, j, xi=across[:, j]) for k, j in acting])
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the values to their joints."""
+        form.add("radial_compliance", self.acting(len(form.joints)), values)
+        return True

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -40,3 +43,12 @@ class ReadingTilt(Effect):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivatives by kx and ky."""
         return self.joint_angle(batch, values, batch.moment[:, :, 0], batch.moment[:, :, 1])
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add what a load across the axis adds to the joint: a twist along or about z, linear in that load."""
+        joints = self.acting(len(form.joints))
+        for place, j in enumerate(joints):
+            rotations = np.zeros((6, 6))
+            rotations[5 if form.robot.joints[j].kind == "revolute" else 2, 3:5] = values[place :: len(joints)]
+            form.bend(j, rotations, np.zeros((6, 6)), np.zeros(3))
+        return True

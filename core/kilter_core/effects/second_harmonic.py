@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -43,3 +44,9 @@ class SecondHarmonic(Effect):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivatives by a and b."""
         return self.joint_angle(batch, values, np.sin(2.0 * batch.q), np.cos(2.0 * batch.q))
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add a wave for each joint."""
+        joints = self.acting(len(form.joints))
+        form.waves(joints, values, [(2.0,)] * len(joints))
+        return True

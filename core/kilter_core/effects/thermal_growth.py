@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import BASE, Batch, Derivative, Effect, Local, linear, option
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -44,3 +45,14 @@ class ThermalGrowth(Effect):
         grown[:, :, :3] = batch.link_vectors[:, None, :] * warmer[:, None]
         places = [*range(len(grown) - 1), BASE]
         return linear(batch, values, [Derivative(0, place, xi=xi) for place, xi in zip(places, grown, strict=True)])
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the growth of every link at the temperature of now."""
+        warmer = form.warmer_than(self.reference_c)
+        if warmer is None:
+            return False
+        grown = float(values[0]) * warmer * form.robot.chain.link_vectors
+        for j, translation in enumerate(grown[:-1]):
+            form.twist(j, translation)
+        form.base_shift += grown[-1]
+        return True

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import STANDARD_GRAVITY, Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Derivative, Effect, Local, linear, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -59,6 +60,15 @@ class ToolSag(Effect):
         xi = np.zeros((len(batch), 6))
         xi[:, :3] = carried[:, None] * (batch.end_wrench[:, -1, :3] @ sagging(self.axis or (0.0, 0.0, 1.0)))
         return linear(batch, values, [Derivative(0, batch.q.shape[1] - 1, xi=xi)])
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the sag behind the last joint by the load on the end of its link, where a payload hangs."""
+        if form.conditions.payload_kg == 0.0:
+            return True
+        moved = np.zeros((6, 6))
+        moved[:3, :3] = float(values[0]) * sagging(self.axis or (0.0, 0.0, 1.0)).T
+        form.bend(len(form.joints) - 1, np.zeros((6, 6)), moved, np.zeros(3))
+        return True
 
 
 def sagging(axis: tuple[float, ...]) -> Floats:

@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Effect, Local, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -63,3 +64,12 @@ class UnknownJointCurve(Effect):
         if self.partner is not None:
             signals.append(np.sin(batch.q) * np.sin(batch.q[:, [self.partner]]))
         return self.joint_angle(batch, values, *signals)
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the waves, and the product with the partner."""
+        joints = self.acting(len(form.joints))
+        form.waves(joints, values, [[float(m) for m in self.orders]] * len(joints))
+        if self.partner is not None:
+            for j, value in zip(joints, values[len(values) - len(joints) :].tolist(), strict=True):
+                form.curve(j, Shape.SINES, value, driver=self.partner)
+        return True

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import Batch, Effect, Local, option
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -100,3 +101,13 @@ class UnknownSmoothCurve(Effect):
         scaled = (batch.q[:, list(joints)] - np.array(self.centres)) / np.array(self.halves)
         u[:, list(joints)] = np.clip(scaled, -1.0, 1.0)
         return self.joint_angle(batch, values, *(legendre.legval(u, np.eye(m + 1)[m]) for m in self.orders))
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add a polynomial for each joint."""
+        joints = self.acting(len(form.joints))
+        for place, (j, *range_of) in enumerate(zip(joints, self.centres or (), self.halves or (), strict=True)):
+            series = np.zeros(max(self.orders) + 1)
+            series[list(self.orders)] = values[place :: len(joints)]
+            powers = tuple(legendre.leg2poly(series).tolist())
+            form.curve(j, Shape.POLYNOMIAL, 1.0, constants=tuple(range_of), powers=powers)
+        return True

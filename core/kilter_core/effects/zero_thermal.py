@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Batch, Effect, Local, option
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
@@ -33,3 +34,11 @@ class ZeroThermal(Effect):
         """Joint correction and its derivative by k."""
         warmer = np.asarray(self.column(batch, "temperature_c"), dtype=np.float64) - self.reference_c
         return self.joint_angle(batch, values, np.broadcast_to(warmer[:, None], batch.q.shape))
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the shift of each zero at the temperature of now."""
+        warmer = form.warmer_than(self.reference_c)
+        if warmer is None:
+            return False
+        form.add("offset", self.acting(len(form.joints)), values * warmer)
+        return True

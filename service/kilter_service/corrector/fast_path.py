@@ -11,18 +11,16 @@ joints and flags, then come sequence, time sent and time to apply (service/kilte
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from kilter_core.correct.kernels import correction
-from kilter_core.correct.kernels.correction import EXACT, _one
+from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.correct.kernels.layout import COLUMNS
+from kilter_core.correct.kernels.stream import correct_setpoint
 from kilter_core.correct.program import Track
 from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
@@ -47,11 +45,7 @@ FLAGS = {1: 0, 2: int(Flag.QD), 3: Flag.QD | Flag.QDD}
 
 
 def _compiled() -> Any:
-    # numba keys its cache by the caller's file and would miss a change of what it calls; it does notice the values
-    # that a function closes over.
-    kernels = int.from_bytes(hashlib.sha256(Path(correction.__file__).read_bytes()).digest()[:6], "little")
-
-    @njit(**EXACT)
+    @compiled(**EXACT)
     def answer(  # type: ignore[no-untyped-def]
         memory, words, data, arrival
     ):
@@ -68,7 +62,7 @@ def _compiled() -> Any:
         for i in range(size):
             bytes_of[8 * IN + i] = data[i]
         seq, sent, apply = words[IN + 1], words[IN + 2], words[IN + 3]
-        if words[IN] != words[IN_HEAD + width] or seq != words[SEQ] + 1 or kernels == 0:
+        if words[IN] != words[IN_HEAD + width] or seq != words[SEQ] + 1:
             return -1
         if not (0 <= sent < MOST and 0 <= apply < MOST) or words[SENT] - sent > words[SET_BACK]:
             return -1
@@ -82,7 +76,7 @@ def _compiled() -> Any:
         dt = passed if step < 0.0 else min(step, passed + numbers[SLACK])
         rows, program_rows = memory.shape[0], words[ROWS]
         info = memory[rows - 1]
-        status = _one(
+        status = correct_setpoint(
             memory[:program_rows], memory[program_rows : rows - n - 3], memory[rows - n - 3 : rows - 2],
             numbers[IN + 4 : IN + 4 + width * n], width, dt, numbers[OUT + 7 : OUT + 7 + n], info,
         )  # fmt: skip
@@ -113,7 +107,7 @@ _answer = _compiled()
 def _entry() -> Callable[[Any, Any, bytes, int], int]:
     # numba looks at the types of the arguments before every call; here they never change, and the call behind that
     # look saves 0.25 µs warm and 3 µs cold.
-    assert _answer(np.zeros((8, correction.COLUMNS)), np.ones(WORDS, dtype=np.int64), b"", 0) != 0
+    assert _answer(np.zeros((8, COLUMNS)), np.ones(WORDS, dtype=np.int64), b"", 0) != 0
     entry: Callable[[Any, Any, bytes, int], int] = _answer.compile(_answer.signatures[0])
     return entry
 

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kilter_core.arm.kernels.newton_euler import load_slopes
+from kilter_core.arm.kernels.load_slopes import load_slopes
 from kilter_core.arm.loads.wrenches import Loads, joint_loads
 from kilter_core.arm.robot import Link, Robot
 from kilter_core.observations import Observations

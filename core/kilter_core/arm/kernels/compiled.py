@@ -1,0 +1,159 @@
+"""How kernels are compiled, and where the compiled code is kept: in a folder for each state of all kernel sources.
+
+numba keeps what it compiled until the file of the function changes. It does not see a change of a function in another
+file that this one calls, and goes on with the old one. Here the folder is named after a digest of every kernel source
+and of the function's own file, so a change of any of them compiles anew, and folders of older digests are removed.
+The folder lies where numba would keep its files: in NUMBA_CACHE_DIR where that is set, else in ``__pycache__`` beside
+the source, else, where that is not writable, in the user's cache. Nothing is compiled, looked for or made at import.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import pickle
+import shutil
+import sys
+import uuid
+import warnings
+from collections.abc import Callable
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba import njit
+from numba.core import serialize
+from numba.core.caching import FunctionCache
+from numba.core.dispatcher import Dispatcher
+
+# Arrays are not counted: they outlive every call, and counting takes a third of the time.
+# FAST: sums may be contracted and rearranged; NaN and infinity keep their meaning, for they are refused. ORDERED: sums
+# keep their order, or else short ones over the joints are gathered from all over the memory, which is slower.
+EXACT: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+FAST: dict[str, Any] = {**EXACT, "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
+ORDERED: dict[str, Any] = {**EXACT, "fastmath": {"contract", "nsz", "arcp"}}
+
+
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function by numba with these options, at its first call, and keep the result on disk."""
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher = njit(**options)(function)
+        if isinstance(dispatcher, Dispatcher):  # else NUMBA_DISABLE_JIT is set
+            # What numba's cache=True does, but that makes folders at import.
+            dispatcher._cache = KernelCache(function)  # type: ignore[attr-defined]
+        return dispatcher
+
+    return decorate
+
+
+@cache
+def _sources() -> bytes:
+    """Digest of all kernel sources, taken once and early: what is compiled later is what was imported now."""
+    digest = hashlib.sha256()
+    package = Path(__file__).parents[2]
+    for source in sorted(package.glob("*/kernels/*.py")):
+        digest.update(str(source.relative_to(package)).encode() + b"\0" + source.read_bytes() + b"\0")
+    return digest.digest()
+
+
+@cache
+def _digest(source: str) -> str:
+    """Digest of all kernel sources and of this file, as it stands in the name of a folder."""
+    return hashlib.sha256(_sources() + Path(source).read_bytes()).hexdigest()[:16]
+
+
+@cache
+def _warn(place: str) -> None:
+    warnings.warn(
+        f"Compiled kernels cannot be kept, so every start compiles them anew, for a minute or two: neither {place} nor "
+        "the user's cache folder is writable. Set NUMBA_CACHE_DIR to a folder that is.",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+
+
+class KernelCache(FunctionCache):
+    """The compiled forms of one function: a file for each signature.
+
+    numba keeps an index of these files for each function. Two processes that start at once can overwrite each other's
+    index, and then a signature may lead to the code of another; here the name of the file says all that the index did.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._py_func = function
+        self._name = repr(function)
+        self._source = function.__code__.co_filename
+        self._folder_name = f"{Path(self._source).stem}-{_digest(self._source)}.kernels"
+        self.enable()
+
+    @cached_property
+    def _impl(self) -> Any:
+        return self._impl_class(self._py_func)  # looks for a folder that is writable
+
+    @cached_property
+    def _folder(self) -> Path | None:
+        try:
+            return Path(self._impl.locator.get_cache_path()) / self._folder_name
+        except RuntimeError:  # no folder is writable
+            _warn(str(Path(self._source).parent))
+            return None
+
+    @property
+    def cache_path(self) -> str | None:
+        """The folder, None where nothing is kept."""
+        return None if self._folder is None else str(self._folder)
+
+    def flush(self) -> None:
+        """Forget every compiled form of the function."""
+        for file in self._folder.glob(f"{self._stem}-*.nbc") if self._folder else ():
+            file.unlink(missing_ok=True)
+
+    @property
+    def _stem(self) -> str:
+        return str(self._py_func.__qualname__).replace("<locals>.", "")
+
+    def _file(self, signature: Any, codegen: Any) -> Path | None:
+        """Where the form for a signature is kept: named after the types, the processor and the versions."""
+        types, *rest = self._index_key(signature, codegen)
+        key = repr((numba.__version__, sys.version_info[:2], str(types), *rest))
+        name = f"{self._stem}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.nbc"
+        return None if self._folder is None else self._folder / name
+
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:
+        file = self._file(sig, target_context.codegen()) if self._enabled else None
+        try:
+            kept = None if file is None else pickle.loads(file.read_bytes())
+        except (OSError, EOFError, pickle.UnpicklingError):  # not there yet, or a machine that went down while it wrote
+            return None
+        return None if kept is None else self._impl.rebuild(target_context, kept)
+
+    def _save_overload(self, sig: Any, data: Any) -> None:
+        file = self._file(sig, data.codegen) if self._enabled else None
+        if file is None or not self._impl.check_cachable(data):
+            return
+        with contextlib.suppress(OSError):  # a full disk: the function works all the same
+            _write(file, serialize.dumps(self._impl.reduce(data)))  # type: ignore[no-untyped-call]
+            _remove_older(file.parent)
+
+
+def _write(file: Path, content: bytes) -> None:
+    """Write a file at once, for others may be reading it."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_name(f"{uuid.uuid4().hex}.part")
+    try:
+        part.write_bytes(content)
+        os.replace(part, file)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@cache
+def _remove_older(folder: Path) -> None:
+    """Remove what older digests left of the same source file."""
+    stem = folder.name.rpartition("-")[0]
+    for other in folder.parent.glob(f"{stem}-*.kernels"):
+        if other != folder:
+            shutil.rmtree(other, ignore_errors=True)

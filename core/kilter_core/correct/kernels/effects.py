@@ -1,0 +1,195 @@
+"""What the effects add to every joint at the loads, signs and angles of now, compiled."""
+
+from __future__ import annotations
+
+import math
+
+from kilter_core.arm.kernels.compiled import EXACT, FAST, compiled
+from kilter_core.arm.kernels.se3 import cross, sine_cosine, sine_cosine_octant
+from kilter_core.correct.kernels.layout import (
+    AMPLITUDE_A,
+    AMPLITUDE_B,
+    BENDING,
+    BENDING_JOINT,
+    BENDING_LINK,
+    BENDINGS,
+    COMMAND,
+    COMPLIANCE,
+    CURVED,
+    CURVES,
+    DQ,
+    DRIVER,
+    END,
+    EXTRA,
+    FACTOR,
+    HARDENING,
+    HIGHEST,
+    LAG,
+    LAST_A,
+    LAST_B,
+    LAST_SIDE,
+    LINEAR,
+    MOMENT,
+    PLAY,
+    PLAY_SOFT,
+    POLYNOMIAL,
+    POWERS,
+    RADIAL,
+    RATE,
+    REVERSAL,
+    ROOT,
+    SHAPE,
+    SHIFT,
+    SIDE,
+    SIDED,
+    SIGN,
+    SINES,
+    SPEED_NOW,
+    TILT,
+    TILT_A,
+    TILT_B,
+    TILT_SHARE,
+    TILT_SOFT,
+    TWIST,
+    WAVE,
+    XI,
+)
+
+# Below this moment a sign would be that of rounding noise.
+NO_MOMENT = 1e-9
+
+
+@compiled(**FAST)
+def _soft_sign(x, width):
+    """sign(x), or tanh(x / width): beyond 19.1 widths the two are the same number."""
+    size = abs(x)
+    if size >= 19.1 * width:
+        return math.copysign(1.0, x) if x != 0.0 else 0.0
+    return math.copysign(1.0 - 2.0 / (math.exp(2.0 * size / width) + 1.0), x)
+
+
+@compiled(**FAST)
+def _bounded(a):
+    """a / sqrt(1 + a²); the series is exact up to a degree."""
+    z = a * a
+    if z < 4e-4:
+        return a * (1.0 - z * (0.5 - z * (0.375 - z * (0.3125 - z * 0.2734375))))
+    return a / math.sqrt(1.0 + z)
+
+
+@compiled(**FAST)
+def _clearance_tilt(P, j, x, y):
+    """Tilt of a joint in its clearance (thesis eq. 5.16-5.18) towards the transverse load (x, y)."""
+    t = P[j, TILT]
+    ax, ay = abs(x), abs(y)
+    total = ax + ay
+    if t == 0.0 or total <= NO_MOMENT:
+        return 0.0, 0.0
+    if P[j, TILT_SHARE] == 0.0:
+        if ax < ay:
+            s, c = sine_cosine_octant(ax / total * (0.5 * math.pi))
+        else:
+            c, s = sine_cosine_octant(ay / total * (0.5 * math.pi))
+    else:
+        h = 1.0 / math.sqrt(x * x + y * y)
+        s, c = ax * h, ay * h
+    soft = P[j, TILT_SOFT]
+    return _bounded(t * s * _soft_sign(x, soft)), _bounded(t * c * _soft_sign(y, soft))
+
+
+@compiled(**EXACT)
+def _rate_limited(last, target, reach):
+    """``target``, or as far towards it from ``last`` as ``reach`` allows."""
+    change = target - last
+    if abs(change) <= reach:
+        return target
+    return last + math.copysign(reach, change)
+
+
+@compiled(**EXACT)
+def sign_effects(P, W, state, n, oj, dt):
+    """Effects with a sign: tilt and backlash of every joint, held to its rate from the last answer; whether one was."""
+    limited = False
+    for i in range(n):
+        j = oj + i
+        a, b = _clearance_tilt(P, j, W[j, MOMENT], W[j, MOMENT + 1])
+        about = W[j, MOMENT + 2]
+        side = (0.5 * P[j, REVERSAL] + P[j, SIDED] * about) * W[j, SIGN]
+        if P[j, PLAY] != 0.0 and abs(about) > NO_MOMENT:
+            side += P[j, PLAY] * _soft_sign(about, P[j, PLAY_SOFT])
+        if dt < math.inf:
+            reach = P[j, RATE] * dt
+            W[j, TILT_A] = _rate_limited(state[i, LAST_A], a, reach)
+            W[j, TILT_B] = _rate_limited(state[i, LAST_B], b, reach)
+            W[j, SIDE] = _rate_limited(state[i, LAST_SIDE], side, reach)
+            limited |= W[j, TILT_A] != a or W[j, TILT_B] != b or W[j, SIDE] != side
+        else:
+            W[j, TILT_A], W[j, TILT_B], W[j, SIDE] = a, b, side
+    return limited
+
+
+@compiled(**FAST)
+def _joint_curves(P, W, n, m, oj):
+    """Add what the curves of the joints say at the command."""
+    first = m + 1 + n
+    for row in range(first, first + int(P[P.shape[0] - 1, CURVES])):
+        j = oj + int(P[row, CURVED])
+        shape = P[row, SHAPE]
+        d = oj + int(P[row, DRIVER])
+        q = W[d, COMMAND]
+        if shape == WAVE:
+            s, c = sine_cosine(P[row, FACTOR] * q)
+            W[j, SHIFT] += P[row, AMPLITUDE_A] * s + P[row, AMPLITUDE_B] * c
+        elif shape == LINEAR:
+            W[j, SHIFT] += P[row, AMPLITUDE_A] * q
+        elif shape == LAG:
+            W[j, SHIFT] -= P[row, AMPLITUDE_A] * W[d, SPEED_NOW]
+        elif shape == SINES:
+            W[j, SHIFT] += P[row, AMPLITUDE_A] * math.sin(q) * math.sin(W[j, COMMAND])
+        elif shape == POLYNOMIAL:
+            u, total = min(1.0, max(-1.0, (q - P[row, EXTRA]) / P[row, EXTRA + 1])), 0.0
+            for k in range(HIGHEST - POWERS + 1):
+                total = total * u + P[row, HIGHEST - k]
+            W[j, SHIFT] += total
+        else:
+            a, b = P[row, EXTRA], P[row, EXTRA + 1]
+            s, c = sine_cosine(q + P[row, EXTRA + 2])
+            length = math.sqrt(a * a + b * b - 2.0 * a * b * c)
+            W[j, SHIFT] -= P[row, AMPLITUDE_A] * s * (1.0 - P[row, EXTRA + 3] / length)
+
+
+@compiled(**FAST)
+def _bending_rows(P, W, n, m, oj):
+    """Add the twists of the bending rows: linear in the loads on a joint and on the end of its link."""
+    S = P.shape[0] - 1
+    first = m + 1 + n + int(P[S, CURVES])
+    for b in range(int(P[S, BENDINGS])):
+        row = first + 2 * b
+        j = oj + int(P[row, BENDING_JOINT])
+        l0, l1, l2 = P[row, BENDING_LINK], P[row, BENDING_LINK + 1], P[row, BENDING_LINK + 2]
+        t0, t1, t2 = cross(l0, l1, l2, W[j, END], W[j, END + 1], W[j, END + 2])
+        for i, t in enumerate((t0, t1, t2)):
+            W[j, END + 3 + i] -= t
+        for r in range(6):
+            total = 0.0
+            for c in range(6):
+                total += P[row, BENDING + 6 * r + c] * W[j, ROOT + c] + P[row + 1, BENDING + 6 * r + c] * W[j, END + c]
+            W[j, TWIST + r] += total
+
+
+@compiled(**FAST)
+def deflections(P, W, n, m, oj):
+    """What every joint adds to its command, and the twist behind it, at the loads and signs now in W."""
+    for i in range(n):
+        j = oj + i
+        about = W[j, MOMENT + 2]
+        W[j, SHIFT] = P[j, DQ] + W[j, SIDE] + (P[j, COMPLIANCE] - P[j, HARDENING] * abs(about)) * about
+        for k in range(6):
+            W[j, TWIST + k] = P[j, XI + k]
+        W[j, TWIST + 3] += W[j, TILT_A] + P[j, RADIAL] * W[j, MOMENT]
+        W[j, TWIST + 4] += W[j, TILT_B] + P[j, RADIAL] * W[j, MOMENT + 1]
+    S = P.shape[0] - 1
+    if P[S, CURVES] != 0.0:
+        _joint_curves(P, W, n, m, oj)
+    if P[S, BENDINGS] != 0.0:
+        _bending_rows(P, W, n, m, oj)

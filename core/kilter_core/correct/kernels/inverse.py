@@ -1,0 +1,217 @@
+"""The inverse (thesis eq. 5.22, iterated), compiled: the command whose identified pose is the wanted one.
+
+With J the identified Jacobian at the first guess of the command, the command is q + J' y where (J J' + λ²) y solves the
+wanted pose; λ is zero away from singularities. With joints to spare J is that of the nominal arm at the wanted joints,
+so that the answer does not depend on how it was reached. Along a stream the guess goes on from the last corrections, and
+one evaluation is mostly enough; else it is the wanted joints.
+"""
+
+from __future__ import annotations
+
+import math
+
+from kilter_core.arm.kernels.compiled import EXACT, FAST, compiled
+from kilter_core.arm.kernels.se3 import cross, rotation_between, sine_cosine
+from kilter_core.correct.kernels.chain import identified_tool, load_frames, wanted_tool
+from kilter_core.correct.kernels.effects import deflections, sign_effects
+from kilter_core.correct.kernels.layout import (
+    ADDED,
+    COLUMN,
+    COMMAND,
+    COSINE,
+    CURVES,
+    DAMPED,
+    DAMPING,
+    DYNAMIC,
+    ERROR,
+    GUESSED,
+    ITERATIONS,
+    JOINT,
+    KIND,
+    LARGEST,
+    LIMITED,
+    LINE,
+    LOAD_CHAIN,
+    LOADED,
+    MATRIX,
+    MOMENT,
+    MULTIPLIER,
+    RATIO,
+    REACHED,
+    RESIDUAL,
+    ROWS,
+    SINE,
+    SINGULAR,
+    STEP,
+    WANTED,
+    WEIGHT,
+)
+from kilter_core.correct.kernels.newton_euler import load_moments
+from kilter_core.correct.kernels.solver import (
+    BOUND,
+    add_damping,
+    damp_weak_directions,
+    factor,
+    joint_step,
+    normal_matrix,
+    step_multipliers,
+)
+
+# Moments are taken anew while the command still moves by more than this; then the effects stand still.
+SETTLED_RAD = 1e-7
+# Along a stream the first step may be larger by this: it is the change of the correction against its prediction, and
+# what is left after it is smaller by a factor of a hundred away from sign changes, of two within them.
+GUESS_STEP = 10.0
+# After this many rounds the signs stand still even if they flip back and forth around zero moment.
+SIGN_ROUNDS = 4
+
+
+@compiled(**FAST)
+def _jacobian(P, W, S, T, n, m, oj, rows):
+    """Weighted task rows of the identified Jacobian by joint, column r of the joint rows (turns in the tool frame)."""
+    for i in range(n):
+        for r in range(6):
+            W[oj + i, COLUMN + r] = 0.0
+    weight = P[S, WEIGHT + 3]
+    for k in range(m):
+        j = oj + int(P[k, JOINT])
+        ratio = P[k, RATIO]
+        z0, z1, z2 = W[k, LINE], W[k, LINE + 1], W[k, LINE + 2]
+        if P[k, KIND] == 0.0:
+            v0, v1, v2 = cross(z0, z1, z2, T[9] - W[k, LINE + 3], T[10] - W[k, LINE + 4], T[11] - W[k, LINE + 5])
+            if rows > 3:
+                turn = ratio * weight
+                W[j, COLUMN + 3] += turn * (T[0] * z0 + T[3] * z1 + T[6] * z2)
+                W[j, COLUMN + 4] += turn * (T[1] * z0 + T[4] * z1 + T[7] * z2)
+                if rows > 5:
+                    W[j, COLUMN + 5] += turn * (T[2] * z0 + T[5] * z1 + T[8] * z2)
+        else:
+            v0, v1, v2 = z0, z1, z2
+        for r, v in enumerate((v0, v1, v2)):
+            W[j, COLUMN + r] += ratio * v
+
+
+@compiled(**EXACT)
+def _linearise(P, W, S, actual, n, m, oj, og, rows):
+    """Jacobian, its factor and the first multipliers; whether a singularity had to be damped."""
+    _jacobian(P, W, S, actual, n, m, oj, rows)
+    normal_matrix(W, n, oj, og, rows)
+    if factor(W, og) > P[S, SINGULAR]:
+        step_multipliers(W, og, False, True)
+        bound, strain = math.inf, 0.0
+        for j in range(oj, oj + n):
+            bound = min(bound, BOUND * P[j, LARGEST])
+            strain += joint_step(W, j, og) ** 2
+        if strain <= bound * bound:
+            return False
+    for r in range(rows):
+        W[og + r, MULTIPLIER] = 0.0
+    damped = damp_weak_directions(P, W, n, oj, og, rows)
+    add_damping(W, og)
+    if factor(W, og) <= 0.0:
+        for r in range(rows):
+            W[og + r, MATRIX + r] += P[S, SINGULAR]
+            W[og + r, DAMPING + r] += P[S, SINGULAR]
+        factor(W, og)
+    step_multipliers(W, og, damped, True)
+    return damped
+
+
+@compiled(**FAST)
+def _residual(P, W, S, og, rows, wanted, actual):
+    """Weighted task errors into the task rows; returns the distance of the tool points by axis."""
+    d0, d1, d2 = wanted[9] - actual[9], wanted[10] - actual[10], wanted[11] - actual[11]
+    W[og, ERROR], W[og + 1, ERROR], W[og + 2, ERROR] = d0, d1, d2
+    if rows > 3:
+        t0, t1, t2 = rotation_between(actual, wanted)
+        W[og + 3, ERROR] = P[S, WEIGHT + 3] * t0
+        W[og + 4, ERROR] = P[S, WEIGHT + 3] * t1
+        if rows > 5:
+            W[og + 5, ERROR] = P[S, WEIGHT + 3] * t2
+    return d0, d1, d2
+
+
+@compiled(**FAST)
+def _command(W, n, oj, og):
+    """Commands from the multipliers; returns the largest change of a joint."""
+    largest = 0.0
+    for j in range(oj, oj + n):
+        new = W[j, WANTED] + joint_step(W, j, og)
+        largest = max(largest, abs(new - W[j, COMMAND]))
+        W[j, COMMAND] = new
+    return largest
+
+
+@compiled(**FAST)
+def prepare(P, W, n, m, oj, og, rows):
+    """Start the search at the wanted joints plus the guess."""
+    for i in range(n):
+        W[oj + i, COMMAND] = W[oj + i, WANTED] + W[oj + i, GUESSED]
+        for k in range(3):
+            W[oj + i, MOMENT + k] = 0.0
+    for k in range(m):
+        if P[k, KIND] == 0.0:
+            s, c = sine_cosine(P[k, RATIO] * W[oj + int(P[k, JOINT]), WANTED])
+            W[k, SINE], W[k, COSINE] = s, c
+    for r in range(rows):
+        W[og + r, MULTIPLIER] = 0.0
+
+
+@compiled(**EXACT)
+def solve(P, W, state, info, n, m, dynamic, dt, warm):
+    """Find the command whose identified pose is the wanted one; leaves it in W and returns the flags."""
+    oj, og, S = m + 1, m + 1 + n, P.shape[0] - 1
+    rows, at = int(P[S, ROWS]), int(P[S, LOAD_CHAIN])
+    flags = DYNAMIC if dynamic else 0
+    loaded = P[S, LOADED] != 0.0
+    damped = False
+    limited = False
+    largest = math.inf
+    prepare(P, W, n, m, oj, og, rows)
+    wanted = load_frames(P, W, at, m, oj)
+    if warm or at > 0:
+        wanted = wanted_tool(P, W, m, oj, False)
+    rounds = int(P[S, ITERATIONS])
+    for it in range(rounds):
+        if it == 0 or (loaded and largest > SETTLED_RAD):
+            if it > 0:
+                load_frames(P, W, at, m, oj)
+            if loaded:
+                load_moments(P, W, S, m, oj, dynamic)
+            if it < SIGN_ROUNDS:
+                limited = sign_effects(P, W, state, n, oj, dt)
+            deflections(P, W, n, m, oj)
+        elif P[S, CURVES] != 0.0:
+            deflections(P, W, n, m, oj)
+        actual = identified_tool(P, W, m, oj)
+        d = _residual(P, W, S, og, rows, wanted, actual)
+        if it == 0:
+            if rows < n:  # which of many answers must not depend on the guess: nor then may the Jacobian
+                wanted_tool(P, W, m, oj, True)
+            damped = _linearise(P, W, S, wanted if rows < n else actual, n, m, oj, og, rows)
+            for i in range(3):
+                info[4 + i] = W[og + i, ERROR] + W[og + i, ADDED]
+        else:
+            step_multipliers(W, og, damped, False)
+        before = largest
+        largest = _command(W, n, oj, og)
+        info[7] = it + 1.0
+        # Steps shrink by a constant factor: the next one would be largest * largest / before.
+        if largest < P[S, STEP] * (GUESS_STEP if warm and it == 0 else 1.0) or (
+            it > 0 and largest < before and largest * largest < 0.1 * P[S, STEP] * before
+        ):
+            break
+    _report(W, info, og, rows, d)
+    if not info[3] <= P[S, REACHED]:
+        flags |= RESIDUAL
+    return flags | (LIMITED if limited else 0) | (DAMPED if damped else 0)
+
+
+@compiled(**EXACT)
+def _report(W, info, og, rows, d):
+    """Residual of the tool point and of all task rows, as of the last evaluation."""
+    total = 0.0
+    for r in range(rows):
+        total += W[og + r, ERROR] * W[og + r, ERROR]
+    info[2] = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    info[3] = math.sqrt(total)

@@ -1,0 +1,50 @@
+"""Where everything stands in the memory of the correction: rows and columns of the program, the scratch and the state.
+
+``program`` (rows, COLUMNS) is what :func:`kilter_core.correct.program.compile_program` makes of a calibration: one row
+per move (a joint element with the constant transform before it), one for the constant transform up to the tool, one per
+joint, one per curve of a joint, two per bending row, M + 1 with the constants of the chain that loads are taken on where
+it is not the nominal one, one for a base mount that deflects, one of scalars. Every move is rotated so that it is about
+or along z; frame k is the joint frame after move k. ``memory`` holds the program, scratch (M + 1 + n + 6 rows), the
+memory of one stream (n + 1 rows), and one row each for joints out and info: one array, because every array that crosses
+from Python costs a tenth of a microsecond.
+Angles rad, lengths m, masses kg, times s. Base frame throughout: the pose of the base cancels out of the task.
+
+In the kernels ``P`` is the program, ``W`` the scratch, ``S`` the row of scalars, ``m`` the number of moves, ``n`` that
+of joints, ``oj`` the first joint row and ``og`` the first task row of the scratch.
+"""
+
+from __future__ import annotations
+
+COLUMNS = 48
+INFO = 8  # flags, limit mask, residual m, residual of all rows, error removed x y z m, iterations
+
+# move rows
+NOMINAL, IDENTIFIED, KIND, JOINT, RATIO, PRIMARY, MASS, COM, INERTIA = 0, 12, 24, 25, 26, 27, 28, 29, 32
+# joint rows
+LOWER, UPPER, DQ, XI, TILT, TILT_SOFT, TILT_SHARE, PLAY, PLAY_SOFT = 0, 1, 2, 3, 9, 10, 11, 12, 13
+REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, RADIAL, TWISTED, HARDENING, SIDED = 14, 15, 16, 17, 18, 19, 20, 21, 22
+# curve rows: a shape of the joint ``DRIVER`` added to the joint ``CURVED``
+CURVED, SHAPE, DRIVER, AMPLITUDE_A, AMPLITUDE_B, FACTOR, EXTRA, POWERS, HIGHEST = 0, 1, 2, 3, 4, 5, 6, 8, 20
+WAVE, LINEAR, SPRING, SINES, LAG, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
+# bending rows: twist per wrench on the joint (6, 6), then the same per wrench on the end of the link; link vector
+BENDING, BENDING_JOINT, BENDING_LINK = 0, 36, 37
+# row of the base mount: constant transform of the base, then the one up to the first move; compliances, constant moment
+BASE_FRAME, FIRST_MOVE, MOUNT_X, MOUNT_Y, FIXED_MOMENT_X, FIXED_MOMENT_Y = 0, 12, 24, 25, 26, 27
+# scalars
+GRAVITY, ROWS, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST, RAMP, FILTER = 0, 3, 10, 16, 17, 18, 19, 20, 21
+HYSTERESIS, LOADED, REACHED, N, M, WEAK, CURVES, BENDINGS, MOUNT, LOAD_CHAIN = 22, 23, 24, 25, 26, 27, 28, 29, 30, 31
+# scratch of a move: frame of the load chain, identified joint line, sine, cosine wanted, load of its body (M: payload)
+LINE, SINE, COSINE, LOAD, ON_BASE = 12, 18, 19, 20, 26
+# scratch of a joint
+WANTED, COMMAND, SHIFT, TILT_A, TILT_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN = 0, 1, 2, 3, 4, 5, 6, 9, 10, 11
+COLUMN, REVERSED_AT_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW, GUESSED, TWIST, ROOT, END = 12, 18, 19, 20, 21, 22, 28, 34
+# scratch of a task row: factor row, residual, multiplier, right-hand side, then damping, matrix and eigenvector rows,
+# and what the first guess adds to the residual
+ERROR, MULTIPLIER, RIGHT, DAMPING, MATRIX, VECTOR, ADDED = 6, 7, 8, 9, 15, 21, 27
+# state of a joint, and of the stream (row n)
+LAST_A, LAST_B, LAST_SIDE, LAST_Q, REVERSED_AT, LAST_SIGN = 0, 1, 2, 3, 4, 5
+OFFSET, LAST_DELTA, SMOOTH, SMOOTH_SPEED, GUESS, SLOPE = 6, 7, 8, 9, 10, 11
+STARTED, REBASE, REMAINING, LENGTH = 0, 1, 2, 3
+
+OK, NOT_FINITE, JOINT_LIMIT, TOO_LARGE, RATE_LIMIT = 0, 5, 6, 7, 8
+DYNAMIC, RAMPING, LIMITED, DAMPED, RESIDUAL = 0x0100, 0x0200, 0x0400, 0x0800, 0x1000

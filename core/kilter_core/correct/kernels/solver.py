@@ -1,0 +1,221 @@
+"""The linear system of a step, compiled: J J' of six task rows, its factor, and the damping near a singularity.
+
+All six rows always, written out: rows that the task does not hold have no Jacobian and a one on the diagonal.
+"""
+
+from __future__ import annotations
+
+import math
+
+from kilter_core.arm.kernels.compiled import EXACT, FAST, ORDERED, compiled
+from kilter_core.correct.kernels.layout import (
+    ADDED,
+    COLUMN,
+    DAMPING,
+    ERROR,
+    GUESSED,
+    LARGEST,
+    MATRIX,
+    MULTIPLIER,
+    RIGHT,
+    SINGULAR,
+    VECTOR,
+    WEAK,
+)
+
+# A singularity may ask a joint for this part of the largest correction; damping overshoots it by up to 16 %.
+BOUND = 0.85
+
+
+@compiled(**ORDERED)
+def normal_matrix(W, n, oj, og, rows):
+    """J J' into the lower half of the task rows, and what the first guess adds to the residual.
+
+    All six rows always, written out: rows the task does not hold have no Jacobian and get a one on the diagonal.
+    """
+    a00 = a10 = a11 = a20 = a21 = a22 = a30 = a31 = a32 = a33 = 0.0
+    a40 = a41 = a42 = a43 = a44 = a50 = a51 = a52 = a53 = a54 = a55 = 0.0
+    g0 = g1 = g2 = g3 = g4 = g5 = 0.0
+    for j in range(oj, oj + n):
+        g = W[j, GUESSED]
+        c0, c1, c2 = W[j, COLUMN], W[j, COLUMN + 1], W[j, COLUMN + 2]
+        c3, c4, c5 = W[j, COLUMN + 3], W[j, COLUMN + 4], W[j, COLUMN + 5]
+        a00, a10, a11 = a00 + c0 * c0, a10 + c1 * c0, a11 + c1 * c1
+        a20, a21, a22 = a20 + c2 * c0, a21 + c2 * c1, a22 + c2 * c2
+        a30, a31, a32, a33 = a30 + c3 * c0, a31 + c3 * c1, a32 + c3 * c2, a33 + c3 * c3
+        a40, a41, a42, a43, a44 = a40 + c4 * c0, a41 + c4 * c1, a42 + c4 * c2, a43 + c4 * c3, a44 + c4 * c4
+        a50, a51, a52, a53, a54 = a50 + c5 * c0, a51 + c5 * c1, a52 + c5 * c2, a53 + c5 * c3, a54 + c5 * c4
+        a55 += c5 * c5
+        g0, g1, g2, g3, g4, g5 = g0 + c0 * g, g1 + c1 * g, g2 + c2 * g, g3 + c3 * g, g4 + c4 * g, g5 + c5 * g
+    t = MATRIX
+    W[og, t] = a00
+    W[og + 1, t], W[og + 1, t + 1] = a10, a11
+    W[og + 2, t], W[og + 2, t + 1], W[og + 2, t + 2] = a20, a21, a22
+    W[og + 3, t], W[og + 3, t + 1], W[og + 3, t + 2], W[og + 3, t + 3] = a30, a31, a32, a33
+    W[og + 4, t], W[og + 4, t + 1], W[og + 4, t + 2], W[og + 4, t + 3], W[og + 4, t + 4] = a40, a41, a42, a43, a44
+    W[og + 5, t], W[og + 5, t + 1], W[og + 5, t + 2], W[og + 5, t + 3] = a50, a51, a52, a53
+    W[og + 5, t + 4], W[og + 5, t + 5] = a54, a55
+    for r, g in enumerate((g0, g1, g2, g3, g4, g5)):
+        W[og + r, ADDED] = g
+    for r in range(rows, 6):
+        W[og + r, t + r] = 1.0
+
+
+@compiled(**FAST)
+def add_damping(W, og):
+    """Add the damping to J J'."""
+    for r in range(6):
+        for c in range(r + 1):
+            W[og + r, MATRIX + c] += W[og + r, DAMPING + c]
+
+
+@compiled(**FAST)
+def factor(W, og):
+    """LDL' of J J' into the task rows, 1 / d on the diagonal; returns the smallest pivot, 0 when there is none."""
+    t = MATRIX
+    d0 = W[og, t]
+    i0 = 1.0 / d0
+    u10, u20, u30, u40, u50 = W[og + 1, t], W[og + 2, t], W[og + 3, t], W[og + 4, t], W[og + 5, t]
+    l10, l20, l30, l40, l50 = u10 * i0, u20 * i0, u30 * i0, u40 * i0, u50 * i0
+    d1 = W[og + 1, t + 1] - l10 * u10
+    i1 = 1.0 / d1
+    u21, u31 = W[og + 2, t + 1] - l10 * u20, W[og + 3, t + 1] - l10 * u30
+    u41, u51 = W[og + 4, t + 1] - l10 * u40, W[og + 5, t + 1] - l10 * u50
+    l21, l31, l41, l51 = u21 * i1, u31 * i1, u41 * i1, u51 * i1
+    d2 = W[og + 2, t + 2] - l20 * u20 - l21 * u21
+    i2 = 1.0 / d2
+    u32 = W[og + 3, t + 2] - l20 * u30 - l21 * u31
+    u42 = W[og + 4, t + 2] - l20 * u40 - l21 * u41
+    u52 = W[og + 5, t + 2] - l20 * u50 - l21 * u51
+    l32, l42, l52 = u32 * i2, u42 * i2, u52 * i2
+    d3 = W[og + 3, t + 3] - l30 * u30 - l31 * u31 - l32 * u32
+    i3 = 1.0 / d3
+    u43 = W[og + 4, t + 3] - l30 * u40 - l31 * u41 - l32 * u42
+    u53 = W[og + 5, t + 3] - l30 * u50 - l31 * u51 - l32 * u52
+    l43, l53 = u43 * i3, u53 * i3
+    d4 = W[og + 4, t + 4] - l40 * u40 - l41 * u41 - l42 * u42 - l43 * u43
+    i4 = 1.0 / d4
+    u54 = W[og + 5, t + 4] - l40 * u50 - l41 * u51 - l42 * u52 - l43 * u53
+    l54 = u54 * i4
+    d5 = W[og + 5, t + 5] - l50 * u50 - l51 * u51 - l52 * u52 - l53 * u53 - l54 * u54
+    smallest = min(min(min(d0, d1), min(d2, d3)), min(d4, d5))
+    if not smallest > 1e-12:
+        return 0.0
+    W[og, 0] = i0
+    W[og + 1, 0], W[og + 1, 1] = l10, i1
+    W[og + 2, 0], W[og + 2, 1], W[og + 2, 2] = l20, l21, i2
+    W[og + 3, 0], W[og + 3, 1], W[og + 3, 2], W[og + 3, 3] = l30, l31, l32, i3
+    W[og + 4, 0], W[og + 4, 1], W[og + 4, 2], W[og + 4, 3], W[og + 4, 4] = l40, l41, l42, l43, i4
+    W[og + 5, 0], W[og + 5, 1], W[og + 5, 2], W[og + 5, 3], W[og + 5, 4] = l50, l51, l52, l53, l54
+    W[og + 5, 5] = 1.0 / d5
+    return smallest
+
+
+@compiled(**FAST)
+def step_multipliers(W, og, damped, first):
+    """Step of the multipliers: (J J' + damping) step = error - damping * multipliers; the first one starts from zero."""
+    for r in range(6):
+        total = W[og + r, ERROR]
+        if first:
+            total += W[og + r, ADDED]
+        if damped:
+            for k in range(6):
+                total -= W[og + r, DAMPING + k] * W[og + k, MULTIPLIER]
+        W[og + r, RIGHT] = total
+    a, b, c, d = og, og + 1, og + 2, og + 3
+    e, f = og + 4, og + 5
+    y0 = W[a, RIGHT]
+    y1 = W[b, RIGHT] - W[b, 0] * y0
+    y2 = W[c, RIGHT] - W[c, 0] * y0 - W[c, 1] * y1
+    y3 = W[d, RIGHT] - W[d, 0] * y0 - W[d, 1] * y1 - W[d, 2] * y2
+    y4 = W[e, RIGHT] - W[e, 0] * y0 - W[e, 1] * y1 - W[e, 2] * y2 - W[e, 3] * y3
+    y5 = W[f, RIGHT] - W[f, 0] * y0 - W[f, 1] * y1 - W[f, 2] * y2 - W[f, 3] * y3 - W[f, 4] * y4
+    y5 = y5 * W[f, 5]
+    y4 = y4 * W[e, 4] - W[f, 4] * y5
+    y3 = y3 * W[d, 3] - W[e, 3] * y4 - W[f, 3] * y5
+    y2 = y2 * W[c, 2] - W[d, 2] * y3 - W[e, 2] * y4 - W[f, 2] * y5
+    y1 = y1 * W[b, 1] - W[c, 1] * y2 - W[d, 1] * y3 - W[e, 1] * y4 - W[f, 1] * y5
+    y0 = y0 * W[a, 0] - W[b, 0] * y1 - W[c, 0] * y2 - W[d, 0] * y3 - W[e, 0] * y4 - W[f, 0] * y5
+    for r, y in enumerate((y0, y1, y2, y3, y4, y5)):
+        W[og + r, MULTIPLIER] += y
+
+
+@compiled(**FAST)
+def joint_step(W, j, og):
+    """Change of the command of joint row j that the multipliers ask for."""
+    return (
+        W[j, COLUMN] * W[og, MULTIPLIER] + W[j, COLUMN + 1] * W[og + 1, MULTIPLIER]
+        + W[j, COLUMN + 2] * W[og + 2, MULTIPLIER] + W[j, COLUMN + 3] * W[og + 3, MULTIPLIER]
+        + W[j, COLUMN + 4] * W[og + 4, MULTIPLIER] + W[j, COLUMN + 5] * W[og + 5, MULTIPLIER]
+    )  # fmt: skip
+
+
+@compiled(**EXACT)
+def _rotate_pair(W, og, rows, a, b):
+    """One Jacobi rotation that clears element (a, b) of the factor rows, which hold a symmetric matrix here."""
+    off = W[og + a, b]
+    if off == 0.0:
+        return
+    theta = 0.5 * (W[og + b, b] - W[og + a, a]) / off
+    t = math.copysign(1.0, theta) / (abs(theta) + math.sqrt(theta * theta + 1.0))
+    c = 1.0 / math.sqrt(t * t + 1.0)
+    s = t * c
+    for k in range(rows):
+        x, y = W[og + k, a], W[og + k, b]
+        W[og + k, a] = c * x - s * y
+        W[og + k, b] = s * x + c * y
+        x, y = W[og + k, VECTOR + a], W[og + k, VECTOR + b]
+        W[og + k, VECTOR + a] = c * x - s * y
+        W[og + k, VECTOR + b] = s * x + c * y
+    for k in range(rows):
+        x, y = W[og + a, k], W[og + b, k]
+        W[og + a, k] = c * x - s * y
+        W[og + b, k] = s * x + c * y
+
+
+@compiled(**EXACT)
+def _eigenvectors(W, og, rows):
+    """Eigenvalues of J J' on the diagonal of the factor rows, eigenvectors in the vector columns (cyclic Jacobi)."""
+    for r in range(rows):
+        for c in range(rows):
+            W[og + r, c] = W[og + max(r, c), MATRIX + min(r, c)]
+            W[og + r, VECTOR + c] = 1.0 if r == c else 0.0
+    for _ in range(8):
+        for a in range(rows - 1):
+            for b in range(a + 1, rows):
+                _rotate_pair(W, og, rows, a, b)
+
+
+@compiled(**EXACT)
+def damp_weak_directions(P, W, n, oj, og, rows):
+    """Damp the directions that a singularity makes weak, and no others; whether there was one.
+
+    A direction of singular value s below the weak limit would ask the joints for error / s. Where that exceeds the
+    bound, its damping grows smoothly from zero (after Maciejewski and Klein 1988), so that the answer is continuous,
+    keeps to about the bound and fades out at the singularity itself.
+    """
+    S = P.shape[0] - 1
+    bound = math.inf
+    for i in range(n):
+        bound = min(bound, BOUND * P[oj + i, LARGEST])
+    _eigenvectors(W, og, rows)
+    for r in range(6):
+        for c in range(6):
+            W[og + r, DAMPING + c] = 0.0
+    damped = False
+    for v in range(rows):
+        square = max(W[og + v, v], 0.0)
+        if square >= P[S, WEAK]:
+            continue
+        along = 0.0
+        for r in range(rows):
+            along += W[og + r, VECTOR + v] * (W[og + r, ERROR] + W[og + r, ADDED])
+        limit = max(along * along / (bound * bound), P[S, SINGULAR])
+        if square >= limit:
+            continue
+        damped = True
+        amount = 0.25 * (limit - square)
+        for r in range(rows):
+            for c in range(rows):
+                W[og + r, DAMPING + c] += amount * W[og + r, VECTOR + v] * W[og + c, VECTOR + v]
+    return damped
