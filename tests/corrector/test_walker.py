@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kilter_core.correct.kernels.correction import HEADING
+from kilter_core.correct.kernels.layout import LAST_SIGN
 from kilter_core.correct.program import CorrectionOptions, Track, compile_program
 from kilter_core.correct.walker import correct_trajectory, headings
 from kilter_core.model import Calibration
@@ -24,7 +24,7 @@ def test_directions_are_those_of_the_stream(katana: Calibration) -> None:
     track, seen = Track(compile_program(katana), settled=True), []
     for row in q:
         assert track.step(row, 1, 0.01) == 0
-        seen.append(track.state[:5, HEADING].copy())
+        seen.append(track.state[:5, LAST_SIGN].copy())
     assert np.array_equal(headings(q, BAND), seen)
     assert 0 < np.count_nonzero(np.diff(np.array(seen), axis=0)) < q.size
 
