@@ -56,7 +56,7 @@ STILL = {
     "core/kilter_core/identify/uncertainty/predictive.py": 2,
     "core/kilter_core/identify/report.py": 5,
     "core/kilter_core/identify/run.py": 6,
-    "core/kilter_core/identify/seeing.py": 1,
+    "core/kilter_core/identify/measuring.py": 1,
     "core/kilter_core/identify/setups.py": 1,
     "core/kilter_core/identify/plausibility/orientation_mix_ups.py": 1,
     "core/kilter_core/identify/worse.py": 1,

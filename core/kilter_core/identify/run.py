@@ -15,6 +15,7 @@ from kilter_core.identify.influence import influence_of
 from kilter_core.identify.learned import Learned, gated
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.load_model import far_from_stated, load_rows
+from kilter_core.identify.measuring import measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.noise import Repeats
@@ -26,7 +27,6 @@ from kilter_core.identify.redescending import set_aside
 from kilter_core.identify.reference import named, refuse_contradicted, registered, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
 from kilter_core.identify.row_errors import RowErrors
-from kilter_core.identify.seeing import seen
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
 from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
@@ -153,7 +153,7 @@ def identify(
     if isinstance(validation, Folds):
         held, compared, by_row = _cross_validated(nominal, begin, train, validation, options, progress, prior)
     train, validation, inside, outside = _parted(train, validation, options.seed)
-    measurement = seen(train, options, begin.marker_points)
+    measurement = measurement_for(train, options, begin.marker_points)
     refuse_feigned_turns(begin, measurement)
     remarks = refuse_foreign(begin, measurement)
     found = _registered(begin, measurement, options, prior)
@@ -294,15 +294,15 @@ def _cross_validated(
     prior: Prior | None = None,
 ) -> tuple[dict[str, Errors], PoseErrors, RowErrors]:
     """Errors on held-out poses, pooled over the folds."""
-    shape = seen(train, options, begin.marker_points).marker_points
+    shape = measurement_for(train, options, begin.marker_points).marker_points
     parts: dict[str, list[Errors]] = {"nominal": [], "registration_only": [], "identified": []}
     poses: list[PoseErrors] = []
     by_row: list[RowErrors] = []
     for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
         progress(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
         report = _within(progress, k, folds.folds)
-        shown = seen(train.select(inside), options, shape)
-        unseen = seen(train.select(outside), options, shape, shown)
+        shown = measurement_for(train.select(inside), options, shape)
+        unseen = measurement_for(train.select(outside), options, shape, shown)
         model = gated(begin, train.select(inside), options, prior)[0]
         fit = fit_by_method(model, shown, options, report, prior)
         stages = {

@@ -19,12 +19,12 @@ from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.estimate import bounded, estimate
 from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.measuring import measurement_for
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
 from kilter_core.identify.row_errors import RowErrors
-from kilter_core.identify.seeing import seen
 from kilter_core.identify.worse import PoseErrors
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import Contacts
+from kilter_core.measurement.contacts import held
 from kilter_core.measurement.metrics import Errors
 from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
@@ -96,7 +96,7 @@ class Frames:
             OptionError: a method that cannot fit several frames. TooFewPosesError: a set-up with too few poses.
 
         """
-        if train.setup is None or options.base == "fixed" or Contacts.held(train):
+        if train.setup is None or options.base == "fixed" or held(train):
             return None
         codes = [int(code) for code in np.unique(train.setup)]
         if len(codes) > 1:
@@ -235,7 +235,7 @@ def held_out(
         mask = np.ones(len(rows), bool) if rows.setup is None or not new else _of(rows.setup, code, new)
         if not mask.any():
             continue
-        shown = seen(rows.select(mask), options, train.marker_points, train)
+        shown = measurement_for(rows.select(mask), options, train.marker_points, train)
         here = {
             name: stage if code is None or name == "nominal" else with_base(stage, shown, options.loss)
             for name, stage in compared.items()

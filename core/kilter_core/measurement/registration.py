@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.markers import fit_poses
+from kilter_core.measurement.marker_shape import fit_poses
 from kilter_core.model import RobotModel
 from kilter_core.transforms import inverse, nearest_rotation
 from kilter_core.types import Bools, Floats

@@ -37,7 +37,7 @@ def clustered(fit: Fit) -> Fit:
     if fit.freedom is not None:
         return fit
     groups = problem.measurement.observations.pose_groups()
-    if not problem.measurement.sees_base or len(fit.residual.points) != len(groups):
+    if not problem.measurement.observes_base or len(fit.residual.points) != len(groups):
         return fit
     A, r = by_row(fit)
     if len(fit.J) > A.shape[0] * A.shape[1]:
@@ -47,7 +47,7 @@ def clustered(fit: Fit) -> Fit:
     held = eye[:0] if problem.held is None else problem.held
     bend = bend_of(fit)
     bread: Floats = np.asarray(np.linalg.inv(bend * total + eye + HOLD * held.T @ held), dtype=np.float64)
-    numbers = len(np.unique(groups)) * problem.measurement.each
+    numbers = len(np.unique(groups)) * problem.measurement.equations_per_pose
     left = max(numbers - bend * float(np.trace(bread @ total)), 1.0)
     shared = _shared(A, r, levers(fit), groups, numbers / left)
     meat = _mixed(shared, *_by_pose(A, r, groups, bread))
@@ -69,15 +69,10 @@ def bend_of(fit: Fit) -> float:
 
 
 def by_row(fit: Fit) -> tuple[Floats, Floats]:
-    """Jacobian (N, R, F) in prior sigmas and residuals (N, R), whitened, of each row's points and turns."""
+    """Jacobian (N, R, F) in prior sigmas and residuals (N, R), whitened, of all that each row measured."""
     here = fit.problem.linearised(fit.values, fit.residual)
-    rows, columns = len(fit.problem.measurement.observations), len(fit.names)
-    scaled, points = here.J * fit.problem.prior_sigma, here.residual.points.size
-    J, r = [scaled[:points].reshape(rows, -1, columns)], [here.r[:points].reshape(rows, -1)]
-    if here.residual.turns is not None:
-        J.append(scaled[points:].reshape(rows, 3, columns))
-        r.append(here.r[points:].reshape(rows, 3))
-    return np.concatenate(J, axis=1), np.concatenate(r, axis=1)
+    rows = len(fit.problem.measurement.observations)
+    return here.residual.by_row(here.J * fit.problem.prior_sigma, rows), here.residual.by_row(here.r, rows)
 
 
 def _shared(A: Floats, r: Floats, L: Floats, groups: Ints, lost: float) -> Floats:
