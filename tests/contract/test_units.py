@@ -49,6 +49,7 @@ STILL = {
     "core/kilter_core/identify/estimate.py": 3,
     "core/kilter_core/identify/methods/global_search.py": 3,
     "core/kilter_core/identify/influence.py": 2,
+    "core/kilter_core/identify/kinds.py": 2,
     "core/kilter_core/identify/learned.py": 1,
     "core/kilter_core/identify/plausibility/mix_ups.py": 1,
     "core/kilter_core/identify/noise.py": 2,

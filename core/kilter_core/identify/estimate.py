@@ -210,7 +210,7 @@ def _returned(fit: Fit, unobservable: Floats, anchor: Floats) -> Floats:
 
 def refuse_too_few(model: RobotModel, measurement: Measurement, free: Ints) -> None:
     """Raise :class:`TooFewPosesError` unless the distinct poses give at least as many numbers as there are unknowns."""
-    poses, numbers = int(measurement.observations.pose_groups().max()) + 1, measurement.numbers()
+    poses, numbers = measurement.poses, measurement.numbers()
     needed = poses + math.ceil((len(free) - numbers) / measurement.equations_per_pose)
     if numbers < len(free):
         raise TooFewPosesError(

@@ -174,7 +174,12 @@ class Kind(ABC):
 
     def numbers(self) -> int:
         """Independent numbers of the distinct poses, repeats not counted."""
-        return (int(self.observations.pose_groups().max()) + 1) * self.equations_per_pose
+        return self.poses * self.equations_per_pose
+
+    @property
+    def poses(self) -> int:
+        """Distinct poses in which it measured anything."""
+        return len(np.unique(self.observations.pose_groups()[self.measured()]))
 
     @abstractmethod
     def scalars(self) -> int:

@@ -112,6 +112,11 @@ class Measurement:
         """Numbers that one more pose brings."""
         return self.tool.equations_per_pose
 
+    @property
+    def poses(self) -> int:
+        """Distinct poses in which the tool was measured."""
+        return self.tool.poses
+
     def numbers(self) -> int:
         """Independent numbers of the tool in the distinct poses, repeats not counted."""
         return self.tool.numbers()
