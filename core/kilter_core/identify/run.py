@@ -147,11 +147,7 @@ def identify(
     progress = progress or unheard
     begin = begin_with(robot, train, options, start)
     nominal = Calibration.nominal(robot)
-    refuse_missing_columns(begin, train)
-    frames = Frames.of(begin, train, options)
-    if frames is not None:
-        begin, train = frames.in_model(begin), frames.laid(train)
-        validation = frames.laid(validation) if isinstance(validation, Observations) else validation
+    begin, train, validation, frames = _in_one_frame(begin, train, validation, options)
     progress(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
     compared: PoseErrors | None = None
@@ -162,9 +158,7 @@ def identify(
     train, validation, inside, outside = _parted(train, validation, options.seed)
     measurement = measurement_for(train, options, begin.marker_points)
     of_tool = measurement.of_tool()
-    refuse_feigned_turns(begin, of_tool)
-    remarks = refuse_foreign(begin, of_tool)
-    refuse_foreign_links(begin.robot, train)
+    remarks = _implausible(begin, of_tool, train)
     found = _registered(begin, of_tool, options, prior)
     wanted = wanted_frames(begin, found, of_tool, options, _continues(options, prior))
     begin, learned = gated(begin, train, options, prior)
@@ -181,16 +175,39 @@ def identify(
     progress(0.95, "identifiability")
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
-    metrics = metrics_document(errors, held)
-    result = _reported(
-        without_frames(calibration), fit, train, metrics, options, lambda f, s: progress(0.95 + 0.04 * f, s), learned
-    )
+    told, last = metrics_document(errors, held), _last(progress)
+    result = _reported(without_frames(calibration), fit, train, told, options, last, learned)
     said = (*result.warnings, *remarks, *(compared.warnings() if compared else ()))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
         result, own_frames=tuple(own), warnings=said, inside=inside, fitted_rows=fitted, held_rows=by_row,
         fitted_kinds=errors_of(stages, measurement), held_kinds=kinds,
     )  # fmt: skip
+
+
+def _in_one_frame(
+    begin: Calibration, train: Observations, validation: Validation, options: IdentifyOptions
+) -> tuple[Calibration, Observations, Validation, Frames | None]:
+    """The model with the frames of later set-ups, and rows told in the frame of the first."""
+    refuse_missing_columns(begin, train)
+    frames = Frames.of(begin, train, options)
+    if frames is None:
+        return begin, train, validation, None
+    seen = frames.laid(validation) if isinstance(validation, Observations) else validation
+    return frames.in_model(begin), frames.laid(train), seen, frames
+
+
+def _implausible(begin: Calibration, of_tool: Measurement, train: Observations) -> tuple[dict[str, Any], ...]:
+    """Refuse rows that cannot be of this robot; what is odd about them."""
+    refuse_feigned_turns(begin, of_tool)
+    remarks = refuse_foreign(begin, of_tool)
+    refuse_foreign_links(begin.robot, train)
+    return remarks
+
+
+def _last(progress: Progress) -> Progress:
+    """Progress of the report."""
+    return lambda fraction, stage: progress(0.95 + 0.04 * fraction, stage)
 
 
 def _parted(
