@@ -132,6 +132,69 @@ assert found["method"] == {"name": "toy_twice", "looks": 2}, found["method"]
 assert found["metrics"]["validation"]["identified"]["rms_mm"] < 1e-3
 """
 
+MEASUREMENT = '''"""Ranges: how far the tool is from the instrument, as a distance meter reads it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.measurement.kind import Block, Kind, Rows
+from kilter_core.model import Prediction
+from kilter_core.observations import Observations
+from kilter_core.types import Floats
+
+
+@dataclass(frozen=True)
+class ToyRange(Kind):
+    """Rows with a length and no bar that it could be of."""
+
+    name = "toy_range"
+    summary = "distances of the tool from the instrument"
+
+    observations: Observations
+
+    @classmethod
+    def of(cls, rows: Rows) -> ToyRange | None:
+        """Rows with a length."""
+        return cls(rows.observations) if rows.observations.bar_length is not None else None
+
+    def scalars(self) -> int:
+        """One a row."""
+        return len(self.observations)
+
+    def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
+        """Measured minus predicted length (N, 1, 1) m."""
+        assert self.observations.bar_length is not None
+        size = np.linalg.norm(prediction.position, axis=1)
+        left = (self.observations.bar_length - size)[:, None, None]
+        slope = None if J is None else np.einsum("ni,nip->np", prediction.position / size[:, None], J[:, :3])
+        return (Block("toy_range", left, None if slope is None else slope[:, None, None]),)
+'''
+USE_MEASUREMENT = """
+import numpy as np
+from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
+
+robot = robot_from_document(preset_document("panda"))
+rng = np.random.default_rng(0)
+q = rng.uniform(*robot.limits.T, (80, 7))
+true = Calibration.nominal(robot).predict(Observations(q + 1e-3)).position
+ranges = np.linalg.norm(true, axis=1) + 1e-6 * rng.normal(size=80)
+seen = true + 1e-3 * rng.normal(size=true.shape)
+asked = IdentifyOptions(level=1, base="fixed", tool="fixed", reference="robot")
+errors = []
+for lengths in (None, ranges):
+    found = identify(robot, Observations(q, position=seen, bar_length=lengths), None, asked)
+    errors.append(np.abs(found.calibration.predict(Observations(q)).position - true).max())
+assert abs(np.log(found.fit.problem.weights.others["toy_range"] / 1e-6)) < 0.7, found.fit.problem.weights.others
+assert errors[1] < 0.5 * errors[0], errors
+"""
+
 READER = '''"""A toy device: joints in degrees and a point in metres, with blanks between."""
 
 from __future__ import annotations
@@ -317,6 +380,7 @@ def lined(path: str, *lines: tuple[str, str]) -> str:
 
 
 METHODS, EFFECTS = "core/kilter_core/identify/methods/registry.py", "core/kilter_core/effects/registry.py"
+MEASUREMENTS = "core/kilter_core/measurement/registry.py"
 FILES = "clients/files/kilter_files/__init__.py"
 KINDS, FORMATS = "service/kilter_service/jobs/registry.py", "service/kilter_service/exporters/registry.py"
 JOBS = "service/kilter_service/contract/jobs/job.py"
@@ -349,6 +413,11 @@ ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
         METHODS: lined(METHODS, ('    "kalman": Method',
                                   '    "toy_twice": Method("methods.toy_twice:toy_twice", "twice", True, True),\n')),
     }, USE_METHOD),
+    "measurement": (2, {
+        "core/kilter_core/measurement/toy_range.py": MEASUREMENT,
+        MEASUREMENTS: lined(MEASUREMENTS, ("\nKINDS", "from kilter_core.measurement.toy_range import ToyRange\n"))
+        .replace("Inclination)", "Inclination, ToyRange)"),
+    }, USE_MEASUREMENT),
     "reader": (2, {
         "clients/files/kilter_files/toy.py": READER,
         FILES: lined(FILES, ("# device name -> reader", LOADER),

@@ -87,7 +87,7 @@ def _determines(plan: dict[str, Any]) -> float:
     robot = robot_from_document(preset_document("katana450-chapter5"))
     model = RobotModel(robot, (make_effect("eccentricity").on(robot),))
     q = np.radians([[pose[f"q{j}_deg"] for j in range(1, 6)] for pose in plan["poses"]])
-    free = IdentifyOptions().free_parameters(model, sees_orientation=False)
+    free = IdentifyOptions().free_parameters(model, observes_orientation=False)
     J = model.jacobian(Observations(q), model.values0(), free)[1][:, :3].reshape(-1, len(free))
     X = J * [model.parameters[k].prior_sigma for k in free] / 5e-5
     return float(np.linalg.slogdet(np.eye(len(free)) + X.T @ X)[1])

@@ -46,7 +46,6 @@ from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.renewed_search import rejudged
 from kilter_core.gap.search.row_warnings import clock_warnings
 from kilter_core.gap.search.scan import Scorer
-from kilter_core.gap.search.source import LinkSource, ToolSource
 from kilter_core.identify.load_model import far_from_stated
 from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
@@ -235,7 +234,7 @@ class _Run:
         selector = found.selector
         rest = selector.columns([k for k in found.chosen if k != place])
         candidate = selector.scorer.candidates[place]
-        unit = 180.0 / np.pi if isinstance(found.problem.settings.source, LinkSource) else 1e3
+        unit = 180.0 / np.pi if found.problem.settings.source.unit == "rad" else 1e3
         joints, any_ = seen_joints(found, place)
         return Evidence(
             place, candidate, rivals, share, held.gain_of(place), control,
@@ -264,7 +263,7 @@ class _Run:
         """Say when much is left after everything that was named: a fact about the model, no verdict about the rows."""
         problem = found.problem
         size = fit_rms(problem)
-        if isinstance(problem.settings.source, ToolSource):
+        if problem.settings.source.observes_tool:
             points = problem.settings.source.model.predict(problem.settings.source.batch, problem.values).position
             yield from large_residual(size, points)
         elif np.degrees(size) > LARGE_DEG:
@@ -283,7 +282,7 @@ class _Run:
 
     def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:
         """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""
-        unit = "deg" if isinstance(found.problem.settings.source, LinkSource) else "mm"
+        unit = "deg" if found.problem.settings.source.unit == "rad" else "mm"
         before_after = held.by_pose()
         if found.chosen and worse(*before_after):
             certain = Difference.of(*reversed(before_after)).worse

@@ -17,18 +17,18 @@ from kilter_core.identify.estimate import START_SIGMA_RAD, prepared
 from kilter_core.identify.identifiability import NullDirection, identifiable, null_directions
 from kilter_core.identify.learned import gated
 from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at
+from kilter_core.identify.measuring import measurement_for
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
 from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.report import still_joints
 from kilter_core.identify.run import begin_with, refuse_missing_columns
-from kilter_core.identify.seeing import seen
 from kilter_core.identify.setups import Frames, marginal, of_the_arm
 from kilter_core.identify.uncertainty.workspace import MEASURED
 from kilter_core.identify.uncertainty.workspace_uncertainty import within_a_turn
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import Contacts
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats
@@ -91,9 +91,10 @@ def check_identification(
     frames = Frames.of(begin, train, options)
     if frames is not None:
         begin, train = frames.in_model(begin), frames.laid(train)
-    measurement = seen(train, options, begin.marker_points)
-    refuse_feigned_turns(begin, measurement)
-    refuse_foreign(begin, measurement)
+    measurement = measurement_for(train, options, begin.marker_points)
+    refuse_feigned_turns(begin, measurement.of_tool())
+    refuse_foreign(begin, measurement.of_tool())
+    refuse_foreign_links(begin.robot, train)
     begin = gated(begin, train, options, None)[0]
     noise, source = _noise(train, options)
     problem, values = prepared(begin, measurement, replace(options, loss="linear", noise_mm=noise * 1e3))
@@ -173,7 +174,7 @@ def _remedies(fit: Fit, options: IdentifyOptions) -> Iterator[tuple[str, Floats]
     drawn = _drawn(fit)
     spread = own + _information(_measured(fit, drawn, options, turned=False), fit.values)
     yield SPREAD, spread
-    if not fit.problem.measurement.sees_orientation:
+    if not fit.problem.measurement.observes_orientation:
         here = fit.problem.measurement.observations
         yield TURNED, own + _information(_measured(fit, here, options, turned=True), fit.values)
         yield BOTH, spread + _information(_measured(fit, drawn, options, turned=True), fit.values)
@@ -223,9 +224,9 @@ def _measured(fit: Fit, rows: Observations, options: IdentifyOptions, *, turned:
     calibration = Calibration(problem.model, fit.values)
     bare = replace(rows, **MEASURED)
     predicted = calibration.predict(bare)
-    turns = turned or (problem.measurement.sees_orientation and not isinstance(problem.measurement, Contacts))
+    turns = turned or problem.measurement.observes_orientation
     shown = replace(bare, position=predicted.position, rotation=predicted.rotation if turns else None)
-    measurement = seen(shown, options) if options.base == "removed" else Measurement.of(shown)
+    measurement = measurement_for(shown, options) if options.base == "removed" else Measurement.of(shown)
     weights = Weights(_common(problem.weights.points), START_SIGMA_RAD)
     return Problem(problem.model, measurement, problem.free, weights)
 

@@ -13,9 +13,13 @@ from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, no
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.redescending import redescend
 from kilter_core.measurement import Measurement, Residual
+from kilter_core.measurement.kind import POINTS, TURNS
 from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.types import Floats, Ints, Progress
+
+Sigmas = dict[str, float]
+"""Standard deviations by noise group, m or rad."""
 
 START_SIGMA_M = 1e-4
 START_SIGMA_RAD = 1e-3
@@ -68,27 +72,25 @@ def estimate(
     stated = None if options.noise_mm is None else options.noise_mm * 1e-3
     still = problem.anchor if problem.anchor is not None else values[problem.free]
     first = fit_at(problem, values, problem.linearised(values))
-    (point_sigma, turn_sigma), held = _promised(first, stated)
+    sigmas, held = _promised(first, stated)
     known: Residual | None = first.residual
     walked, rough = 0, True
     for step in range(WEIGHT_PASSES):
-        problem = problem.reweighted(
-            Weights(_row_sigmas(measurement, point_sigma), turn_sigma), held if len(held) else None
-        )
+        problem = problem.reweighted(_weights(measurement, sigmas), held if len(held) else None)
         fit = solve(problem, values, _iterations(progress, step), known, ROUGH if rough else 0.0)
         walked += fit.iterations
         values, known = fit.values, fit.residual
-        points, turns = scatter(fit)
+        left = scatter(fit)
         unobservable = _promised(fit, stated)[1]
         if len(unobservable) > len(held) and step >= HOLDING_PASSES:
             unobservable = held
-        settled = near(points, point_sigma) and near(turns, turn_sigma) and len(unobservable) == len(held)
+        settled = all(near(left[g], sigmas[g]) for g in left) and len(unobservable) == len(held)
         if settled and not rough:
             break
         rough = not settled and step < WEIGHT_PASSES - 2
         if settled:  # weights and directions stay: only the end of the walk is missing
             continue
-        point_sigma, turn_sigma = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
+        sigmas = _bounded_below(left, stated)
         if len(unobservable) != len(held):
             values, known, held = (
                 _returned(fit, unobservable, still),
@@ -105,8 +107,8 @@ def _redescended(first: Fit) -> Fit:
     return replace(fit, iterations=first.iterations + fit.iterations, report=report)
 
 
-def _promised(fit: Fit, stated: float | None) -> tuple[tuple[float, float], Floats]:
-    """Sigmas of points and turns that a step with nothing held promises, and the directions blind at that scatter.
+def _promised(fit: Fit, stated: float | None) -> tuple[Sigmas, Floats]:
+    """Sigmas by noise group that a step with nothing held promises, and the directions blind at that scatter.
 
     Directions are held from the start: along them base, tool and chain trade the same motion on a curved path that no
     step follows far. What counts is the scatter that would be left without holding any: by the scatter of the fit itself
@@ -118,10 +120,10 @@ def _promised(fit: Fit, stated: float | None) -> tuple[tuple[float, float], Floa
     step = np.linalg.solve(H, g)
     moved = values.copy()
     moved[problem.free] += step * problem.prior_sigma
-    points, turns = scatter(fit_at(problem, moved, problem.beyond(here, moved, step * problem.prior_sigma)))
-    points, turns = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
-    problem = problem.reweighted(Weights(_row_sigmas(problem.measurement, points), turns), None)
-    return (points, turns), unobservable_directions(fit_at(problem, values, problem.linearised(values, fit.residual)))
+    left = scatter(fit_at(problem, moved, problem.beyond(here, moved, step * problem.prior_sigma)))
+    sigmas = _bounded_below(left, stated)
+    problem = problem.reweighted(_weights(problem.measurement, sigmas), None)
+    return sigmas, unobservable_directions(fit_at(problem, values, problem.linearised(values, fit.residual)))
 
 
 def prepared(
@@ -140,7 +142,7 @@ def prepared(
     """
     model, values = start.model.absorb_frame_increments(start.values)
     free = options.free_parameters(
-        model, sees_orientation=measurement.sees_orientation, sees_base=measurement.sees_base
+        model, observes_orientation=measurement.observes_orientation, observes_base=measurement.observes_base
     )
     if not registered:
         refuse_too_few(model, measurement, free)
@@ -158,17 +160,26 @@ def _start_frames(
     o, tool = measurement.observations, _any(model, free, "tool_")
     if o.position is None and o.markers is None:
         return model.T_base, model.T_tool
-    if not measurement.sees_base:
+    if not measurement.observes_base:
         return model.T_base, register(model, values, measurement, tool=tool)[1]
     return register(model, values, measurement, base=options.base == "free" and _any(model, free, "base_"), tool=tool)
 
 
 def weights_of(fit: Fit, options: IdentifyOptions) -> Weights:
     """Weights that the residuals of a fit call for; ``noise_mm`` states that of the points."""
-    points, turns = scatter(fit)
     stated = None if options.noise_mm is None else options.noise_mm * 1e-3
-    sigma = stated or max(points, SMALLEST_SIGMA_M)
-    return Weights(_row_sigmas(fit.problem.measurement, sigma), max(turns, SMALLEST_SIGMA_RAD))
+    return _weights(fit.problem.measurement, _bounded_below(scatter(fit), stated))
+
+
+def _bounded_below(sigmas: Sigmas, stated: float | None) -> Sigmas:
+    """Sigmas that no instrument falls short of; that of the points as ``stated`` (m)."""
+    out = {group: max(sigma, SMALLEST_SIGMA_RAD) for group, sigma in sigmas.items()}
+    return out | {POINTS: stated or max(sigmas[POINTS], SMALLEST_SIGMA_M)}
+
+
+def _weights(measurement: Measurement, sigmas: Sigmas) -> Weights:
+    others = {group: sigma for group, sigma in sigmas.items() if group not in (POINTS, TURNS)}
+    return Weights(_row_sigmas(measurement, sigmas[POINTS]), sigmas[TURNS], None, others)
 
 
 def unobservable_directions(fit: Fit) -> Floats:
@@ -199,8 +210,8 @@ def _returned(fit: Fit, unobservable: Floats, anchor: Floats) -> Floats:
 
 def refuse_too_few(model: RobotModel, measurement: Measurement, free: Ints) -> None:
     """Raise :class:`TooFewPosesError` unless the distinct poses give at least as many numbers as there are unknowns."""
-    poses, numbers = int(measurement.observations.pose_groups().max()) + 1, measurement.numbers()
-    needed = poses + math.ceil((len(free) - numbers) / measurement.each)
+    poses, numbers = measurement.poses, measurement.numbers()
+    needed = poses + math.ceil((len(free) - numbers) / measurement.equations_per_pose)
     if numbers < len(free):
         raise TooFewPosesError(
             f"{poses} distinct poses give {numbers} numbers for {len(free)} free parameters: at least {needed} poses "
@@ -217,23 +228,30 @@ def _any(model: RobotModel, free: Ints, prefix: str) -> bool:
 
 def _row_sigmas(measurement: Measurement, common: float) -> float | Floats:
     sigma = measurement.observations.sigma
-    if sigma is None or measurement.marker_points is not None or not measurement.sees_base:
+    if sigma is None or measurement.marker_points is not None or not measurement.observes_base:
         return common
     extra = max(common**2 - float(np.mean(sigma**2)), SMALLEST_SIGMA_M**2)
     return np.asarray(np.sqrt(sigma**2 + extra)[:, None, :])
 
 
-def scatter(fit: Fit) -> tuple[float, float]:
-    """Standard deviations (m, rad) of points and turns after the fit, corrected for the parameters used."""
-    problem, residual = fit.problem, fit.residual
+def scatter(fit: Fit) -> Sigmas:
+    """Standard deviations of points (m), of turns (rad, 0 where none are measured) and of what was measured beside the tool,
+    after the fit, corrected for the parameters used.
+    """
+    problem = fit.problem
     count = problem.measurement.scalars()
-    freedom = max(count - fit.effective, 1.0) / count
-    points = residual.points[~np.isnan(residual.points)]
-    # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
-    robust, plain = np.median(np.abs(points)) / 0.6745, np.sqrt(np.mean(points**2))
-    size = float(robust if problem.loss != "linear" else plain) * math.sqrt(problem.measurement.redundancy)
-    turns = 0.0 if residual.turns is None else float(np.sqrt(np.mean(residual.turns**2)))
-    return size / math.sqrt(freedom), turns / math.sqrt(freedom)
+    freedom = math.sqrt(max(count - fit.effective, 1.0) / count)
+    out = {TURNS: 0.0}
+    for group in dict.fromkeys(block.group for block in fit.residual.blocks):
+        parts = [block.r[~np.isnan(block.r)] for block in fit.residual.blocks if block.group == group]
+        left = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        size = float(np.sqrt(np.mean(left**2))) if len(left) else 0.0
+        if group != TURNS and problem.loss != "linear" and len(left):
+            # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
+            size = float(np.median(np.abs(left)) / 0.6745)
+        redundancy = math.sqrt(problem.measurement.redundancy) if group == POINTS else 1.0
+        out[group] = size * redundancy / freedom
+    return out
 
 
 def near(new: float, old: float) -> bool:

@@ -16,18 +16,21 @@ import numpy as np
 from kilter_core.effects import Batch
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.solver import BEND, Minimum, StepProgress, minimise
-from kilter_core.measurement import Measurement, Residual
+from kilter_core.measurement import Block, Measurement, Residual
+from kilter_core.measurement.kind import POINTS, TURNS
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.types import Floats, Ints
 
 HUBER_SIGMAS = 3.0
 STILL_MOVING = 3
 HOLD = 1e8  # stiffness of a held direction against a prior of 1
+START_SIGMA = 1e-4  # rad or m: of a sensor at a joint, until the residuals tell
 
 
 @dataclass(frozen=True)
 class Weights:
-    """Standard deviations that whiten the residuals: ``points`` m (scalar or (N, 1, 3)), ``turns`` rad.
+    """Standard deviations that whiten the residuals: ``points`` m (scalar or (N, 1, 3)), ``turns`` rad, and of ``others``,
+    the noise groups of what was measured beside the tool.
 
     ``rows (N,)`` in [0, 1] say how much each row counts with loss "tukey"; all count fully when None.
     """
@@ -35,6 +38,12 @@ class Weights:
     points: float | Floats
     turns: float = 1.0
     rows: Floats | None = None
+    others: Mapping[str, float] = field(default_factory=dict)
+
+    def of(self, group: str) -> float | Floats:
+        """Standard deviation of a noise group; where nothing is known yet, about what good sensors have."""
+        known: dict[str, float | Floats] = {POINTS: self.points, TURNS: self.turns, **self.others}
+        return known.get(group, START_SIGMA)
 
 
 @dataclass(frozen=True)
@@ -72,9 +81,8 @@ class Problem:
 
     def whitened(self, values: Floats) -> Floats:
         """Whitened residuals (R,) whose squares sum to twice the loss; coordinates of unseen markers are zero."""
-        residual = self.measurement.residual(self.model.predict(self.batch, values))
-        points, turns = self._over_sigma(residual)
-        return self._stacked(points, turns, *self._roots(points, turns, _loss_root))
+        scaled = self._over_sigma(self.measurement.residual(self.model.predict(self.batch, values)))
+        return _stacked(scaled, self._roots(scaled, _loss_root))
 
     def linearised(self, values: Floats, known: Residual | None = None) -> Linearised:
         """Whitened residuals and the whitened Jacobian of the prediction, with the loss they stand for.
@@ -82,43 +90,44 @@ class Problem:
         ``known`` is the raw residual there with its Jacobian, where only weights changed since.
         """
         residual = known or self._raw(values)
-        assert residual.d_points is not None
-        points, turns = self._over_sigma(residual)
-        scale = self.weights.points if isinstance(self.weights.points, float) else self.weights.points[..., None]
-        d_points = residual.d_points / scale
-        if self.measurement.marker_points is not None:
-            d_points[np.isnan(residual.points)] = 0.0
-        root_points, root_turns = self._roots(points, turns, _weight_root)
+        scaled = self._over_sigma(residual)
+        roots = self._roots(scaled, _weight_root)
         columns = len(self.free)
-        stacked = [_times(root_points, d_points, 1).reshape(-1, columns)]
-        if residual.d_turns is not None:
-            stacked.append(_times(root_turns, residual.d_turns / self.weights.turns, 1).reshape(-1, columns))
-        weighted, exact = self._both(points, turns, root_points, root_turns)
+        stacked = [
+            _times(root, self.over_sigma_slope(block), 1).reshape(-1, columns)
+            for root, block in zip(roots, residual.blocks, strict=True)
+        ]
+        weighted, exact = self._both(scaled, roots)
         whole = stacked[0] if len(stacked) == 1 else np.concatenate(stacked)
         return Linearised(weighted, whole, self.loss_at(values, exact), residual)
 
+    def over_sigma_slope(self, block: Block) -> Floats:
+        """Whitened derivative (V, k, w, F) of a block, zero where nothing was measured."""
+        assert block.J is not None
+        sigma = self.weights.of(block.group)
+        out = block.J / (sigma if isinstance(sigma, float) else sigma[..., None])
+        unseen = np.isnan(block.r)
+        if unseen.any():
+            out[unseen] = 0.0
+        return np.asarray(out)
+
     def _raw(self, values: Floats) -> Residual:
-        turns = self.measurement.sees_orientation
-        return self.measurement.residual(*self.model.jacobian(self.batch, values, self.free, turns))
+        m = self.measurement
+        return m.residual(*self.model.jacobian(self.batch, values, self.free, m.observes_orientation, m.reads_joints))
 
     def beyond(self, here: Linearised, values: Floats, step: Floats) -> Linearised:
         """What is at ``values (P,)``, a small ``step (F,)`` from where the problem was linearised; the Jacobian stays."""
-        raw = here.residual
-        assert raw.d_points is not None
-        turned = raw.turns if raw.turns is None or raw.d_turns is None else raw.turns - raw.d_turns @ step
-        residual = Residual(raw.points - raw.d_points @ step, raw.d_points, turned, raw.d_turns)
-        points, turns = self._over_sigma(residual)
-        r, exact = self._both(points, turns, *self._roots(points, turns, _weight_root))
+        residual = Residual(tuple(block.beyond(step) for block in here.residual.blocks))
+        scaled = self._over_sigma(residual)
+        r, exact = self._both(scaled, self._roots(scaled, _weight_root))
         return Linearised(r, here.J, self.loss_at(values, exact), residual)
 
-    def _both(
-        self, points: Floats, turns: Floats | None, root_points: Floats | None, root_turns: Floats | None
-    ) -> tuple[Floats, Floats]:
+    def _both(self, scaled: list[Floats], roots: list[Floats | None]) -> tuple[Floats, Floats]:
         """Residuals that have the slope of the loss, and residuals whose squares are twice the loss."""
-        weighted = self._stacked(points, turns, root_points, root_turns)
-        if root_points is None:
+        weighted = _stacked(scaled, roots)
+        if roots[0] is None:
             return weighted, weighted
-        return weighted, self._stacked(points, turns, *self._roots(points, turns, _loss_root))
+        return weighted, _stacked(scaled, self._roots(scaled, _loss_root))
 
     def loss_at(self, values: Floats, r: Floats) -> float:
         """Half the sum of squares of ``r``, of the prior and of what strayed along held directions."""
@@ -126,28 +135,31 @@ class Problem:
         with np.errstate(over="ignore"):  # a residual beyond all bounds is said in words by the solver
             return 0.5 * (float(r @ r) + float(prior @ prior) + HOLD * float(np.sum(_strayed(self, values) ** 2)))
 
-    def _over_sigma(self, residual: Residual) -> tuple[Floats, Floats | None]:
-        points = residual.points / self.weights.points
-        if self.measurement.marker_points is not None:
-            points[np.isnan(points)] = 0.0
-        return points, None if residual.turns is None else residual.turns / self.weights.turns
+    def _over_sigma(self, residual: Residual) -> list[Floats]:
+        """Whitened blocks (V, k, w), zero where nothing was measured."""
+        out = []
+        for block in residual.blocks:
+            scaled = np.asarray(block.r / self.weights.of(block.group))
+            unseen = np.isnan(scaled)
+            if unseen.any():
+                scaled[unseen] = 0.0
+            out.append(scaled)
+        return out
 
-    def _roots(
-        self, points: Floats, turns: Floats | None, root: Callable[[Floats], Floats]
-    ) -> tuple[Floats | None, Floats | None]:
-        """Roots of the weights (N, m, 1) of points and (N, 1) of turns, None where all are one."""
+    def _roots(self, scaled: list[Floats], root: Callable[[Floats], Floats]) -> list[Floats | None]:
+        """Roots of the weights (V, k, 1) of each block, None where all are one."""
         if self.loss == "tukey" and self.weights.rows is not None:
-            of_rows = np.sqrt(self.weights.rows)[:, None]
-            return of_rows[:, :, None], None if turns is None else of_rows
+            of_rows = np.sqrt(self.weights.rows)[:, None, None]
+            return [of_rows for _ in scaled]
         if self.loss != "huber":
-            return None, None
-        of_points = root(np.linalg.norm(points, axis=2, keepdims=True))
-        return of_points, None if turns is None else root(np.linalg.norm(turns, axis=1, keepdims=True))
+            return [None for _ in scaled]
+        return [root(np.linalg.norm(block, axis=2, keepdims=True)) for block in scaled]
 
-    @staticmethod
-    def _stacked(points: Floats, turns: Floats | None, root_points: Floats | None, root_turns: Floats | None) -> Floats:
-        whole = _times(root_points, points).reshape(-1)
-        return whole if turns is None else np.concatenate([whole, _times(root_turns, turns).reshape(-1)])
+
+def _stacked(scaled: list[Floats], roots: list[Floats | None]) -> Floats:
+    """All blocks, weighed, in a row (R,)."""
+    parts = [_times(root, block).reshape(-1) for root, block in zip(roots, scaled, strict=True)]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 @dataclass(frozen=True)
@@ -239,7 +251,7 @@ class _Descent:
         return float(self.problem.measurement.scalars())
 
     def worth(self, loss: float) -> float:
-        return self.problem.measurement.settled * (1.0 + loss)
+        return self.problem.measurement.relative_tolerance * (1.0 + loss)
 
     def at(self, values: Floats) -> Linearised:
         return self.problem.linearised(values)

@@ -105,6 +105,17 @@ def _lost(count: Ints) -> float:
     return float(np.mean(1.0 - 1.0 / count)) if len(count) else 0.0
 
 
+def pooled_columns(values: Floats, group: Ints) -> float | None:
+    """Standard deviation of a number (N, C) within groups, each column by itself, NaN where nothing was read."""
+    square, freedom = 0.0, 0
+    for column in values.T:
+        seen = ~np.isnan(column)
+        spread, free, _ = _pooled(column[seen, None], group[seen])
+        if spread is not None:
+            square, freedom = square + free * spread**2, freedom + free
+    return float(np.sqrt(square / freedom)) if freedom else None
+
+
 def _pooled(values: Floats, group: Ints) -> tuple[float | None, int, Bools]:
     """Standard deviation of a coordinate within groups, its freedom, and which values (N,) are too far off to count."""
     kept = np.ones(len(values), dtype=bool)

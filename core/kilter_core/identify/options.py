@@ -124,7 +124,7 @@ class IdentifyOptions:
         chosen: Sequence[str | Mapping[str, Any]] = self.effects or (FULL_TILTING if self.level == 3 else ())
         return tuple(effect_from_document({"id": e} if isinstance(e, str) else e) for e in chosen)
 
-    def free_parameters(self, model: RobotModel, *, sees_orientation: bool, sees_base: bool = True) -> Ints:
+    def free_parameters(self, model: RobotModel, *, observes_orientation: bool, observes_base: bool = True) -> Ints:
         """Indices of the parameters to identify in ``model``.
 
         Raises:
@@ -132,8 +132,10 @@ class IdentifyOptions:
 
         """
         names = set(self._geometric(model))
-        names |= {f"base_{k}" for k in FRAME_NAMES} if self.base == "free" and sees_base else set()
-        names |= {f"tool_{k}" for k in FRAME_NAMES if sees_orientation or len(k) == 1} if self.tool == "free" else set()
+        names |= {f"base_{k}" for k in FRAME_NAMES} if self.base == "free" and observes_base else set()
+        names |= (
+            {f"tool_{k}" for k in FRAME_NAMES if observes_orientation or len(k) == 1} if self.tool == "free" else set()
+        )
         if not self.tilt_first:
             names |= set(model.names[model.n_geometric :])
         names -= set(_matching(model.names, self.fix))

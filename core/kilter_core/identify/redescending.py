@@ -6,6 +6,7 @@ minimum the limit comes down until it holds the bulk of the rows only (`kilter_c
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ def dimension_of(problem: Problem) -> int:
     """Numbers of a row that are independent: three of a point, or of markers that move together, six of a pose."""
     if problem.measurement.observations.rotation is not None:
         return 6
-    return 3 if problem.measurement.sees_base else 1
+    return 3 if problem.measurement.observes_places else 1
 
 
 def row_sizes(fit: Fit) -> Floats:
@@ -71,10 +72,9 @@ def redescend(first: Fit) -> tuple[Fit, Robust]:
 
     found = redescended(sizes, row_sizes(first), dimension_of(first.problem))
     weights = first.problem.weights
-    scaled = Weights(np.maximum(weights.points * found.scale, SMALLEST), max(weights.turns * found.scale, SMALLEST),
-                     found.weight)  # fmt: skip
-    if isinstance(weights.points, float):
-        scaled = Weights(float(scaled.points), scaled.turns, found.weight)
+    points, turns = np.maximum(weights.points * found.scale, SMALLEST), max(weights.turns * found.scale, SMALLEST)
+    others = {group: max(sigma * found.scale, SMALLEST) for group, sigma in weights.others.items()}
+    scaled = Weights(float(points) if isinstance(weights.points, float) else points, turns, found.weight, others)
     problem = weighed(fit.problem, found.weight).reweighted(scaled, first.problem.held)
     return solve(problem, fit.values), found
 
@@ -91,5 +91,5 @@ def set_aside(fit: Fit) -> list[dict[str, Any]]:
 
 def weighed(problem: Problem, weight: Floats) -> Problem:
     """The problem with a quadratic loss in which the rows have these weights (N,)."""
-    weights = Weights(problem.weights.points, problem.weights.turns, weight)
+    weights = replace(problem.weights, rows=weight)
     return problem.reweighted(weights, problem.held, "tukey")

@@ -48,7 +48,7 @@ def wanted_frames(
         wanted = start.wanted().model
         return wanted.T_base, wanted.T_tool
     base = _decided(start, found, "base", options.base, True, options.reference)
-    tool = _decided(start, found, "tool", options.tool, shown.sees_orientation, options.reference)
+    tool = _decided(start, found, "tool", options.tool, shown.observes_orientation, options.reference)
     return base, tool
 
 
@@ -97,7 +97,7 @@ def _kept(start: Calibration, shown: Measurement, options: IdentifyOptions) -> b
     moved = np.sqrt(np.mean(np.sum((there.position - here.position) ** 2, axis=1)))
     turned = rotation_log(there.rotation.transpose(0, 2, 1) @ here.rotation)
     angle = np.sqrt(np.mean(np.sum(turned**2, axis=1)))
-    return bool(moved < SAME_M and (not shown.sees_orientation or angle < SAME_RAD))
+    return bool(moved < SAME_M and (not shown.observes_orientation or angle < SAME_RAD))
 
 
 def _decided(start: Calibration, found: Calibration, which: str, state: str, turns: bool, reference: str) -> Floats:

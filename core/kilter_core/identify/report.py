@@ -107,7 +107,7 @@ def warnings_of(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[dic
             f"{spread.used:.0%} of its range). Measure poses that spread all joints (`kilter plan --purpose identify`), or "
             "use the result near these poses only.",
         }
-    if fit.problem.measurement.sees_base and (train.position is not None or train.markers is not None):
+    if fit.problem.measurement.observes_base and (train.position is not None or train.markers is not None):
         points = fit.problem.model.predict(fit.problem.batch, fit.values).position
         yield from large_residual(_rms(fit.residual.points), points)
     bent = None if train.markers is None else bending(train.markers, repeats.shots or repeats.between)

@@ -32,8 +32,8 @@ class RowErrors:
     @staticmethod
     def of(stages: Mapping[str, Calibration], measurement: Measurement, rows: Ints) -> RowErrors:
         """Errors of calibrations on a measurement whose rows have these numbers."""
-        if type(measurement) is not Measurement:
-            return RowErrors({name: measurement.misses(stage)[0] for name, stage in stages.items()})
+        if not measurement.observes_places:
+            return RowErrors({name: measurement.errors(stage)[0] for name, stage in stages.items()})
         model, values = stages[FITTED].model, stages[FITTED].values
         base = inverse(model.T_base @ increment(values[:6]))
         predicted = stages[FITTED].predict(measurement.observations).position

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,21 +12,23 @@ from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify.holdout import Folds, fold_splits, split
 from kilter_core.identify.identifiability import NullDirection, null_directions
 from kilter_core.identify.influence import influence_of
+from kilter_core.identify.kinds import KindErrors, Shares, errors_of, pooled
 from kilter_core.identify.learned import Learned, gated
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.load_model import far_from_stated, load_rows
+from kilter_core.identify.measuring import measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.observability import correlated_groups, observability
 from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
 from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.redescending import set_aside
 from kilter_core.identify.reference import named, refuse_contradicted, registered, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
 from kilter_core.identify.row_errors import RowErrors
-from kilter_core.identify.seeing import seen
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
 from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
@@ -61,6 +63,9 @@ class Identification:
     own_frames: tuple[OwnFrame, ...] = ()
     inside: Ints | None = None  # rows of those given that were fitted, all when None
     fitted_rows: RowErrors | None = None
+    shares: Shares | None = None  # what each kind of measurement says
+    fitted_kinds: KindErrors = field(default_factory=dict)
+    held_kinds: KindErrors = field(default_factory=dict)
     held_rows: RowErrors | None = None  # of the validation when that is rows of its own, else of those given
 
     @property
@@ -112,6 +117,7 @@ class Identification:
             "learned": None if self.learned is None else self.learned.to_document(),
             "load_model": self.load_model,
             **_together(self.fit),
+            **({} if self.shares is None else self.shares.to_document(self.fitted_kinds, self.held_kinds)),
             "base_refitted": [frame.to_document() for frame in self.own_frames],
             "reference": named(self.calibration),
         }
@@ -141,23 +147,20 @@ def identify(
     progress = progress or unheard
     begin = begin_with(robot, train, options, start)
     nominal = Calibration.nominal(robot)
-    refuse_missing_columns(begin, train)
-    frames = Frames.of(begin, train, options)
-    if frames is not None:
-        begin, train = frames.in_model(begin), frames.laid(train)
-        validation = frames.laid(validation) if isinstance(validation, Observations) else validation
+    begin, train, validation, frames = _in_one_frame(begin, train, validation, options)
     progress(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
     compared: PoseErrors | None = None
     by_row: RowErrors | None = None
+    kinds: KindErrors = {}
     if isinstance(validation, Folds):
-        held, compared, by_row = _cross_validated(nominal, begin, train, validation, options, progress, prior)
+        held, compared, by_row, kinds = _cross_validated(nominal, begin, train, validation, options, progress, prior)
     train, validation, inside, outside = _parted(train, validation, options.seed)
-    measurement = seen(train, options, begin.marker_points)
-    refuse_feigned_turns(begin, measurement)
-    remarks = refuse_foreign(begin, measurement)
-    found = _registered(begin, measurement, options, prior)
-    wanted = wanted_frames(begin, found, measurement, options, _continues(options, prior))
+    measurement = measurement_for(train, options, begin.marker_points)
+    of_tool = measurement.of_tool()
+    remarks = _implausible(begin, of_tool, train)
+    found = _registered(begin, of_tool, options, prior)
+    wanted = wanted_frames(begin, found, of_tool, options, _continues(options, prior))
     begin, learned = gated(begin, train, options, prior)
     fit = fit_by_method(begin, measurement, options, lambda f, s: progress(0.5 + 0.4 * f, s), prior)
     calibration = fit.calibration(*wanted)
@@ -165,18 +168,46 @@ def identify(
     own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):
         plain = geometry_alone(begin, measurement, options)
-        held, compared, by_row, own[len(own) :] = held_out(stages, plain, frames, validation, options, measurement)
+        held, compared, by_row, kinds, own[len(own) :] = held_out(
+            stages, plain, frames, validation, options, measurement
+        )
         by_row = by_row.numbered(outside)
     progress(0.95, "identifiability")
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
-    metrics = metrics_document(errors, held)
-    result = _reported(
-        without_frames(calibration), fit, train, metrics, options, lambda f, s: progress(0.95 + 0.04 * f, s), learned
-    )
+    told, last = metrics_document(errors, held), _last(progress)
+    result = _reported(without_frames(calibration), fit, train, told, options, last, learned)
     said = (*result.warnings, *remarks, *(compared.warnings() if compared else ()))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
-    return replace(result, own_frames=tuple(own), warnings=said, inside=inside, fitted_rows=fitted, held_rows=by_row)
+    return replace(
+        result, own_frames=tuple(own), warnings=said, inside=inside, fitted_rows=fitted, held_rows=by_row,
+        fitted_kinds=errors_of(stages, measurement), held_kinds=kinds,
+    )  # fmt: skip
+
+
+def _in_one_frame(
+    begin: Calibration, train: Observations, validation: Validation, options: IdentifyOptions
+) -> tuple[Calibration, Observations, Validation, Frames | None]:
+    """The model with the frames of later set-ups, and rows told in the frame of the first."""
+    refuse_missing_columns(begin, train)
+    frames = Frames.of(begin, train, options)
+    if frames is None:
+        return begin, train, validation, None
+    seen = frames.laid(validation) if isinstance(validation, Observations) else validation
+    return frames.in_model(begin), frames.laid(train), seen, frames
+
+
+def _implausible(begin: Calibration, of_tool: Measurement, train: Observations) -> tuple[dict[str, Any], ...]:
+    """Refuse rows that cannot be of this robot; what is odd about them."""
+    refuse_feigned_turns(begin, of_tool)
+    remarks = refuse_foreign(begin, of_tool)
+    refuse_foreign_links(begin.robot, train)
+    return remarks
+
+
+def _last(progress: Progress) -> Progress:
+    """Progress of the report."""
+    return lambda fraction, stage: progress(0.95 + 0.04 * fraction, stage)
 
 
 def _parted(
@@ -206,6 +237,7 @@ def _reported(
     """What was found, with all that is said about it."""
     repeats = Repeats.of(train, fit.residual)
     sigma = repeats.between
+    shares = Shares.of(fit, marginal(fit).names)
     plain, fit = fit, clustered(fit)
     intervals = _intervals(plain, fit, options, progress)
     fit = marginal(fit)
@@ -227,6 +259,7 @@ def _reported(
         influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
         intervals=intervals,
         learned=learned,
+        shares=shares,
     )
 
 
@@ -292,30 +325,32 @@ def _cross_validated(
     options: IdentifyOptions,
     progress: Progress,
     prior: Prior | None = None,
-) -> tuple[dict[str, Errors], PoseErrors, RowErrors]:
+) -> tuple[dict[str, Errors], PoseErrors, RowErrors, KindErrors]:
     """Errors on held-out poses, pooled over the folds."""
-    shape = seen(train, options, begin.marker_points).marker_points
+    shape = measurement_for(train, options, begin.marker_points).marker_points
     parts: dict[str, list[Errors]] = {"nominal": [], "registration_only": [], "identified": []}
     poses: list[PoseErrors] = []
     by_row: list[RowErrors] = []
+    kinds: list[KindErrors] = []
     for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
         progress(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
         report = _within(progress, k, folds.folds)
-        shown = seen(train.select(inside), options, shape)
-        unseen = seen(train.select(outside), options, shape, shown)
+        shown = measurement_for(train.select(inside), options, shape)
+        unseen = measurement_for(train.select(outside), options, shape, shown)
         model = gated(begin, train.select(inside), options, prior)[0]
         fit = fit_by_method(model, shown, options, report, prior)
         stages = {
             "nominal": nominal,
-            "registration_only": _registered(begin, shown, options, prior),
+            "registration_only": _registered(begin, shown.of_tool(), options, prior),
             "identified": Calibration(fit.problem.model, fit.values, shape),
         }
         for name, stage in stages.items():
             parts[name].append(Errors.of(stage, unseen))
         poses.append(PoseErrors.of({**stages, "geometry": geometry_alone(model, shown, options)}, unseen))
         by_row.append(RowErrors.of(stages, unseen, outside))
+        kinds.append(errors_of(stages, unseen))
     held = {name: Errors.concatenate(errors) for name, errors in parts.items()}
-    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row)
+    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row), pooled(kinds)
 
 
 def _within(progress: Progress, fold: int, folds: int) -> Progress:

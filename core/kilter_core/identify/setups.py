@@ -18,13 +18,14 @@ from kilter_core.effects import BASE, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.estimate import bounded, estimate
+from kilter_core.identify.kinds import KindErrors, errors_of, pooled
 from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.measuring import measurement_for
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
 from kilter_core.identify.row_errors import RowErrors
-from kilter_core.identify.seeing import seen
 from kilter_core.identify.worse import PoseErrors
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import Contacts
+from kilter_core.measurement.contacts import held
 from kilter_core.measurement.metrics import Errors
 from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
@@ -96,7 +97,7 @@ class Frames:
             OptionError: a method that cannot fit several frames. TooFewPosesError: a set-up with too few poses.
 
         """
-        if train.setup is None or options.base == "fixed" or Contacts.held(train):
+        if train.setup is None or options.base == "fixed" or held(train):
             return None
         codes = [int(code) for code in np.unique(train.setup)]
         if len(codes) > 1:
@@ -218,9 +219,9 @@ def held_out(
     rows: Observations,
     options: IdentifyOptions,
     train: Measurement,
-) -> tuple[dict[str, Errors], PoseErrors, RowErrors, list[OwnFrame]]:
-    """Errors of each stage on rows that were not fitted, pose by pose and row by row too, and the set-ups whose base came
-    from them.
+) -> tuple[dict[str, Errors], PoseErrors, RowErrors, KindErrors, list[OwnFrame]]:
+    """Errors of each stage on rows that were not fitted, pose by pose, row by row and by kind too, and the set-ups whose base
+    came from them.
 
     What a new set-up cannot know, where the robot stands in its frame, is fitted to its own rows for every stage but the
     robot as drawn. The ``geometry`` alone, where there is one, is compared pose by pose only.
@@ -231,11 +232,12 @@ def held_out(
     parts: dict[str, list[Errors]] = {name: [] for name in stages}
     poses: list[PoseErrors] = []
     by_row: list[RowErrors] = []
+    kinds: list[KindErrors] = []
     for code in [None, *new]:
         mask = np.ones(len(rows), bool) if rows.setup is None or not new else _of(rows.setup, code, new)
         if not mask.any():
             continue
-        shown = seen(rows.select(mask), options, train.marker_points, train)
+        shown = measurement_for(rows.select(mask), options, train.marker_points, train)
         here = {
             name: stage if code is None or name == "nominal" else with_base(stage, shown, options.loss)
             for name, stage in compared.items()
@@ -243,12 +245,13 @@ def held_out(
         for name in stages:
             parts[name].append(Errors.of(here[name], shown))
         poses.append(PoseErrors.of(here, shown))
+        kinds.append(errors_of({name: here[name] for name in stages}, shown))
         by_row.append(RowErrors.of({name: here[name] for name in stages}, shown, np.flatnonzero(mask)))
         if code is not None:
             before = without_frames(stages["identified"]).model.T_base
             own.append(_apart(code, "validation", before, here["identified"].model.T_base))
     held = {name: Errors.concatenate(found) for name, found in parts.items()}
-    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row), own
+    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row), pooled(kinds), own
 
 
 def _new_codes(frames: Frames | None, rows: Observations) -> list[int]:

@@ -63,6 +63,7 @@ class PoseErrors:
     @staticmethod
     def of(stages: Mapping[str, Calibration | None], unseen: Measurement) -> PoseErrors:
         """Errors of calibrations on rows they did not see; stages that are None are left out."""
+        unseen = unseen.of_tool()
         return PoseErrors({name: _by_pose(one, unseen) for name, one in stages.items() if one is not None})
 
     @staticmethod

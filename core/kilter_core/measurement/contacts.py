@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import cast
 
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement import Measurement, Residual
+from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, anchor_of
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.types import Floats, Ints
@@ -41,59 +43,52 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Contacts(Measurement):
+class Contacts(Kind):
     """Rows that were held, each by one contact. ``distances`` m are known between pairs of sockets.
 
     ``anchor`` are the rows that say where the contacts stand, the rows' own when None.
     """
 
-    contacts: tuple[Contact, ...] = ()
+    name = "contacts"
+    summary = "rows held by sockets, planes and bars"
+    observes_tool = True
+    plain_fits_only = True
+
+    observations: Observations
     distances: Mapping[tuple[int, int], float] = field(default_factory=dict)
     anchor: Contacts | None = None
 
-    @staticmethod
-    def held(observations: Observations) -> bool:
-        """Whether rows say what held them."""
-        return any(getattr(observations, kind) is not None for kind in UNKNOWNS)
+    @classmethod
+    def of(cls, rows: Rows) -> Contacts | None:
+        """Rows that say what held them."""
+        if not held(rows.observations):
+            return None
+        anchor = cast("Contacts | None", anchor_of(cls.name, rows))
+        return cls(rows.observations, {} if anchor else dict(rows.socket_distances), anchor)
 
-    @staticmethod
-    def among(
-        observations: Observations, distances: Mapping[tuple[int, int], float], anchor: Contacts | None = None
-    ) -> Contacts:
-        """Group the rows by what held them.
+    @cached_property
+    def contacts(self) -> tuple[Contact, ...]:
+        """The rows grouped by what held them."""
+        return tuple(_contacts(self.observations))
 
-        Raises:
-            ObservationError: a contact with fewer rows than it has unknowns, or a distance of a socket that has none.
-
-        """
-        contacts = tuple(_contacts(observations))
-        _refuse_small(contacts, anchor)
-        numbers = {c.number for c in contacts if c.kind == "socket"}
-        for pair in distances:
-            if anchor is None and not set(pair) <= numbers:
+    def check(self) -> None:
+        """Refuse a contact with fewer rows than it has unknowns, and a distance of a socket that has none."""
+        _refuse_small(self.contacts, self.anchor)
+        numbers = {c.number for c in self.contacts if c.kind == "socket"}
+        for pair in self.distances:
+            if not set(pair) <= numbers:
                 raise ObservationError(
                     f"socket_distances_mm names socket {min(set(pair) - numbers)}, of which there are no rows.",
                     code="contact_too_small",
                 )
-        return Contacts(observations, None, contacts, {} if anchor else dict(distances), anchor)
 
     @property
-    def sees_base(self) -> bool:
-        """No: nothing is measured from outside."""
-        return False
-
-    @property
-    def sees_orientation(self) -> bool:
-        """No: a ball has none."""
-        return False
-
-    @property
-    def settled(self) -> float:
+    def relative_tolerance(self) -> float:
         """Where a bar's foot is hardly seen a fit creeps along for ever; a ten-thousandth is far below what noise tells."""
-        return 1e-4 if any(c.kind == "bar" for c in self.contacts) else super().settled
+        return 1e-4 if any(c.kind == "bar" for c in self.contacts) else 0.0
 
     @property
-    def each(self) -> int:
+    def equations_per_pose(self) -> int:
         """Three numbers in a socket, one on a plane or a bar."""
         return 3 if all(c.kind == "socket" for c in self.contacts) else 1
 
@@ -112,7 +107,7 @@ class Contacts(Measurement):
         size = sum(len(c.rows) * (3 if c.kind == "socket" else 1) for c in self.contacts) + len(self.distances)
         return size / self.scalars()
 
-    def residual(self, prediction: Prediction, J: Floats | None = None) -> Residual:
+    def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
         """What is left (S, 1, 1) m when each contact stands where it fits best, and the projected Jacobian."""
         p = prediction.position
         left, slopes, centres = [], [], {}
@@ -129,9 +124,9 @@ class Contacts(Measurement):
             left.append(r)
             slopes += [] if slope is None else [slope]
         points = np.concatenate(left)[:, None, None]
-        return Residual(points, None if J is None else np.concatenate(slopes)[:, None, None, :], None, None)
+        return (Block(POINTS, points, None if J is None else np.concatenate(slopes)[:, None, None, :]),)
 
-    def misses(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
+    def errors(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
         """Errors of a calibration: (K, 1) m, of a socket the distance from its place."""
         p = calibration.predict(self.observations).position
         places = {} if self.anchor is None else _places(self.anchor, calibration)
@@ -140,6 +135,11 @@ class Contacts(Measurement):
             r = _left(c, p[c.rows], places[c.name] if self.anchor else _place(c, p[c.rows]))[0]
             out.append(np.linalg.norm(r.reshape(-1, 3), axis=1) if c.kind == "socket" else r)
         return np.concatenate(out)[:, None], None
+
+
+def held(observations: Observations) -> bool:
+    """Whether rows say what held them."""
+    return any(getattr(observations, kind) is not None for kind in UNKNOWNS)
 
 
 def _contacts(o: Observations) -> Iterator[Contact]:

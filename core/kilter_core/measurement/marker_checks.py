@@ -8,7 +8,7 @@ from itertools import combinations, permutations
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement.markers import fit_poses
+from kilter_core.measurement.marker_shape import fit_poses
 from kilter_core.types import Floats
 
 Order = tuple[int, ...]

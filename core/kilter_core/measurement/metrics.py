@@ -25,7 +25,7 @@ class Errors:
     @staticmethod
     def of(calibration: Calibration, measurement: Measurement) -> Errors:
         """Errors of a calibration; every seen marker counts as a point."""
-        return Errors(*measurement.misses(calibration))
+        return Errors(*measurement.errors(calibration))
 
     @property
     def mean(self) -> float:

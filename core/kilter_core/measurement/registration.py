@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.markers import fit_poses
+from kilter_core.measurement.marker_shape import fit_poses
 from kilter_core.model import RobotModel
 from kilter_core.transforms import inverse, nearest_rotation
 from kilter_core.types import Bools, Floats
@@ -46,7 +46,7 @@ def _measured(measurement: Measurement) -> tuple[Floats, Floats | None, Bools]:
     if measurement.marker_points is not None and o.markers is not None:
         return fit_poses(measurement.marker_points, o.markers)
     assert o.position is not None
-    return o.position, o.rotation, np.ones(len(o), dtype=bool)
+    return o.position, o.rotation, measurement.tool.measured()
 
 
 def _flange(model: RobotModel, values: Floats, measurement: Measurement) -> Floats:

@@ -1,5 +1,6 @@
 """The robot model: chain, effects and frames together; poses, exact Jacobian, calibrations."""
 
-from kilter_core.model.robot_model import Calibration, Prediction, RobotModel
+from kilter_core.model.prediction import Prediction
+from kilter_core.model.robot_model import Calibration, RobotModel
 
 __all__ = ["Calibration", "Prediction", "RobotModel"]

@@ -70,12 +70,27 @@ class ToolColumns:
 
 @dataclass(frozen=True)
 class Total:
-    """Summed local corrections: ``dq (N, n)``, twists ``xi (N, n + 2, 6)`` (empty when none), position ``stretch (N, 1)``."""
+    """Summed local corrections: ``dq (N, n)``, twists ``xi (N, n + 2, 6)`` (empty when none), position ``stretch (N, 1)``.
+
+    ``frames (n, 3, 3)`` are those of :class:`ToolColumns`, in which the twists of the joints are.
+    """
 
     dq: Floats
     xi: Floats
     stretch: Floats | None
     parts: tuple[tuple[int, Local], ...]
+    frames: Floats
+
+    def turned(self) -> Floats:
+        """What each joint, and last the base, turns (N, n + 1, 4): its correction, then about the axes of its frame."""
+        rows, n = self.dq.shape
+        out = np.zeros((rows, n + 1, 4))
+        if len(self.xi):
+            out[:, :n, 1:] = np.einsum("jba,njb->nja", self.frames, self.xi[:, :n, 3:])
+            out[:, n, 1:] = self.xi[:, n, 3:]
+        out[:, :n, 0] = self.dq
+        out[:, :n, 3] += self.dq
+        return out
 
     @staticmethod
     def of(parts: tuple[tuple[int, Local], ...], moves: Sequence[bool], rows: int, frames: Floats) -> Total:
@@ -100,7 +115,7 @@ class Total:
                 xi[:, n] += local.base
             if local.tool is not None:
                 xi[:, n + 1] += local.tool
-        return Total(dq, xi, stretch, parts)
+        return Total(dq, xi, stretch, parts, frames)
 
 
 def _in_element_frames(xi: Floats, frames: Floats) -> Floats:

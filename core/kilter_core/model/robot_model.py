@@ -20,21 +20,15 @@ from kilter_core.effects import Batch, Effect, effect_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.model.chain_rule import ToolColumns, Total
 from kilter_core.model.elements import Program, model_program
+from kilter_core.model.joint_columns import joint_rows, own_turns
 from kilter_core.model.load_errors import Reader
+from kilter_core.model.prediction import TOOL_ROWS, Prediction
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter, indices, refuse_collisions
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
 
 THE_ROBOTS_OWN = np.empty((0, 0))
 NOTHING = np.zeros(0, dtype=np.int64)  # no parameter
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Tool ``position (N, 3)`` m and ``rotation (N, 3, 3)`` in the frame of the measurements."""
-
-    position: Floats
-    rotation: Floats
 
 
 @dataclass(frozen=True)
@@ -164,25 +158,34 @@ class RobotModel:
             p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
             batch.q, total.dq, total.xi, position, rotation,
         )  # fmt: skip
-        return Prediction(position if total.stretch is None else position * total.stretch, rotation)
+        position = position if total.stretch is None else position * total.stretch
+        return Prediction(position, rotation, total, self._slides)
 
     def jacobian(
-        self, observations: Observations | Batch, values: Floats, free: Ints | None = None, turns: bool = True
+        self,
+        observations: Observations | Batch,
+        values: Floats,
+        free: Ints | None = None,
+        turns: bool = True,
+        joints: bool = False,
     ) -> tuple[Prediction, Floats]:
         """Poses and their exact derivative (N, 6, F) by the parameters ``free`` (ascending indices; all when None).
 
         Rows 0-2 are the position (m per unit), 3-5, with ``turns``, the rotation vector in the measurements' frame (rad).
+        With ``joints`` there are the rotation and, behind it, :data:`JOINT_ROWS` for each joint and last the base.
         """
         batch = self._as_batch(observations)
         free = np.arange(len(self.names)) if free is None else free
         total, here = self._local(batch, values, free)
-        prediction, J, columns = self._screws(batch, values, total, free, 6 if turns else 3)
+        prediction, J, columns = self._screws(batch, values, total, free, TOOL_ROWS if turns or joints else 3)
         self._put_effects(J, total, free, columns, prediction.position)
         self._put_loads(J, here, values, free, columns)
-        if total.stretch is None:
-            return prediction, J
-        J[:, :3] *= total.stretch[:, :, None]
-        return Prediction(prediction.position * total.stretch, prediction.rotation), J
+        if total.stretch is not None:
+            J[:, :3] *= total.stretch[:, :, None]
+            prediction = replace(prediction, position=prediction.position * total.stretch)
+        return prediction, np.hstack(
+            [J, joint_rows(self._reader, here, total, values, (free, self.n_geometric))]
+        ) if joints else J
 
     def loaded(self, batch: Batch, values: Floats) -> Batch:
         """The rows with the loads that load errors among the effects leave."""
@@ -200,11 +203,18 @@ class RobotModel:
             columns.put(out, k, d)
         return prediction, out
 
-    def joint_jacobian(self, observations: Observations | Batch, values: Floats) -> tuple[Prediction, Floats]:
-        """Poses and their derivative (N, 6, n) by the joint readings, the effects held still."""
+    def joint_jacobian(
+        self, observations: Observations | Batch, values: Floats, joints: bool = False
+    ) -> tuple[Prediction, Floats]:
+        """Poses and their derivative (N, 6, n) by what each joint turns beyond its reading, the effects held still.
+
+        With ``joints`` there are :data:`JOINT_ROWS` more for each joint and the base.
+        """
         batch = self._as_batch(observations)
         prediction, _, columns = self._screws(batch, values, self._local(batch, values)[0], NOTHING)
-        return prediction, columns.JQ
+        if not joints:
+            return prediction, columns.JQ
+        return prediction, np.hstack([columns.JQ, own_turns(len(columns.JQ), self.robot.n_joints)])
 
     def contribution(self, observations: Observations, values: Floats) -> dict[str, Floats]:
         """Displacement of the tool point (N, 3) m by each effect: the model with all effects minus that without it."""
@@ -279,7 +289,12 @@ class RobotModel:
             p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
             batch.q, total.dq, total.xi, column, position, rotation, J, JQ, JX,
         )  # fmt: skip
-        return Prediction(position, rotation), J, ToolColumns(self.robot.chain.program.joint_frame, JQ, JX)
+        made = Prediction(position, rotation, total, self._slides)
+        return made, J, ToolColumns(self.robot.chain.program.joint_frame, JQ, JX)
+
+    @cached_property
+    def _slides(self) -> Bools:
+        return np.array([joint.kind == "prismatic" for joint in self.robot.joints])
 
     def _put_effects(self, J: Floats, total: Total, free: Ints, columns: ToolColumns, position: Floats) -> None:
         """Chain rule: tool columns of the free effect parameters from the local derivatives."""

@@ -14,6 +14,8 @@ from kilter_core.errors import ObservationError
 from kilter_core.observations.repeats import numbered_poses, numbered_rows
 from kilter_core.types import Floats, Ints
 
+TOOL = ("position", "markers", "socket", "plane", "bar")  # columns that say where the tool was
+
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
@@ -107,6 +109,7 @@ class Observations(Conditions):
                 part if part.payload_com is not None else replace(part, payload_com=np.zeros((len(part), 3)))
                 for part in parts
             ]
+        parts = _beside(parts)
         names = set(parts[0]._present())
         for part in parts[1:]:
             if set(part._present()) != names:
@@ -162,3 +165,36 @@ class Observations(Conditions):
 
     def _present(self) -> dict[str, NDArray[Any]]:
         return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
+
+
+def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
+    """Campaigns side by side that measured different things: readings of sensors that others lack are empty there.
+
+    Where one did not measure the tool at all, its place is empty too. Campaigns that measured the tool differently differ.
+    """
+    for name in ("link_q", "tilt"):
+        shape = next((getattr(part, name).shape[1:] for part in parts if getattr(part, name) is not None), None)
+        if shape is not None:
+            parts = [_filled(part, name, shape) for part in parts]
+    first = next((part for part in parts if _measured_tool(part)), None)
+    if first is None:
+        return parts
+    others = [not _measured_tool(part) for part in parts]
+    for name in ("position", "rotation", "markers"):
+        value = getattr(first, name)
+        if value is not None:
+            parts = [
+                _filled(part, name, value.shape[1:]) if other else part
+                for part, other in zip(parts, others, strict=True)
+            ]
+    return parts
+
+
+def _measured_tool(part: Observations) -> bool:
+    return any(getattr(part, name) is not None for name in TOOL)
+
+
+def _filled(part: Observations, name: str, shape: tuple[int, ...]) -> Observations:
+    if getattr(part, name) is not None:
+        return part
+    return replace(part, **{name: np.full((len(part), *shape), np.nan)})

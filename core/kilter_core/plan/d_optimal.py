@@ -111,7 +111,7 @@ def _looked_for(start: Calibration, effects: Sequence[Effect]) -> tuple[RobotMod
     missing = tuple(effect for effect in effects if not _has(model, effect))
     whole = replace(model, effects=(*model.effects, *missing))
     values = np.concatenate([values, whole.values0()[len(values) :]])
-    return whole, values, IdentifyOptions().free_parameters(whole, sees_orientation=False)
+    return whole, values, IdentifyOptions().free_parameters(whole, observes_orientation=False)
 
 
 def _has(model: RobotModel, effect: Effect) -> bool:

@@ -17,7 +17,7 @@ import scipy.optimize
 from kilter_core.arm.conversions import Screws, pose_document, robot_document
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError, TooFewPosesError
-from kilter_core.measurement.markers import fit_poses, marker_shape
+from kilter_core.measurement.marker_shape import fit_poses, marker_shape
 from kilter_core.procedures.circle_coupling import PARALLEL as COUPLED
 from kilter_core.procedures.circle_coupling import checked_follows, keeps_direction, leader_point, refuse_coupled
 from kilter_core.transforms import aligned, inverse, nearest_rotation, rotations_about

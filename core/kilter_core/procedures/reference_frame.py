@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement.markers import FLAT, span_of
+from kilter_core.measurement.marker_shape import FLAT, span_of
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Floats
 

@@ -82,10 +82,17 @@ def _rotation(si: dict[tuple[str, int | None], Floats]) -> Floats | None:
     from scipy.spatial.transform import Rotation  # half a second: not at the start of the API process
 
     quaternion = _vector(si, ("qx", "qy", "qz", "qw"))
-    if quaternion is not None:
-        return np.asarray(Rotation.from_quat(quaternion).as_matrix())
     euler = _vector(si, ("phi", "theta", "psi"))
-    return None if euler is None else np.asarray(Rotation.from_euler("ZXZ", euler).as_matrix())
+    if quaternion is None and euler is None:
+        return None
+    given = euler if quaternion is None else quaternion
+    assert given is not None
+    seen = ~np.isnan(given).any(axis=1)
+    out = np.full((len(given), 3, 3), np.nan)
+    if seen.any():
+        made = Rotation.from_euler("ZXZ", given[seen]) if quaternion is None else Rotation.from_quat(given[seen])
+        out[seen] = made.as_matrix()
+    return out
 
 
 def _tilt(si: dict[tuple[str, int | None], Floats], rows: int) -> Floats | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns.columns import Column
 from kilter_service.campaigns.joint_limits import JointLimits
-from kilter_service.contract.columns import CONTACTS, TILTS
+from kilter_service.contract.columns import CONTACTS, PLACE, TILTS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -36,6 +36,7 @@ class RowRules:
         self.columns = columns
         self.robot = robot
         self.rows = 0
+        self._beside = _beside(columns)
         self._limits = JointLimits()
         self._low: dict[str, float] = {}
         self._high: dict[str, float] = {}
@@ -53,7 +54,8 @@ class RowRules:
             self._check_column(column, cells[column.name])
         self._check_markers(cells)
         self._check_tips(cells)
-        self._check_tilts(cells)
+        self._check_place(cells)
+        self._check_nothing(cells)
         self._check_contacts(cells)
         self._check_quaternions(cells)
         self._remember(cells)
@@ -83,7 +85,7 @@ class RowRules:
             )
 
     def _check_column(self, column: Column, cells: Floats) -> None:
-        if not column.may_be_empty:
+        if not column.may_be_empty and column.quantity not in self._beside:
             self._refuse(np.isnan(cells), column.name, "is empty: only markers, tips and tilts may be missing")
         if column.is_integer:
             self._refuse(cells != np.round(cells), column.name, "is not a whole number", cells)
@@ -114,10 +116,19 @@ class RowRules:
         for name, absent in zip(names, missing, strict=True):
             self._refuse(absent & ~np.all(missing, axis=0), name, "is empty where the tip's other cells are not")
 
-    def _check_tilts(self, cells: dict[str, Floats]) -> None:
-        """Where inclinometers are all that measured, a row without any reading says nothing."""
-        names = [c.name for c in self.columns if c.quantity in TILTS]
-        others = any(c.quantity in ("x", "marker_x", "link", *CONTACTS) for c in self.columns)
+    def _check_place(self, cells: dict[str, Floats]) -> None:
+        """Position and orientation of a row are there whole, or not at all."""
+        names = [c.name for c in self.columns if c.quantity in PLACE]
+        missing = [np.isnan(cells[name]) for name in names]
+        for name, absent in zip(names, missing, strict=True):
+            self._refuse(
+                absent & ~np.all(missing, axis=0), name, "is empty where the row's other cells of the tool are not"
+            )
+
+    def _check_nothing(self, cells: dict[str, Floats]) -> None:
+        """A row in which nothing was read says nothing."""
+        names = [c.name for c in self.columns if c.quantity in (*TILTS, *PLACE, "link")]
+        others = any(c.quantity in ("marker_x", *CONTACTS) for c in self.columns)
         if names and not others:
             empty = np.all([np.isnan(cells[name]) for name in names], axis=0)
             self._refuse(empty, names[0], "and all other readings are empty: leave the row out")
@@ -140,7 +151,7 @@ class RowRules:
         parts = [c.name for c in self.columns if c.quantity in ("qw", "qx", "qy", "qz")]
         if parts:
             norm = np.linalg.norm(np.stack([cells[name] for name in parts]), axis=0)
-            wrong = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
+            wrong = np.abs(norm - 1.0) > QUATERNION_TOLERANCE  # never of one that is missing
             self._refuse(wrong, "qw", "and its neighbours do not form a unit quaternion; their length is", norm)
 
     def _remember(self, cells: dict[str, Floats]) -> None:
@@ -157,7 +168,9 @@ class RowRules:
             q = np.stack([cells[c.name][::step] * c.factor for c in joints], axis=1)
             point = sorted(self._lengths(), key=lambda c: (-1 if c.number is None else c.number, c.quantity))[:3]
             if point:
-                self._sample.append((q, np.stack([cells[c.name][::step] * c.factor for c in point], axis=1)))
+                points = np.stack([cells[c.name][::step] * c.factor for c in point], axis=1)
+                seen = ~np.isnan(points).any(axis=1)
+                self._sample.append((q[seen], points[seen]))
 
     def _lengths(self) -> Iterable[Column]:
         return (c for c in self.columns if c.quantity in ("x", "y", "z") or c.quantity.startswith("marker_"))
@@ -200,3 +213,10 @@ class RowRules:
         value = "" if cells is None else f" ({cells[row]:.9g})"
         number = self.rows + row + 1
         raise ObservationError(f"Row {number}, column {name!r} {what}{value}.", row=number, column=name)
+
+
+def _beside(columns: Sequence[Column]) -> frozenset[str]:
+    """Quantities that may be missing in some rows, because other sensors measured those."""
+    groups = (PLACE, ("link",), TILTS, ("marker_x",))
+    kinds = sum(any(c.quantity in group for c in columns) for group in groups)
+    return frozenset((*PLACE, "link")) if kinds > 1 else frozenset()

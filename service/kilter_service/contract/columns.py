@@ -39,6 +39,7 @@ PLAIN_UNITS: dict[str, dict[str, float]] = {
 # Readings of inclinometers, by joint and axis of its frame: `tilt2x_deg`. A cell is empty where nothing was read.
 TILT_UNITS = ANGLES
 TILTS = ("tilt_x", "tilt_y", "tilt_z")
+PLACE = ("x", "y", "z", "qw", "qx", "qy", "qz", "phi", "theta", "psi")  # of the tool
 CONTACTS = ("socket_id", "plane_id", "bar_id")
 TOGETHER = (
     ("x", "y", "z"),

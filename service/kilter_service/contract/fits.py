@@ -253,6 +253,35 @@ class Method(Stored):
     settled: bool | None = Field(None, description="Whether the sweeps settled.")
 
 
+class KindErrors(Stored):
+    """Rms error of each model on what one kind measured, in the kind's unit."""
+
+    nominal: float | None = Field(None, description="The robot as drawn, in its own base and tool.")
+    registration_only: float | None = Field(None, description="The robot as drawn, base and tool fitted.")
+    identified: float | None = Field(None, description="The model that was identified.")
+
+
+class KindOfMeasurement(Stored):
+    """What one kind of measurement says in a fit."""
+
+    kind: str = Field(
+        description="`points`, `poses`, `markers`, `distances`, `contacts`, `link_encoders` or `inclination`."
+    )
+    unit: str | None = Field(None, description="Unit of its noise and errors: mm or deg.")
+    numbers: int | None = Field(None, description="Independent numbers that it measured.")
+    noise: float | None = Field(None, description="Standard deviation by which its numbers were weighed, in `unit`.")
+    repeats: float | None = Field(None, description="The same from repeats of a pose; null: no repeats of this kind.")
+    train: KindErrors | None = Field(None, description="Rms errors on the rows that were fitted.")
+    validation: KindErrors | None = Field(None, description="Rms errors on the rows that were held out.")
+    tells_alone: list[str] | None = Field(None, description="Parameters that it tells without the others.")
+    known_because_of_it: list[str] | None = Field(
+        None, description="Parameters that are known with it, and would not be by the other kinds alone."
+    )
+    sharpens: dict[str, float] | None = Field(
+        None, description="Other parameters, and how many times more certain they are with it."
+    )
+
+
 class FitDetails(Stored):
     """What an identification says beside its parameters and errors."""
 
@@ -272,3 +301,7 @@ class FitDetails(Stored):
     correlated_groups: list[CorrelatedGroup] | None = Field(None, description="Parameters that go together.")
     base_refitted: list[OwnBase] | None = Field(None, description="Bases that were fitted to rows of their own.")
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
+    measurements: list[KindOfMeasurement] | None = Field(None, description="What each kind of measurement says.")
+    known_together: list[str] | None = Field(
+        None, description="Parameters that the kinds tell together and none of them alone."
+    )

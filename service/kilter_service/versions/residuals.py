@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -95,7 +95,7 @@ def _left(part: Part, calibration: Calibration, known: Predictive | None, report
         found = rows_of(here, measurement, refit, known)
         left = measurement.residual(here.predict(measurement.observations))
         if np.isnan(turn_noise):
-            left = replace(left, turns=None)
+            left = left.of_points()
         error[where] = found.error
         u95[where] = np.nan if found.u95 is None else found.u95
         size[where] = sizes_of(left, point_noise or np.nan, turn_noise or np.nan)

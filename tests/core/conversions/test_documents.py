@@ -95,7 +95,7 @@ def test_masses_stay_where_they_are(convention: str) -> None:
 def pose_jacobian(document: dict[str, Any], seed: int) -> tuple[Floats, list[str]]:
     robot = robot_from_document(document)
     model = RobotModel(robot)
-    free = IdentifyOptions(base="fixed", tool="fixed").free_parameters(model, sees_orientation=True)
+    free = IdentifyOptions(base="fixed", tool="fixed").free_parameters(model, observes_orientation=True)
     q = np.random.default_rng(seed).uniform(-2.0, 2.0, (60, robot.n_joints))
     _, J = model.jacobian(Observations(q), model.values0(), free)
     return J.reshape(-1, len(free)), [model.names[k] for k in free]
@@ -125,7 +125,7 @@ def test_zero_offsets_are_identified_at_level_1_or_when_asked_for() -> None:
     model = RobotModel(robot_from_document(robot_document(robot_from_document(preset_document("ur10")), "mcpc")))
 
     def chosen(**options: Any) -> list[str]:
-        free = IdentifyOptions(base="fixed", tool="fixed", **options).free_parameters(model, sees_orientation=True)
+        free = IdentifyOptions(base="fixed", tool="fixed", **options).free_parameters(model, observes_orientation=True)
         return [model.names[k] for k in free]
 
     offsets = [f"theta_offset_{k}" for k in range(1, 7)]

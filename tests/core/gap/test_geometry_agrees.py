@@ -12,7 +12,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.gap import GapOptions
 from kilter_core.gap.search.in_space import train_rms
 from kilter_core.gap.search.prepare import prepare_data
-from kilter_core.gap.search.source import ToolSource
+from kilter_core.gap.search.tool_source import ToolSource
 from kilter_core.identify import identify
 from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.measurement.contacts import Contacts
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import held as held_by
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
 from tests.core.campaigns import held, joints, measured, table_errors
@@ -176,7 +177,7 @@ def test_contacts_may_be_mixed_and_pose_the_same_slopes_as_differences() -> None
     rod[len(q) : len(q) + 12], length[len(q) : len(q) + 12] = 1, bar.bar_length
     plane[len(q) + 12 :] = 1
     rows = Observations(np.concatenate([q, bar.q, flat]), socket=socket, plane=plane, bar=rod, bar_length=length)
-    measurement = Contacts.among(rows, {(1, 2): 0.4})
+    measurement = Measurement.of(rows, socket_distances={(1, 2): 0.4})
     model = RobotModel(robot_from_document(drawn.document()))
     values = model.values0()
     prediction, J = model.jacobian(rows, values)
@@ -202,8 +203,8 @@ def test_held_out_rows_are_compared_with_the_places_of_the_training_rows() -> No
     # The same poses in a socket that stands a millimetre off: rows by themselves could never show it.
     rng = np.random.default_rng(8)
     q, number = in_sockets(actual, rng, PLACES + np.array([0.0, 0.0, 1e-3]), 10)
-    other = Contacts.among(Observations(q, socket=number), {}, Contacts.among(rows, {}))
-    errors, _ = other.misses(found.calibration)
+    other = Measurement.of(Observations(q, socket=number), anchor=Measurement.of(rows))
+    errors, _ = other.errors(found.calibration)
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1e-3, rel=0.1)
 
 
@@ -228,4 +229,4 @@ def test_what_cannot_be_calibrated_is_refused() -> None:
 def test_positions_are_not_contacts() -> None:
     rng = np.random.default_rng(0)
     drawn, _ = pair()
-    assert not Contacts.held(measured(drawn, joints(drawn, 3, rng), rng))
+    assert not held_by(measured(drawn, joints(drawn, 3, rng), rng))

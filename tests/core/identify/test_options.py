@@ -16,10 +16,10 @@ MODEL = RobotModel(robot_from_document(ur10().document()))
 FRAME = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def freed(sees_orientation: bool = True, **options: Any) -> set[str]:
+def freed(observes_orientation: bool = True, **options: Any) -> set[str]:
     chosen = IdentifyOptions(**options)
     model = RobotModel(MODEL.robot, chosen.make_effects())
-    return {model.names[k] for k in chosen.free_parameters(model, sees_orientation=sees_orientation)}
+    return {model.names[k] for k in chosen.free_parameters(model, observes_orientation=observes_orientation)}
 
 
 def test_level_1_frees_joint_offsets_only() -> None:
@@ -42,7 +42,7 @@ def test_level_3_adds_full_tilting_and_naming_effects_means_level_3() -> None:
 def test_base_and_tool_come_as_the_measurement_sees_them() -> None:
     chain = set(MODEL.names[6:-6])
     assert freed() - chain == {f"{which}_{k}" for which in ("base", "tool") for k in FRAME}
-    assert freed(sees_orientation=False) - chain == {*(f"base_{k}" for k in FRAME), "tool_x", "tool_y", "tool_z"}
+    assert freed(observes_orientation=False) - chain == {*(f"base_{k}" for k in FRAME), "tool_x", "tool_y", "tool_z"}
     assert freed(tool="fixed") - chain == {f"base_{k}" for k in FRAME}
 
 

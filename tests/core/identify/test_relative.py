@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify import Folds, IdentifyOptions, identify
+from kilter_core.measurement import Measurement
 from kilter_core.measurement.distances import Distances
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
@@ -82,14 +83,15 @@ def test_residuals_and_slopes_are_those_of_the_distances() -> None:
     robot, train, _ = campaign("markers", rows=12)
     hidden = train.markers.copy()  # type: ignore[union-attr]
     hidden[3, 1] = np.nan
-    measurement = Distances.of(Observations(train.q, markers=hidden), MARKERS)
+    measurement = Measurement.of(Observations(train.q, markers=hidden), MARKERS, relative=True)
+    pairs = Distances(measurement.observations, MARKERS).pairs
     model = RobotModel(robot)
     values = model.values0()
     prediction, J = model.jacobian(measurement.observations, values)
     residual = measurement.residual(prediction, J)
     factor = np.sqrt(2.0 * measurement.redundancy)
     points = prediction.position[:, None] + np.einsum("nij,mj->nmi", prediction.rotation, MARKERS)
-    for (a, b), left in zip(measurement.pairs, residual.points[:, :, 0] * factor, strict=True):
+    for (a, b), left in zip(pairs, residual.points[:, :, 0] * factor, strict=True):
         expected = np.linalg.norm(hidden[a] - hidden[b], axis=1) - np.linalg.norm(points[a] - points[b], axis=1)
         np.testing.assert_allclose(left, expected, atol=1e-12)
     k = model.names.index("alpha_2")
@@ -109,7 +111,7 @@ def test_folds_hold_out_poses_and_repeats_are_no_distances() -> None:
     twice = Observations(np.repeat(train.q, 2, axis=0), position=np.repeat(train.position, 2, axis=0))  # type: ignore[arg-type]
     found = identify(robot, twice, Folds(4), IdentifyOptions(base="removed"))
     assert found.metrics["validation"]["identified"]["rms_mm"] < 0.1
-    pairs = Distances.of(twice).pairs
+    pairs = Distances(twice).pairs
     assert np.all(pairs[:, 0] // 2 != pairs[:, 1] // 2)
 
 

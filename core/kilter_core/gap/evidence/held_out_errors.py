@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,13 +14,12 @@ from kilter_core.gap.evidence.adequacy import gain, left_out_errors, left_out_fl
 from kilter_core.gap.evidence.foretold import surely_foretold
 from kilter_core.gap.evidence.intervals import inflation, interval_width
 from kilter_core.gap.evidence.posterior import SMALLEST, Posterior
-from kilter_core.gap.noise.motion import blocks, is_trajectory, motion_blocks, segments
+from kilter_core.gap.noise.motion import blocks, is_trajectory, motion_blocks
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.in_space import fit_rms, noise_rms, rms, root_of
+from kilter_core.gap.search.in_space import fit_rms, noise_rms, root_of
 from kilter_core.gap.search.linearized import ProblemSettings, solved
 from kilter_core.gap.search.prepare import Prepared, windowed
-from kilter_core.gap.search.source import LinkSource, Source, ToolSource
-from kilter_core.measurement import Measurement
+from kilter_core.gap.search.source import Source
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
 
@@ -82,14 +81,14 @@ class HoldoutEvaluator:
             problem.settings.source, self.rows, self.search, solved(problem.settings, begin.values, columns)[0]
         )
         r = np.nan_to_num(source[0].residual(source[1]))
-        if self.moving and isinstance(source[0], LinkSource):
-            r = referenced(r, segments(self.rows))
+        if self.moving:
+            r = source[0].referenced(r)
         return np.asarray(r @ np.linalg.inv(self._lower()).T)
 
     def rms(self, columns: Sequence[int]) -> float:
         """Rms error (m; rad of a joint) of the held-out rows that are measurements, by a set of columns."""
-        joint = isinstance(self.search.problem.settings.source, LinkSource)
-        return rms(self.errors(columns)[self.kept], self._lower(), joint)
+        source = self.search.problem.settings.source
+        return source.rms(self.errors(columns)[self.kept] @ self._lower().T)
 
     @property
     def poses(self) -> int:
@@ -116,7 +115,7 @@ class HoldoutEvaluator:
         if spread is not None:
             floor = _floor(spread[~spike] / max(inflation(self.search), SMALLEST) ** 2, self._lower())
         how = "validation observations"
-        if self.moving and isinstance(problem.settings.source, LinkSource):
+        if self.moving and not problem.settings.source.observes_tool:
             how += ", with the encoder offsets of each motion fitted to it"
         grown = problem.settings.inflation if self.moving else 1.0
         told = None if spread is None else self._predictive(after, spread, ~spike)
@@ -139,10 +138,9 @@ class HoldoutEvaluator:
     def _spread(self) -> Floats | None:
         """Covariance (N, m, m) of the predictions of the held-out rows by that of the fit; None for joint data."""
         source, problem = self.search.problem.settings.source, self.search.problem
-        if self.rows is None or self.fit is None or not isinstance(source, ToolSource):
+        if self.rows is None or self.fit is None or not source.observes_tool:
             return None
         other, values = on_rows(source, self.rows, self.search, problem.values)
-        assert isinstance(other, ToolSource)
         return predicted_covariance(other, values, self.fit)
 
     def _predictive(self, after: Floats, spread: Floats, kept: Bools) -> dict[str, Any]:
@@ -193,11 +191,10 @@ class HoldoutEvaluator:
         return self.rows.pose_groups()
 
 
-def predicted_covariance(source: ToolSource, values: Floats, fit: Posterior) -> Floats:
+def predicted_covariance(source: Source, values: Floats, fit: Posterior) -> Floats:
     """Covariance (N, m, m) of a model's predictions of its rows, by the covariance of what was fitted."""
-    index = [k for k, name in enumerate(source.model.names) if name in fit.names]
-    own = [fit.names.index(source.model.names[k]) for k in index]
-    J = replace(source, free=np.array(index, dtype=np.int64)).linear(values, None, []).G
+    J, names = source.all_columns(values, fit.names)
+    own = [fit.names.index(name) for name in names]
     return np.asarray(J @ fit.covariance[np.ix_(own, own)] @ J.transpose(0, 2, 1))
 
 
@@ -208,40 +205,15 @@ def _floor(spread: Floats, lower: Floats) -> float:
     return 1.0 + float(np.mean(np.trace(white, axis1=1, axis2=2))) / len(lower)
 
 
-def referenced(residual: Floats, motion: Ints) -> Floats:
-    """Residuals (V, m) of joints less their mean in each motion: encoders are referenced anew, as a tool registered."""
-    count = np.bincount(motion)
-    mean = np.stack([np.bincount(motion, c) for c in residual.T], axis=1) / count[:, None]
-    return np.asarray(residual - mean[motion])
-
-
 def on_rows(source: Source, rows: Observations, search: SearchResult, fitted: Floats) -> tuple[Source, Floats]:
     """The fitted model on other rows: only the effects in use, so that only their columns are needed."""
     effects = tuple(e for k in search.chosen for e in search.selector.scorer.candidates[k].effects)
-    if isinstance(source, ToolSource):
-        started = len(source.model.effects) - _library_effects(source)
-        model = replace(source.model, effects=(*source.model.effects[:started], *effects))
-        known = dict(zip(source.model.names, fitted, strict=True))
-        values = np.array([known[p.name] for p in model.parameters])
-        measurement = Measurement.of(rows, source.measurement.marker_points)
-        return ToolSource.of(model, measurement, source.free, 0).blurred(source.batch.blur), values
-    assert isinstance(source, LinkSource)
-    return source.on(rows), fitted
-
-
-def _library_effects(source: ToolSource) -> int:
-    left, count = source.n_library, 0
-    for effect in reversed(source.model.effects):
-        if left <= 0:
-            break
-        left -= len(effect.parameters(source.model.robot))
-        count += 1
-    return count
+    return source.with_effects(rows, effects, fitted)
 
 
 def noise_document(settings: ProblemSettings) -> dict[str, Any]:
     """The noise: standard deviations of a coordinate, and the covariance of a single row (of poses mm, then deg)."""
-    noise, joint = settings.noise, isinstance(settings.source, LinkSource)
+    noise, joint = settings.noise, settings.source.unit == "rad"
     unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
     scales = np.full(len(noise.row), scale)
     scales[noise.lengths or len(scales) :] = 180.0 / np.pi
@@ -264,11 +236,12 @@ def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dic
     """
     problem = search.problem
     size = problem.settings.whitener.shape[-1]
-    joint = isinstance(problem.settings.source, LinkSource)
+    source = problem.settings.source
+    joint = source.unit == "rad"
     coordinate = problem.settings.noise.coordinate
     noise = noise_rms(problem.settings)
-    r0, r1 = rms(held.before, held.lower, joint), rms(held.after, held.lower, joint)
-    sigma = rms(np.eye(size) * np.sqrt(size * held.floor), held.lower / np.sqrt(held.inflation), joint)
+    r0, r1 = source.rms(held.before @ held.lower.T), source.rms(held.after @ held.lower.T)
+    sigma = source.rms(np.eye(size) * np.sqrt(size * held.floor) @ (held.lower / np.sqrt(held.inflation)).T)
     if not problem.settings.trusted:
         # The scatter of the first fit holds the gap itself: the floor is that of the last fit.
         last = problem.gram.given(search.columns)

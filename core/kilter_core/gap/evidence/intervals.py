@@ -10,7 +10,6 @@ from scipy.stats import t
 
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import fitted, solved
-from kilter_core.gap.search.source import LinkSource, ToolSource
 from kilter_core.gap.search.tails import tail
 from kilter_core.identify.uncertainty.intervals import profile_end
 
@@ -93,7 +92,6 @@ def seen_joints(search: SearchResult, place: int) -> tuple[tuple[int, ...] | Non
     """
     candidate, columns = search.selector.scorer.candidates[place], search.columns
     source = search.problem.settings.source
-    assert isinstance(source, ToolSource | LinkSource)
     values, covariance = fitted(search.problem, columns)
     wide, freedom = covariance * inflation(search) ** 2, scale_freedom(search)
 

@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.scan import residual_given
-from kilter_core.gap.search.source import ToolSource
+from kilter_core.gap.search.source import Source
 from kilter_core.types import Floats
 
 CENTRES = 12
@@ -23,7 +23,7 @@ def local_bump_test(search: SearchResult, place: int, rows_q: Floats) -> bool:
     """Whether a local bump of the candidate's joint, at its best centre and width, does as well in its place."""
     candidate = search.selector.scorer.candidates[place]
     source = search.problem.settings.source
-    if not _is_curve(candidate) or not isinstance(source, ToolSource):
+    if not _is_curve(candidate) or not source.observes_tool:
         return False
     problem, selector = search.problem, search.selector
     rest = selector.columns([k for k in search.chosen if k != place])
@@ -47,16 +47,11 @@ def _is_curve(candidate: Candidate) -> bool:
     return len(candidate.joints or ()) == 1 and not candidate.effects[0].needs and not candidate.empirical
 
 
-def _columns(search: SearchResult, source: ToolSource, joint: int, q: Floats) -> Floats:
+def _columns(search: SearchResult, source: Source, joint: int, q: Floats) -> Floats:
     """Whitened effect (R, B) of turning the joint by a bump of one radian, for all bumps."""
-    prediction, JQ = source.model.joint_jacobian(source.batch, search.problem.values)
-    residual = source.measurement.residual(prediction, JQ[:, :, [joint]])
-    assert residual.d_points is not None
-    parts = [residual.d_points.reshape(len(q), -1)]
-    if residual.d_turns is not None:
-        parts.append(residual.d_turns[:, :, 0])
+    turned = source.joint_columns(search.problem.values)(joint)
     settings = search.problem.settings
-    along = np.einsum("vij,vj->vi", settings.whitener, np.nan_to_num(np.hstack(parts))) * settings.used[:, None]
+    along = np.einsum("vij,vj->vi", settings.whitener, np.nan_to_num(turned)) * settings.used[:, None]
     span = float(np.ptp(q))
     centres = np.linspace(q.min(), q.max(), CENTRES)
     shapes = [np.exp(-0.5 * ((q - c) / (w * span)) ** 2) for c in centres for w in WIDTHS]

@@ -14,8 +14,7 @@ from scipy.stats import chi2, f
 from kilter_core.gap.evidence.adequacy import Adequacy
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.in_space import moved_by, noise_rms, rms
-from kilter_core.gap.search.source import LinkSource
+from kilter_core.gap.search.in_space import moved_by, noise_rms
 from kilter_core.observations import Observations
 
 SURE = 0.05  # chance that the misfit is larger than its upper bound
@@ -66,7 +65,7 @@ class Misfit:
 def misfit(found: SearchResult, fit: Adequacy, rows: Observations, options: GapOptions) -> Misfit:
     """Size of the misfit at the end of a search, from lack of fit: the variance of visits beyond that of the noise."""
     settings = found.problem.settings
-    if isinstance(settings.source, LinkSource):
+    if not settings.source.observes_tool:
         return Misfit(None, None, None, fit.adequate)
     floor = floor_mm(rows, options)
     if not settings.noise.absolute:
@@ -88,9 +87,10 @@ def floor_mm(rows: Observations, options: GapOptions) -> float:
 
 def moves_mm(found: SearchResult) -> dict[int, float]:
     """Rms displacement of the tool by each chosen candidate, mm; infinite for joint data."""
-    if isinstance(found.problem.settings.source, LinkSource):
+    source = found.problem.settings.source
+    if not source.observes_tool:
         return dict.fromkeys(found.chosen, float("inf"))
     used = found.problem.settings.used
     own = {k: found.selector.scorer.candidates[k].columns for k in found.chosen}
     moved = {k: moved_by(found.problem, found.columns, columns)[used] for k, columns in own.items()}
-    return {k: 1e3 * rms(m, np.eye(m.shape[1])) for k, m in moved.items()}
+    return {k: 1e3 * source.rms(m) for k, m in moved.items()}

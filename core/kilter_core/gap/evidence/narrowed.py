@@ -10,7 +10,6 @@ from kilter_core.gap.evidence.posterior import of_all
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import refit
 from kilter_core.gap.search.masses import blurred
-from kilter_core.gap.search.source import ToolSource
 
 CHANGED = 0.05  # of a blur: less moves no sign that matters
 PASSES = 3  # narrower signs show the masses better, which narrows them again
@@ -31,11 +30,10 @@ def narrowed(found: SearchResult) -> SearchResult:
 def _once(found: SearchResult) -> SearchResult:
     problem = found.problem
     source = problem.settings.source
-    if not found.chosen or not isinstance(source, ToolSource) or source.batch.blur is None:
+    if not found.chosen or source.batch.blur is None:
         return found
     soft = np.flatnonzero(source.soft)
     after = blurred(source, problem.values, of_all(found)[2][np.ix_(soft, soft)])
-    assert isinstance(after, ToolSource)
     before = source.batch.blur
     if after.batch.blur is None or np.all(np.abs(after.batch.blur - before) <= CHANGED * before):
         return found

@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_core.gap.evidence.intervals import inflation
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.source import LinkSource, Source, ToolSource, zeros
+from kilter_core.gap.search.source import Source
 from kilter_core.model import Calibration
 from kilter_core.parameters import indices
 from kilter_core.types import Floats
@@ -43,7 +43,7 @@ def posterior(found: SearchResult, begin: Calibration, stored: Calibration) -> P
     source = found.problem.settings.source
     J, prior, covariance = of_all(found)
     names, L = _combined(source, begin, stored, found.columns)
-    seen = J @ L.T if isinstance(source, ToolSource) else None
+    seen = J @ L.T if source.observes_tool else None
     return Posterior(names, L @ covariance @ L.T, np.sqrt(L**2 @ prior**2), seen)
 
 
@@ -62,29 +62,12 @@ def _combined(
     source: Source, begin: Calibration, stored: Calibration, columns: list[int]
 ) -> tuple[tuple[str, ...], Floats]:
     """Names (F,) of the stored free parameters, in the stored order, and how they follow (F, P + d) from what was fitted."""
-    assert isinstance(source, ToolSource | LinkSource)
     model = source.model
     library = [model.names[len(model.names) - source.n_library + k] for k in columns]
-    rows: dict[str, Floats] = {}
-    if isinstance(source, ToolSource):
-        fitted: list[str | None] = [*(model.names[k] for k in source.free), *library]
-    else:
-        started = model.names[model.n_geometric : len(model.names) - source.n_library]
-        fitted = [*[None] * source.n_offsets, *started, *library]
-        rows |= _of_zeros(source, begin, len(fitted))
+    fitted = [*source.fitted_names(), *library]
+    rows = dict(source.follows(begin, len(fitted)))
     # A version without load effects has no load errors either: what the data say of masses is then nothing.
     known = set(stored.names)
     rows |= {name: np.eye(len(fitted))[k] for k, name in enumerate(fitted) if name is not None and name in known}
     order = sorted(rows, key=lambda name: int(indices(stored.names, [name])[0]))
     return tuple(order), np.array([rows[name] for name in order]).reshape(len(order), len(fitted))
-
-
-def _of_zeros(source: LinkSource, begin: Calibration, count: int) -> dict[str, Floats]:
-    """How each joint's zero follows from the offsets of its motions: their mean, by the joint's ratio."""
-    n = source.model.robot.n_joints
-    out = {}
-    for name, (joint, ratio) in zeros(begin).items():
-        row = np.zeros(count)
-        row[joint : source.n_offsets : n] = ratio * n / source.n_offsets
-        out[name] = row
-    return out

@@ -21,8 +21,8 @@ from kilter_core.gap.evidence.holding_out import refuse_shared
 from kilter_core.gap.evidence.posterior import Posterior
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import SPARE, Prepared, prepare_data
-from kilter_core.gap.search.source import LinkSource, ToolSource
 from kilter_core.gap.search.tails import tail
 from kilter_core.identify.report import WIRE
 from kilter_core.measurement import Measurement
@@ -93,8 +93,8 @@ def refuse_unfit(robot: Robot, searched: Observations, confirmation: Observation
     if confirmation.position is None and confirmation.markers is None:
         return
     measured = Measurement.of(confirmation)
-    turned = 3 if measured.sees_orientation else 0
-    needed = -(-(FRAMES + turned + 1 + SPARE) // measured.each)
+    turned = 3 if measured.observes_orientation else 0
+    needed = -(-(FRAMES + turned + 1 + SPARE) // measured.equations_per_pose)
     if measured.numbers() < (FRAMES + turned + 1 + SPARE):
         raise TooFewPosesError(
             f"The confirmation has {int(confirmation.pose_groups().max()) + 1} poses: base, tool and one amplitude need "
@@ -131,7 +131,7 @@ class Confirmation:
         known = {name: k for k, name in enumerate(posterior.names)}
         index = [known[name] for name in names]
         at = {name: k for k, name in enumerate(found.names)}
-        free = problem.basis([]) if isinstance(problem.settings.source, ToolSource) else _offsets(prepared)
+        free = _taken_out(problem)
         r, J = r - free @ (free.T @ r), J - free @ (free.T @ J)
         noise = problem.settings.noise
         scalars = float(problem.settings.used.sum() * problem.settings.whitener.shape[-1] / problem.settings.inflation)
@@ -215,27 +215,17 @@ def _placed(found: Calibration, rows: Observations, options: GapOptions, progres
 def _linear(prepared: Prepared, found: Calibration, posterior: Posterior) -> tuple[Floats, Floats, tuple[str, ...]]:
     """Whitened residual at the values of the search, derivatives by its parameters but base and tool, their names."""
     problem, source = prepared.problem, prepared.problem.settings.source
-    if isinstance(source, ToolSource):
-        model, n = source.model, source.model.n_geometric
-        frames = {*range(6), *range(n - 6, n)}
-        index = [k for k, name in enumerate(model.names) if name in posterior.names and k not in frames]
-        linear = replace(source, free=np.array(index, dtype=np.int64)).linear(problem.values, None, [])
-        white = np.matmul(problem.settings.whitener, linear.G) * problem.settings.used[:, None, None]
-        return problem.raw, white.reshape(-1, len(index)), tuple(model.names[k] for k in index)
-    assert isinstance(source, LinkSource)
-    model = source.model
-    names = model.names[model.n_geometric : len(model.names) - source.n_library]
-    J = problem.G[:, source.n_offsets :]
-    at = dict(zip(found.names, found.values, strict=True))
-    moved = source.geometry(problem.values)[source.n_offsets :] - np.array([at[name] for name in names])
-    return problem.raw + J @ moved, J, names
+    G, names, moved = source.by_version(problem.values, found, posterior.names)
+    white = np.matmul(problem.settings.whitener, G) * problem.settings.used[:, None, None]
+    J = white.reshape(-1, len(names))
+    return problem.raw + J @ moved, J, tuple(names)
 
 
-def _offsets(prepared: Prepared) -> Floats:
-    """Orthonormal basis of the encoder offsets of the motions."""
-    source = prepared.problem.settings.source
-    assert isinstance(source, LinkSource)
-    columns = prepared.problem.G[:, : source.n_offsets]
+def _taken_out(problem: LinearizedProblem) -> Floats:
+    """Orthonormal basis of what is fitted to the confirmation: base and tool, or the zeros of the instrument."""
+    columns = problem.settings.source.own_zeros(problem.G)
+    if columns is None:
+        return problem.basis([])
     u, s, _ = scipy.linalg.svd(columns, full_matrices=False)
     return np.asarray(u[:, s > 1e-9 * s.max(initial=1e-300)])
 

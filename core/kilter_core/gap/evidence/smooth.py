@@ -21,7 +21,6 @@ from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.select import MARGIN
-from kilter_core.gap.search.source import LinkSource, Source, ToolSource
 from kilter_core.model import RobotModel
 from kilter_core.types import Floats
 
@@ -232,27 +231,12 @@ def _turning(search: SearchResult) -> Callable[[int], Floats]:
     def whitened(change: Floats) -> Floats:
         return np.asarray(np.einsum("vij,vj->vi", settings.whitener, np.nan_to_num(change)) * settings.used[:, None])
 
-    if isinstance(source, LinkSource):
-        live = np.flatnonzero(source.live)
-        return lambda joint: whitened(np.tile((live == joint) * 1.0, (len(settings.used), 1)))
-    assert isinstance(source, ToolSource)
-    prediction, JQ = source.model.joint_jacobian(source.batch, search.problem.values)
-
-    def of_tool(joint: int) -> Floats:
-        residual = source.measurement.residual(prediction, JQ[:, :, [joint]])
-        assert residual.d_points is not None
-        parts = [residual.d_points.reshape(len(JQ), -1)]
-        if residual.d_turns is not None:
-            parts.append(residual.d_turns[:, :, 0])
-        return whitened(np.hstack(parts))
-
-    return of_tool
+    column = source.joint_columns(search.problem.values)
+    return lambda joint: whitened(column(joint))
 
 
 def _model(search: SearchResult) -> RobotModel:
-    source: Source = search.problem.settings.source
-    assert isinstance(source, ToolSource | LinkSource)
-    return source.model
+    return search.problem.settings.source.model
 
 
 def _less(columns: Floats, basis: Floats) -> Floats:

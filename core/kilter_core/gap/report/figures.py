@@ -9,10 +9,9 @@ import numpy as np
 
 from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.in_space import moved_by, rms
+from kilter_core.gap.search.in_space import moved_by
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
-from kilter_core.gap.search.source import LinkSource, ToolSource
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 
@@ -39,7 +38,7 @@ def contributions(search: SearchResult) -> list[dict[str, Any]]:
         size = np.abs(moved).max(axis=1) if _joint_data(search) else np.linalg.norm(moved[:, :3], axis=1)
         out.append({
             "label": candidate.label, **candidate.named(),
-            "rms": rms(moved, np.eye(moved.shape[1]), _joint_data(search)) * _unit(search),
+            "rms": search.problem.settings.source.rms(moved) * _unit(search),
             "largest": float(size.max(initial=0.0)) * _unit(search),
         })  # fmt: skip
     return out
@@ -51,11 +50,11 @@ def _residuals(problem: LinearizedProblem, columns: Sequence[int]) -> Floats:
 
 
 def _unit(search: SearchResult) -> float:
-    return 180.0 / np.pi if _joint_data(search) else 1e3
+    return 180.0 / np.pi if search.problem.settings.source.unit == "rad" else 1e3
 
 
 def _joint_data(search: SearchResult) -> bool:
-    return isinstance(search.problem.settings.source, LinkSource)
+    return not search.problem.settings.source.observes_tool
 
 
 def _joints(search: SearchResult, rows: Observations) -> list[int]:
@@ -86,16 +85,14 @@ def _by_angle(search: SearchResult, rows: Observations, j: int) -> dict[str, Any
 
 
 def _along(problem: LinearizedProblem, j: int) -> Floats:
-    """Unit direction (V, m) in which joint ``j`` moves what is measured."""
+    """Unit direction (V, m) in which joint ``j`` moves the point, or the encoder, that is measured."""
     source, size = problem.settings.source, problem.settings.whitener.shape[-1]
-    if isinstance(source, LinkSource):
-        out = np.zeros((len(problem.settings.used), size))
-        if source.live[j]:
-            out[:, int(source.live[:j].sum())] = 1.0
-        return out
-    assert isinstance(source, ToolSource)
+    D = np.zeros((len(problem.settings.used), size))
+    if not source.observes_tool:
+        own = source.parts(np.broadcast_to(np.arange(size), D.shape))[j]
+        D[:, own[0].astype(np.int64)] = 1.0
+        return D
     _, JQ = source.model.joint_jacobian(source.batch, problem.values)
-    D = np.zeros((len(JQ), size))
     D[:, :3] = JQ[:, :3, j]
     return np.asarray(D / np.maximum(np.linalg.norm(D, axis=1, keepdims=True), 1e-9))
 
@@ -157,4 +154,4 @@ def _gap_bar(search: SearchResult, gap: dict[str, Any], held: HoldoutEvaluator) 
 def _left(search: SearchResult, chosen: Sequence[int]) -> float:
     """Rms error with some of the chosen candidates, mm or deg."""
     r = _residuals(search.problem, search.selector.columns(chosen))[search.problem.settings.used]
-    return rms(r, np.eye(r.shape[1]), _joint_data(search)) * _unit(search)
+    return search.problem.settings.source.rms(r) * _unit(search)

@@ -12,7 +12,6 @@ from scipy.stats import chi2
 
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import flipped
-from kilter_core.gap.search.source import LinkSource, ToolSource
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
 
@@ -57,7 +56,7 @@ def _contrasts(problem: LinearizedProblem, rows: Observations, r: Floats, scale:
     labels: dict[str, Floats] = {}
     own: dict[str, Floats] = {}
     if rows.direction is not None:
-        for j, part in enumerate(_parts(problem, r, rows.direction.shape[1])):
+        for j, part in enumerate(problem.settings.source.parts(r)):
             labels[f"direction of joint {j + 1}"] = rows.direction[:, j]
             own[f"direction of joint {j + 1}"] = part
     if rows.payload_kg is not None:
@@ -72,17 +71,6 @@ def _contrasts(problem: LinearizedProblem, rows: Observations, r: Floats, scale:
             p = float(chi2.sf(taken / scale, freedom))
             excess = taken / scale / freedom - 1.0
             yield Place(f"contrast: {factor}", f"{pairs} poses measured under both", excess, p, 2 * pairs)
-
-
-def _parts(problem: LinearizedProblem, r: Floats, joints: int) -> Iterator[Floats]:
-    """What a joint can move of the residual: all of a tool's, its own encoder's of joint data, nothing without one."""
-    source = problem.settings.source
-    if not isinstance(source, LinkSource):
-        yield from itertools.repeat(r, joints)
-        return
-    for j in range(joints):
-        k = int(np.sum(source.live[:j]))
-        yield r[:, k : k + 1] if source.live[j] else r[:, :0]
 
 
 def _contrast(r: Floats, group: Ints, label: Floats) -> tuple[float, float, int]:
@@ -179,15 +167,11 @@ def _levels(problem: LinearizedProblem, rows: Observations, r: Floats) -> Iterat
 def _along_joints(problem: LinearizedProblem, rows: Observations, r: Floats) -> Iterator[Floats]:
     """Residual (V, 1) along what each joint's own angle would move, in units of noise."""
     source = problem.settings.source
-    if not isinstance(source, ToolSource):
-        yield from _parts(problem, r, rows.q.shape[1])
+    if not source.observes_tool:
+        yield from source.parts(r)
         return
-    _, JQ = source.model.joint_jacobian(source.batch, problem.values)
-    residual = source.measurement.residual(source.model.predict(source.batch, problem.values), JQ)
-    assert residual.d_points is not None
-    D = residual.d_points.reshape(len(r), -1, JQ.shape[2])
-    if residual.d_turns is not None:
-        D = np.concatenate([D, residual.d_turns], axis=1)
+    column = source.joint_columns(problem.values)
+    D = np.stack([column(j) for j in range(rows.q.shape[1])], axis=2)
     D = np.matmul(problem.settings.whitener, np.nan_to_num(D))
     size = np.linalg.norm(D, axis=1)
     for j in range(rows.q.shape[1]):

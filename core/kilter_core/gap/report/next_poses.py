@@ -17,8 +17,7 @@ from kilter_core.arm.driving_order import joint_ranges, short_way
 from kilter_core.arm.robot import Robot
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linearized import LinearizedProblem
-from kilter_core.gap.search.source import ToolSource
-from kilter_core.measurement import Measurement
+from kilter_core.gap.search.source import Source
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
@@ -52,7 +51,7 @@ def separate(
     Only tool measurements can be planned for.
     """
     source = problem.settings.source
-    if not isinstance(source, ToolSource) or count < 1:
+    if not source.observes_tool or count < 1:
         return ()
     model = Calibration(source.model, problem.values)
     region = region or Region.of(model, rows.q)
@@ -124,8 +123,7 @@ class _Question:
     def rows(self, observations: Observations) -> Floats:
         """Whitened columns (V, m, p) of poses not measured yet, visited as the others were on average."""
         source = self.problem.settings.source
-        assert isinstance(source, ToolSource)
-        linear = source.on(_imagined(source, observations, self.problem.values)).linear(self.problem.values)
+        linear = source.imagined(observations, self.problem.values).linear(self.problem.values)
         noise = np.mean(self.problem.settings.noise.visit[self.problem.settings.used], axis=0)
         L = np.linalg.inv(np.linalg.cholesky(noise + 1e-18 * np.eye(len(noise))))
         return self.columns(L @ linear.G, L @ linear.W)
@@ -152,7 +150,7 @@ def _greedy(question: _Question, pool: Observations, count: int, kind: str, chan
 def _ordered(question: _Question, proposal: Proposal, needs: frozenset[str]) -> Proposal:
     """The same poses in the order of a short way, with what is known after each, and only the conditions that matter."""
     rows = proposal.rows
-    robot = question.problem.settings.source.model.robot  # type: ignore[attr-defined]
+    robot = question.problem.settings.source.model.robot
     rows = rows.select(short_way(rows.q, joint_ranges(robot)))
     H, after = question.information(), []
     for X in question.rows(rows):
@@ -164,17 +162,6 @@ def _ordered(question: _Question, proposal: Proposal, needs: frozenset[str]) -> 
     if not (needs & {"moments", "payload_kg"}) and not loads:
         rows = replace(rows, payload_kg=None)
     return replace(proposal, rows=rows, after=tuple(after))
-
-
-def _imagined(source: ToolSource, rows: Observations, values: Floats) -> Measurement:
-    """Measurements exactly as the model predicts, of the same kind as the real ones."""
-    prediction = source.model.predict(rows, values)
-    shape = source.measurement.marker_points
-    if shape is not None:
-        markers = prediction.position[:, None, :] + np.einsum("nij,mj->nmi", prediction.rotation, shape)
-        return Measurement(replace(rows, markers=markers), shape)
-    rotation = None if source.measurement.observations.rotation is None else prediction.rotation
-    return Measurement(replace(rows, position=prediction.position, rotation=rotation))
 
 
 def _pool(rows: Observations, region: Region, needs: frozenset[str], rng: np.random.Generator) -> Observations:
@@ -190,7 +177,7 @@ def _pool(rows: Observations, region: Region, needs: frozenset[str], rng: np.ran
 
 
 def _changes(
-    rows: Observations, source: ToolSource, needs: frozenset[str], rng: np.random.Generator
+    rows: Observations, source: Source, needs: frozenset[str], rng: np.random.Generator
 ) -> list[tuple[str, Observations]]:
     """Old poses under other conditions that the effects feel: another load, side, temperature, time."""
     first = np.unique(rows.pose_groups(), return_index=True)[1]
@@ -218,7 +205,7 @@ def _changes(
     return out
 
 
-def _other_load(load: Floats, source: ToolSource) -> Floats:
+def _other_load(load: Floats, source: Source) -> Floats:
     used = np.unique(load)
     mass = sum(link.mass for link in source.model.robot.links)
     spare = max(float(np.round(SPARE_LOAD * mass, 1)), 0.1)

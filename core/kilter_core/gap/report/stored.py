@@ -13,7 +13,6 @@ from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.masses import with_masses
-from kilter_core.gap.search.source import LinkSource, ToolSource, calibrated
 from kilter_core.identify.identifiability import identifiable, null_directions
 from kilter_core.identify.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
@@ -84,13 +83,12 @@ def stored(found: SearchResult, begin: Calibration, rows: Observations, options:
     """What is stored of a search that started at ``begin``; the effects' configuration comes from ``rows``."""
     settings = found.problem.settings
     source = settings.source
-    assert isinstance(source, ToolSource | LinkSource)
     model = _model(found, begin, rows)
-    calibration = calibrated(source, found.problem.values, model, begin)
+    calibration = source.calibrated(found.problem.values, model, begin)
     wide = posterior(found, begin, calibration)
-    if isinstance(source, LinkSource):
+    shown = source.tool_measured(settings.used)
+    if shown is None:
         return Stored(calibration, wide, source.observations)
-    shown = Measurement(source.measurement.observations.select(settings.used), source.measurement.marker_points)
     nominal = registered(begin, shown)
     asked = IdentifyOptions(base=options.base, tool=options.tool, reference=options.reference)
     base, tool = wanted_frames(begin, nominal, shown, asked)
@@ -103,7 +101,7 @@ def _model(found: SearchResult, begin: Calibration, rows: Observations) -> Robot
     source = found.problem.settings.source
     candidates = [found.selector.scorer.candidates[k] for k in found.chosen]
     effects = with_masses((*begin.model.effects, *_merged(candidates, begin, rows)), source)
-    frames = source.model if isinstance(source, ToolSource) else begin.model
+    frames = source.frames(begin)
     return replace(frames, effects=effects, load_chain=frames.load_chain if effects else None)
 
 

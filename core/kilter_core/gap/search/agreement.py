@@ -11,7 +11,6 @@ from scipy.stats import chi2
 
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.scan import residual_given
-from kilter_core.gap.search.source import ToolSource
 from kilter_core.types import Floats
 
 APART = 0.001  # chance of calling a true effect contradicted
@@ -23,7 +22,7 @@ def contradicted(search: SearchResult, place: int) -> bool:
     """Whether position and orientation give a chosen effect different amplitudes, and it makes one of them worse."""
     problem = search.problem
     size = problem.settings.whitener.shape[-1]
-    if size != POSE or not isinstance(problem.settings.source, ToolSource):
+    if size != POSE or not problem.settings.source.observes_tool:
         return False
     selector = search.selector
     rest = selector.columns([k for k in search.chosen if k != place])

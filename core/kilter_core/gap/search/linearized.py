@@ -19,7 +19,7 @@ from kilter_core.gap.search.bases import lengths, orthonormal, seen
 from kilter_core.gap.search.gram import VISIBLE, Gram
 from kilter_core.gap.search.projection import Projection, Stacked
 from kilter_core.gap.search.soft import Soft
-from kilter_core.gap.search.source import MOST_NUMBERS, Source, ToolSource
+from kilter_core.gap.search.source import MOST_NUMBERS, Source
 from kilter_core.identify.solver import BEND, minimise
 from kilter_core.types import Bools, Floats, Ints
 
@@ -200,8 +200,7 @@ def linearize_at(
 def columns_at(settings: ProblemSettings, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:
     """Whitened unit columns (R, K) of the library, as :func:`world_at` has them, without the geometry."""
     source = settings.source
-    bare = replace(source, free=np.zeros(0, dtype=np.int64)) if isinstance(source, ToolSource) else source
-    W = _white(settings, bare.linear(values, batch, only).W)
+    W = _white(settings, source.without_geometry().linear(values, batch, only).W)
     norm = lengths(W)
     W /= np.where(norm > 0.0, norm, 1.0)
     return W
@@ -232,7 +231,7 @@ def refit(settings: ProblemSettings, values: Floats, columns: Sequence[int], tic
 def reloaded(settings: ProblemSettings, values: Floats) -> ProblemSettings:
     """The setting with loads on the chain of these values; itself where that moves far less than is left anyway."""
     source = settings.source
-    if not isinstance(source, ToolSource) or not source.bears(values):
+    if not source.bears(values):
         return settings
     rows = np.arange(len(settings.used))[:: max(1, len(settings.used) // SAMPLED)]
     few = source.only(rows)
@@ -250,7 +249,7 @@ def reloaded(settings: ProblemSettings, values: Floats) -> ProblemSettings:
 def doubted(settings: ProblemSettings, values: Floats) -> ProblemSettings:
     """The setting with the scatter that doubtful signs of loads have at these values; itself where it has not changed."""
     source = settings.source
-    if not isinstance(source, ToolSource) or source.batch.blur is None:
+    if source.batch.blur is None:
         return settings
     doubt = source.doubt(values)
     before = 0.0 if settings.doubt is None else settings.doubt

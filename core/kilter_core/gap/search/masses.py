@@ -9,7 +9,8 @@ import numpy as np
 from kilter_core.effects import Effect
 from kilter_core.effects.load_error import LoadError
 from kilter_core.gap.search.candidates import Library
-from kilter_core.gap.search.source import Source, ToolSource
+from kilter_core.gap.search.source import Source
+from kilter_core.gap.search.tool_source import ToolSource
 from kilter_core.measurement import Measurement
 from kilter_core.model import RobotModel
 from kilter_core.types import Floats, Ints
@@ -42,7 +43,7 @@ def _carried(model: RobotModel, measurement: Measurement) -> tuple[LoadError, ..
 
 def with_masses(effects: tuple[Effect, ...], source: Source) -> tuple[Effect, ...]:
     """The effects as a version keeps them: load errors where any effect reads loads, signs as soft as they were fitted."""
-    if not isinstance(source, ToolSource) or not source.soft.any():
+    if not source.soft.any():
         return effects
     softer = tuple(e.softened(source.batch) for e in effects)
     carried = tuple(e for e in source.model.effects if e.nuisance)
@@ -52,13 +53,13 @@ def with_masses(effects: tuple[Effect, ...], source: Source) -> tuple[Effect, ..
 
 def blurred(source: Source, values: Floats, covariance: Floats | None = None) -> Source:
     """The source with its loads as uncertain as the priors of the load errors, or their ``covariance``, make them."""
-    if not isinstance(source, ToolSource) or not source.soft.any() or source.batch.slopes is None:
+    if not source.soft.any() or source.batch.slopes is None:
         return source
     prior = np.diag(source.prior_sigma[source.soft] ** 2)
     return source.blurred(blur_of(source, values, prior if covariance is None else covariance))
 
 
-def blur_of(source: ToolSource, values: Floats, covariance: Floats) -> Floats:
+def blur_of(source: Source, values: Floats, covariance: Floats) -> Floats:
     """Standard deviation (n, 2) N·m of the load across and about each joint, in the rows where its sign is in doubt."""
     batch = source.model.loaded(source.batch, values)
     slopes = batch.slopes

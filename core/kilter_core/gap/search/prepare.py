@@ -24,10 +24,11 @@ from kilter_core.gap.noise.visits import Visits, visits_of
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library, library_of
 from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, Tick, go_on, refit
+from kilter_core.gap.search.link_source import LinkSource
 from kilter_core.gap.search.masses import blurred, tool_source
 from kilter_core.gap.search.renewal import renewed, under
 from kilter_core.gap.search.row_warnings import JUDGED_AGAIN, identical_repeats, noise_warnings, outlier_warnings
-from kilter_core.gap.search.source import LinkSource, Source, ToolSource
+from kilter_core.gap.search.source import Source
 from kilter_core.identify.estimate import estimate
 from kilter_core.identify.estimate import prepared as start_of
 from kilter_core.identify.least_squares import Fit, fit_at
@@ -37,7 +38,6 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints, Progress, unheard
 
-CHUNK = 20_000
 NOT_FITTED = "geometry_not_fitted"
 DOMINATES = 10.0  # times the noise that geometry leaves, from which its shape is not that of the noise
 LIKE_NEIGHBOURS = 1.5  # correlation length, in poses, from which poses in a row are not independent
@@ -65,7 +65,7 @@ class Prepared:
         if found.settings is self.problem.settings:
             return self
         problem = under(found.settings, self.problem)
-        joint = isinstance(problem.settings.source, LinkSource)
+        joint = problem.settings.source.unit == "rad"
         said = (
             *(w for w in self.warnings if w["code"] not in JUDGED_AGAIN),
             *noise_warnings(problem.settings.noise, joint),
@@ -107,13 +107,13 @@ class _Preparation:
             rows = self._windowed(rows, source, values)
             visits = visits_of(replace(rows, pose_id=np.arange(len(rows))))
         else:
-            residual = _row_residual(source, values, rows)
+            residual = source.residual_of_rows(values, rows, go_on)
             spiky = spikes(residual, visits)
             if spiky.any():
                 kept[np.flatnonzero(kept)[spiky]] = False
                 rows = rows.select(~spiky)
                 visits = visits_of(rows)
-        source = blurred(_on(source, visits.observations), values)
+        source = blurred(source.on_rows(visits.observations), values)
         self.progress(0.3, "noise from repeats")
         noise = self._noise(source, values, rows, visits)
         settings = ProblemSettings(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
@@ -125,7 +125,7 @@ class _Preparation:
             problem = self._in_order(problem, visits)
         outlying = _outlying(kept, visits, problem)
         told = noise if problem.settings.noise.repeats is None else problem.settings.noise
-        drift = noise_warnings(told, isinstance(source, LinkSource))
+        drift = noise_warnings(told, source.unit == "rad")
         said = (*self.warnings, *drift, *outlier_warnings(problem))
         return Prepared(problem, library, visits, rows, kept, outlying, moving, windows.width, said)
 
@@ -210,12 +210,12 @@ class _Preparation:
         visit_residual = source.residual(values)
         size = visit_residual.shape[1]
         points = visits.observations.position if size == 3 else None
-        linear = isinstance(source, LinkSource) or visits.observations.rotation is not None
+        linear = source.unit == "rad" or visits.observations.rotation is not None
         if self.options.noise_mm is not None and not linear:
             return stated_noise(self.options.noise_mm * 1e-3, visits, size)
         found = None
         if len(rows) > len(np.unique(visits.condition)):
-            found = repeat_noise(_row_residual(source, values, rows), visit_residual, visits, points)
+            found = repeat_noise(source.residual_of_rows(values, rows, go_on), visit_residual, visits, points)
         if found is not None:
             if not found.absolute:
                 self._warn(
@@ -225,7 +225,7 @@ class _Preparation:
                     "Approach ten poses anew three times each, with another pose in between.",
                 )
                 # Markers of one tool are all off by what the model lacks; how they shake against each other says nothing of it.
-                return _weights(found, source) if size > POSE else found
+                return source.even(found) if size > POSE else found
             return found
         if visits.observations.sigma is not None and not linear:
             return stated_noise(visits.observations.sigma, visits, size)
@@ -235,7 +235,7 @@ class _Preparation:
             "it, and none can be more than provisional. Repeat ten poses three times, with another pose in between.",
         )
         lost = min(0.9, int(np.sum(~source.soft)) / max(visit_residual.size, 1))
-        return _weights(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost), source)
+        return source.even(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost))
 
     def _enough(self, problem: LinearizedProblem) -> LinearizedProblem:
         if problem.nu < SPARE:
@@ -292,9 +292,7 @@ class _Preparation:
         settings = problem.settings
         L = np.linalg.inv(settings.whitener)
         noise = fit_noise(np.einsum("vij,vj->vi", L, rest), visits, settings.used, 0.0)
-        settings = replace(
-            settings, noise=_weights(noise, settings.source), group=group, inflation=length, trusted=True
-        )
+        settings = replace(settings, noise=settings.source.even(noise), group=group, inflation=length, trusted=True)
         return refit(
             settings, problem.values, [], partial(self.progress, 0.8, "fitting with the noise of correlated rows")
         )
@@ -307,8 +305,7 @@ def windowed(
     rows: Observations, source: Source, values: Floats, width: int | None = None, tick: Tick = go_on
 ) -> Observations:
     """Rows of motions averaged over windows, by the residuals they have at ``values``."""
-    live = source.live if isinstance(source, LinkSource) else np.ones(rows.q.shape[1], dtype=bool)
-    return averaged(rows, _row_residual(source, values, rows, tick), windows_of(rows, width), live)
+    return averaged(rows, source.residual_of_rows(values, rows, tick), windows_of(rows, width), source.live)
 
 
 def _weighed(problem: LinearizedProblem) -> LinearizedProblem:
@@ -318,33 +315,10 @@ def _weighed(problem: LinearizedProblem) -> LinearizedProblem:
     :meth:`~kilter_core.gap.noise.from_repeats.Noise.even`.
     """
     settings = problem.settings
-    even = replace(settings, noise=_weights(settings.noise, settings.source))
+    even = replace(settings, noise=settings.source.even(settings.noise))
     if not settings.noise.absolute or problem.chi2 < DOMINATES**2 * problem.nu:
         return problem
     return refit(even, problem.values, [])
-
-
-def _weights(noise: Noise, source: Source) -> Noise:
-    """Noise that comes from the fit, as weights of the geometry: those that an identification takes."""
-    return noise.even() if isinstance(source, ToolSource) else noise
-
-
-def _on(source: Source, rows: Observations) -> Source:
-    if isinstance(source, ToolSource):
-        return source.on(Measurement.of(rows, source.measurement.marker_points))
-    assert isinstance(source, LinkSource)
-    return source.on(rows)
-
-
-def _row_residual(source: Source, values: Floats, rows: Observations, tick: Tick = go_on) -> Floats:
-    """Residuals (N, m) of single rows, in chunks; ``tick`` is called after each."""
-    if isinstance(source, LinkSource):
-        return source.on(rows).residual(values)
-    parts = []
-    for k in range(0, len(rows), CHUNK):
-        parts.append(_on(source, rows.select(slice(k, k + CHUNK))).residual(values))
-        tick()
-    return np.concatenate(parts)
 
 
 def _unexplained(problem: LinearizedProblem) -> Floats:

@@ -16,7 +16,6 @@ from kilter_core.gap.noise.from_repeats import FIT, Noise, noise_again, refitted
 from kilter_core.gap.search.contrasts import fitted_away
 from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, linearize_at, refit
 from kilter_core.gap.search.outliers import LARGE, outliers, stands_out
-from kilter_core.gap.search.source import ToolSource
 from kilter_core.types import Bools
 
 CHANGED = 0.02  # of the noise, from which a fit is made anew
@@ -80,7 +79,7 @@ def _with_noise(
     residual = settings.source.residual(problem.values)
     free = problem.U.shape[1] + len(columns)
     noise = refitted(settings.noise, residual, used, min(0.9, free / max(used.sum() * residual.shape[1], 1)))
-    return replace(settings, noise=noise.even() if isinstance(settings.source, ToolSource) else noise)
+    return replace(settings, noise=settings.source.even(noise))
 
 
 def _of_repeats(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int], used: Bools) -> Noise:

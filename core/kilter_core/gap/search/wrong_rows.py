@@ -6,7 +6,6 @@ import numpy as np
 from scipy.stats import binom
 
 from kilter_core.gap.search.linearized import LinearizedProblem
-from kilter_core.gap.search.source import LinkSource, ToolSource
 from kilter_core.types import Bools, Floats, Ints
 
 FORETOLD = 0.01  # chance of wrong readings that seem to follow from the pose
@@ -75,9 +74,7 @@ def _patterns(labels: Floats, order: Ints) -> Floats:
 
 def _conditions(problem: LinearizedProblem) -> Floats:
     """What an effect may follow (V, K): joints, loads, directions, payload and temperature. Not time: disturbances do."""
-    source = problem.settings.source
-    assert isinstance(source, ToolSource | LinkSource)
-    batch = source.batch
+    batch = problem.settings.source.batch
     parts = [batch.q, np.cos(batch.q), batch.axial]
     parts += [
         v.reshape(len(batch.q), -1) for v in (batch.direction, batch.payload_kg, batch.temperature_c) if v is not None

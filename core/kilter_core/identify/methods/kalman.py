@@ -12,7 +12,7 @@ import numpy as np
 
 from kilter_core.errors import NotConvergedError, OptionError
 from kilter_core.identify.estimate import near, prepared, unobservable_directions, weights_of
-from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at
+from kilter_core.identify.least_squares import Fit, Problem, fit_at
 from kilter_core.identify.methods.per_pose import stacked_by_row
 from kilter_core.identify.noise import repeat_sigma
 from kilter_core.identify.options import IdentifyOptions
@@ -70,7 +70,7 @@ def kalman(
     x0 = problem.prior_mean if prior is None else values[problem.free]
     repeats = repeat_sigma(measurement.observations)
     if options.noise_mm is None and repeats and measurement.observations.sigma is None:
-        problem = problem.reweighted(Weights(repeats, problem.weights.turns), None)
+        problem = problem.reweighted(replace(problem.weights, points=repeats), None)
     for step in range(PASSES):
         if progress is not None:
             progress(step / PASSES, f"pass {step + 1}")

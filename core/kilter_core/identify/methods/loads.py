@@ -54,4 +54,5 @@ def continued(fit: Fit, model: RobotModel, options: IdentifyOptions) -> Fit:
 
 def _alike(one: Weights, other: Weights) -> bool:
     sizes = (float(np.mean(one.points)), float(np.mean(other.points)))
-    return near(*sizes) and near(one.turns, other.turns)
+    groups = ((sigma, float(other.of(group))) for group, sigma in one.others.items())
+    return near(*sizes) and near(one.turns, other.turns) and all(near(*pair) for pair in groups)

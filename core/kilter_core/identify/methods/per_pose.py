@@ -87,15 +87,9 @@ def _by_poses(
 
 
 def stacked_by_row(problem: Problem, here: Linearised) -> tuple[Floats, Floats]:
-    """Jacobian (N, R, F) by prior sigmas and residuals (N, R), whitened, of each row's points and turns."""
-    rows, columns = len(problem.measurement.observations), len(problem.free)
-    scaled = here.J * problem.prior_sigma
-    points = here.residual.points.size
-    J, r = [scaled[:points].reshape(rows, -1, columns)], [here.r[:points].reshape(rows, -1)]
-    if here.residual.turns is not None:
-        J.append(scaled[points:].reshape(rows, 3, columns))
-        r.append(here.r[points:].reshape(rows, 3))
-    return np.concatenate(J, axis=1), np.concatenate(r, axis=1)
+    """Jacobian (N, R, F) by prior sigmas and residuals (N, R), whitened, of all that each row measured."""
+    rows = len(problem.measurement.observations)
+    return here.residual.by_row(here.J * problem.prior_sigma, rows), here.residual.by_row(here.r, rows)
 
 
 def _influence_weights(problem: Problem, J: Floats) -> Floats:

@@ -12,6 +12,7 @@ from kilter_core.types import Floats
 
 NEAR_RAD = np.radians(2.0)  # scatter between the encoders of a joint that is not looked at further
 ROWS = 500
+FEWEST = 3
 UNITS = ((1.0, ""), (180.0 / np.pi, "radians declared as degrees"), (np.pi / 180.0, "degrees declared as radians"))
 
 
@@ -24,9 +25,12 @@ def refuse_foreign_links(robot: Robot, rows: Observations) -> None:
     """
     if rows.link_q is None:
         return
-    some = np.unique(np.linspace(0, len(rows) - 1, min(ROWS, len(rows))).astype(np.int64))
-    q, link = rows.q[some], rows.link_q[some]
     for j in range(robot.n_joints):
+        seen = np.flatnonzero(~np.isnan(rows.link_q[:, j]))
+        if len(seen) < FEWEST:
+            continue
+        some = seen[np.unique(np.linspace(0, len(seen) - 1, min(ROWS, len(seen))).astype(np.int64))]
+        q, link = rows.q[some], rows.link_q[some]
         before = _scatter(link[:, j], q[:, j])
         if before <= NEAR_RAD or np.ptp(link[:, j]) == 0.0:
             continue

@@ -9,7 +9,7 @@ import numpy as np
 from kilter_core.errors import ObservationError
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.marker_checks import alike_orders, exchanged
-from kilter_core.measurement.markers import fit_poses
+from kilter_core.measurement.marker_shape import fit_poses
 from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.identify.plausibility.mix_ups import MixUp, wire_units
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.markers import fit_poses
+from kilter_core.measurement.marker_shape import fit_poses
 from kilter_core.measurement.registration import linear_frames
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

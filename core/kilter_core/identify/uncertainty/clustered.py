@@ -37,7 +37,7 @@ def clustered(fit: Fit) -> Fit:
     if fit.freedom is not None:
         return fit
     groups = problem.measurement.observations.pose_groups()
-    if not problem.measurement.sees_base or len(fit.residual.points) != len(groups):
+    if not problem.measurement.observes_places:
         return fit
     A, r = by_row(fit)
     if len(fit.J) > A.shape[0] * A.shape[1]:
@@ -47,9 +47,9 @@ def clustered(fit: Fit) -> Fit:
     held = eye[:0] if problem.held is None else problem.held
     bend = bend_of(fit)
     bread: Floats = np.asarray(np.linalg.inv(bend * total + eye + HOLD * held.T @ held), dtype=np.float64)
-    numbers = len(np.unique(groups)) * problem.measurement.each
+    numbers = problem.measurement.numbers()
     left = max(numbers - bend * float(np.trace(bread @ total)), 1.0)
-    shared = _shared(A, r, levers(fit), groups, numbers / left)
+    shared = _shared(A, r, levers(fit), groups, numbers / left, _seen(fit))
     meat = _mixed(shared, *_by_pose(A, r, groups, bread))
     rest = eye - bread @ (bend * total)
     around = bread @ meat @ bread + rest @ rest.T
@@ -69,22 +69,30 @@ def bend_of(fit: Fit) -> float:
 
 
 def by_row(fit: Fit) -> tuple[Floats, Floats]:
-    """Jacobian (N, R, F) in prior sigmas and residuals (N, R), whitened, of each row's points and turns."""
+    """Jacobian (N, R, F) in prior sigmas and residuals (N, R), whitened, of all that each row measured."""
     here = fit.problem.linearised(fit.values, fit.residual)
-    rows, columns = len(fit.problem.measurement.observations), len(fit.names)
-    scaled, points = here.J * fit.problem.prior_sigma, here.residual.points.size
-    J, r = [scaled[:points].reshape(rows, -1, columns)], [here.r[:points].reshape(rows, -1)]
-    if here.residual.turns is not None:
-        J.append(scaled[points:].reshape(rows, 3, columns))
-        r.append(here.r[points:].reshape(rows, 3))
-    return np.concatenate(J, axis=1), np.concatenate(r, axis=1)
+    rows = len(fit.problem.measurement.observations)
+    return here.residual.by_row(here.J * fit.problem.prior_sigma, rows), here.residual.by_row(here.r, rows)
 
 
-def _shared(A: Floats, r: Floats, L: Floats, groups: Ints, lost: float) -> Floats:
+def _seen(fit: Fit) -> Floats | None:
+    """Root of the share of the rows (R,) that have each number, where several kinds were measured in some rows each."""
+    measurement = fit.problem.measurement
+    if len(measurement.kinds) == 1 and measurement.tool.measured().all():
+        return None
+    rows = len(measurement.observations)
+    seen = fit.residual.by_row(np.concatenate([~np.isnan(b.r).reshape(-1) for b in fit.residual.blocks]), rows)
+    return np.asarray(np.sqrt(np.maximum(seen.mean(axis=0), 1.0 / rows)))
+
+
+def _shared(A: Floats, r: Floats, L: Floats, groups: Ints, lost: float, seen: Floats | None = None) -> Floats:
     """Covariance (F, F) of the scores, had all poses scatter alike: shared by the rows of a pose, and each row's own.
 
-    ``L (N, R, n)`` are the levers of the joints; ``lost`` makes up for what the parameters took from the poses.
+    ``L (N, R, n)`` are the levers of the joints; ``lost`` makes up for what the parameters took from the poses. Residuals
+    that are zero for want of a reading say nothing of the scatter: ``seen (R,)`` makes up for those.
     """
+    if seen is not None:
+        r, L = r / seen, L / seen[:, None]
     count = np.bincount(groups)
     mean = np.stack([np.bincount(groups, weights=column) for column in r.T], axis=1) / count[:, None]
     apart = r - mean[groups]

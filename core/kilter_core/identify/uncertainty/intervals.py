@@ -75,11 +75,8 @@ def _by_pose(fit: Fit, groups: Ints) -> tuple[Floats, Floats]:
     """Normal matrices (G, F, F) and slopes (G, F) of each pose, in prior sigmas."""
     here = fit.problem.linearised(fit.values)
     scaled = here.J * fit.problem.prior_sigma
-    points = here.residual.points.size
     rows = len(groups)
-    owner = np.repeat(groups, points // rows)
-    if here.residual.turns is not None:
-        owner = np.concatenate([owner, np.repeat(groups, 3)])
+    owner = np.concatenate([np.repeat(groups, block.r.size // rows) for block in here.residual.blocks])
     count = int(groups.max()) + 1
     H, g = np.zeros((count, scaled.shape[1], scaled.shape[1])), np.zeros((count, scaled.shape[1]))
     for pose in range(count):

@@ -132,7 +132,7 @@ def left_of(fit: Fit) -> float:
     count = np.maximum(np.stack([np.bincount(groups, weights=c) for c in seen.T], axis=1), 1.0)
     filled = np.where(seen, flat, 0.0)
     mean = (np.stack([np.bincount(groups, weights=c) for c in filled.T], axis=1) / count)[groups]
-    poses = len(count) * problem.measurement.each
+    poses = len(count) * problem.measurement.equations_per_pose
     lost = poses / max(poses - fit.effective, 1.0)
     square = np.sum(seen * ((filled - mean) ** 2 + lost * mean**2))
     return float(np.sqrt(square / max(seen.sum(), 1)))

@@ -20,14 +20,9 @@ FEWEST = 4  # poses for each share that is estimated
 def levers(fit: Fit) -> Floats:
     """What a turn of each joint moves of every row (N, R, n), whitened as the residuals are."""
     problem = fit.problem
-    prediction, J = problem.model.joint_jacobian(problem.batch, fit.values)
+    prediction, J = problem.model.joint_jacobian(problem.batch, fit.values, problem.measurement.reads_joints)
     moved = problem.measurement.residual(prediction, J)
-    assert moved.d_points is not None
-    sigma = problem.weights.points if isinstance(problem.weights.points, float) else problem.weights.points[..., None]
-    points = np.where(np.isnan(moved.points)[..., None], 0.0, moved.d_points / sigma)
-    parts = [points.reshape(len(points), -1, J.shape[2])]
-    if moved.d_turns is not None:
-        parts.append(moved.d_turns / problem.weights.turns)
+    parts = [problem.over_sigma_slope(block).reshape(len(J), -1, J.shape[2]) for block in moved.blocks]
     whole = np.concatenate(parts, axis=1)
     return whole if problem.weights.rows is None else whole * np.sqrt(problem.weights.rows)[:, None, None]
 

@@ -37,7 +37,7 @@ def workspace_uncertainty(fit: Fit) -> WorkspaceUncertainty | None:
     problem = fit.problem
     model, n = problem.model, problem.model.n_geometric
     geometric = np.flatnonzero(problem.free < n)
-    if not problem.measurement.sees_base or not np.any((problem.free >= 6) & (problem.free < n - 6)):
+    if not problem.measurement.observes_base or not np.any((problem.free >= 6) & (problem.free < n - 6)):
         return None
     q = problem.measurement.observations.q
     lower, upper = within_a_turn(model.robot, q)

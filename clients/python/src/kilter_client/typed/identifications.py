@@ -43,6 +43,44 @@ class Influence(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class KindErrors(Record):
+    """Rms error of each model on what one kind measured, in the kind's unit."""
+
+    identified: float | None
+    """The model that was identified."""
+    nominal: float | None
+    """The robot as drawn, in its own base and tool."""
+    registration_only: float | None
+    """The robot as drawn, base and tool fitted."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class KindOfMeasurement(Record):
+    """What one kind of measurement says in a fit."""
+
+    kind: str
+    """`points`, `poses`, `markers`, `distances`, `contacts`, `link_encoders` or `inclination`."""
+    known_because_of_it: tuple[str, ...]
+    """Parameters that are known with it, and would not be by the other kinds alone."""
+    noise: float | None
+    """Standard deviation by which its numbers were weighed, in `unit`."""
+    numbers: int | None
+    """Independent numbers that it measured."""
+    repeats: float | None
+    """The same from repeats of a pose; None: no repeats of this kind."""
+    sharpens: Mapping[str, float]
+    """Other parameters, and how many times more certain they are with it."""
+    tells_alone: tuple[str, ...]
+    """Parameters that it tells without the others."""
+    train: KindErrors | None
+    """Rms errors on the rows that were fitted."""
+    unit: str | None
+    """Unit of its noise and errors: mm or deg."""
+    validation: KindErrors | None
+    """Rms errors on the rows that were held out."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Learned(Record):
     """Whether an effect that was learned predicts held-out poses better."""
 
@@ -184,10 +222,14 @@ class IdentifyResult(ShownFit, Record):
     """What the intervals rest on: `bootstrap` or `profile`."""
     iterations: int | None
     """Iterations of the fit."""
+    known_together: tuple[str, ...]
+    """Parameters that the kinds tell together and none of them alone."""
     learned: Learned | None
     """Whether a learned effect predicts better."""
     load_model: Records[LoadNumber]
     """Masses and centres as stated and as found."""
+    measurements: Records[KindOfMeasurement]
+    """What each kind of measurement says."""
     method: Method | None
     """The method, and what it says of itself."""
     metrics: Metrics | None

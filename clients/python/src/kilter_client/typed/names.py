@@ -63,6 +63,8 @@ MODULE_OF = {
     "JointParametersResult": "identifications",
     "JointPreview": "comparisons",
     "JointSummary": "robots",
+    "KindErrors": "identifications",
+    "KindOfMeasurement": "identifications",
     "Layout": "fits",
     "Learned": "identifications",
     "Legend": "fits",

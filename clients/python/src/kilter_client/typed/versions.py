@@ -11,6 +11,7 @@ from kilter_client.typed.identifications import (
     CorrelatedGroup,
     Influence,
     JointMotions,
+    KindOfMeasurement,
     Learned,
     Method,
     Noise,
@@ -65,12 +66,16 @@ class Details(Record):
     """Iterations of the fit."""
     joints: Records[JointMotions]
     """What link-side encoders say of each joint."""
+    known_together: tuple[str, ...]
+    """Parameters that the kinds tell together and none of them alone."""
     learned: Learned | None
     """Whether a learned effect predicts better."""
     load_model: Records[LoadNumber]
     """Masses and centres as stated and as found."""
     measured_by: str | None
     """What joints were measured by: `inclinometer` or `link-side encoder`."""
+    measurements: Records[KindOfMeasurement]
+    """What each kind of measurement says."""
     method: Method | None
     """The method, and what it says of itself."""
     noise: Noise | None

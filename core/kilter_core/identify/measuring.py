@@ -5,13 +5,11 @@ from __future__ import annotations
 from kilter_core.errors import OptionError
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import Contacts
-from kilter_core.measurement.distances import Distances
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 
 
-def seen(
+def measurement_for(
     observations: Observations,
     options: IdentifyOptions,
     points: Floats | None = None,
@@ -19,21 +17,25 @@ def seen(
 ) -> Measurement:
     """Measurement of rows as the options want them.
 
-    ``points (m, 3)`` is the markers' known shape; ``anchor`` are the rows that say where contacts stand.
+    ``points (m, 3)`` is the markers' known shape; ``anchor`` are the rows that say where contacts stand, and what encoders
+    and inclinometers read at zero.
 
     Raises:
         ObservationError: nothing measured. OptionError: a method that does not go with these rows.
 
     """
-    if Contacts.held(observations):
-        _refuse(options, "Rows held by sockets, planes and bars")
-        known = {tuple(map(int, pair.split("-"))): mm * 1e-3 for pair, mm in options.socket_distances_mm.items()}
-        places = anchor if isinstance(anchor, Contacts) else None
-        return Contacts.among(observations, {(a, b): m for (a, b), m in known.items()}, places)
-    if options.base == "removed":
-        _refuse(options, "Distances between poses (base removed)")
-        return Distances.of(observations, points)
-    return Measurement.of(observations, points)
+    pairs = {tuple(map(int, pair.split("-"))): mm * 1e-3 for pair, mm in options.socket_distances_mm.items()}
+    made = Measurement.of(
+        observations,
+        points,
+        relative=options.base == "removed",
+        socket_distances={(a, b): m for (a, b), m in pairs.items()},
+        anchor=anchor,
+    )
+    for kind in made.kinds:
+        if kind.plain_fits_only:
+            _refuse(options, kind.summary[0].upper() + kind.summary[1:])
+    return made
 
 
 def _refuse(options: IdentifyOptions, what: str) -> None:

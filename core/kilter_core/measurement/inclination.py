@@ -1,0 +1,82 @@
+"""Inclinometers on the links: what each joint turned about the axes of its frame beyond its command, up to a constant.
+
+A reading is that of the sensor behind the joint minus that of one before it. It tells clearance and tilting from a turn
+about the axis, which positions of the tool mix up. Where a sensor was mounted anew, in another session, its zero is too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from kilter_core.measurement.kind import Block, Kind, Rows, anchor_of
+from kilter_core.measurement.referenced import Channels, referenced
+from kilter_core.model import Calibration, Prediction
+from kilter_core.model.prediction import JOINT_ROWS, TOOL_ROWS, TURNED
+from kilter_core.observations import Observations
+from kilter_core.types import Bools, Floats
+
+
+@dataclass(frozen=True)
+class Inclination(Kind):
+    """Rows with readings of inclinometers. ``anchor`` are the rows that say what they read at zero."""
+
+    name = "inclination"
+    summary = "inclinometers on the links"
+    unit = "rad"
+
+    observations: Observations
+    anchor: Inclination | None = None
+
+    @classmethod
+    def of(cls, rows: Rows) -> Inclination | None:
+        """Rows with at least one reading."""
+        tilt = rows.observations.tilt
+        if tilt is None or np.isnan(tilt).all():
+            return None
+        return cls(rows.observations, cast("Inclination | None", anchor_of(cls.name, rows)))
+
+    @property
+    def reads_joints(self) -> bool:
+        """Yes."""
+        return True
+
+    def measured(self) -> Bools:
+        """Rows that have a reading."""
+        return np.asarray(self._channels.seen.any(axis=1))
+
+    def scalars(self) -> int:
+        """Readings beyond those that the zeros take."""
+        return self._channels.scalars
+
+    def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
+        """Measured minus predicted turn (N, 3 n, 1) rad, the mean of its session taken out."""
+        columns = None
+        if J is not None:
+            joints = J[:, TOOL_ROWS:].reshape(len(J), -1, JOINT_ROWS, J.shape[2])
+            columns = joints[:, :-1, TURNED].reshape(len(J), -1, J.shape[2])
+        return referenced(self.name, self._channels, self._raw(prediction), columns)
+
+    def errors(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
+        """Errors (K, 1) rad, from what the sensors of the anchor read at zero."""
+        left = self._raw(calibration.predict(self.observations))
+        if self.anchor is not None:
+            before = self.anchor._raw(calibration.predict(self.anchor.observations))
+            left = self._channels.from_zeros(left, self.anchor._channels, before)
+        else:
+            left = self._channels.centred(left)
+        return left[np.isfinite(left)][:, None], None
+
+    @property
+    def _channels(self) -> Channels:
+        assert self.observations.tilt is not None
+        flat = self.observations.tilt.reshape(len(self.observations), -1)
+        return Channels.of(~np.isnan(flat), self.observations.session)
+
+    def _raw(self, prediction: Prediction) -> Floats:
+        tilt = self.observations.tilt
+        assert tilt is not None
+        turned = prediction.joints[:, : tilt.shape[1], TURNED]
+        return np.asarray((tilt - turned).reshape(len(tilt), -1))

@@ -1,0 +1,203 @@
+"""The interface of a kind of measurement: what it leaves of a prediction, how that follows the parameters, and its noise."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from kilter_core.model import Calibration, Prediction
+from kilter_core.observations import Observations
+from kilter_core.types import Bools, Floats
+
+Unit = Literal["m", "rad"]
+
+POINTS, TURNS = "points", "turns"  # noise groups of what most kinds measure: where the tool is, and how it is turned
+
+
+@dataclass(frozen=True)
+class Block:
+    """Residuals ``r (V, k, w)``, measured minus predicted, NaN where nothing was measured.
+
+    ``J (V, k, w, P)`` is the derivative of the prediction (minus the residual's). A robust loss weighs each vector of ``w``
+    numbers as one. Blocks of one noise ``group`` share a standard deviation, in ``unit``.
+    """
+
+    group: str
+    r: Floats
+    J: Floats | None = None
+    unit: Unit = "m"
+
+    def beyond(self, step: Floats) -> Block:
+        """The same after a small ``step (P,)`` of the parameters; the Jacobian stays."""
+        assert self.J is not None
+        return Block(self.group, self.r - self.J @ step, self.J, self.unit)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What all kinds leave of their rows, a block for each noise group of a kind; that of the tool's points comes first."""
+
+    blocks: tuple[Block, ...]
+
+    @property
+    def points(self) -> Floats:
+        """Of points (N, m, 3) m, or of lengths (M, m, 1); NaN where a marker was not seen."""
+        return self.blocks[0].r
+
+    @property
+    def d_points(self) -> Floats | None:
+        """Derivative (..., P) of the predicted points."""
+        return self.blocks[0].J
+
+    @property
+    def turns(self) -> Floats | None:
+        """Of the tool's orientation (N, 3) rad, None where it was not measured by itself."""
+        return next((b.r[:, 0] for b in self.blocks if b.group == TURNS), None)
+
+    @property
+    def d_turns(self) -> Floats | None:
+        """Derivative (N, 3, P) of the predicted orientation."""
+        return next((b.J[:, 0] for b in self.blocks if b.group == TURNS and b.J is not None), None)
+
+    def of_points(self) -> Residual:
+        """What is left of the points alone."""
+        return Residual(self.blocks[:1])
+
+    @cached_property
+    def stacked(self) -> Floats:
+        """All residuals (N, R) of each row, where every block has the same rows."""
+        parts = [b.r.reshape(len(b.r), -1) for b in self.blocks]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+    def derivatives(self, columns: int) -> Floats:
+        """Derivatives (N, R, columns) of the prediction, as :attr:`stacked` has the residuals."""
+        made = [b.J.reshape(len(b.r), -1, columns) for b in self.blocks if b.J is not None]
+        return made[0] if len(made) == 1 else np.concatenate(made, axis=1)
+
+    def by_row(self, flat: Floats, rows: int) -> Floats:
+        """Numbers (R, ...) of all residuals, in the order of the blocks, as (N, R / N, ...)."""
+        parts, start = [], 0
+        for block in self.blocks:
+            parts.append(flat[start : start + block.r.size].reshape(rows, -1, *flat.shape[1:]))
+            start += block.r.size
+        return np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What a kind is made from: rows, the known shape of the markers, and how the rows are to be read.
+
+    With ``relative`` only distances between poses count. ``socket_distances`` m are known between pairs of sockets.
+    ``anchor`` are the kinds of the rows that say where contacts stand and what encoders read at zero.
+    """
+
+    observations: Observations
+    marker_points: Floats | None = None
+    relative: bool = False
+    socket_distances: Mapping[tuple[int, int], float] = field(default_factory=dict)
+    anchor: tuple[Kind, ...] = ()
+
+
+class Kind(ABC):
+    """Rows as one kind of measurement reads them. A kind is one file; adding it takes a line in the registry besides."""
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    unit: ClassVar[Unit] = "m"
+    observes_tool: ClassVar[bool] = False  # tells where the tool is: rows need one such kind, and it comes first
+    observes_base: ClassVar[bool] = False  # told in a frame of its own, in which the base has a place
+
+    plain_fits_only: ClassVar[bool] = False  # no method, loss or interval that treats its rows one by one
+
+    observations: Observations
+
+    @classmethod
+    @abstractmethod
+    def of(cls, rows: Rows) -> Kind | None:
+        """Read the rows; None where they hold nothing of this kind."""
+
+    @abstractmethod
+    def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
+        """Residuals of a prediction; with the model's Jacobian ``J (N, R, P)`` also theirs.
+
+        Rows 0-2 of the Jacobian are the tool's position, 3-5 its rotation vector, and the rest, where :attr:`reads_joints`,
+        what the joints turn: :data:`~kilter_core.model.prediction.JOINT_ROWS` for each, the base last.
+        """
+
+    def check(self) -> None:
+        """Refuse rows that cannot be of this kind.
+
+        Raises:
+            ObservationError, TooFewPosesError: what cannot be, and the remedy.
+
+        """
+        return
+
+    def measured(self) -> Bools:
+        """Rows (N,) in which it measured anything."""
+        return np.ones(len(self.observations), dtype=bool)
+
+    @property
+    def observes_places(self) -> bool:
+        """Whether a row tells by itself where the tool is; it does not where only lengths between rows are known."""
+        return self.observes_tool and self.observes_base
+
+    @property
+    def observes_orientation(self) -> bool:
+        """Whether the tool's orientation was measured, by itself or through markers."""
+        return False
+
+    @property
+    def reads_joints(self) -> bool:
+        """Whether the prediction and its Jacobian must tell what each joint turns."""
+        return False
+
+    @property
+    def equations_per_pose(self) -> int:
+        """Numbers that one more pose brings."""
+        return 3
+
+    @property
+    def redundancy(self) -> float:
+        """How many residuals there are for each number that is independent of the others."""
+        return 1.0
+
+    @property
+    def relative_tolerance(self) -> float:
+        """Share of the loss that a step of a fit must promise to be worth taking, beside rounding."""
+        return 0.0
+
+    def numbers(self) -> int:
+        """Independent numbers of the distinct poses, repeats not counted."""
+        return self.poses * self.equations_per_pose
+
+    @property
+    def poses(self) -> int:
+        """Distinct poses in which it measured anything."""
+        return len(np.unique(self.observations.pose_groups()[self.measured()]))
+
+    @abstractmethod
+    def scalars(self) -> int:
+        """Number of measured scalars that are independent."""
+
+    def errors(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
+        """Errors (K, 3) of points, or (K, 1), and (K,) rad of orientations, in the units of what was measured."""
+        blocks = self.blocks(calibration.predict(self.observations))
+        points = blocks[0].r.reshape(-1, blocks[0].r.shape[-1])
+        turns = next((np.linalg.norm(b.r[:, 0], axis=1) for b in blocks if b.group == TURNS), None)
+        return points[~np.isnan(points).any(axis=1)], None if turns is None else turns[~np.isnan(turns)]
+
+
+def anchor_of(name: str, rows: Rows) -> Kind | None:
+    """The kind of this name among the rows that hold what it has of its own."""
+    return next((kind for kind in rows.anchor if kind.name == name), None)
+
+
+def seen_in(values: Floats) -> Bools:
+    """Rows (N,) that have any of the values (N, ...)."""
+    return np.asarray(~np.isnan(values).reshape(len(values), -1).all(axis=1))

@@ -1,0 +1,95 @@
+"""Encoders on the links: the angle of each joint behind gear and play, up to a constant that belongs to the encoder.
+
+They see what happens between motor and link and nothing else: not the lengths of the links, and no tilt of a joint. Beside
+tool data they tell what the tool alone mixes up. An encoder is referenced anew in every session, so its zero is taken out
+of each: only differences count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from kilter_core.measurement.kind import Block, Kind, Rows, anchor_of
+from kilter_core.measurement.referenced import Channels, referenced
+from kilter_core.model import Calibration, Prediction
+from kilter_core.model.prediction import ABOUT, JOINT_ROWS, TOOL_ROWS
+from kilter_core.observations import Observations
+from kilter_core.types import Bools, Floats
+
+STILL = 1e-6  # rad or m: a channel whose readings stay within this is dead
+
+
+@dataclass(frozen=True)
+class LinkEncoders(Kind):
+    """Rows with link-side angles beside the motors'. ``anchor`` are the rows that say what the encoders read at zero."""
+
+    name = "link_encoders"
+    summary = "encoders on the links, behind gear and play"
+    unit = "rad"
+
+    observations: Observations
+    anchor: LinkEncoders | None = None
+
+    @classmethod
+    def of(cls, rows: Rows) -> LinkEncoders | None:
+        """Rows with a link-side encoder that moves."""
+        found = cls(rows.observations, cast("LinkEncoders | None", anchor_of(cls.name, rows)))
+        return found if rows.observations.link_q is not None and found.live.any() else None
+
+    @property
+    def live(self) -> Bools:
+        """Joints (n,) whose encoder moves; a constant one is a dead channel."""
+        link = self.observations.link_q
+        assert link is not None
+        high, low = np.nan_to_num(link, nan=-np.inf).max(axis=0), np.nan_to_num(link, nan=np.inf).min(axis=0)
+        return np.asarray(high - low > STILL)
+
+    @property
+    def reads_joints(self) -> bool:
+        """Yes."""
+        return True
+
+    def measured(self) -> Bools:
+        """Rows that have an angle."""
+        return np.asarray(self._channels.seen.any(axis=1))
+
+    def scalars(self) -> int:
+        """Angles beyond those that the zeros take."""
+        return self._channels.scalars
+
+    def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
+        """Measured minus predicted angle (N, n, 1) rad of each joint, the mean of its session taken out; of prismatic
+        joints apart, m.
+        """
+        return referenced(self.name, self._channels, self._raw(prediction), _columns(J), prediction.slides)
+
+    def errors(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
+        """Errors (K, 1) rad, from what the encoders of the anchor read at zero."""
+        left = self._raw(calibration.predict(self.observations))
+        if self.anchor is not None:
+            before = self.anchor._raw(calibration.predict(self.anchor.observations))
+            left = self._channels.from_zeros(left, self.anchor._channels, before)
+        else:
+            left = self._channels.centred(left)
+        return left[np.isfinite(left)][:, None], None
+
+    @property
+    def _channels(self) -> Channels:
+        link, session = self.observations.link_q, self.observations.session
+        assert link is not None
+        return Channels.of(~np.isnan(link) & self.live, session)
+
+    def _raw(self, prediction: Prediction) -> Floats:
+        link = self.observations.link_q
+        assert link is not None
+        return np.asarray(link - self.observations.q - prediction.joints[:, : link.shape[1], ABOUT])
+
+
+def _columns(J: Floats | None) -> Floats | None:
+    if J is None:
+        return None
+    joints = J[:, TOOL_ROWS:].reshape(len(J), -1, JOINT_ROWS, J.shape[2])
+    return np.asarray(joints[:, :-1, ABOUT])
