@@ -315,7 +315,7 @@ COLUMNS: list[dict[str, str]] = [
     {"columns": "link1_deg … linkn_deg", "meaning": "or the angle behind gear and backlash, from link-side encoders"},
     {
         "columns": "tilt1x_deg …",
-        "meaning": "or the rotation of joint 1 about axis x (y, z) of its frame beyond its command, from inclinometers: only the columns that were read, empty cells where nothing was read. session counts the mountings. Jobs of kind joint_parameters read them; identify and gap do not",
+        "meaning": "or the rotation of joint 1 about axis x (y, z) of its frame beyond its command, from inclinometers: only the columns that were read, empty cells where nothing was read. session counts the mountings. Jobs of kind joint_parameters read them alone, identify beside the tool",
     },
     {"columns": "t_s", "meaning": "time"},
     {"columns": "qd1_deg_s …, qdd1_deg_s2 …", "meaning": "joint velocities and accelerations"},
