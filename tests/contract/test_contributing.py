@@ -413,7 +413,7 @@ ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
         METHODS: lined(METHODS, ('    "kalman": Method',
                                   '    "toy_twice": Method("methods.toy_twice:toy_twice", "twice", True, True),\n')),
     }, USE_METHOD),
-    "measurement": (2, {
+    "kind of measurement": (2, {
         "core/kilter_core/measurement/toy_range.py": MEASUREMENT,
         MEASUREMENTS: lined(MEASUREMENTS, ("\nKINDS", "from kilter_core.measurement.toy_range import ToyRange\n"))
         .replace("Inclination)", "Inclination, ToyRange)"),
