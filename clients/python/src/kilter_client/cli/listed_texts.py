@@ -312,10 +312,13 @@ COLUMNS: list[dict[str, str]] = [
         "columns": "bar_id, bar_mm",
         "meaning": "or the ball bar (its foot, 1, 2, …, 0 for none) and the length it read, centre to centre",
     },
-    {"columns": "link1_deg … linkn_deg", "meaning": "or the angle behind gear and play, from link-side encoders"},
+    {
+        "columns": "link1_deg … linkn_deg",
+        "meaning": "or the angle behind gear and play, from link-side encoders, also beside the tool",
+    },
     {
         "columns": "tilt1x_deg …",
-        "meaning": "or what joint 1 turned about axis x (y, z) of its frame beyond its command, from inclinometers: those columns that there are, empty cells where nothing was read. session counts the mountings. Jobs of kind joint_parameters read them; identify and gap do not",
+        "meaning": "or what joint 1 turned about axis x (y, z) of its frame beyond its command, from inclinometers: those columns that there are, empty cells where nothing was read. session counts the mountings. Jobs of kind joint_parameters read them alone, identify and gap beside the tool",
     },
     {"columns": "t_s", "meaning": "time"},
     {"columns": "qd1_deg_s …, qdd1_deg_s2 …", "meaning": "joint velocities and accelerations"},
