@@ -38,7 +38,7 @@ def evaluate(
     """
     if list(refit) not in ([], ["base"], ["base", "tool"]):
         raise OptionError(f'refit is {list(refit)}: give [], ["base"] or ["base", "tool"].', option="refit")
-    measurement = Measurement.of(observations, calibration.marker_points)
+    measurement = Measurement.of(observations, calibration.marker_points, held=True)
     nominal = Calibration.nominal(calibration.robot)
     stages = {
         "nominal": nominal,
@@ -46,6 +46,12 @@ def evaluate(
         "identified": _refitted(calibration, measurement, tuple(refit)),
     }
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
+    if not measurement.observes_places:  # what a row misses by is known against the others only
+        none = Rows(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))
+        return {
+            "n": len(errors["nominal"].points), **{name: e.to_document() for name, e in errors.items()},
+            "within_u95": None, "rows": none.to_document(),
+        }  # fmt: skip
     table = rows_of(stages["identified"], measurement, refit, known)
     return {
         "n": len(errors["nominal"].points), **{name: e.to_document() for name, e in errors.items()},

@@ -29,6 +29,7 @@ def measurement_for(
         observations,
         points,
         relative=options.base == "removed",
+        held=True,
         socket_distances={(a, b): m for (a, b), m in pairs.items()},
         anchor=anchor,
     )

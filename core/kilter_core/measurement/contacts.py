@@ -132,7 +132,9 @@ class Contacts(Kind):
         places = {} if self.anchor is None else _places(self.anchor, calibration)
         out = []
         for c in self.contacts:
-            r = _left(c, p[c.rows], places[c.name] if self.anchor else _place(c, p[c.rows]))[0]
+            # A placement that the anchor does not have stands where it fits its own rows best.
+            place = places[c.name] if c.name in places else _place(c, p[c.rows])
+            r = _left(c, p[c.rows], place)[0]
             out.append(np.linalg.norm(r.reshape(-1, 3), axis=1) if c.kind == "socket" else r)
         return np.concatenate(out)[:, None], None
 
@@ -155,15 +157,11 @@ def _contacts(o: Observations) -> Iterator[Contact]:
 def _refuse_small(contacts: tuple[Contact, ...], anchor: Contacts | None) -> None:
     known = set() if anchor is None else {c.name for c in anchor.contacts}
     for c in contacts:
-        if anchor is not None and c.name not in known:
+        if c.name not in known and len(c.rows) < LEAST_ROWS[c.kind]:
+            where = "" if anchor is None else " is only in the rows held out and"
             raise ObservationError(
-                f"{c.name.capitalize()} is only in the rows held out: hold out poses of every contact, or none.",
-                code="contact_too_small",
-            )
-        if anchor is None and len(c.rows) < LEAST_ROWS[c.kind]:
-            raise ObservationError(
-                f"{c.name.capitalize()} holds {len(c.rows)} rows: {LEAST_ROWS[c.kind]} or more are needed, for its own place "
-                "is found from them. Measure more poses in it, or leave it out.",
+                f"{c.name.capitalize()}{where} holds {len(c.rows)} rows: {LEAST_ROWS[c.kind]} or more are needed, for its own "
+                "place is found from them. Measure more poses in it, or leave it out.",
                 code="contact_too_small",
                 contact=c.name,
             )

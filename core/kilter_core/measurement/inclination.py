@@ -32,9 +32,8 @@ class Inclination(Kind):
 
     @classmethod
     def of(cls, rows: Rows) -> Inclination | None:
-        """Rows with at least one reading."""
-        tilt = rows.observations.tilt
-        if tilt is None or np.isnan(tilt).all():
+        """Rows with columns of inclinometers."""
+        if rows.observations.tilt is None:
             return None
         return cls(rows.observations, cast("Inclination | None", anchor_of(cls.name, rows)))
 

@@ -35,9 +35,10 @@ class LinkEncoders(Kind):
 
     @classmethod
     def of(cls, rows: Rows) -> LinkEncoders | None:
-        """Rows with a link-side encoder that moves."""
-        found = cls(rows.observations, cast("LinkEncoders | None", anchor_of(cls.name, rows)))
-        return found if rows.observations.link_q is not None and found.live.any() else None
+        """Rows with columns of link-side encoders."""
+        if rows.observations.link_q is None:
+            return None
+        return cls(rows.observations, cast("LinkEncoders | None", anchor_of(cls.name, rows)))
 
     @property
     def live(self) -> Bools:

@@ -37,10 +37,11 @@ class Measurement:
         marker_points: Floats | None = None,
         *,
         relative: bool = False,
+        held: bool = False,
         socket_distances: Mapping[tuple[int, int], float] | None = None,
         anchor: Measurement | None = None,
     ) -> Measurement:
-        """Wrap observations; the markers' shape is taken from them unless given.
+        """Wrap observations; the markers' shape is taken from them unless given. Contacts are taken with ``held`` only.
 
         Raises:
             ObservationError: the rows say nothing of the tool, or what they say cannot be.
@@ -49,12 +50,12 @@ class Measurement:
         """
         shape = shape_of(observations, marker_points)
         made = Measurement(observations, shape, relative, dict(socket_distances or {}), anchor)
-        for kind in made.kinds:
-            kind.check()
-        if not made.kinds or not made.kinds[0].observes_tool:
+        if not made.kinds or not (made.tool.observes_places or relative or (held and made.tool.observes_tool)):
             raise ObservationError(
                 "The observations hold no measured position: upload x_mm, y_mm, z_mm, or markers m1x_mm and so on."
             )
+        for kind in made.kinds:
+            kind.check()
         return made
 
     @cached_property

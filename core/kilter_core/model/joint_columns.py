@@ -33,6 +33,14 @@ def joint_rows(reader: Reader, batch: Batch, total: Total, values: Floats, colum
     return out.rows
 
 
+def turns_of(found: Sequence[Derivative], rows: int, joints: int) -> Floats:
+    """What each of the derivatives turns (N, 4 n + 4, K)."""
+    out = JointColumns.of(rows, joints, len(found))
+    for k, d in enumerate(found):
+        out.put(k, d)
+    return out.rows
+
+
 def own_turns(rows: int, joints: int) -> Floats:
     """Derivatives (N, 4 n + 4, n) by a turn of each joint beyond its reading."""
     own = np.zeros((joints + 1, JOINT_ROWS, joints))

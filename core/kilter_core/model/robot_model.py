@@ -20,7 +20,7 @@ from kilter_core.effects import Batch, Effect, effect_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.model.chain_rule import ToolColumns, Total
 from kilter_core.model.elements import Program, model_program
-from kilter_core.model.joint_columns import joint_rows, own_turns
+from kilter_core.model.joint_columns import joint_rows, own_turns, turns_of
 from kilter_core.model.load_errors import Reader
 from kilter_core.model.prediction import TOOL_ROWS, Prediction
 from kilter_core.observations import Observations
@@ -172,7 +172,7 @@ class RobotModel:
         """Poses and their exact derivative (N, 6, F) by the parameters ``free`` (ascending indices; all when None).
 
         Rows 0-2 are the position (m per unit), 3-5, with ``turns``, the rotation vector in the measurements' frame (rad).
-        With ``joints`` there are the rotation and, behind it, :data:`JOINT_ROWS` for each joint and last the base.
+        With ``joints`` there are both and then :data:`JOINT_ROWS` for each joint and last the base.
         """
         batch = self._as_batch(observations)
         free = np.arange(len(self.names)) if free is None else free
@@ -191,7 +191,9 @@ class RobotModel:
         """The rows with the loads that load errors among the effects leave."""
         return self._reader.loaded(batch, values)
 
-    def doubts(self, observations: Observations | Batch, values: Floats) -> tuple[Prediction, Floats]:
+    def doubts(
+        self, observations: Observations | Batch, values: Floats, joints: bool = False
+    ) -> tuple[Prediction, Floats]:
         """Poses and (N, 6, S) the independent displacements of one standard deviation that blurred loads leave open."""
         batch = self._as_batch(observations)
         total, here = self._local(batch, values)
@@ -201,15 +203,12 @@ class RobotModel:
         out = np.zeros((*columns.JQ.shape[:2], len(found)))
         for k, d in enumerate(found):
             columns.put(out, k, d)
-        return prediction, out
+        return prediction, np.hstack([out, turns_of(found, len(out), self.robot.n_joints)]) if joints else out
 
     def joint_jacobian(
         self, observations: Observations | Batch, values: Floats, joints: bool = False
     ) -> tuple[Prediction, Floats]:
-        """Poses and their derivative (N, 6, n) by what each joint turns beyond its reading, the effects held still.
-
-        With ``joints`` there are :data:`JOINT_ROWS` more for each joint and the base.
-        """
+        """Poses and their derivative (N, 6, n), longer with ``joints``, by turns of the joints, the effects held still."""
         batch = self._as_batch(observations)
         prediction, _, columns = self._screws(batch, values, self._local(batch, values)[0], NOTHING)
         if not joints:

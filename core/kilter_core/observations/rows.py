@@ -136,6 +136,14 @@ class Observations(Conditions):
         """The conditions by name, None where they are not known."""
         return {name: getattr(self, name) for name in CONDITIONS}
 
+    @property
+    def tool_seen(self) -> NDArray[np.bool_]:
+        """Rows (N,) that say where the tool was; all of them where none has an instrument for it."""
+        values = self.markers if self.markers is not None else self.position
+        if values is None:
+            return np.ones(len(self), dtype=bool)
+        return np.asarray(~np.isnan(values).reshape(len(self), -1).all(axis=1))
+
     def pose_groups(self) -> Ints:
         """Number the poses, shape (N,): rows of one ``pose_id``, else rows with nearly the same joint readings, share one."""
         return self._groups

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError, OptionError
+from kilter_core.evaluate import evaluate
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held as held_by
@@ -177,7 +178,7 @@ def test_contacts_may_be_mixed_and_pose_the_same_slopes_as_differences() -> None
     rod[len(q) : len(q) + 12], length[len(q) : len(q) + 12] = 1, bar.bar_length
     plane[len(q) + 12 :] = 1
     rows = Observations(np.concatenate([q, bar.q, flat]), socket=socket, plane=plane, bar=rod, bar_length=length)
-    measurement = Measurement.of(rows, socket_distances={(1, 2): 0.4})
+    measurement = Measurement.of(rows, held=True, socket_distances={(1, 2): 0.4})
     model = RobotModel(robot_from_document(drawn.document()))
     values = model.values0()
     prediction, J = model.jacobian(rows, values)
@@ -203,7 +204,7 @@ def test_held_out_rows_are_compared_with_the_places_of_the_training_rows() -> No
     # The same poses in a socket that stands a millimetre off: rows by themselves could never show it.
     rng = np.random.default_rng(8)
     q, number = in_sockets(actual, rng, PLACES + np.array([0.0, 0.0, 1e-3]), 10)
-    other = Measurement.of(Observations(q, socket=number), anchor=Measurement.of(rows))
+    other = Measurement.of(Observations(q, socket=number), held=True, anchor=Measurement.of(rows, held=True))
     errors, _ = other.errors(found.calibration)
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1e-3, rel=0.1)
 
@@ -222,8 +223,30 @@ def test_what_cannot_be_calibrated_is_refused() -> None:
     with pytest.raises(OptionError, match="least_squares only"):
         identify(robot, rows, None, IdentifyOptions(method="influence"))
     lone = rows.select(np.flatnonzero(rows.socket != 3))
-    with pytest.raises(ObservationError, match="Socket 3 is only in the rows held out"):
-        identify(robot, lone, rows.select(np.flatnonzero(rows.socket == 3)))
+    with pytest.raises(ObservationError, match="Socket 3 is only in the rows held out and holds 1 rows"):
+        identify(robot, lone, rows.select(np.flatnonzero(rows.socket == 3)[:1]))
+
+
+def test_whole_placements_are_held_out_each_where_it_fits_its_own_rows() -> None:
+    drawn, _, rows = sockets()
+    held_out = rows.socket == rows.socket.max()  # type: ignore[union-attr]
+    train, unseen = rows.select(~held_out), rows.select(held_out)
+    options = IdentifyOptions(socket_distances_mm={"1-2": lengths()["1-2"]})
+    found = identify(robot_from_document(drawn.document()), train, unseen, options)
+    validation = found.metrics["validation"]
+    assert validation["n"] == len(unseen)
+    assert validation["identified"]["rms_mm"] < 0.2 * validation["registration_only"]["rms_mm"]
+
+
+def test_contacts_are_evaluated_each_where_it_fits_best() -> None:
+    drawn, _, rows = sockets()
+    robot = robot_from_document(drawn.document())
+    found = identify(robot, rows, None, IdentifyOptions(socket_distances_mm=lengths()))
+    result = evaluate(found.calibration, rows)
+    assert result["n"] == len(rows)
+    assert result["identified"]["rms_mm"] < 0.2 * result["nominal"]["rms_mm"]
+    assert result["identified"]["rms_mm"] == pytest.approx(found.metrics["train"]["identified"]["rms_mm"], rel=1e-6)
+    assert result["rows"]["row"] == []
 
 
 def test_positions_are_not_contacts() -> None:

@@ -26,10 +26,11 @@ ASKED = IdentifyOptions(effects=EFFECTS)
 BENDS = {"compliance_2", "compliance_3", "radial_compliance_1"}
 
 
-def campaign(rows: int = 60, seed: int = 0, noise_m: float = 1e-4) -> tuple[Observations, Floats]:
+def campaign(rows: int = 60, seed: int = 0, noise_m: float = 1e-4, again: int = 0) -> tuple[Observations, Floats]:
     """Poses whose gears yield and whose first bearing tilts: both nod the arm. Rows, and readings (N, 6, 3) of the tilts."""
     rng = np.random.default_rng(seed)
     q = np.array([0.0, -1.2, 1.4, -0.6, 0.9, 0.2]) + rng.uniform(-1.0, 1.0, (rows, 6))
+    q, rows = np.concatenate([q, q[:again]]), rows + again
     reactions = [ARM.reactions(row) for row in q]
     bent = q.copy()
     bent[:, 1:3] -= AXIAL * np.array([torque for torque, _, _ in reactions])[:, 1:3]

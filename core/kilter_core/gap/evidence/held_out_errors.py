@@ -57,6 +57,8 @@ class HoldoutEvaluator:
         self, search: SearchResult, prepared: Prepared, validation: Observations | None, fit: Posterior | None = None
     ) -> None:
         self.search, self.prepared, self.fit = search, prepared, fit
+        if validation is not None and not validation.tool_seen.all():
+            validation = validation.select(validation.tool_seen)
         self.rows = validation
         self.moving = prepared.moving and validation is not None and is_trajectory(validation)
         if self.moving and validation is not None:

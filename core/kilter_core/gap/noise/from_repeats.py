@@ -14,6 +14,7 @@ from kilter_core.gap.noise.centred import centred
 from kilter_core.gap.noise.covariances import SMALLEST, approach, even, second, shrunk, spread
 from kilter_core.gap.noise.drift import Drift, Repeats, blocks_of, repeats_of
 from kilter_core.gap.noise.visits import Visits, apart
+from kilter_core.identify.noise import pooled_columns
 from kilter_core.types import Bools, Floats, Ints
 
 FEWEST = 3  # independent deviations below which repeats say too little
@@ -53,7 +54,7 @@ class Noise:
     ``within`` and ``between`` are standard deviations of a coordinate (m, or rad for joint data), None when unknown;
     of poses ``lengths`` says how many of the m scalars are lengths, None for all of them. ``drift`` is what repeats told
     of drift; ``most`` says that they cannot tell it from noise, so that noise is this at most. ``repeats`` are the rows it
-    was read from, where repeated approaches told it.
+    was read from, where repeated approaches told it. The last scalars may be of ``kinds`` beside the tool, so many of each.
     """
 
     visit: Floats
@@ -67,6 +68,7 @@ class Noise:
     drift: Drift | None = None
     most: bool = False
     repeats: RepeatRows | None = None
+    kinds: tuple[int, ...] = ()
 
     @property
     def coordinate(self) -> float:
@@ -79,7 +81,30 @@ class Noise:
         Where the noise is the model's own error, weights by its covariance would fit another geometry than identify does
         (UR10 series B: 0.47 mm left instead of 0.43), and a name would then be confirmed for filling the difference.
         """
+        if self.kinds:
+            return self.of_tool().even().beside(self)
         return replace(self, visit=even(self.visit), row=even(self.row))
+
+    def of_tool(self) -> Noise:
+        """The noise of the tool alone."""
+        size = len(self.row) - sum(self.kinds)
+        lengths = None if self.lengths == size else self.lengths
+        visit, row = self.visit[:, :size, :size], self.row[:size, :size]
+        return replace(self, visit=visit, row=row, lengths=lengths, kinds=())
+
+    def beside(self, other: Noise) -> Noise:
+        """This noise of the tool, and what another has of the kinds beside it."""
+        count = sum(other.kinds)
+        return self.joined(other.visit[:, -count:, -count:], other.row[-count:, -count:], other.kinds)
+
+    def joined(self, visit: Floats, row: Floats, kinds: tuple[int, ...]) -> Noise:
+        """This noise of the tool with covariances (V, k, k) and (k, k) of what was measured beside it, independent of it."""
+        size, more = len(self.row), len(row)
+        whole = np.zeros((len(visit), size + more, size + more))
+        whole[:, :size, :size], whole[:, size:, size:] = self.visit, visit
+        single = np.zeros((size + more, size + more))
+        single[:size, :size], single[size:, size:] = self.row, row
+        return replace(self, visit=whole, row=single, lengths=self.lengths or size, kinds=kinds)
 
     def whiteners(self) -> Floats:
         """Inverse Cholesky factors (V, m, m)."""
@@ -122,6 +147,10 @@ def noise_again(noise: Noise, mean: Floats, taken: float, used: Bools) -> Noise:
     A drift that the model explains by now is no longer between the repeats, but stays written down; what wrong readings
     seemed to be does not. The fit took ``taken`` scalars of their scatter. The noise itself where nothing changed.
     """
+    if noise.kinds:
+        tool = noise.of_tool()
+        found = noise_again(tool, mean[:, : len(tool.row)], taken, used)
+        return noise if found is tool else found.beside(noise)
     told = noise.repeats
     if told is None or (np.array_equal(used, told.used) and told.moved(mean) < UNMOVED * noise.coordinate):
         return noise
@@ -214,7 +243,31 @@ def fit_noise(visit_residual: Floats, visits: Visits, used: Bools, lost: float) 
 
 def refitted(noise: Noise, visit_residual: Floats, used: Bools, lost: float) -> Noise:
     """The same at another fit of the same visits."""
+    if noise.kinds:
+        tool = noise.of_tool()
+        found = refitted(tool, visit_residual[:, : len(tool.row)], used, lost)
+        count = np.full(len(visit_residual), 1)
+        return found.joined(*sensors(visit_residual[used, len(tool.row) :], None, noise.kinds, count), noise.kinds)
     return _scatter(visit_residual, used, lost, noise.lengths)
+
+
+def sensors(residual: Floats, condition: Ints | None, kinds: tuple[int, ...], count: Ints) -> tuple[Floats, Floats]:
+    """Covariances of visits (V, k, k), of ``count (V,)`` rows each, and of a row, of sensors beside the tool.
+
+    Each of the ``kinds`` has one variance for its numbers in ``residual (N, k)``: that of repeats of a ``condition (N,)``
+    where there are enough, else what the fit leaves, robustly.
+    """
+    variance, start = [], 0
+    for size in kinds:
+        own = residual[:, start : start + size]
+        told = None if condition is None else pooled_columns(own, condition)
+        left = own[~np.isnan(own)]
+        if told is None:
+            told = float(np.median(np.abs(left)) / 0.6745) if len(left) else 1.0
+        variance += [max(told, SMALLEST) ** 2] * size
+        start += size
+    row = np.diag(variance)
+    return row / count[:, None, None], row
 
 
 def _scatter(visit_residual: Floats, used: Bools, lost: float, lengths: int | None) -> Noise:

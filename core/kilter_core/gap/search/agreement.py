@@ -22,7 +22,7 @@ def contradicted(search: SearchResult, place: int) -> bool:
     """Whether position and orientation give a chosen effect different amplitudes, and it makes one of them worse."""
     problem = search.problem
     size = problem.settings.whitener.shape[-1]
-    if size != POSE or not problem.settings.source.observes_tool:
+    if size != POSE or problem.settings.source.tool_numbers != POSE or not problem.settings.source.observes_tool:
         return False
     selector = search.selector
     rest = selector.columns([k for k in search.chosen if k != place])

@@ -60,6 +60,11 @@ class ProblemSettings:
         return float(2.0 * np.sum(each[self.used]))
 
     @property
+    def numbers(self) -> float:
+        """Scalars of the visits that count and were measured."""
+        return float(self.used.sum() * (self.whitener.shape[-1] - self.source.missing))
+
+    @property
     def hard(self) -> Bools:
         """Geometry (P,) that is projected off; the rest are load errors, which the priors hold."""
         return ~self.source.soft
@@ -152,7 +157,7 @@ class LinearizedProblem:
     @property
     def rows(self) -> int:
         """Number of independent scalars that count."""
-        return max(2, int(self.settings.used.sum() * self.settings.whitener.shape[-1] / self.settings.inflation))
+        return max(2, int(self.settings.numbers / self.settings.inflation))
 
     @property
     def row_visit(self) -> Ints:
@@ -192,7 +197,7 @@ def linearize_at(
     y = soft(y + B @ _away(source, values)[~hard]) if len(soft.shrink) else y
     y -= U @ (U.T @ y)
     # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
-    nu = float(settings.used.sum() * settings.whitener.shape[-1] / settings.inflation - U.shape[1])
+    nu = float(settings.numbers / settings.inflation - U.shape[1])
     scale = np.where(norm > 0.0, 1.0 / unit, 0.0)
     return LinearizedProblem(settings, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, G, W, soft)
 

@@ -62,6 +62,11 @@ class LinkSource(Source):
         return self.rows
 
     @property
+    def tool_numbers(self) -> int:
+        """One of every encoder that moves."""
+        return int(self.moving.sum())
+
+    @property
     def live(self) -> Bools:
         """Joints whose encoder moves."""
         return self.moving

@@ -56,7 +56,8 @@ def _limit(settings: ProblemSettings) -> tuple[float, int]:
     """Size beyond which chance puts hardly any visit, and how many numbers of a visit move alike."""
     size = settings.whitener.shape[-1]
     # Errors of the model move all markers of a tool alike: as many numbers, but no more independent ones than a point has.
-    alike = size // 3 if size > POSE and not settings.noise.absolute else 1
+    of_tool = settings.source.tool_numbers
+    alike = of_tool // 3 if of_tool > POSE and not settings.noise.absolute else 1
     return float(np.sqrt(chi2.isf(CHANCE / len(settings.used), size / alike))), alike
 
 

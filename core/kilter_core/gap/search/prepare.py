@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 
 from kilter_core.errors import NotConvergedError, ObservationError, TooFewPosesError
-from kilter_core.gap.noise.from_repeats import Noise, fit_noise, repeat_noise, spikes, stated_noise
+from kilter_core.gap.noise.from_repeats import Noise, fit_noise, repeat_noise, sensors, spikes, stated_noise
 from kilter_core.gap.noise.motion import (
     FEWEST_ROWS,
     averaged,
@@ -137,6 +137,13 @@ class _Preparation:
         first = np.unique(whole, axis=0, return_index=True)[1]
         kept = np.zeros(len(o), dtype=bool)
         kept[first] = True
+        kept &= o.tool_seen
+        if not o.tool_seen.all():
+            self._warn(
+                "rows_without_tool",
+                f"{int((~o.tool_seen).sum())} rows do not measure the tool and were left out: a search compares whole visits. "
+                "An identification uses them.",
+            )
         if len(first) < len(o):
             count = len(o) - len(first)
             self._warn(
@@ -207,7 +214,19 @@ class _Preparation:
         return windowed(rows, source, values, tick=now)
 
     def _noise(self, source: Source, values: Floats, rows: Observations, visits: Visits) -> Noise:
-        visit_residual = source.residual(values)
+        size = source.tool_numbers
+        kinds, visit_residual = tuple(source.beside_numbers), source.residual(values)
+        again = len(rows) > len(np.unique(visits.condition))
+        residual = source.residual_of_rows(values, rows, go_on) if again else visit_residual
+        noise = self._of_tool(source, (residual[:, :size], visit_residual[:, :size]), rows, visits)
+        if not kinds:
+            return noise
+        condition = visits.condition[visits.visit] if again else None
+        beside = sensors(residual[:, size:], condition, kinds, visits.count)
+        return noise.joined(*beside, kinds)
+
+    def _of_tool(self, source: Source, residuals: tuple[Floats, Floats], rows: Observations, visits: Visits) -> Noise:
+        row_residual, visit_residual = residuals
         size = visit_residual.shape[1]
         points = visits.observations.position if size == 3 else None
         linear = source.unit == "rad" or visits.observations.rotation is not None
@@ -215,7 +234,7 @@ class _Preparation:
             return stated_noise(self.options.noise_mm * 1e-3, visits, size)
         found = None
         if len(rows) > len(np.unique(visits.condition)):
-            found = repeat_noise(source.residual_of_rows(values, rows, go_on), visit_residual, visits, points)
+            found = repeat_noise(row_residual, visit_residual, visits, points)
         if found is not None:
             if not found.absolute:
                 self._warn(

@@ -65,6 +65,8 @@ def _alike(before: Noise, after: Noise) -> bool:
         return True
     ratio = after.coordinate / max(before.coordinate, 1e-300)
     freedom = after.freedom / before.freedom if before.freedom > 0.0 else 1.0
+    if before.kinds and not np.allclose(np.diag(before.row), np.diag(after.row), rtol=2.0 * CHANGED, atol=0.0):
+        return False
     return abs(ratio - 1.0) < CHANGED and abs(freedom - 1.0) < FREER and before.most == after.most
 
 

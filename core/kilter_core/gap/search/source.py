@@ -58,6 +58,21 @@ class Source(ABC):
         """Which of the geometry (P,) are load errors: known about as well by their priors as by the data."""
 
     @property
+    def tool_numbers(self) -> int:
+        """How many of a visit's numbers are of the tool (of joints where nothing else was measured), which come first."""
+        return 0
+
+    @property
+    def beside_numbers(self) -> list[int]:
+        """Numbers of a visit of each kind beside the tool."""
+        return []
+
+    @property
+    def missing(self) -> float:
+        """Numbers of a visit that were not measured, or only set a sensor's zero, on average."""
+        return 0.0
+
+    @property
     def live(self) -> Bools:
         """Joints (n,) that were measured."""
         return np.ones(self.model.robot.n_joints, dtype=bool)

@@ -12,7 +12,8 @@ from kilter_core.effects import Batch, Effect
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.source import MOST_NUMBERS, Linear, Source
 from kilter_core.measurement import Measurement
-from kilter_core.model import Calibration, RobotModel
+from kilter_core.model import Calibration, Prediction, RobotModel
+from kilter_core.model.prediction import ABOUT, TURNED
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
 
@@ -58,12 +59,32 @@ class ToolSource(Source):
 
     def on_rows(self, rows: Observations) -> ToolSource:
         """The same model on other rows."""
-        return self.on(Measurement.of(rows, self.measurement.marker_points))
+        return self.on(Measurement.of(_with_columns(rows, self.observations), self.measurement.marker_points))
 
     def on(self, measurement: Measurement) -> ToolSource:
         """The same model on other rows."""
         batch = replace(self.model.batch(measurement.observations), blur=self.batch.blur)
         return replace(self, measurement=measurement, batch=batch)
+
+    @cached_property
+    def tool_numbers(self) -> int:
+        """Three of a point, six of a pose, three of every marker."""
+        shape = self.measurement.marker_points
+        return 3 * len(shape) if shape is not None else self.measurement.equations_per_pose
+
+    @cached_property
+    def missing(self) -> float:
+        """Numbers beside the tool that a visit lacks, or that only set the zero of a sensor."""
+        beside = self.measurement.kinds[1:]
+        columns = sum(self.beside_numbers)
+        return columns - sum(kind.scalars() for kind in beside) / max(len(self.batch), 1)
+
+    @cached_property
+    def beside_numbers(self) -> list[int]:
+        """Numbers of a visit of each kind beside the tool."""
+        n = self.observations.q.shape[1]
+        given = ((self.observations.link_q, n), (self.observations.tilt, 3 * n))
+        return [count for column, count in given if column is not None]
 
     def only(self, rows: Ints) -> ToolSource:
         """The same model on some of the rows."""
@@ -84,7 +105,7 @@ class ToolSource(Source):
 
     def doubt(self, values: Floats) -> Floats:
         """Covariance (V, m, m) of the residuals that the blurred signs leave open."""
-        prediction, J = self.model.doubts(self.batch, values)
+        prediction, J = self.model.doubts(self.batch, values, self.measurement.reads_joints)
         if not J.shape[2]:
             size = self.residual(values).shape[1]
             return np.zeros((len(J), size, size))
@@ -116,6 +137,8 @@ class ToolSource(Source):
 
     def _parts(self, columns: int) -> list[slice]:
         """Slices of the rows, so large that what is in the making of their derivatives stays small."""
+        if len(self.measurement.kinds) > 1:  # the zeros of sensors are those of all rows together
+            return [slice(0, max(1, len(self.batch)))]
         size = max(1, MOST_NUMBERS // max(1, columns))
         return [slice(k, k + size) for k in range(0, max(1, len(self.batch)), size)]
 
@@ -124,8 +147,8 @@ class ToolSource(Source):
         whole = rows.start == 0 and rows.stop >= len(batch)
         seen = self.measurement.observations if whole else self.measurement.observations.select(rows)
         measurement = replace(self.measurement, observations=seen)
-        turns = measurement.observes_orientation
-        prediction, J = self.model.jacobian(batch if whole else batch.part(rows), values, columns, turns)
+        sees = measurement.observes_orientation, measurement.reads_joints
+        prediction, J = self.model.jacobian(batch if whole else batch.part(rows), values, columns, *sees)
         residual = measurement.residual(prediction, J)
         D = residual.derivatives(len(columns))
         r = residual.stacked
@@ -146,8 +169,9 @@ class ToolSource(Source):
     def residual_of_rows(self, values: Floats, rows: Observations, tick: Callable[[], None]) -> Floats:
         """Residuals (N, m) of single rows, in chunks; ``tick`` is called after each."""
         parts = []
-        for k in range(0, len(rows), CHUNK):
-            parts.append(self.on_rows(rows.select(slice(k, k + CHUNK))).residual(values))
+        size = CHUNK if len(self.measurement.kinds) == 1 else len(rows)
+        for k in range(0, len(rows), size):
+            parts.append(self.on_rows(rows.select(slice(k, k + size))).residual(values))
             tick()
         return np.concatenate(parts)
 
@@ -157,7 +181,7 @@ class ToolSource(Source):
 
     def joint_columns(self, values: Floats) -> Callable[[int], Floats]:
         """Derivative (V, m) of what was measured by each joint's turn."""
-        prediction, JQ = self.model.joint_jacobian(self.batch, values)
+        prediction, JQ = self.model.joint_jacobian(self.batch, values, self.measurement.reads_joints)
 
         def column(joint: int) -> Floats:
             return self.measurement.residual(prediction, JQ[:, :, [joint]]).derivatives(1)[:, :, 0]
@@ -170,7 +194,7 @@ class ToolSource(Source):
 
     def rms(self, errors: Floats) -> float:
         """Rms length (m) in space, of the points of markers together."""
-        e = errors
+        e = errors[:, : self.tool_numbers]
         points = e[:, : 3 * max(1, e.shape[1] // 3)] if e.shape[1] % 3 == 0 and e.shape[1] != 6 else e[:, :3]
         return float(np.sqrt(np.mean(np.sum(points**2, axis=1)) / max(1, points.shape[1] // 3)))
 
@@ -181,6 +205,7 @@ class ToolSource(Source):
     def imagined(self, rows: Observations, values: Floats) -> ToolSource:
         """Rows measured exactly as the model predicts, of the same kind as the real ones."""
         prediction = self.model.predict(rows, values)
+        rows = _read(rows, self.observations, prediction)
         shape = self.measurement.marker_points
         if shape is not None:
             markers = prediction.position[:, None, :] + np.einsum("nij,mj->nmi", prediction.rotation, shape)
@@ -194,7 +219,7 @@ class ToolSource(Source):
         model = replace(self.model, effects=(*self.model.effects[:started], *effects))
         known = dict(zip(self.model.names, fitted, strict=True))
         values = np.array([known[p.name] for p in model.parameters])
-        measurement = Measurement.of(rows, self.measurement.marker_points)
+        measurement = Measurement.of(_with_columns(rows, self.observations), self.measurement.marker_points)
         return ToolSource.of(model, measurement, self.free, 0).blurred(self.batch.blur), values
 
     def calibrated(self, values: Floats, model: RobotModel, begin: Calibration) -> Calibration:
@@ -239,3 +264,26 @@ class ToolSource(Source):
             left -= len(effect.parameters(self.model.robot))
             count += 1
         return count
+
+
+def _with_columns(rows: Observations, like: Observations) -> Observations:
+    """Rows with the columns beside the tool that others have, empty where they have none, and no more of them."""
+    n = rows.q.shape[1]
+    if like.link_q is None:
+        rows = replace(rows, link_q=None)
+    elif rows.link_q is None:
+        rows = replace(rows, link_q=np.full((len(rows), n), np.nan))
+    if like.tilt is None:
+        return replace(rows, tilt=None)
+    return rows if rows.tilt is not None else replace(rows, tilt=np.full((len(rows), n, 3), np.nan))
+
+
+def _read(rows: Observations, like: Observations, prediction: Prediction) -> Observations:
+    """Rows with what the sensors beside the tool would read where others were read."""
+    n = rows.q.shape[1]
+    if like.link_q is not None:
+        turned = rows.q + prediction.joints[:, :n, ABOUT]
+        rows = replace(rows, link_q=np.where(np.isnan(like.link_q).all(axis=0), np.nan, turned))
+    if like.tilt is not None:
+        rows = replace(rows, tilt=np.where(np.isnan(like.tilt).all(axis=0), np.nan, prediction.joints[:, :n, TURNED]))
+    return rows
