@@ -116,7 +116,7 @@ def load_wrenches(
 ):  # fmt: skip
     """Load wrench (force N, moment N·m about the joint) on each joint in its joint frame.
 
-    ``primary (n,)`` is the element of each joint, ``joint_frame (n, 3, 3)`` turns the frame after it so that z is the
+    ``primary (n,)`` is the element of each joint, ``joint_frame (n, 3, 3)`` rotates the frame after it so that z is the
     joint axis. ``link_element (L,)`` is the element whose frame the link's ``com (L, 3)`` and ``inertia (L, 3, 3)`` are
     given in. ``payload (N,)`` kg at ``payload_com (N, 3)`` and ``external (N, 6)`` (force, moment about the tool point)
     are in the tool frame, which stands after the last element. ``qd, qdd`` may be empty: then the load is static.
