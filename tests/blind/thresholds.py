@@ -66,7 +66,7 @@ GATES = (
 SEARCH = (
     "search.select.MARGIN", "search.select.FAMILY_MARGIN", "search.select.MOST_JOINTS", "search.select.SMALLEST_GAIN", "search.select.CLEARLY_WRONG",
     "search.select.HIDING", "search.scan.CAUTION", "search.scan.STRICTER", "search.outliers.CHANCE", "search.outliers.MOST", "search.outliers.SUPPLE",
-    "noise.from_repeats.SPIKE", "noise.from_repeats.SPHERICAL", "search.bases.SEEN", "evidence.shadow.FAIR", "evidence.testability.BARELY", "evidence.holding.SHARE",
+    "noise.from_repeats.SPIKE", "noise.from_repeats.SPHERICAL", "search.bases.SEEN", "evidence.local_bump.FAIR", "evidence.testability.BARELY", "evidence.holding_out.SHARE",
 )  # fmt: skip
 
 

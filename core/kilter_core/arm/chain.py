@@ -44,7 +44,7 @@ class Element:
     name: str | None = None
     joint: int | None = None
     ratio: float = 1.0
-    spare: bool = False
+    dependent: bool = False
 
     def parameter(self) -> Parameter:
         """The named constant as a :class:`~kilter_core.parameters.Parameter`."""

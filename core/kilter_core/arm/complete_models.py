@@ -109,8 +109,10 @@ def _placed(k: int, place: Place, names: tuple[str, str, str, str]) -> list[Elem
 
 def _joint(k: int, place: Place, axis: MovingAxis, leads: bool) -> Element:
     if axis.prismatic:
-        return Element(Axis.TZ, 0.0, f"d_offset_{k}" if leads else None, axis.joint, axis.ratio, spare=True)
-    return Element(Axis.RZ, place.offset, f"theta_offset_{k}" if leads else None, axis.joint, axis.ratio, spare=True)
+        return Element(Axis.TZ, 0.0, f"d_offset_{k}" if leads else None, axis.joint, axis.ratio, dependent=True)
+    return Element(
+        Axis.RZ, place.offset, f"theta_offset_{k}" if leads else None, axis.joint, axis.ratio, dependent=True
+    )
 
 
 def _flange(T: Floats) -> list[Element]:

@@ -258,7 +258,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
         message = f"task {task!r} holds {len(rows)} rows, the robot has {n} joints: give position."
         raise OptionError(message, option="task")
     arm = calibration.with_effects([e for e in calibration.model.effects if e.stage != "measurement"])
-    model, values = arm.model.folded(arm.values)
+    model, values = arm.model.absorb_frame_increments(arm.values)
     load = options.load(robot)
     conditions = Conditions(options.least_softening_nm, load.mass, options.temperature_c)
     form, supported, unsupported, loaded = _at_run_time(model, values, conditions)

@@ -127,7 +127,7 @@ def _on_the_arm(calibration: Calibration) -> tuple[RobotModel, Floats]:
     """Model seen from the wanted base frame, without the errors of the instrument."""
     arm = tuple(e for e in calibration.model.effects if e.stage != "measurement")
     kept = calibration.with_effects(arm)
-    model, values = kept.model.folded(kept.values)
+    model, values = kept.model.absorb_frame_increments(kept.values)
     seen_from = inverse(calibration.wanted().model.T_base)
     return replace(model, T_base=seen_from @ model.T_base), values
 

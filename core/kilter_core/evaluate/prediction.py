@@ -98,8 +98,8 @@ def _numbers(metres: Floats) -> list[float | None]:
 def _refitted(calibration: Calibration, measurement: Measurement, frames: tuple[str, ...]) -> Calibration:
     if not frames:
         return calibration
-    model, values = calibration.model.folded(calibration.values)
+    model, values = calibration.model.absorb_frame_increments(calibration.values)
     held = model.names[6 : model.n_geometric - 6] + model.names[model.n_geometric :]
     options = IdentifyOptions(fix=held, tool="free" if "tool" in frames else "fixed")
     fit = estimate(Calibration(model, values), measurement, options)
-    return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+    return Calibration(*fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points)

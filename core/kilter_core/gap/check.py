@@ -1,4 +1,4 @@
-"""What a hunt could test in some rows, before it is made: the geometry is fitted, nothing is searched."""
+"""What a search could test in some rows, before it is made: the geometry is fitted, nothing is searched."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.gap.evidence.holding import parted
+from kilter_core.gap.evidence.holding_out import parted
 from kilter_core.gap.evidence.replication import refuse_unfit
 from kilter_core.gap.evidence.testability import Testability, Visible, testability, untestable, visible
 from kilter_core.gap.find import beginning, of_this_robot
 from kilter_core.gap.noise.motion import is_trajectory
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library, Untestable
-from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.identify.compare import poses_of, thinned
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -24,7 +24,7 @@ MOST_POSES = 500  # looked at: half a second
 
 @dataclass(frozen=True)
 class GapCheck:
-    """What can be tested at the geometry-only fit, and what not; a hunt that names effects may see more by the end.
+    """What can be tested at the geometry-only fit, and what not; a search that names effects may see more by the end.
 
     ``poses`` were looked at ``of`` those to search: what fewer poses show is told as all of them would show it.
     """
@@ -43,10 +43,10 @@ def check_gap(
     validation: Observations | float | None = None,
     confirmation: Observations | None = None,
 ) -> GapCheck:
-    """Say which effects a hunt with these options could test in the rows it would search.
+    """Say which effects a search with these options could test in the rows it would search.
 
     Raises:
-        TooFewPosesError, ObservationError, OptionError: what the hunt would be refused with.
+        TooFewPosesError, ObservationError, OptionError: what the search would be refused with.
 
     """
     options = options or GapOptions()
@@ -59,18 +59,18 @@ def check_gap(
     of_this_robot(begin, observations)
     searched, _ = parted(observations, validation, options.seed)
     rows = _fewer(searched)
-    prepared = Workshop(begin, rows, options, lambda fraction, stage: None).run()
-    judged = _of_all(testability(prepared.world, prepared.library), prepared.library, len(rows) / len(searched))
+    prepared = prepare_data(begin, rows, options, lambda fraction, stage: None)
+    judged = _of_all(testability(prepared.problem, prepared.library), prepared.library, len(rows) / len(searched))
     return GapCheck(
         tuple(visible(prepared.library, judged)),
-        untestable(prepared.library, judged, prepared.world, prepared.visits.observations),
+        untestable(prepared.library, judged, prepared.problem, prepared.visits.observations),
         poses_of(rows),
         poses_of(searched),
     )
 
 
 def _fewer(rows: Observations) -> Observations:
-    """At most ``MOST_POSES`` poses, evenly chosen, with their repeats; motions stay, a hunt averages them by itself."""
+    """At most ``MOST_POSES`` poses, evenly chosen, with their repeats; motions stay, a search averages them by itself."""
     return rows if is_trajectory(rows) or poses_of(rows) <= MOST_POSES else thinned(rows, MOST_POSES)
 
 

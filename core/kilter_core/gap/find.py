@@ -1,4 +1,4 @@
-"""A gap hunt from rows to report: where the model is wrong, what is missing, how sure that is, what to measure next."""
+"""A gap search from rows to report: where the model is wrong, what is missing, how sure that is, what to measure next."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from kilter_core.errors import OptionError
 from kilter_core.gap.evidence.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.aliases import SAME, Alias, aliases_of
 from kilter_core.gap.evidence.control import Control, controls, false_names
-from kilter_core.gap.evidence.heldout import Bench, gap_document, noise_document
-from kilter_core.gap.evidence.holding import parted
+from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator, gap_document, noise_document
+from kilter_core.gap.evidence.holding_out import parted
 from kilter_core.gap.evidence.intervals import Amplitude, amplitudes, seen_joints
+from kilter_core.gap.evidence.local_bump import local_bump_test
 from kilter_core.gap.evidence.matters import Misfit, misfit, moves_mm
 from kilter_core.gap.evidence.narrowed import narrowed
 from kilter_core.gap.evidence.replication import Confirmation, Replication, refuse_unfit, replication
-from kilter_core.gap.evidence.shadow import bumped
 from kilter_core.gap.evidence.stability import inclusion
 from kilter_core.gap.evidence.testability import (
     Testability,
@@ -33,20 +33,20 @@ from kilter_core.gap.evidence.testability import (
 from kilter_core.gap.evidence.verdict import Evidence, Judged, judge, run_verdict, sentence
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.figures import figures
-from kilter_core.gap.report.localization import Place, where
+from kilter_core.gap.report.localization import Place, localize
 from kilter_core.gap.report.next_poses import rows_of, separate
 from kilter_core.gap.report.report import GapReport
 from kilter_core.gap.report.stored import Stored, stored
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
-from kilter_core.gap.search.hunt import Hunt, hunt
+from kilter_core.gap.search.finalize import chance, or_geometry_alone
+from kilter_core.gap.search.forward_selection import SearchResult, search
 from kilter_core.gap.search.in_space import fit_rms, train_rms
-from kilter_core.gap.search.prepare import Prepared, Workshop
-from kilter_core.gap.search.rejudged import rejudged
-from kilter_core.gap.search.remarks import clock_warnings
+from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.gap.search.prepare import Prepared, prepare_data
+from kilter_core.gap.search.renewed_search import rejudged
+from kilter_core.gap.search.row_warnings import clock_warnings
 from kilter_core.gap.search.scan import Scorer
-from kilter_core.gap.search.settle import chance, shrunk
 from kilter_core.gap.search.source import LinkSource, ToolSource
-from kilter_core.gap.search.world import World
 from kilter_core.identify.load_model import far_from_stated
 from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
@@ -58,7 +58,7 @@ from kilter_core.observations import Observations
 
 Progress = Callable[[float, str], None]
 
-HUNTS = 2  # the second where the noise of the first showed that more could be tested
+SEARCHES = 2  # the second where the noise of the first showed that more could be tested
 LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
 
 
@@ -86,7 +86,7 @@ def find_gap(
 
     """
     options = options or GapOptions()
-    tell = progress or (lambda fraction, stage: None)
+    progress = progress or (lambda fraction, stage: None)
     begin = beginning(robot, start)
     if confirmation is not None:
         for rows in (observations, validation):
@@ -95,8 +95,8 @@ def find_gap(
         of_this_robot(begin, confirmation)
     remarks = (*of_this_robot(begin, observations), *clock_warnings(observations))
     observations, validation = parted(observations, validation, options.seed)
-    prepared = Workshop(begin, observations, options, _part(tell, 0.0, 0.15)).run()
-    report = _Run(robot, begin, prepared, options, validation, confirmation, tell).report()
+    prepared = prepare_data(begin, observations, options, _part(progress, 0.0, 0.15))
+    report = _Run(robot, begin, prepared, options, validation, confirmation, progress).report()
     return replace(report, warnings=(*report.warnings, *remarks))
 
 
@@ -121,9 +121,9 @@ def of_this_robot(begin: Calibration, rows: Observations) -> tuple[dict[str, Any
     return refuse_foreign(begin, Measurement.of(rows, begin.marker_points))
 
 
-def _part(tell: Progress, low: float, high: float) -> Progress:
+def _part(progress: Progress, low: float, high: float) -> Progress:
     """Map a stage's own fraction into its share of the whole."""
-    return lambda fraction, stage: tell(low + (high - low) * min(1.0, fraction), stage)
+    return lambda fraction, stage: progress(low + (high - low) * min(1.0, fraction), stage)
 
 
 @dataclass(frozen=True)
@@ -134,55 +134,57 @@ class _Run:
     options: GapOptions
     validation: Observations | None
     confirmation: Observations | None
-    tell: Progress
+    progress: Progress
 
     def report(self) -> GapReport:
-        prepared, world = self.prepared, self.prepared.world
-        self.tell(0.15, "where the model is wrong")
-        places = where(world, prepared.visits.observations, self.options.seed, prepared.moving)
-        judged = testability(world, prepared.library)
-        for _ in range(HUNTS):
+        prepared, problem = self.prepared, self.prepared.problem
+        self.progress(0.15, "where the model is wrong")
+        places = localize(problem, prepared.visits.observations, self.options.seed, prepared.moving)
+        judged = testability(problem, prepared.library)
+        for _ in range(SEARCHES):
             candidates = with_testable(prepared.library, to_search(judged, prepared.library))
-            found = self._hunted(prepared.world, candidates)
-            prepared = prepared.judged_by(found.world)
+            found = self._searched(prepared.problem, candidates)
+            prepared = prepared.judged_by(found.problem)
             # Without repeats the noise shrinks as effects enter, and what could not show in it may show now.
-            again = testability(prepared.world, prepared.library)
+            again = testability(prepared.problem, prepared.library)
             more, judged = bool(np.any(again.able & ~judged.able)), again
             if not more or not found.chosen:
                 break
         found = narrowed(found)
-        judged = through_loads(judged, testability(found.world, prepared.library), prepared.library)
-        prepared = prepared.judged_by(found.world)
-        return replace(self, prepared=prepared)._told(shrunk(found, prepared.world), places, judged, candidates)
+        judged = through_loads(judged, testability(found.problem, prepared.library), prepared.library)
+        prepared = prepared.judged_by(found.problem)
+        return replace(self, prepared=prepared)._reported(
+            or_geometry_alone(found, prepared.problem), places, judged, candidates
+        )
 
-    def _hunted(self, world: World, candidates: tuple[Candidate, ...]) -> Hunt:
-        noise = world.setting.noise
-        scorer = Scorer.of(candidates, world.setting.trusted, noise.freedom if noise.absolute else np.inf)
+    def _searched(self, problem: LinearizedProblem, candidates: tuple[Candidate, ...]) -> SearchResult:
+        noise = problem.settings.noise
+        scorer = Scorer.of(candidates, problem.settings.trusted, noise.freedom if noise.absolute else np.inf)
         limits = np.array([max(abs(p.lower), abs(p.upper)) for p in self.prepared.library.parameters])
-        found = hunt(world.setting, world, scorer, limits, self.options, _part(self.tell, 0.2, 0.5))
+        found = search(problem.settings, problem, scorer, limits, self.options, _part(self.progress, 0.2, 0.5))
         return rejudged(found, self.options.alpha, limits)
 
-    def _told(
-        self, found: Hunt, places: tuple[Place, ...], judged: Testability, candidates: tuple[Candidate, ...]
+    def _reported(
+        self, found: SearchResult, places: tuple[Place, ...], judged: Testability, candidates: tuple[Candidate, ...]
     ) -> GapReport:
         """The report on what was found; the preparation is that with the noise and outliers of the last fit."""
-        prepared, world = self.prepared, self.prepared.world
+        prepared, problem = self.prepared, self.prepared.problem
         rows = prepared.visits.observations
-        fit = adequacy(found.world, prepared.visits.condition, found.columns)
+        fit = adequacy(found.problem, prepared.visits.condition, found.columns)
         kept = stored(found, self.begin, prepared.rows, self.options)
         left = misfit(found, fit, rows, self.options)
         effects, control, held = self._judged(found, fit, left, kept)
         verdict = run_verdict(effects, fit, left)
         judging = held.report()
         gap = gap_document(prepared, found, judging)
-        self.tell(0.95, "next poses and pictures")
+        self.progress(0.95, "next poses and pictures")
         return GapReport(
             stored=kept, verdict=verdict, sentence=sentence(verdict, effects, fit, left), effects=effects, where=places,
             gap=gap, adequacy=fit, misfit=left, predictive=judging.predictive,
-            not_testable=untestable(prepared.library, judged, world, rows),
+            not_testable=untestable(prepared.library, judged, problem, rows),
             smallest_detectable=smallest_rows(prepared.library, judged),
             next_poses=self._next_poses(found, effects), negative_control=control,
-            alias_matrix=alias_matrix(world, candidates, found.chosen), noise=noise_document(found.world.setting),
+            alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(
                 *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
                 *self._worse(found, held, kept), *far_from_stated(kept.load_model()),
@@ -191,35 +193,35 @@ class _Run:
         )  # fmt: skip
 
     def _judged(
-        self, found: Hunt, fit: Adequacy, left: Misfit, kept: Stored
-    ) -> tuple[tuple[Judged, ...], dict[str, Any], Bench]:
+        self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored
+    ) -> tuple[tuple[Judged, ...], dict[str, Any], HoldoutEvaluator]:
         """Evidence for every chosen candidate, and the gates."""
-        held = Bench(found, self.prepared, self.validation, kept.posterior)
+        held = HoldoutEvaluator(found, self.prepared, self.validation, kept.posterior)
         aliases = {k: aliases_of(found, k) for k in found.chosen}
         classes = {k: tuple(a.place for a in rivals) for k, rivals in aliases.items()}
-        part = _part(self.tell, 0.5, 0.7)
+        part = _part(self.progress, 0.5, 0.7)
         shares = inclusion(
             found, classes, self.options.resamples, self.options.seed, lambda f: part(f, "selecting again on resamples")
         )
-        part = _part(self.tell, 0.7, 0.8)
+        part = _part(self.progress, 0.7, 0.8)
         shuffled = controls(found, self.options.permutations, self.options.seed, lambda f: part(f, "negative control"))
-        part = _part(self.tell, 0.8, 0.9)
+        part = _part(self.progress, 0.8, 0.9)
         sizes = amplitudes(found, lambda f: part(f, "profile intervals"))
         moved, again = moves_mm(found), self._replications(found, kept)
         out = []
         for n, k in enumerate(found.chosen):
-            self.tell(0.92 + 0.02 * n / len(found.chosen), "held-out poses")
+            self.progress(0.92 + 0.02 * n / len(found.chosen), "held-out poses")
             evidence = self._evidence(found, k, aliases[k], shares[k], shuffled[n], sizes, held)
             evidence = replace(evidence, moves_mm=moved[k], replication=again.get(k))
             out.append(judge(found, evidence, fit, left, self.prepared.library))
         out.sort(key=lambda j: -j.evidence.gain_mm)
         return tuple(out), self._control_document(found, shuffled), held
 
-    def _replications(self, found: Hunt, kept: Stored) -> dict[int, Replication]:
+    def _replications(self, found: SearchResult, kept: Stored) -> dict[int, Replication]:
         """What the confirmation says of every chosen candidate."""
         if self.confirmation is None or not found.chosen:
             return {}
-        part = _part(self.tell, 0.9, 0.92)
+        part = _part(self.progress, 0.9, 0.92)
         rows, robot = self.confirmation, self.robot
         seen = Confirmation.of(
             kept.calibration, kept.posterior, rows, self.options, lambda f, s: part(f, "confirmation")
@@ -228,24 +230,24 @@ class _Run:
         return {k: replication(seen, robot, rows, candidates[k], seen_joints(found, k)[0]) for k in found.chosen}
 
     def _evidence(
-        self, found: Hunt, place: int, rivals: tuple[Alias, ...], share: tuple[float, float], control: Control,
-        sizes: dict[int, Amplitude], held: Bench,
+        self, found: SearchResult, place: int, rivals: tuple[Alias, ...], share: tuple[float, float], control: Control,
+        sizes: dict[int, Amplitude], held: HoldoutEvaluator,
     ) -> Evidence:  # fmt: skip
         selector = found.selector
         rest = selector.columns([k for k in found.chosen if k != place])
         candidate = selector.scorer.candidates[place]
-        unit = 180.0 / np.pi if isinstance(found.world.setting.source, LinkSource) else 1e3
+        unit = 180.0 / np.pi if isinstance(found.problem.settings.source, LinkSource) else 1e3
         joints, any_ = seen_joints(found, place)
         return Evidence(
             place, candidate, rivals, share, held.gain_of(place), control,
             tuple(sizes[c] for c in candidate.columns),
             chance(found, place, self.options.alpha),
-            (train_rms(found.world, rest) - train_rms(found.world, found.columns)) * unit,
-            bumped(found, place, self.prepared.visits.observations.q),
+            (train_rms(found.problem, rest) - train_rms(found.problem, found.columns)) * unit,
+            local_bump_test(found, place, self.prepared.visits.observations.q),
             held.poses, joints, any_,
         )  # fmt: skip
 
-    def _control_document(self, found: Hunt, shuffled: tuple[Control, ...]) -> dict[str, Any]:
+    def _control_document(self, found: SearchResult, shuffled: tuple[Control, ...]) -> dict[str, Any]:
         share = false_names(found, self.options.permutations, self.options.seed)
         rows = [
             {
@@ -259,30 +261,30 @@ class _Run:
             "names_in_shuffled_residuals": share,
         }  # fmt: skip
 
-    def _large(self, found: Hunt) -> Iterator[dict[str, Any]]:
+    def _large(self, found: SearchResult) -> Iterator[dict[str, Any]]:
         """Say when much is left after everything that was named: a fact about the model, no verdict about the rows."""
-        world = found.world
-        size = fit_rms(world)
-        if isinstance(world.setting.source, ToolSource):
-            points = world.setting.source.model.predict(world.setting.source.batch, world.values).position
+        problem = found.problem
+        size = fit_rms(problem)
+        if isinstance(problem.settings.source, ToolSource):
+            points = problem.settings.source.model.predict(problem.settings.source.batch, problem.values).position
             yield from large_residual(size, points)
         elif np.degrees(size) > LARGE_DEG:
             yield {"code": "large_residual", "message": f"{np.degrees(size):.2f} deg are left between the encoders."}
 
     def _unsearched(self) -> Iterator[dict[str, Any]]:
         """Say which effects were not looked for because nothing is known to load the joints."""
-        source = self.prepared.world.setting.source
+        source = self.prepared.problem.settings.source
         loaded = list(dict.fromkeys(e.id for e in self.prepared.library.effects if "moments" in e.needs))
         if loaded and not np.any(source.batch.wrench):
             yield {
                 "code": "no_load", "effects": loaded,
                 "message": f"{', '.join(loaded)} were not looked for: they follow load moments, and neither link masses nor a "
-                "payload are known. Give the robot's links mass_kg and com_mm, or the rows payload_kg, and hunt again.",
+                "payload are known. Give the robot's links mass_kg and com_mm, or the rows payload_kg, and search again.",
             }  # fmt: skip
 
-    def _worse(self, found: Hunt, held: Bench, kept: Stored) -> Iterator[dict[str, Any]]:
+    def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:
         """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""
-        unit = "deg" if isinstance(found.world.setting.source, LinkSource) else "mm"
+        unit = "deg" if isinstance(found.problem.settings.source, LinkSource) else "mm"
         before_after = held.by_pose()
         if found.chosen and worse(*before_after):
             certain = Difference.of(*reversed(before_after)).worse
@@ -295,7 +297,7 @@ class _Run:
         unseen = Measurement.of(self.validation, calibration.marker_points)
         yield from PoseErrors.of({"registration_only": plain, "identified": calibration}, unseen).warnings()
 
-    def _next_poses(self, found: Hunt, effects: tuple[Judged, ...]) -> list[dict[str, Any]]:
+    def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> list[dict[str, Any]]:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
         if not effects:
             return []
@@ -311,7 +313,7 @@ class _Run:
         others = [k for k in found.columns if k not in target.columns]
         values = np.array([a.value for a in j.evidence.amplitudes])
         proposals = separate(
-            found.world, self.prepared.visits.observations, target, [a.candidate for a in rivals[:1]], others, values,
+            found.problem, self.prepared.visits.observations, target, [a.candidate for a in rivals[:1]], others, values,
             self.options.next_poses, self.options.seed,
         )  # fmt: skip
         return rows_of(proposals, (target.label, rivals[0].candidate.label if rivals else "geometry"), self.robot)

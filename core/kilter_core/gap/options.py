@@ -1,4 +1,4 @@
-"""What can be asked of a gap hunt, checked before anything is computed."""
+"""What can be asked of a gap search, checked before anything is computed."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from kilter_core.errors import OptionError
 # The best laser trackers promise 15 um near by, and arms return to a pose within 20 to 100 um: 5 um matters to nobody.
 MATTERS_UM = 5.0
 FRAME = ("free", "fixed")
-# The most that is computed on request; a hunt with these takes minutes, and its levels change no more.
+# The most that is computed on request; a search with these takes minutes, and its levels change no more.
 MOST = {"bootstraps": 20_000, "resamples": 10_000, "permutations": 10_000, "max_effects": 50, "next_poses": 1000}
 CHOICES = {"base": FRAME, "tool": FRAME, "reference": ("auto", "robot", "registration")}
 
 
 @dataclass(frozen=True)
 class GapOptions:
-    """Options of a gap hunt.
+    """Options of a gap search.
 
     ``alpha`` is the family-wise chance of any false name. ``effects`` restricts the library to these ids, or to these
     joints of them ({"id": ..., "joints": [2]}, from 1); all when empty. ``noise_mm`` states the standard deviation of one

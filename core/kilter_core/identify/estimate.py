@@ -39,7 +39,7 @@ def registration_only(start: Calibration, measurement: Measurement, loss: str = 
         loss=bounded(loss), fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :]
     )
     fit = estimate(start, measurement, options)
-    return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+    return Calibration(*fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points)
 
 
 def bounded(loss: str) -> str:
@@ -81,18 +81,22 @@ def estimate(
         walked += fit.iterations
         values, known = fit.values, fit.residual
         points, turns = scatter(fit)
-        blind = _promised(fit, stated)[1]
-        if len(blind) > len(held) and step >= HOLDING_PASSES:
-            blind = held
-        settled = near(points, point_sigma) and near(turns, turn_sigma) and len(blind) == len(held)
+        unobservable = _promised(fit, stated)[1]
+        if len(unobservable) > len(held) and step >= HOLDING_PASSES:
+            unobservable = held
+        settled = near(points, point_sigma) and near(turns, turn_sigma) and len(unobservable) == len(held)
         if settled and not rough:
             break
         rough = not settled and step < WEIGHT_PASSES - 2
         if settled:  # weights and directions stay: only the end of the walk is missing
             continue
         point_sigma, turn_sigma = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
-        if len(blind) != len(held):
-            values, known, held = _returned(fit, blind, still), None if len(blind) else known, blind
+        if len(unobservable) != len(held):
+            values, known, held = (
+                _returned(fit, unobservable, still),
+                None if len(unobservable) else known,
+                unobservable,
+            )
     return replace(fit, iterations=walked)
 
 
@@ -119,7 +123,7 @@ def _promised(fit: Fit, stated: float | None) -> tuple[tuple[float, float], Floa
     points, turns = scatter(fit_at(problem, moved, problem.beyond(here, moved, step * problem.prior_sigma)))
     points, turns = stated or max(points, SMALLEST_SIGMA_M), max(turns, SMALLEST_SIGMA_RAD)
     problem = problem.reweighted(Weights(_row_sigmas(problem.measurement, points), turns), None)
-    return (points, turns), blind_directions(fit_at(problem, values, problem.linearised(values, fit.residual)))
+    return (points, turns), unobservable_directions(fit_at(problem, values, problem.linearised(values, fit.residual)))
 
 
 def prepared(
@@ -136,7 +140,7 @@ def prepared(
         TooFewPosesError: fewer measured numbers than free parameters.
 
     """
-    model, values = start.model.folded(start.values)
+    model, values = start.model.absorb_frame_increments(start.values)
     free = options.free_parameters(
         model, sees_orientation=measurement.sees_orientation, sees_base=measurement.sees_base
     )
@@ -169,7 +173,7 @@ def weights_of(fit: Fit, options: IdentifyOptions) -> Weights:
     return Weights(_row_sigmas(fit.problem.measurement, sigma), max(turns, SMALLEST_SIGMA_RAD))
 
 
-def blind_directions(fit: Fit) -> Floats:
+def unobservable_directions(fit: Fit) -> Floats:
     """Directions (K, F), in prior sigmas, whose move by one sigma stays below ``UNSEEN`` of the scatter of each residual.
 
     What is left unexplained is structured, so it does not average out over rows: a fit that follows it along such a
@@ -187,11 +191,11 @@ def blind_directions(fit: Fit) -> Floats:
     return np.asarray(Vt[s < UNSEEN * math.sqrt(fit.problem.measurement.scalars())])
 
 
-def _returned(fit: Fit, blind: Floats, anchor: Floats) -> Floats:
+def _returned(fit: Fit, unobservable: Floats, anchor: Floats) -> Floats:
     """Values of the fit with the blind directions put back where they started."""
     values = fit.values.copy()
     moved = (values[fit.problem.free] - anchor) / fit.problem.prior_sigma
-    values[fit.problem.free] -= (blind.T @ (blind @ moved)) * fit.problem.prior_sigma
+    values[fit.problem.free] -= (unobservable.T @ (unobservable @ moved)) * fit.problem.prior_sigma
     return values
 
 

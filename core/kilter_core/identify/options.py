@@ -146,7 +146,7 @@ class IdentifyOptions:
         if self.free:
             return _matching(model.names, self.free)
         wanted = [chain.elements[k] for k in chain.named]
-        return [str(e.name) for e in wanted if (e.joint is not None if self.level == 1 else not e.spare)]
+        return [str(e.name) for e in wanted if (e.joint is not None if self.level == 1 else not e.dependent)]
 
     def _one_of(self, name: str, allowed: Sequence[Any]) -> None:
         value = getattr(self, name)

@@ -1,6 +1,6 @@
 """In which frames a correction puts the tool where the nominal robot would be: its own, the registration's, a start's.
 
-One way for every fit that makes a version: what identifies and what hunts must correct alike, wherever the tracker stood.
+One way for every fit that makes a version: what identifies and what searches must correct alike, wherever the tracker stood.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from kilter_core.identify.identifiability import NullDirection, identifiable
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.uncertainty.intervals import Intervals
-from kilter_core.identify.uncertainty.workspace_uncertainty import spread_of
+from kilter_core.identify.uncertainty.workspace_uncertainty import workspace_uncertainty
 from kilter_core.measurement.marker_checks import bending
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
@@ -37,8 +37,8 @@ def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | No
     of small increments along the frame's own axes. ``intervals`` add lower and upper.
     """
     model = calibration.model
-    blind = blind_names(fit.problem.model, fit.problem.measurement.observations)
-    known = identifiable(fit.sigma, fit.problem.prior_sigma) & ~np.isin(fit.names, list(blind))
+    unobservable = unobservable_names(fit.problem.model, fit.problem.measurement.observations)
+    known = identifiable(fit.sigma, fit.problem.prior_sigma) & ~np.isin(fit.names, list(unobservable))
     rows = rows_of(calibration, fit.names, fit.sigma, known)
     if intervals is not None:
         ends = zip(rows, intervals.lower, intervals.upper, intervals.stands_in, strict=True)
@@ -96,7 +96,7 @@ def warnings_of(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[dic
             "joint": name,
             "message": f"Joint {name} never moves: nothing about it can be identified. Vary it, or fix its parameters.",
         }
-    spread = spread_of(fit)
+    spread = workspace_uncertainty(fit)
     if spread is not None and spread.too_alike:
         yield {
             "code": "poses_ill_conditioned",
@@ -165,7 +165,7 @@ def _rms(points: Floats) -> float:
     return float(np.sqrt(np.nanmean(np.sum(points**2, axis=-1))))
 
 
-def blind_names(model: RobotModel, observations: Observations) -> Iterator[str]:
+def unobservable_names(model: RobotModel, observations: Observations) -> Iterator[str]:
     """Parameters of the joint elements that never move: their columns alias their neighbours'."""
     still = set(still_joints(observations))
     for e in model.robot.chain.elements:

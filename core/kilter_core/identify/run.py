@@ -140,7 +140,7 @@ def identify(
 
     """
     options = options or IdentifyOptions()
-    tell = progress or (lambda fraction, stage: None)
+    progress = progress or (lambda fraction, stage: None)
     begin = begin_with(robot, train, options, start)
     nominal = Calibration.nominal(robot)
     refuse_missing_columns(begin, train)
@@ -148,12 +148,12 @@ def identify(
     if frames is not None:
         begin, train = frames.in_model(begin), frames.laid(train)
         validation = frames.laid(validation) if isinstance(validation, Observations) else validation
-    tell(0.02, "splitting by pose")
+    progress(0.02, "splitting by pose")
     held: dict[str, Errors] = {}
     compared: PoseErrors | None = None
     by_row: RowErrors | None = None
     if isinstance(validation, Folds):
-        held, compared, by_row = _cross_validated(nominal, begin, train, validation, options, tell, prior)
+        held, compared, by_row = _cross_validated(nominal, begin, train, validation, options, progress, prior)
     train, validation, inside, outside = _parted(train, validation, options.seed)
     measurement = seen(train, options, begin.marker_points)
     refuse_feigned_turns(begin, measurement)
@@ -161,20 +161,22 @@ def identify(
     found = _registered(begin, measurement, options, prior)
     wanted = wanted_frames(begin, found, measurement, options, _continues(options, prior))
     begin, learned = gated(begin, train, options, prior)
-    fit = fit_by_method(begin, measurement, options, lambda f, s: tell(0.5 + 0.4 * f, s), prior)
-    calibration = Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points, *wanted)
+    fit = fit_by_method(begin, measurement, options, lambda f, s: progress(0.5 + 0.4 * f, s), prior)
+    calibration = Calibration(
+        *fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points, *wanted
+    )
     stages = {"nominal": nominal, "registration_only": found, "identified": calibration}
     own = [] if frames is None else frames.fitted(calibration)
     if isinstance(validation, Observations):
         plain = geometry_alone(begin, measurement, options)
         held, compared, by_row, own[len(own) :] = held_out(stages, plain, frames, validation, options, measurement)
         by_row = by_row.numbered(outside)
-    tell(0.95, "identifiability")
+    progress(0.95, "identifiability")
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
     metrics = metrics_document(errors, held)
     result = _reported(
-        without_frames(calibration), fit, train, metrics, options, lambda f, s: tell(0.95 + 0.04 * f, s), learned
+        without_frames(calibration), fit, train, metrics, options, lambda f, s: progress(0.95 + 0.04 * f, s), learned
     )
     said = (*result.warnings, *remarks, *(compared.warnings() if compared else ()))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
@@ -202,14 +204,14 @@ def _reported(
     train: Observations,
     metrics: dict[str, Any],
     options: IdentifyOptions,
-    tell: Progress,
+    progress: Progress,
     learned: Learned | None = None,
 ) -> Identification:
     """What was found, with all that is said about it."""
     repeats = Repeats.of(train, fit.residual)
     sigma = repeats.between
     plain, fit = fit, clustered(fit)
-    intervals = _intervals(plain, fit, options, tell)
+    intervals = _intervals(plain, fit, options, progress)
     fit = marginal(fit)
     return Identification(
         calibration=calibration,
@@ -232,14 +234,14 @@ def _reported(
     )
 
 
-def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, tell: Progress) -> Intervals | None:
+def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, progress: Progress) -> Intervals | None:
     """Intervals of a fit; a profile, whose likelihood takes rows as independent, is widened to what the poses show."""
     if options.intervals is None:
         return None
     if options.intervals == "profile":
-        found = profile(plain, tell).widened(fit.sigma / plain.sigma)
+        found = profile(plain, progress).widened(fit.sigma / plain.sigma)
     else:
-        found = bootstrap(plain, options.seed, tell)
+        found = bootstrap(plain, options.seed, progress)
     arm = of_the_arm(fit)
     return replace(found, lower=found.lower[arm], upper=found.upper[arm], stands_in=found.stands_in[arm])
 
@@ -292,7 +294,7 @@ def _cross_validated(
     train: Observations,
     folds: Folds,
     options: IdentifyOptions,
-    tell: Progress,
+    progress: Progress,
     prior: Prior | None = None,
 ) -> tuple[dict[str, Errors], PoseErrors, RowErrors]:
     """Errors on held-out poses, pooled over the folds."""
@@ -301,8 +303,8 @@ def _cross_validated(
     poses: list[PoseErrors] = []
     by_row: list[RowErrors] = []
     for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
-        tell(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
-        report = _within(tell, k, folds.folds)
+        progress(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
+        report = _within(progress, k, folds.folds)
         shown = seen(train.select(inside), options, shape)
         unseen = seen(train.select(outside), options, shape, shown)
         model = gated(begin, train.select(inside), options, prior)[0]
@@ -320,6 +322,8 @@ def _cross_validated(
     return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row)
 
 
-def _within(tell: Progress, fold: int, folds: int) -> Progress:
+def _within(progress: Progress, fold: int, folds: int) -> Progress:
     """Progress of one fold as part of the whole."""
-    return lambda fraction, stage: tell(0.05 + 0.45 * (fold + fraction) / folds, f"fold {fold + 1} of {folds}, {stage}")
+    return lambda fraction, stage: progress(
+        0.05 + 0.45 * (fold + fraction) / folds, f"fold {fold + 1} of {folds}, {stage}"
+    )

@@ -122,7 +122,7 @@ class Frames:
         """Frames that a fit of several training set-ups found."""
         out = []
         values = dict(zip(calibration.names, calibration.values, strict=True))
-        T = calibration.model.folded(calibration.values)[0].T_base
+        T = calibration.model.absorb_frame_increments(calibration.values)[0].T_base
         for code, lay in list(self.lays.items())[1:]:
             six = np.array([values[f"setup_{code}_{name}"] for name in FRAME_NAMES])
             out.append(_apart(code, "train", T, inverse(lay) @ T @ increment(six)))
@@ -151,7 +151,7 @@ def _refuse(train: Observations, codes: list[int], options: IdentifyOptions) -> 
 
 def _lays(begin: Calibration, train: Observations, codes: list[int]) -> list[Floats]:
     """What takes each set-up into the frame of the first, by registering bases and the tool in turn."""
-    model, values = begin.model.folded(begin.values)
+    model, values = begin.model.absorb_frame_increments(begin.values)
     shape = Measurement.of(train, begin.marker_points).marker_points
     assert train.setup is not None
     lays = [np.eye(4) for _ in codes]
@@ -264,10 +264,10 @@ def _of(setup: Ints, code: int | None, new: list[int]) -> Bools:
 def with_base(calibration: Calibration, measurement: Measurement, loss: str) -> Calibration:
     """The calibration with its base fitted to other rows, all else held."""
     alone = without_frames(calibration)
-    model, values = alone.model.folded(alone.values)
+    model, values = alone.model.absorb_frame_increments(alone.values)
     options = IdentifyOptions(fix=model.names[6:], tool="fixed", loss=bounded(loss))
     fit = estimate(Calibration(model, values, measurement.marker_points), measurement, options)
-    return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+    return Calibration(*fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points)
 
 
 def _apart(code: int, use: str, before: Floats, after: Floats) -> OwnFrame:

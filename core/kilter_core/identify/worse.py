@@ -109,7 +109,7 @@ def geometry_alone(begin: Calibration, measurement: Measurement, options: Identi
         fit = fit_by_method(plain, measurement, chosen)
     except CoreError:
         return None
-    return Calibration(*fit.problem.model.folded(fit.values), measurement.marker_points)
+    return Calibration(*fit.problem.model.absorb_frame_increments(fit.values), measurement.marker_points)
 
 
 def _some(pattern: str, names: Sequence[str]) -> bool:

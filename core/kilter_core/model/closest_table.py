@@ -70,7 +70,7 @@ def at_rest(effect: Effect) -> bool:
 def arm_poses(calibration: Calibration, rows: Observations) -> Prediction:
     """Tool poses of the whole calibrated arm, at rest without load, seen from the wanted base."""
     kept = calibration.with_effects([effect for effect in calibration.model.effects if at_rest(effect)])
-    model, values = kept.model.folded(kept.values)
+    model, values = kept.model.absorb_frame_increments(kept.values)
     seen_from = inverse(np.asarray(calibration.wanted().model.T_base))
     return replace(model, T_base=seen_from @ np.asarray(model.T_base)).predict(rows, values)
 
@@ -108,7 +108,7 @@ def closest_table(calibration: Calibration, convention: str) -> ClosestTable:
         fitted = _fitted(model, plain, wanted, values)
         closer = distance(wanted, model.predict(plain, fitted))
         values, loss = (fitted, closer) if closer.rms_m < loss.rms_m else (values, loss)
-    model, values = model.folded(values)
+    model, values = model.absorb_frame_increments(values)
     named = dict(zip(model.names, values.tolist(), strict=True))
     found, base = _rows(rows, named), np.asarray(model.T_base)
     frames = flange_frames(calibration).elements

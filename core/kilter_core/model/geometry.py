@@ -49,7 +49,7 @@ def wanted_tool(calibration: Calibration) -> Floats:
 
 
 def _folded(calibration: Calibration) -> tuple[RobotModel, Floats]:
-    model, values = calibration.model.folded(calibration.values)
+    model, values = calibration.model.absorb_frame_increments(calibration.values)
     return model, values[6 : model.n_geometric - 6]
 
 

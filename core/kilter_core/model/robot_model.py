@@ -223,7 +223,7 @@ class RobotModel:
         batch = self._as_batch(observations)
         return batch.q + self._local(batch, values)[0].dq
 
-    def folded(self, values: Floats) -> tuple[RobotModel, Floats]:
+    def absorb_frame_increments(self, values: Floats) -> tuple[RobotModel, Floats]:
         """Move the base and tool increments of ``values`` into the frames: an equal model with increments zero."""
         n = self.n_geometric
         T_base = self.T_base @ increment(values[:6])
@@ -355,7 +355,7 @@ class Calibration:
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able state, SI: frames, effects, and every parameter's value by name."""
-        model, values = self.model.folded(self.values)
+        model, values = self.model.absorb_frame_increments(self.values)
         return {
             "T_base": model.T_base.tolist(),
             "T_tool": model.T_tool.tolist(),

@@ -107,7 +107,7 @@ def _complete(rows: Observations, needs: frozenset[str]) -> Observations:
 
 def _looked_for(start: Calibration, effects: Sequence[Effect]) -> tuple[RobotModel, Floats, Ints]:
     """The start's model with the effects it lacks, its values, and what an identification would free."""
-    model, values = start.model.folded(start.values)
+    model, values = start.model.absorb_frame_increments(start.values)
     missing = tuple(effect for effect in effects if not _has(model, effect))
     whole = replace(model, effects=(*model.effects, *missing))
     values = np.concatenate([values, whole.values0()[len(values) :]])

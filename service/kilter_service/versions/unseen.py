@@ -152,7 +152,7 @@ class _Trained:
 
 def _draw(training: Training, rows: Observations, fraction: float) -> Ints:
     """Indices of the rows that a job fits when a fraction is held out."""
-    from kilter_core.gap.evidence.holding import held_out
+    from kilter_core.gap.evidence.holding_out import held_out
     from kilter_core.identify.holdout import split
 
     if training.kind == "gap":

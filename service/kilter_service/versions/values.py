@@ -24,7 +24,7 @@ def wire_values(calibration: Calibration) -> dict[str, Value]:
     from kilter_core.identify.report import WIRE  # these import scipy: not at the start of the API process
     from kilter_core.transforms import xyz_rpy_from_pose
 
-    model, values = calibration.model.folded(calibration.values)
+    model, values = calibration.model.absorb_frame_increments(calibration.values)
     out = {}
     for parameter, value in zip(model.parameters, values, strict=True):
         unit, scale = WIRE.get(parameter.unit, (parameter.unit, 1.0))

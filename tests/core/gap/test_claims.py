@@ -13,17 +13,17 @@ from kilter_core.arm.presets import preset_document
 from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.adequacy import Adequacy
-from kilter_core.gap.evidence.holding import held_out, parted, shared_rows
+from kilter_core.gap.evidence.holding_out import held_out, parted, shared_rows
 from kilter_core.gap.evidence.matters import Misfit
 from kilter_core.gap.evidence.replication import Confirmation, replication
 from kilter_core.gap.evidence.testability import testability as judged
 from kilter_core.gap.report.stored import stored
 from kilter_core.gap.search.candidates import with_testable
-from kilter_core.gap.search.hunt import Hunt
-from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linearized import refit
+from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.scan import Scorer, null_of
 from kilter_core.gap.search.select import Selector
-from kilter_core.gap.search.world import refit
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana
@@ -123,8 +123,8 @@ def test_a_confirmation_without_the_effect_contradicts_it(robot, small):
 
 def test_a_confirmation_that_cannot_show_the_effect_says_so(robot):
     rows = campaign(robot, [("backlash", (1,), (6e-4,))], poses=45, revisits=15, seed=3, arm=1)
-    blind = replace(again(robot, [("backlash", (1,), (6e-4,))]), direction=None)
-    (effect,) = find_gap(robot, rows, QUICK, confirmation=blind).effects
+    unobservable = replace(again(robot, [("backlash", (1,), (6e-4,))]), direction=None)
+    (effect,) = find_gap(robot, rows, QUICK, confirmation=unobservable).effects
     assert effect.evidence.replication.outcome == "not_testable"
     assert "no direction" in effect.evidence.replication.reason
     assert effect.verdict == "provisional"
@@ -133,14 +133,14 @@ def test_a_confirmation_that_cannot_show_the_effect_says_so(robot):
 def forced(robot, rows, rng):
     """A hunt that ended with one candidate drawn at random, whatever the rows say."""
     begin = Calibration.nominal(robot)
-    prepared = Workshop(begin, rows, QUICK, lambda f, s: None).run()
-    world = prepared.world
-    candidates = with_testable(prepared.library, judged(world, prepared.library).able)
-    scorer = Scorer.of(candidates, True, world.setting.noise.freedom)
-    selector = Selector(scorer, world.rows, np.full(len(world.A), np.inf))
+    prepared = prepare_data(begin, rows, QUICK, lambda f, s: None)
+    problem = prepared.problem
+    candidates = with_testable(prepared.library, judged(problem, prepared.library).able)
+    scorer = Scorer.of(candidates, True, problem.settings.noise.freedom)
+    selector = Selector(scorer, problem.rows, np.full(len(problem.A), np.inf))
     place = int(rng.integers(len(candidates)))
-    fitted = refit(world.setting, world.values, list(candidates[place].columns))
-    found = Hunt(fitted, selector, (place,), null_of(world, scorer, [], 19, 0), 1e-4, ())
+    fitted = refit(problem.settings, problem.values, list(candidates[place].columns))
+    found = SearchResult(fitted, selector, (place,), null_of(problem, scorer, [], 19, 0), 1e-4, ())
     return candidates[place], stored(found, begin, rows, QUICK)
 
 

@@ -13,10 +13,10 @@ from kilter_core.gap.evidence.cancelling import cancelling_members
 from kilter_core.gap.evidence.testability import testability as judged
 from kilter_core.gap.report.report import effect_row
 from kilter_core.gap.search.candidates import library_of, with_testable
-from kilter_core.gap.search.hunt import Hunt, hunt
-from kilter_core.gap.search.prepare import Prepared, Workshop
+from kilter_core.gap.search.forward_selection import SearchResult, search
+from kilter_core.gap.search.linearized import refit
+from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.scan import Scorer
-from kilter_core.gap.search.world import refit
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana
@@ -25,20 +25,20 @@ from tests.core.gap.test_smooth import measured
 QUICK = GapOptions(resamples=20, permutations=5, bootstraps=499, next_poses=0)
 
 
-def searched(rows: Observations, options: GapOptions) -> tuple[Prepared, Hunt]:
-    prepared = Workshop(Calibration.nominal(katana()), rows, options, lambda f, s: None).run()
-    candidates = with_testable(prepared.library, judged(prepared.world, prepared.library).able)
-    scorer = Scorer.of(candidates, True, prepared.world.setting.noise.freedom)
+def searched(rows: Observations, options: GapOptions) -> tuple[Prepared, SearchResult]:
+    prepared = prepare_data(Calibration.nominal(katana()), rows, options, lambda f, s: None)
+    candidates = with_testable(prepared.library, judged(prepared.problem, prepared.library).able)
+    scorer = Scorer.of(candidates, True, prepared.problem.settings.noise.freedom)
     limits = np.array([max(abs(p.lower), abs(p.upper)) for p in prepared.library.parameters])
-    return prepared, hunt(prepared.world.setting, prepared.world, scorer, limits, options, lambda f, s: None)
+    return prepared, search(prepared.problem.settings, prepared.problem, scorer, limits, options, lambda f, s: None)
 
 
-def forced(found: Hunt, *names: tuple[str, tuple[int, ...]]) -> Hunt:
+def forced(found: SearchResult, *names: tuple[str, tuple[int, ...]]) -> SearchResult:
     """The hunt as if it had chosen these, at their own fit."""
     candidates = found.selector.scorer.candidates
     chosen = tuple(next(k for k, c in enumerate(candidates) if (c.id, c.joints) == name) for name in names)
-    world = refit(found.world.setting, found.world.values, found.selector.columns(chosen))
-    return replace(found, world=world, chosen=chosen)
+    problem = refit(found.problem.settings, found.problem.values, found.selector.columns(chosen))
+    return replace(found, problem=problem, chosen=chosen)
 
 
 def test_a_drifting_first_joint_may_be_a_turning_base() -> None:

@@ -7,19 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.unobservable.generator import generate
+from tests.unobservable.generator.cases import Hidden, cases
+from tests.unobservable.to_core import observations_of, robot_of
 
 from kilter_core.arm.robot import Robot
 from kilter_core.gap import GapOptions
 from kilter_core.gap.search.in_space import train_rms
-from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.source import ToolSource
 from kilter_core.identify import identify
 from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from tests.blind.generator import generate
-from tests.blind.generator.cases import Hidden, cases
-from tests.blind.to_core import observations_of, robot_of
 from tests.core.gap.simulated import campaign, katana
 from tests.core.real import WITH_TOOL, real_campaign
 
@@ -29,18 +29,18 @@ MOST = 600  # rows: enough to weigh, few enough to wait for
 
 def geometry_only(robot: Robot, rows: Observations) -> tuple[float, float, float]:
     """Rms errors (m) of the geometry alone on the hunt's own rows: by the hunt, as the hunt reports it, by identify."""
-    ready = Workshop(Calibration.nominal(robot), rows, GapOptions(effects=("encoder_scale",)), lambda f, s: None).run()
-    world = ready.world
-    source = world.setting.source
+    ready = prepare_data(Calibration.nominal(robot), rows, GapOptions(effects=("encoder_scale",)), lambda f, s: None)
+    problem = ready.problem
+    source = problem.settings.source
     assert isinstance(source, ToolSource)
-    used = ready.visits.observations.select(world.setting.used)
+    used = ready.visits.observations.select(problem.settings.used)
     own = source.on(replace(source.measurement, observations=used))
     size = 3 * (source.measurement.marker_points is None or len(source.measurement.marker_points))
-    points = own.residual(world.values)[:, :size].reshape(-1, 3)
+    points = own.residual(problem.values)[:, :size].reshape(-1, 3)
     hunted = float(np.sqrt(np.nanmean(np.sum(points**2, axis=1))))
     found = identify(robot, used)
     errors = Errors.of(found.calibration, found.fit.problem.measurement).points
-    return hunted, train_rms(world, []), float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+    return hunted, train_rms(problem, []), float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 
 def agree(robot: Robot, rows: Observations) -> None:

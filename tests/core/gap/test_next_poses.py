@@ -13,7 +13,7 @@ from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.next_poses import Proposal, _Question, rows_of, separate
 from kilter_core.gap.report.separation import imagined, undecided
 from kilter_core.gap.search.candidates import with_testable
-from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
@@ -22,8 +22,8 @@ from tests.core.gap.simulated import campaign, katana
 def asked():
     robot = katana()
     rows = campaign(robot, seed=1, poses=40, loads=(2.0,))
-    p = Workshop(Calibration.nominal(robot), rows, GapOptions(), lambda f, s: None).run()
-    candidates = with_testable(p.library, judged(p.world, p.library).able)
+    p = prepare_data(Calibration.nominal(robot), rows, GapOptions(), lambda f, s: None)
+    candidates = with_testable(p.library, judged(p.problem, p.library).able)
     by = {c.label: c for c in candidates}
     return p, by["axial_compliance j2"], by["link_bending j2"]
 
@@ -31,9 +31,9 @@ def asked():
 def test_chosen_poses_tell_more_than_random_ones(asked):
     p, target, rival = asked
     rows = p.visits.observations
-    proposals = separate(p.world, rows, target, [rival], (), np.array([1e-4]), 8, 0)
+    proposals = separate(p.problem, rows, target, [rival], (), np.array([1e-4]), 8, 0)
     new = next(x for x in proposals if x.kind == "new")
-    question = _Question(p.world, target, rival.columns, (), np.array([1e-4]))
+    question = _Question(p.problem, target, rival.columns, (), np.array([1e-4]))
     X = question.rows(rows.select(slice(0, 8)))
     H = question.information() + np.einsum("vmi,vmj->ij", X, X)
     random = 1.0 / np.linalg.inv(H)[0, 0]
@@ -43,7 +43,7 @@ def test_chosen_poses_tell_more_than_random_ones(asked):
 
 def test_old_poses_under_another_load_are_weighed_against_new_ones(asked):
     p, target, rival = asked
-    first, second = separate(p.world, p.visits.observations, target, [rival], (), np.array([1e-4]), 6, 0)
+    first, second = separate(p.problem, p.visits.observations, target, [rival], (), np.array([1e-4]), 6, 0)
     assert {first.kind, second.kind} == {"new", "repeat"}
     repeat = first if first.kind == "repeat" else second
     assert repeat.change.startswith("repeat these poses")
@@ -54,7 +54,7 @@ def test_old_poses_under_another_load_are_weighed_against_new_ones(asked):
 
 def test_proposed_poses_stay_within_the_limits(asked):
     p, target, rival = asked
-    proposals = separate(p.world, p.visits.observations, target, [rival], (), np.array([1e-4]), 5, 0)
+    proposals = separate(p.problem, p.visits.observations, target, [rival], (), np.array([1e-4]), 5, 0)
     limits = np.degrees(katana().limits)
     for row in rows_of(proposals, ("a", "b"), katana()):
         assert np.all(np.array(row["q_deg"]) >= limits[:, 0])
@@ -128,10 +128,10 @@ def test_loads_that_hang_off_the_tool_point_are_asked_for_where_they_hung():
     robot = katana()
     rows = campaign(robot, seed=1, poses=40, loads=(0.5, 2.0))
     place = np.where(rows.payload_kg[:, None] > 1.0, [0.01, 0.0, 0.04], [0.0, 0.02, 0.0])
-    p = Workshop(Calibration.nominal(robot), replace(rows, payload_com=place), GapOptions(), lambda f, s: None).run()
-    by = {c.label: c for c in with_testable(p.library, judged(p.world, p.library).able)}
+    p = prepare_data(Calibration.nominal(robot), replace(rows, payload_com=place), GapOptions(), lambda f, s: None)
+    by = {c.label: c for c in with_testable(p.library, judged(p.problem, p.library).able)}
     target, rival = by["axial_compliance j2"], by["link_bending j2"]
-    proposals = separate(p.world, p.visits.observations, target, [rival], (), np.array([1e-4]), 8, 0)
+    proposals = separate(p.problem, p.visits.observations, target, [rival], (), np.array([1e-4]), 8, 0)
     said = {(row["payload_kg"], *row["payload_com_mm"]) for row in rows_of(proposals, ("a", "b"), robot)}
     assert said
     assert said <= {(0.5, 0.0, 20.0, 0.0), (2.0, 10.0, 0.0, 40.0)}

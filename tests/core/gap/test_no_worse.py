@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.search.hunt import worse
+from kilter_core.gap.search.forward_selection import worse
 from kilter_core.gap.search.select import Selector
 from kilter_core.identify import identify
 from kilter_core.observations import Observations

@@ -9,8 +9,8 @@ import pytest
 
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search import source
-from kilter_core.gap.search.prepare import Workshop
-from kilter_core.gap.search.world import world_at
+from kilter_core.gap.search.linearized import linearize_at
+from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
@@ -22,14 +22,14 @@ MB = 2**20
 def prepared(measured: str, options: GapOptions = OPTIONS):
     robot = katana()
     rows = campaign(robot, [("axial_compliance", (1,), (3e-5,))], seed=5, measured=measured)
-    return Workshop(Calibration.nominal(robot), rows, options, lambda f, s: None).run().world
+    return prepare_data(Calibration.nominal(robot), rows, options, lambda f, s: None).problem
 
 
 @pytest.mark.parametrize("measured", ["position", "pose", "markers"])
 def test_parts_are_the_whole(measured, monkeypatch):
-    world = prepared(measured)
-    tool = world.setting.source
-    values = world.values.copy()
+    problem = prepared(measured)
+    tool = problem.settings.source
+    values = problem.values.copy()
     values[len(values) - tool.n_library :] = 1e-5
     values[tool.free[tool.soft]] += 0.3 * tool.prior_sigma[tool.soft]
     columns = [3, 0, 5]
@@ -44,17 +44,17 @@ def test_parts_are_the_whole(measured, monkeypatch):
 
 def test_a_world_of_many_rows_takes_little_besides_itself():
     """Some arrays of the whole size are passed on the way to a world; they were a dozen, beside two that it kept."""
-    world = prepared("position", GapOptions())
-    tool = world.setting.source
+    problem = prepared("position", GapOptions())
+    tool = problem.settings.source
     many = np.tile(np.arange(len(tool.batch)), 40)
-    setting = world.setting
+    settings = problem.settings
     wide = tool.on(type(tool.measurement)(tool.measurement.observations.select(many)))
-    noise = type(setting.noise)(**{**vars(setting.noise), "visit": setting.noise.visit[many]})
-    large = type(setting)(wide, noise, setting.used[many], np.arange(len(many)))
+    noise = type(settings.noise)(**{**vars(settings.noise), "visit": settings.noise.visit[many]})
+    large = type(settings)(wide, noise, settings.used[many], np.arange(len(many)))
     assert wide.batch.slopes.of("axial", 0).size  # loads are made once, and are not counted
     tracemalloc.start()
     try:
-        made = world_at(large, world.values)
+        made = linearize_at(large, problem.values)
         kept, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

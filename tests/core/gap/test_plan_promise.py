@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.unobservable.generator import Options, tracker
+from tests.unobservable.generator.arm import Arm, Deflection, built
+from tests.unobservable.generator.arms import ARMS
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, plan_separation
 from kilter_core.gap.report.next_poses import _Question
 from kilter_core.gap.report.separation import _found
-from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from tests.blind.generator import Options, tracker
-from tests.blind.generator.arm import Arm, Deflection, built
-from tests.blind.generator.arms import ARMS
 
 COMPLIANCE = 2e-6  # rad / N m
 POSES, REPEATS = 30, 3
@@ -40,10 +40,10 @@ def measured(arm: Arm, q: np.ndarray, payload: np.ndarray, first: int, rng: np.r
 def information(start: Calibration, rows: Observations, amount: float) -> float:
     """What rows say of the compliance of joint 2 when the bending of link 2 is free as well."""
     options = replace(STATED, effects=("axial_compliance", "link_bending"))
-    prepared = Workshop(start, rows, options, lambda f, s: None).run()
+    prepared = prepare_data(start, rows, options, lambda f, s: None)
     target = _found(prepared.library, ("axial_compliance", (1,)))
     rival = _found(prepared.library, ("link_bending", (1,)))
-    question = _Question(prepared.world, target, rival.columns, (), np.array([amount]))
+    question = _Question(prepared.problem, target, rival.columns, (), np.array([amount]))
     return float(1.0 / np.linalg.inv(question.information())[0, 0])
 
 

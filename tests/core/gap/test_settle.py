@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.unobservable.generator import cases, generate
+from tests.unobservable.to_core import observations_of, robot_of
 
 from kilter_core.effects import make_effect
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.search.select import Selector
 from kilter_core.model import RobotModel
-from tests.blind.generator import cases, generate
-from tests.blind.to_core import observations_of, robot_of
 from tests.core.gap.simulated import campaign, katana
 
 EFFECTS = ("backlash", "friction_windup", "eccentricity", "encoder_scale", "axial_compliance")

@@ -9,8 +9,8 @@ from kilter_core.gap.evidence.stability import inclusion, reweighted
 from kilter_core.gap.evidence.testability import testability as judged
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import with_testable
-from kilter_core.gap.search.hunt import Hunt
-from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.scan import Scorer, null_of
 from kilter_core.gap.search.select import Selector
 from kilter_core.model import Calibration
@@ -20,15 +20,15 @@ OPTIONS = GapOptions(effects=("eccentricity", "encoder_scale", "backlash", "axia
 
 
 @pytest.fixture(scope="module")
-def world():
+def problem():
     robot = katana()
-    return Workshop(Calibration.nominal(robot), campaign(robot, seed=5), OPTIONS, lambda f, s: None).run()
+    return prepare_data(Calibration.nominal(robot), campaign(robot, seed=5), OPTIONS, lambda f, s: None)
 
 
-def test_weighted_rows_are_a_weighted_fit(world):
+def test_weighted_rows_are_a_weighted_fit(problem):
     """The chi-square a candidate takes is that of two weighted least-squares fits, with and without it."""
-    w = world.world
-    weight = np.random.default_rng(0).exponential(size=len(w.setting.used))[w.row_visit]
+    w = problem.problem
+    weight = np.random.default_rng(0).exponential(size=len(w.settings.used))[w.row_visit]
     gram, root = reweighted(w, weight), np.sqrt(weight)
 
     def left(*columns):
@@ -42,20 +42,20 @@ def test_weighted_rows_are_a_weighted_fit(world):
 
 def chosen(prepared, label, y):
     """A hunt that ended with one name, on data made for it."""
-    w = prepared.world
+    w = prepared.problem
     scorer = Scorer.of(with_testable(prepared.library, judged(w, prepared.library).able), True, np.inf)
     selector = Selector(scorer, w.rows, np.full(len(w.A), np.inf))
     (place,) = [k for k, c in enumerate(scorer.candidates) if c.label == label]
     r = y - w.U @ (w.U.T @ y)
     made = type(w)(**{**{f: getattr(w, f) for f in w.__dataclass_fields__}, "y": r, "c": w.W.T @ r})
-    return Hunt(made, selector, (place,), null_of(made, scorer, [], 499, 0), 1e-4, ())
+    return SearchResult(made, selector, (place,), null_of(made, scorer, [], 499, 0), 1e-4, ())
 
 
-def test_a_name_that_rests_on_two_poses_does_not_return(world):
+def test_a_name_that_rests_on_two_poses_does_not_return(problem):
     """Signs of residuals leave the poses as they are and give it back every time; other poses do not."""
-    w = world.world
+    w = problem.problem
     rng = np.random.default_rng(3)
-    column = next(k for k, p in enumerate(world.library.parameters) if p.name == "backlash_3")
+    column = next(k for k, p in enumerate(problem.library.parameters) if p.name == "backlash_3")
     noise = rng.standard_normal(len(w.y))
     spread = noise + 9.0 * w.W_raw[:, column]
     visit = w.row_visit
@@ -63,7 +63,7 @@ def test_a_name_that_rests_on_two_poses_does_not_return(world):
     at = np.isin(visit, strongest)
     few = noise + np.where(at, 7.0 * np.sign(w.W_raw[:, column]), 0.0)
     shares = [inclusion(h, {}, 60, 0, lambda f: None)[h.chosen[0]][0] for h in (
-        chosen(world, "backlash j3", y) for y in (spread, few)
+        chosen(problem, "backlash j3", y) for y in (spread, few)
     )]  # fmt: skip
     assert shares[0] >= 0.9
     assert shares[1] < 0.8

@@ -10,13 +10,13 @@ from kilter_core.gap.evidence.likeness import correlation, correlations
 from kilter_core.gap.evidence.testability import testability as judged
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import with_testable
+from kilter_core.gap.search.forward_selection import search
 from kilter_core.gap.search.gram import Gram
-from kilter_core.gap.search.hunt import hunt
-from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.linearized import fitted, refit
+from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.scan import Scorer, null_of, residual_given
 from kilter_core.gap.search.select import Selector
 from kilter_core.gap.search.tails import tail
-from kilter_core.gap.search.world import fitted, refit
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
@@ -24,13 +24,13 @@ from tests.core.gap.simulated import campaign, katana
 @pytest.fixture(scope="module")
 def prepared():
     robot = katana()
-    return Workshop(Calibration.nominal(robot), campaign(robot, seed=5), GapOptions(), lambda f, s: None).run()
+    return prepare_data(Calibration.nominal(robot), campaign(robot, seed=5), GapOptions(), lambda f, s: None)
 
 
 @pytest.fixture(scope="module")
 def scorer(prepared):
-    able = judged(prepared.world, prepared.library).able
-    return Scorer.of(with_testable(prepared.library, able), True, prepared.world.setting.noise.freedom)
+    able = judged(prepared.problem, prepared.library).able
+    return Scorer.of(with_testable(prepared.library, able), True, prepared.problem.settings.noise.freedom)
 
 
 def test_conditioning_is_a_projection():
@@ -79,15 +79,15 @@ def test_conditioning_twice_is_conditioning_once():
 
 
 def test_scores_are_those_of_a_fit_with_each_candidate(prepared, scorer):
-    world = prepared.world
-    S, _ = scorer.reductions(world.gram, world.c[None])
+    problem = prepared.problem
+    S, _ = scorer.reductions(problem.gram, problem.c[None])
     for place in (0, 17, 40, len(scorer.candidates) - 1):
         columns = list(scorer.candidates[place].columns)
-        if scorer.one_sided[place] and world.c[columns[0]] < 0:
+        if scorer.one_sided[place] and problem.c[columns[0]] < 0:
             assert S[0, place] == 0.0
             continue
-        u, size, _ = np.linalg.svd(world.W[:, columns], full_matrices=False)
-        assert S[0, place] == pytest.approx(np.sum((u[:, size**2 > 1e-7].T @ world.y) ** 2), abs=1e-6)
+        u, size, _ = np.linalg.svd(problem.W[:, columns], full_matrices=False)
+        assert S[0, place] == pytest.approx(np.sum((u[:, size**2 > 1e-7].T @ problem.y) ** 2), abs=1e-6)
 
 
 @pytest.mark.parametrize(("d", "freedom"), [(1, 20), (4, 20), (2, np.inf)])
@@ -103,16 +103,16 @@ def test_tails_are_those_of_draws(d, freedom):
 
 def test_noise_alone_is_named_once_in_a_hundred(prepared, scorer):
     """300 draws of pure noise with its size estimated anew; 99.9 % of such counts at 1 % stay below 10."""
-    world = prepared.world
-    critical = null_of(world, scorer, [], 1999, 0).critical(0.01)
-    selector = Selector(scorer, world.rows, np.full(len(world.A), np.inf))
+    problem = prepared.problem
+    critical = null_of(problem, scorer, [], 1999, 0).critical(0.01)
+    selector = Selector(scorer, problem.rows, np.full(len(problem.A), np.inf))
     rng = np.random.default_rng(8)
-    freedom = world.setting.noise.freedom
+    freedom = problem.settings.noise.freedom
     names = 0
     for _ in range(300):
-        e = rng.standard_normal(len(world.y)) / np.sqrt(rng.chisquare(freedom) / freedom)
-        r = e - world.U @ (world.U.T @ e)
-        k, _ = selector.entry(world.gram.with_data(world.W.T @ r, float(r @ r)), (), critical)
+        e = rng.standard_normal(len(problem.y)) / np.sqrt(rng.chisquare(freedom) / freedom)
+        r = e - problem.U @ (problem.U.T @ e)
+        k, _ = selector.entry(problem.gram.with_data(problem.W.T @ r, float(r @ r)), (), critical)
         names += k is not None
     assert names <= 10
 
@@ -123,34 +123,34 @@ def test_refit_recovers_an_amplitude_and_its_uncertainty():
     pulls = []
     for seed in range(8):
         rows = campaign(robot, [("backlash", (2,), (true,))], seed=seed, poses=60)
-        p = Workshop(Calibration.nominal(robot), rows, GapOptions(), lambda f, s: None).run()
+        p = prepare_data(Calibration.nominal(robot), rows, GapOptions(), lambda f, s: None)
         column = [k for k, x in enumerate(p.library.parameters) if x.name == "backlash_3"]
-        value, covariance = fitted(refit(p.world.setting, p.world.values, column), column)
+        value, covariance = fitted(refit(p.problem.settings, p.problem.values, column), column)
         pulls.append((value[0] - true) / np.sqrt(covariance[0, 0]))
     assert np.abs(np.mean(pulls)) < 1.2
     assert 0.4 < np.std(pulls) < 1.9
 
 
 def test_two_effects_are_found_whole_and_leave_only_noise(prepared, scorer):
-    world = prepared.world
+    problem = prepared.problem
     rng = np.random.default_rng(1)
     wanted = [k for k, c in enumerate(scorer.candidates) if c.label in ("backlash j4", "eccentricity j3")]
-    selector = Selector(scorer, world.rows, np.full(len(world.A), np.inf))
+    selector = Selector(scorer, problem.rows, np.full(len(problem.A), np.inf))
     columns = selector.columns(wanted)
-    e = 14.0 * (world.W_raw[:, columns] @ np.ones(len(columns))) + rng.standard_normal(len(world.y))
-    r = e - world.U @ (world.U.T @ e)
-    found = selector.searched(world.gram.with_data(world.W.T @ r, float(r @ r)), 1e-4, 6)
+    e = 14.0 * (problem.W_raw[:, columns] @ np.ones(len(columns))) + rng.standard_normal(len(problem.y))
+    r = e - problem.U @ (problem.U.T @ e)
+    found = selector.searched(problem.gram.with_data(problem.W.T @ r, float(r @ r)), 1e-4, 6)
     assert {scorer.candidates[k].label for k in found} == {"backlash j4", "eccentricity j3"}
 
 
 def test_a_family_is_named_as_a_family():
     robot = katana()
     rows = campaign(robot, [("backlash", None, (3e-4, 2e-4, 3e-4, 4e-4, 3e-4))], seed=2)
-    p = Workshop(Calibration.nominal(robot), rows, GapOptions(), lambda f, s: None).run()
-    able = judged(p.world, p.library).able
+    p = prepare_data(Calibration.nominal(robot), rows, GapOptions(), lambda f, s: None)
+    able = judged(p.problem, p.library).able
     candidates = with_testable(p.library, able)
     limits = np.array([max(abs(x.lower), abs(x.upper)) for x in p.library.parameters])
-    found = hunt(p.world.setting, p.world, Scorer.of(candidates, True, p.world.setting.noise.freedom), limits,
+    found = search(p.problem.settings, p.problem, Scorer.of(candidates, True, p.problem.settings.noise.freedom), limits,
                  GapOptions(), lambda f, s: None)  # fmt: skip
     assert [candidates[k].label for k in found.chosen] == ["backlash all"]
-    assert float(np.mean(residual_given(found.world, found.columns) ** 2)) < 1.3
+    assert float(np.mean(residual_given(found.problem, found.columns) ** 2)) < 1.3

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.search.prepare import Workshop
+from kilter_core.gap.search.linearized import refit
+from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.renewal import renewed
-from kilter_core.gap.search.world import refit
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
@@ -22,19 +22,19 @@ PHYSICAL = ("backlash", "axial_compliance", "eccentricity", "second_harmonic", "
 
 def prepared(rows, effects=PHYSICAL):
     start = Calibration.nominal(ROBOT)
-    return Workshop(start, rows, GapOptions(effects=effects), lambda fraction, stage: None).run()
+    return prepare_data(start, rows, GapOptions(effects=effects), lambda fraction, stage: None)
 
 
 def aside(made, count):
     """Rows (N,) that the hunt leaves out."""
     out = np.ones(count, dtype=bool)
-    out[made.kept] = ~made.world.setting.used[made.visits.visit]
+    out[made.kept] = ~made.problem.settings.used[made.visits.visit]
     return out
 
 
 def off(made, other, rows):
     """Rms difference (m) of what two geometries predict."""
-    each = [m.world.setting.source.model.predict(rows, m.world.values).position for m in (made, other)]
+    each = [m.problem.settings.source.model.predict(rows, m.problem.values).position for m in (made, other)]
     return float(np.sqrt(np.mean((each[0] - each[1]) ** 2)))
 
 
@@ -68,7 +68,7 @@ def test_wrong_readings_in_one_block_of_time_are_found_although_their_repeats_se
     made = prepared(replace(rows, position=rows.position + np.outer(bad, [5e-4, 0.0, 0.0])))
     assert np.array_equal(aside(made, len(rows)), bad)
     assert off(made, prepared(rows), rows) < 6e-6
-    noise = made.world.setting.noise
+    noise = made.problem.settings.noise
     assert noise.coordinate == pytest.approx(2e-5, rel=0.2)
     assert {w["code"] for w in made.warnings} == {"outliers"}
 
@@ -128,13 +128,13 @@ def test_without_repeats_the_noise_shrinks_with_every_name_and_wrong_readings_co
 def test_a_visit_set_aside_comes_back_when_what_is_named_explains_it():
     rows = campaign(ROBOT, [HIDDEN[0]], seed=1, poses=100)
     made = prepared(rows)
-    world = made.world
-    good = np.ones(len(world.setting.used), dtype=bool)
+    problem = made.problem
+    good = np.ones(len(problem.settings.used), dtype=bool)
     good[[3, 8, 20]] = False
     (k,) = [k for k, p in enumerate(made.library.parameters) if p.name == "backlash_2"]
-    without = refit(replace(world.setting, used=good), world.values, [k])
-    assert renewed(without, [k]).setting.used.all()
-    assert renewed(world, [k]) is world
+    without = refit(replace(problem.settings, used=good), problem.values, [k])
+    assert renewed(without, [k]).settings.used.all()
+    assert renewed(problem, [k]) is problem
 
 
 def test_the_same_rows_give_the_same_hunt():

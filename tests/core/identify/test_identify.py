@@ -220,8 +220,8 @@ def test_a_tool_point_on_the_last_axis_leaves_orientation_alone() -> None:
     waved = q + 4e-4 * np.sin(2.0 * q) * [0, 1, 1, 0, 0, 0]
     position = true.poses(waved)[0] + rng.normal(0.0, NOISE, (500, 3))
     result = identify(robot_from_document(nominal.document()), Observations(q, position=position))
-    blind = [d for d in result.null_directions if any(name == "theta_offset_6" for name, _ in d.weights)]
-    assert blind
+    unobservable = [d for d in result.null_directions if any(name == "theta_offset_6" for name, _ in d.weights)]
+    assert unobservable
     rotation = true.poses(waved)[1]
 
     def turned(predicted: NDArray[np.float64]) -> float:

@@ -46,7 +46,7 @@ def test_a_bootstrap_step_is_a_refit() -> None:
     """The same resampled poses, fitted fully by the solver."""
     fit = fitted()
     n = 60
-    found = bootstrap(fit, seed=3, tell=quiet, resamples=12)
+    found = bootstrap(fit, seed=3, progress=quiet, resamples=12)
     rng = np.random.default_rng(3)
     moves = []
     for _ in range(12):
@@ -64,7 +64,7 @@ def test_a_bootstrap_step_is_a_refit() -> None:
 
 def test_a_thousand_resamples_agree_with_the_sigmas_of_well_seen_parameters() -> None:
     fit = fitted()
-    found = bootstrap(fit, seed=0, tell=quiet)
+    found = bootstrap(fit, seed=0, progress=quiet)
     seen = fit.sigma < 0.01 * fit.problem.prior_sigma
     half = 0.5 * (found.upper - found.lower)[seen] / (1.96 * fit.sigma[seen])
     assert seen.sum() > 10

@@ -13,6 +13,9 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from tests.unobservable.generator import generate
+from tests.unobservable.generator.cases import Hidden, cases
+from tests.unobservable.to_core import observations_of, robot_of
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.robot import Robot
@@ -24,9 +27,6 @@ from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from tests.blind.generator import generate
-from tests.blind.generator.cases import Hidden, cases
-from tests.blind.to_core import observations_of, robot_of
 from tests.core.campaigns import joints, measured
 from tests.core.real import WITH_TOOL, real_campaign
 from tests.core.truth import Arm, Step, small_pose, some_arm, some_pose, ur10, with_bodies, with_hidden_errors
@@ -301,7 +301,7 @@ def bent(arm: Arm, q: Floats, rng: np.random.Generator) -> Floats:
 
 
 @cache
-def blind(robot: str) -> tuple[Robot, Observations]:
+def unobservable(robot: str) -> tuple[Robot, Observations]:
     """A campaign of the blind benchmark with hidden effects: repeats, outliers, two loads."""
     case = next(c for c in cases(7, 25, (60,)) if c.hidden)
     made = generate(
@@ -312,7 +312,7 @@ def blind(robot: str) -> tuple[Robot, Observations]:
 
 @pytest.mark.parametrize("robot", ["katana", "elbow", "seven"])
 def test_campaigns_of_the_blind_benchmark(robot: str) -> None:
-    drawn, rows = blind(robot)
+    drawn, rows = unobservable(robot)
     n = drawn.n_joints
     assert judged(drawn, rows) == ()
     for i, j in combinations(range(n - 1), 2):  # the last joint hardly moves the point

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.uncertainty.workspace_uncertainty import spread_of
+from kilter_core.identify.uncertainty.workspace_uncertainty import workspace_uncertainty
 from kilter_core.observations import Observations
 from tests.core.campaigns import measured, table_errors
 from tests.core.truth import ur10
@@ -32,7 +32,7 @@ def test_poses_that_are_too_alike_are_said_to_be(width: float, warned: bool) -> 
     found, error = fitted(width)
     said = {w["code"]: w for w in found.warnings}
     assert ("poses_ill_conditioned" in said) == warned
-    spread = spread_of(found.fit)
+    spread = workspace_uncertainty(found.fit)
     # The prediction of the uncertainty is of the size of the error there is.
     true = float(np.sqrt(np.mean(error**2)))
     assert true / 4 < spread.elsewhere < 8 * true
@@ -45,5 +45,7 @@ def test_a_held_chain_and_distances_have_no_spread() -> None:
     rng = np.random.default_rng(0)
     arm = ur10()
     robot, rows = robot_from_document(arm.document()), measured(arm, rng.uniform(-2, 2, (40, 6)), rng, NOISE)
-    assert spread_of(identify(robot, rows, None, IdentifyOptions(free=("base_*",), tool="fixed")).fit) is None
-    assert spread_of(identify(robot, rows, None, IdentifyOptions(base="removed")).fit) is None
+    assert (
+        workspace_uncertainty(identify(robot, rows, None, IdentifyOptions(free=("base_*",), tool="fixed")).fit) is None
+    )
+    assert workspace_uncertainty(identify(robot, rows, None, IdentifyOptions(base="removed")).fit) is None

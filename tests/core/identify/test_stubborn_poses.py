@@ -162,9 +162,9 @@ def test_what_one_orientation_cannot_tell_is_said(make: Callable[[np.random.Gene
     rng = np.random.default_rng(5)
     arm, q = make(rng)
     found = identify(robot_from_document(arm.document()), observed(arm, q, rng, "position"))
-    blind = {name for direction in found.null_directions for name, _ in direction.weights}
-    assert any(name.startswith("tool_") for name in blind)
-    assert any(name.startswith("base_") for name in blind)
+    unobservable = {name for direction in found.null_directions for name, _ in direction.weights}
+    assert any(name.startswith("tool_") for name in unobservable)
+    assert any(name.startswith("base_") for name in unobservable)
 
 
 @pytest.mark.parametrize("loss", ["linear", "huber"])

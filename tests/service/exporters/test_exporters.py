@@ -61,7 +61,7 @@ def calibrated(errors: dict[str, float], preset: str = "ur10", **changes: Any) -
     truth = Twin(robot_from_document(document), errors).truth
     # As an identification leaves it: the registration found the tracker's frame, which is no error of the arm.
     tracker = pose_from_xyz_rpy(np.array([2.0, -1.0, 0.3]), np.array([0.1, 0.2, 2.0]))
-    model, values = truth.model.folded(truth.values)
+    model, values = truth.model.absorb_frame_increments(truth.values)
     seen = dataclasses.replace(model, T_base=tracker @ np.asarray(model.T_base))
     found = Calibration(seen, values, wanted_base=tracker @ truth.robot.T_base)
     return exportable(document, found), found

@@ -79,7 +79,7 @@ def _element(robot: Robot, k: int) -> Document:
     out: Document = {"axis": axis, "value": math.degrees(e.value) if e.axis.rotates else e.value * 1e3}
     out |= {"fixed": True} if e.name is None else {"name": e.name}
     out |= {} if e.joint is None else {"joint": robot.joints[e.joint].name, "ratio": e.ratio}
-    return out | ({"spare": True} if e.spare else {})
+    return out | ({"spare": True} if e.dependent else {})
 
 
 def _poe(robot: Robot) -> Document:

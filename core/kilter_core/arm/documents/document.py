@@ -134,7 +134,7 @@ def _element(k: int, element: Document, order: Sequence[str], seen: set[str]) ->
         name=None if element.get("fixed") else element.get("name") or _default_name(k, axis, joint, order, seen),
         joint=None if joint is None else order.index(joint),
         ratio=float(element.get("ratio", 1.0)),
-        spare=bool(element.get("spare")),
+        dependent=bool(element.get("spare")),
     )
 
 

@@ -75,7 +75,7 @@ def _element(element: Element) -> dict[str, Any]:
         "name": element.name,
         "joint": element.joint,
         "ratio": float(element.ratio),
-        "spare": element.spare,
+        "spare": element.dependent,
     }
 
 

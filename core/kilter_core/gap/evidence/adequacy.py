@@ -12,8 +12,8 @@ from scipy.stats import chi2, f
 from kilter_core.gap.noise.centred import centred
 from kilter_core.gap.noise.from_repeats import WITHIN
 from kilter_core.gap.search.contrasts import fitted_away
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
-from kilter_core.gap.search.world import World
 from kilter_core.types import Floats, Ints
 
 ADEQUATE = 0.01
@@ -76,13 +76,13 @@ class Adequacy:
         }  # fmt: skip
 
 
-def adequacy(world: World, condition: Ints, chosen: Sequence[int]) -> Adequacy:
+def adequacy(problem: LinearizedProblem, condition: Ints, chosen: Sequence[int]) -> Adequacy:
     """Judge what is left after geometry and the chosen columns; ``condition (V,)`` numbers visits that should agree."""
-    left = world.gram.given(chosen)
-    pure, freedom = _pure_error(world, condition, chosen)
+    left = problem.gram.given(chosen)
+    pure, freedom = _pure_error(problem, condition, chosen)
     lof_freedom = max(left.nu - freedom, 1.0)
     lof = max(left.yy - pure, 0.0) / lof_freedom
-    noise = world.setting.noise
+    noise = problem.settings.noise
     if not noise.absolute and noise.source != WITHIN:
         return Adequacy(left.yy, left.nu, lof, None)
     law = chi2(lof_freedom, scale=1.0 / lof_freedom) if np.isinf(noise.freedom) else f(lof_freedom, noise.freedom)
@@ -90,14 +90,14 @@ def adequacy(world: World, condition: Ints, chosen: Sequence[int]) -> Adequacy:
     return Adequacy(left.yy, left.nu, lof, high, not noise.absolute, low, noise.most)
 
 
-def left_out_errors(world: World, chosen: Sequence[int]) -> Floats:
+def left_out_errors(problem: LinearizedProblem, chosen: Sequence[int]) -> Floats:
     """Whitened errors (V, m) of each visit predicted by the fit without its whole pose (leave one pose out)."""
-    basis = world.basis(chosen)
-    size = world.setting.whitener.shape[-1]
-    r = residual_given(world, chosen).reshape(-1, size)
+    basis = problem.basis(chosen)
+    size = problem.settings.whitener.shape[-1]
+    r = residual_given(problem, chosen).reshape(-1, size)
     blocks = basis.reshape(-1, size, basis.shape[1])
     out = np.zeros_like(r)
-    for index in _poses(world):
+    for index in _poses(problem):
         B = blocks[index].reshape(-1, basis.shape[1])
         w, V = np.linalg.eigh(B @ B.T)
         shrink = 1.0 / (1.0 - np.minimum(w, CLOSED_LEVERAGE))
@@ -105,16 +105,16 @@ def left_out_errors(world: World, chosen: Sequence[int]) -> Floats:
     return out
 
 
-def left_out_floor(world: World, chosen: Sequence[int]) -> float:
+def left_out_floor(problem: LinearizedProblem, chosen: Sequence[int]) -> float:
     """Variance of those errors, in units of noise, when the model is perfect: what its estimation costs."""
-    basis = world.basis(chosen)
-    size = world.setting.whitener.shape[-1]
+    basis = problem.basis(chosen)
+    size = problem.settings.whitener.shape[-1]
     blocks = basis.reshape(-1, size, basis.shape[1])
     total: float = 0.0
-    for index in _poses(world):
+    for index in _poses(problem):
         B = blocks[index].reshape(-1, basis.shape[1])
         total += float(np.sum(1.0 / (1.0 - np.minimum(np.linalg.eigvalsh(B @ B.T), CLOSED_LEVERAGE))))
-    unused = size * float(np.sum(~world.setting.used))
+    unused = size * float(np.sum(~problem.settings.used))
     return float((total - unused) / max(blocks.shape[0] * size - unused, 1.0))
 
 
@@ -125,18 +125,18 @@ def gain(before: Floats, after: Floats, group: Ints) -> tuple[float, float]:
     return float(np.mean(drop)), float(np.std(drop, ddof=1) / np.sqrt(len(drop))) if len(drop) > 1 else np.inf
 
 
-def _poses(world: World) -> list[Ints]:
+def _poses(problem: LinearizedProblem) -> list[Ints]:
     """Visits of each pose."""
-    order = np.argsort(world.setting.group, kind="stable")
-    starts = np.flatnonzero(np.diff(world.setting.group[order], prepend=-1))
+    order = np.argsort(problem.settings.group, kind="stable")
+    starts = np.flatnonzero(np.diff(problem.settings.group[order], prepend=-1))
     return list(np.split(order, starts[1:]))
 
 
-def _pure_error(world: World, condition: Ints, chosen: Sequence[int]) -> tuple[float, float]:
+def _pure_error(problem: LinearizedProblem, condition: Ints, chosen: Sequence[int]) -> tuple[float, float]:
     """Chi-square of repeats about their mean, and its freedom: less what was fitted to them with time or temperature."""
-    size = world.setting.whitener.shape[-1]
-    used = world.setting.used
-    r = residual_given(world, chosen).reshape(-1, size)[used]
+    size = problem.settings.whitener.shape[-1]
+    used = problem.settings.used
+    r = residual_given(problem, chosen).reshape(-1, size)[used]
     group = np.unique(condition[used], return_inverse=True)[1]
-    freedom = float(size * (len(group) - len(np.unique(group)))) - fitted_away(world, chosen, condition)
+    freedom = float(size * (len(group) - len(np.unique(group)))) - fitted_away(problem, chosen, condition)
     return float(np.sum(centred(r, group) ** 2)), freedom

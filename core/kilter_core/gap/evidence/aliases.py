@@ -10,22 +10,22 @@ from kilter_core.gap.evidence.cancelling import cancelling_members
 from kilter_core.gap.evidence.likeness import HELD, SAME, Alias, correlation
 from kilter_core.gap.evidence.smooth import is_curve, own_curve, smooth_members
 from kilter_core.gap.search.candidates import FAMILY, Candidate
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.select import MARGIN
 from kilter_core.types import Floats
 
 __all__ = ["SAME", "Alias", "aliases_of", "correlation"]
 
 
-def aliases_of(hunt: Hunt, place: int) -> tuple[Alias, ...]:
+def aliases_of(search: SearchResult, place: int) -> tuple[Alias, ...]:
     """Rivals of a chosen candidate within the margin when swapped in, best first; empirical ones included.
 
     The others of a class that the name cannot be told from come last, with the class's name.
     """
-    selector, gram = hunt.selector, hunt.world.gram
-    rest = tuple(k for k in hunt.chosen if k != place)
+    selector, gram = search.selector, search.problem.gram
+    rest = tuple(k for k in search.chosen if k != place)
     given = gram.given(selector.columns(rest))
-    variance = selector.variance(gram, hunt.chosen)
+    variance = selector.variance(gram, search.chosen)
     scores = selector.scorer.scores(given)
     lenient = scores.S / variance - 2.0 * scores.d
     chosen = selector.scorer.candidates[place]
@@ -40,7 +40,7 @@ def aliases_of(hunt: Hunt, place: int) -> tuple[Alias, ...]:
             behind = min(behind, max(float(lenient[place] - lenient[k]), 0.0))
         if behind > MARGIN and not (scores.S[k] > HELD**2 * scores.S[place] and _holds(given.A, rival, chosen)):
             continue
-        own = int(k) in hunt.chosen or _nested(chosen, rival) or scores.d[k] == 0
+        own = int(k) in search.chosen or _nested(chosen, rival) or scores.d[k] == 0
         if own or not selector.plausible(gram, (*rest, int(k)), int(k)):
             continue
         rho = correlation(given.A, chosen.columns, rival.columns)
@@ -50,7 +50,7 @@ def aliases_of(hunt: Hunt, place: int) -> tuple[Alias, ...]:
     found = [a for a in found if a.candidate.level != FAMILY or chosen.level == FAMILY or not _listed(a, singles)]
     if is_curve(chosen):  # whether a smooth curve takes the name away is decided there, joint by joint
         found = [a for a in found if a.candidate.id != UnknownSmoothCurve.id or not _within(a.candidate, chosen)]
-    members = smooth_members(hunt, place) or cancelling_members(hunt, place)
+    members = smooth_members(search, place) or cancelling_members(search, place)
     return tuple(found) if not members else _with_members(found, members)
 
 

@@ -6,32 +6,32 @@ import numpy as np
 
 from kilter_core.gap.evidence.likeness import Alias, correlation
 from kilter_core.gap.evidence.smooth import EVEN
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
 
 SEVERAL = 2.0  # times the whole gap, after geometry, that each of two effects must move the arm
 
 
-def cancelling_members(hunt: Hunt, place: int) -> tuple[Alias, ...]:
+def cancelling_members(search: SearchResult, place: int) -> tuple[Alias, ...]:
     """The chosen effects that a chosen one cancels against, under the name of their sum; none where it does not cancel.
 
     Compared after geometry: an effect that geometry undoes in part is no larger than what is left of it.
     """
-    world, selector = hunt.world, hunt.selector
-    columns = hunt.columns
-    fitted = dict(zip(columns, world.gram.solve(columns), strict=True))
+    problem, selector = search.problem, search.selector
+    columns = search.columns
+    fitted = dict(zip(columns, problem.gram.solve(columns), strict=True))
     candidates = selector.scorer.candidates
 
     def moved(*places: int) -> float:
         own = selector.columns(places)
         beta = np.array([fitted[k] for k in own])
-        return float(np.sqrt(max(beta @ world.A[np.ix_(own, own)] @ beta, 0.0)))
+        return float(np.sqrt(max(beta @ problem.A[np.ix_(own, own)] @ beta, 0.0)))
 
-    gap = moved(*hunt.chosen)
+    gap = moved(*search.chosen)
     if moved(place) < SEVERAL * gap:
         return ()
     against = [
         k
-        for k in hunt.chosen
+        for k in search.chosen
         if k != place and moved(k) > SEVERAL * gap and moved(place, k) < max(moved(place), moved(k)) / SEVERAL
     ]
     if not against:
@@ -40,5 +40,5 @@ def cancelling_members(hunt: Hunt, place: int) -> tuple[Alias, ...]:
     names = " and ".join(candidates[k].label for k in sorted((place, *against)))
     name = f"sum of {names}"
     return tuple(
-        Alias(k, candidates[k], 0.0, correlation(world.A, own, candidates[k].columns), EVEN, name) for k in against
+        Alias(k, candidates[k], 0.0, correlation(problem.A, own, candidates[k].columns), EVEN, name) for k in against
     )

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linearized import columns_at
 from kilter_core.gap.search.scan import grouping, residual_given
 from kilter_core.gap.search.tails import tail
-from kilter_core.gap.search.world import columns_at
 from kilter_core.types import Floats, Ints
 
 LABELS = {
@@ -44,18 +44,20 @@ class Control:
         return self.survived <= SURVIVING
 
 
-def controls(hunt: Hunt, shuffles: int, seed: int, tell: Callable[[float], None]) -> tuple[Control, ...]:
+def controls(search: SearchResult, shuffles: int, seed: int, progress: Callable[[float], None]) -> tuple[Control, ...]:
     """Shuffle for every chosen effect. One that needs no label has the residual vectors shuffled over the poses."""
     rng = np.random.default_rng(seed)
-    count = min(shuffles, FEW) if len(hunt.world.setting.used) > LARGE else shuffles
+    count = min(shuffles, FEW) if len(search.problem.settings.used) > LARGE else shuffles
     out = []
-    for n, place in enumerate(hunt.chosen):
-        bench = _Bench.of(hunt, place)
+    for n, place in enumerate(search.chosen):
+        bench = _Bench.of(search, place)
         label = bench.label
         hits = 0
         for k in range(count):
-            tell((n + k / count) / len(hunt.chosen))
-            order = _order(hunt.world.setting.group, rng, label is not None and hunt.world.setting.inflation <= 1.0)
+            progress((n + k / count) / len(search.chosen))
+            order = _order(
+                search.problem.settings.group, rng, label is not None and search.problem.settings.inflation <= 1.0
+            )
             hits += bench.poses_named(order) if label is None else bench.label_named(label, order)
         out.append(Control(place, "poses" if label is None else WORDS.get(label, label), count, hits / count))
     return tuple(out)
@@ -67,20 +69,20 @@ def _label_of(candidate: Candidate) -> str | None:
     return None if effect.changes_loads else next((need for need in LABELS if need in effect.needs), None)
 
 
-def false_names(hunt: Hunt, shuffles: int, seed: int) -> float:
+def false_names(search: SearchResult, shuffles: int, seed: int) -> float:
     """Share of shuffles of the residuals over the poses in which anything at all would be named."""
     rng = np.random.default_rng(seed)
-    world, selector = hunt.world, hunt.selector
-    size = world.setting.whitener.shape[-1]
-    basis = world.basis(hunt.columns)
-    r = residual_given(world, hunt.columns).reshape(-1, size)
-    given = world.gram.given(hunt.columns)
-    columns = world.projection
+    problem, selector = search.problem, search.selector
+    size = problem.settings.whitener.shape[-1]
+    basis = problem.basis(search.columns)
+    r = residual_given(problem, search.columns).reshape(-1, size)
+    given = problem.gram.given(search.columns)
+    columns = problem.projection
     hits = 0
     for _ in range(shuffles):
-        mixed = r[_order(world.setting.group, rng)].reshape(-1)
+        mixed = r[_order(problem.settings.group, rng)].reshape(-1)
         mixed = mixed - basis @ (basis.T @ mixed)
-        k, _ = selector.entry(given.with_data(columns.under(mixed), float(mixed @ mixed)), (), hunt.critical)
+        k, _ = selector.entry(given.with_data(columns.under(mixed), float(mixed @ mixed)), (), search.critical)
         hits += k is not None
     return hits / shuffles
 
@@ -101,57 +103,57 @@ def _order(group: Ints, rng: np.random.Generator, inside: bool = False) -> Ints:
 class _Bench:
     """One chosen effect on shuffled labels or residuals; what no shuffle changes is made once."""
 
-    hunt: Hunt
+    search: SearchResult
     place: int
     label: str | None
     basis: Floats  # of geometry and the other effects
     left: Floats  # by them
 
     @staticmethod
-    def of(hunt: Hunt, place: int) -> _Bench:
-        rest = hunt.selector.columns([k for k in hunt.chosen if k != place])
-        label = _label_of(hunt.selector.scorer.candidates[place])
-        basis = hunt.world.basis(rest)
-        return _Bench(hunt, place, label, basis, residual_given(hunt.world, rest, basis))
+    def of(search: SearchResult, place: int) -> _Bench:
+        rest = search.selector.columns([k for k in search.chosen if k != place])
+        label = _label_of(search.selector.scorer.candidates[place])
+        basis = search.problem.basis(rest)
+        return _Bench(search, place, label, basis, residual_given(search.problem, rest, basis))
 
     @property
     def columns(self) -> list[int]:
-        return list(self.hunt.selector.scorer.candidates[self.place].columns)
+        return list(self.search.selector.scorer.candidates[self.place].columns)
 
     def label_named(self, label: str, order: Ints) -> bool:
         """Whether the effect, fed with shuffled labels, would still be entered in its own place."""
-        world = self.hunt.world
-        batch = world.setting.source.batch
+        problem = self.search.problem
+        batch = problem.settings.source.batch
         shuffled = replace(batch, **{n: v[order] for n in LABELS[label] if (v := getattr(batch, n)) is not None})
-        return self._named(columns_at(world.setting, world.values, shuffled, self.columns), self.left)
+        return self._named(columns_at(problem.settings, problem.values, shuffled, self.columns), self.left)
 
     def poses_named(self, order: Ints) -> bool:
         """Whether the effect would be entered for the residuals of other poses."""
-        world = self.hunt.world
-        size = world.setting.whitener.shape[-1]
+        problem = self.search.problem
+        size = problem.settings.whitener.shape[-1]
         r = self.left.reshape(-1, size)[order].reshape(-1)
-        return self._named(world.W_raw[:, self.columns], r - self.basis @ (self.basis.T @ r))
+        return self._named(problem.W_raw[:, self.columns], r - self.basis @ (self.basis.T @ r))
 
     def _named(self, columns: Floats, r: Floats) -> bool:
-        W = self.hunt.world.soft(columns)
-        return _named(self.hunt, self.place, W - self.basis @ (self.basis.T @ W), r)
+        W = self.search.problem.soft(columns)
+        return _named(self.search, self.place, W - self.basis @ (self.basis.T @ W), r)
 
 
-def _named(hunt: Hunt, place: int, W: Floats, r: Floats) -> bool:
+def _named(search: SearchResult, place: int, W: Floats, r: Floats) -> bool:
     u, s, _ = np.linalg.svd(W, full_matrices=False)
     u = u[:, s > 1e-3]
     d = u.shape[1]
     if not d:
         return False
-    setting = hunt.world.setting
-    limit = hunt.critical if hunt.strict is None else hunt.strict
-    if setting.inflation > 1.0:
-        blocks = setting.group[hunt.world.row_visit]
+    settings = search.problem.settings
+    limit = search.critical if search.strict is None else search.strict
+    if settings.inflation > 1.0:
+        blocks = settings.group[search.problem.row_visit]
         return bool(tail(*by_blocks(u, r, blocks)) < limit)
     S = float(np.sum((u.T @ r) ** 2))
-    free = max(hunt.world.nu - d, 1.0)
+    free = max(search.problem.nu - d, 1.0)
     variance = max(1.0, (float(r @ r) - S) / free)
-    scorer = hunt.selector.scorer
+    scorer = search.selector.scorer
     return bool(tail(S / variance, d, scorer.known(free)) < limit)
 
 

@@ -13,7 +13,7 @@ from scipy.stats import chi2, f
 
 from kilter_core.gap.evidence.adequacy import Adequacy
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.in_space import moved_by, noise_rms, rms
 from kilter_core.gap.search.source import LinkSource
 from kilter_core.observations import Observations
@@ -63,15 +63,15 @@ class Misfit:
         }  # fmt: skip
 
 
-def misfit(found: Hunt, fit: Adequacy, rows: Observations, options: GapOptions) -> Misfit:
-    """Size of the misfit at the end of a hunt, from lack of fit: the variance of visits beyond that of the noise."""
-    setting = found.world.setting
-    if isinstance(setting.source, LinkSource):
+def misfit(found: SearchResult, fit: Adequacy, rows: Observations, options: GapOptions) -> Misfit:
+    """Size of the misfit at the end of a search, from lack of fit: the variance of visits beyond that of the noise."""
+    settings = found.problem.settings
+    if isinstance(settings.source, LinkSource):
         return Misfit(None, None, None, fit.adequate)
     floor = floor_mm(rows, options)
-    if not setting.noise.absolute:
+    if not settings.noise.absolute:
         return Misfit(None, None, floor, fit.adequate)
-    noise, freedom = 1e3 * noise_rms(setting), setting.noise.freedom
+    noise, freedom = 1e3 * noise_rms(settings), settings.noise.freedom
     nu = max(fit.nu, 1.0)
     least = chi2.ppf(SURE, nu) / nu if np.isinf(freedom) else f.ppf(SURE, nu, max(freedom, 1.0))
     sizes = [noise * float(np.sqrt(max(ratio - 1.0, 0.0))) for ratio in (fit.lack_of_fit, fit.lack_of_fit / least)]
@@ -86,11 +86,11 @@ def floor_mm(rows: Observations, options: GapOptions) -> float:
     return max(options.matters_um * 1e-3, promised)
 
 
-def moves_mm(found: Hunt) -> dict[int, float]:
+def moves_mm(found: SearchResult) -> dict[int, float]:
     """Rms displacement of the tool by each chosen candidate, mm; infinite for joint data."""
-    if isinstance(found.world.setting.source, LinkSource):
+    if isinstance(found.problem.settings.source, LinkSource):
         return dict.fromkeys(found.chosen, float("inf"))
-    used = found.world.setting.used
+    used = found.problem.settings.used
     own = {k: found.selector.scorer.candidates[k].columns for k in found.chosen}
-    moved = {k: moved_by(found.world, found.columns, columns)[used] for k, columns in own.items()}
+    moved = {k: moved_by(found.problem, found.columns, columns)[used] for k, columns in own.items()}
     return {k: 1e3 * rms(m, np.eye(m.shape[1])) for k, m in moved.items()}

@@ -1,4 +1,4 @@
-"""Signs of loads as uncertain as the data leave the masses: the hunt began with what was stated of them."""
+"""Signs of loads as uncertain as the data leave the masses: the search began with what was stated of them."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.gap.evidence.posterior import of_all
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linearized import refit
 from kilter_core.gap.search.masses import blurred
 from kilter_core.gap.search.source import ToolSource
-from kilter_core.gap.search.world import refit
 
 CHANGED = 0.05  # of a blur: less moves no sign that matters
 PASSES = 3  # narrower signs show the masses better, which narrows them again
 
 
-def narrowed(found: Hunt) -> Hunt:
-    """The hunt with the blur of its signs made anew from the posterior of the masses, and re-fitted; itself if alike.
+def narrowed(found: SearchResult) -> SearchResult:
+    """The search with the blur of its signs made anew from the posterior of the masses, and re-fitted; itself if alike.
 
     While it searches the blur is that of the priors, for what is not named yet would narrow nothing, or the wrong masses.
     """
@@ -28,17 +28,17 @@ def narrowed(found: Hunt) -> Hunt:
     return found
 
 
-def _once(found: Hunt) -> Hunt:
-    world = found.world
-    source = world.setting.source
+def _once(found: SearchResult) -> SearchResult:
+    problem = found.problem
+    source = problem.settings.source
     if not found.chosen or not isinstance(source, ToolSource) or source.batch.blur is None:
         return found
     soft = np.flatnonzero(source.soft)
-    after = blurred(source, world.values, of_all(found)[2][np.ix_(soft, soft)])
+    after = blurred(source, problem.values, of_all(found)[2][np.ix_(soft, soft)])
     assert isinstance(after, ToolSource)
     before = source.batch.blur
     if after.batch.blur is None or np.all(np.abs(after.batch.blur - before) <= CHANGED * before):
         return found
-    setting = replace(world.setting, source=after)
-    again = refit(setting, world.values, found.columns)
-    return replace(found, world=again, steps=found.stepped(again, found.chosen))
+    settings = replace(problem.settings, source=after)
+    again = refit(settings, problem.values, found.columns)
+    return replace(found, problem=again, steps=found.stepped(again, found.chosen))

@@ -1,4 +1,4 @@
-"""What the data and the priors say of all that a hunt fitted, geometry and named effects together."""
+"""What the data and the priors say of all that a search fitted, geometry and named effects together."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.gap.evidence.intervals import inflation
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.source import LinkSource, Source, ToolSource, zeros
 from kilter_core.model import Calibration
 from kilter_core.parameters import indices
@@ -35,23 +35,23 @@ class Posterior:
         return np.sqrt(np.diag(self.covariance))
 
 
-def posterior(found: Hunt, begin: Calibration, stored: Calibration) -> Posterior:
-    """Posterior at the end of a hunt that started at ``begin`` and stores ``stored``.
+def posterior(found: SearchResult, begin: Calibration, stored: Calibration) -> Posterior:
+    """Posterior at the end of a search that started at ``begin`` and stores ``stored``.
 
     The noise is inflated by what it leaves unexplained, as for the amplitudes.
     """
-    source = found.world.setting.source
+    source = found.problem.settings.source
     J, prior, covariance = of_all(found)
     names, L = _combined(source, begin, stored, found.columns)
     seen = J @ L.T if isinstance(source, ToolSource) else None
     return Posterior(names, L @ covariance @ L.T, np.sqrt(L**2 @ prior**2), seen)
 
 
-def of_all(found: Hunt) -> tuple[Floats, Floats, Floats]:
+def of_all(found: SearchResult) -> tuple[Floats, Floats, Floats]:
     """Whitened Jacobian (R, F), prior sigmas (F,) and covariance (F, F) of the geometry and the named effects."""
-    world, columns = found.world, found.columns
-    source = world.setting.source
-    J = np.hstack([world.G, world.W_raw[:, columns] * world.size[columns]]) / max(inflation(found), SMALLEST)
+    problem, columns = found.problem, found.columns
+    source = problem.settings.source
+    J = np.hstack([problem.G, problem.W_raw[:, columns] * problem.size[columns]]) / max(inflation(found), SMALLEST)
     prior = np.concatenate([source.prior_sigma, source.library_sigma[columns]])
     H = (J * prior).T @ (J * prior)
     H.flat[:: len(H) + 1] += 1.0  # the priors

@@ -17,11 +17,11 @@ from scipy.stats import norm
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
 from kilter_core.errors import CoreError, ObservationError, TooFewPosesError
-from kilter_core.gap.evidence.holding import refuse_shared
+from kilter_core.gap.evidence.holding_out import refuse_shared
 from kilter_core.gap.evidence.posterior import Posterior
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.prepare import SPARE, Prepared, Tell, Workshop
+from kilter_core.gap.search.prepare import SPARE, Prepared, Progress, prepare_data
 from kilter_core.gap.search.source import LinkSource, ToolSource
 from kilter_core.gap.search.tails import tail
 from kilter_core.identify.report import WIRE
@@ -104,7 +104,7 @@ def refuse_unfit(robot: Robot, searched: Observations, confirmation: Observation
 
 @dataclass(frozen=True)
 class Confirmation:
-    """The confirmation's rows as a linear world around the values of the search: whitened, base and tool taken out.
+    """The confirmation's rows as a linearised problem around the values of the search: whitened, base and tool taken out.
 
     ``r (R,)`` is what the searched model leaves, ``J (R, K)`` moves by the parameters ``names`` whose covariance of the
     search is ``covariance (K, K)``; ``nu`` numbers are free, the noise is known as well as ``freedom`` numbers know it.
@@ -121,24 +121,24 @@ class Confirmation:
 
     @staticmethod
     def of(
-        found: Calibration, posterior: Posterior, rows: Observations, options: GapOptions, tell: Tell
+        found: Calibration, posterior: Posterior, rows: Observations, options: GapOptions, progress: Progress
     ) -> Confirmation:
         """Fit base and tool to the rows, estimate their noise, and linearise."""
         found = _computable(found, rows)
-        prepared = _placed(found, rows, options, tell)
-        world = prepared.world
+        prepared = _placed(found, rows, options, progress)
+        problem = prepared.problem
         r, J, names = _linear(prepared, found, posterior)
         known = {name: k for k, name in enumerate(posterior.names)}
         index = [known[name] for name in names]
         at = {name: k for k, name in enumerate(found.names)}
-        free = world.basis([]) if isinstance(world.setting.source, ToolSource) else _offsets(prepared)
+        free = problem.basis([]) if isinstance(problem.settings.source, ToolSource) else _offsets(prepared)
         r, J = r - free @ (free.T @ r), J - free @ (free.T @ J)
-        noise = world.setting.noise
-        scalars = float(world.setting.used.sum() * world.setting.whitener.shape[-1] / world.setting.inflation)
+        noise = problem.settings.noise
+        scalars = float(problem.settings.used.sum() * problem.settings.whitener.shape[-1] / problem.settings.inflation)
         return Confirmation(
             r, J, names, found.values[[at[name] for name in names]], posterior.covariance[np.ix_(index, index)],
             scalars - free.shape[1], noise.freedom if noise.absolute else scalars - free.shape[1],
-            int(world.setting.group.max()) + 1,
+            int(problem.settings.group.max()) + 1,
         )  # fmt: skip
 
     def of_parameters(self, own: tuple[str, ...], widths: Floats, positive: bool) -> Replication:
@@ -201,12 +201,12 @@ def _computable(found: Calibration, rows: Observations) -> Calibration:
     return replace(found, model=model, values=np.array([known[name] for name in model.names]))
 
 
-def _placed(found: Calibration, rows: Observations, options: GapOptions, tell: Tell) -> Prepared:
+def _placed(found: Calibration, rows: Observations, options: GapOptions, progress: Progress) -> Prepared:
     """The confirmation with base and tool fitted to it, chain and effects as the search left them."""
     effects = found.names[found.model.n_geometric :]
     fixed = replace(options, free=("base_x",), fix=effects, base="free", tool="free", reference="auto", effects=())
     try:
-        return Workshop(found, rows, fixed, tell).run()
+        return prepare_data(found, rows, fixed, progress)
     except CoreError as error:
         error.message = f"The confirmation cannot be used. {error.message}"
         raise
@@ -214,28 +214,28 @@ def _placed(found: Calibration, rows: Observations, options: GapOptions, tell: T
 
 def _linear(prepared: Prepared, found: Calibration, posterior: Posterior) -> tuple[Floats, Floats, tuple[str, ...]]:
     """Whitened residual at the values of the search, derivatives by its parameters but base and tool, their names."""
-    world, source = prepared.world, prepared.world.setting.source
+    problem, source = prepared.problem, prepared.problem.settings.source
     if isinstance(source, ToolSource):
         model, n = source.model, source.model.n_geometric
         frames = {*range(6), *range(n - 6, n)}
         index = [k for k, name in enumerate(model.names) if name in posterior.names and k not in frames]
-        linear = replace(source, free=np.array(index, dtype=np.int64)).linear(world.values, None, [])
-        white = np.matmul(world.setting.whitener, linear.G) * world.setting.used[:, None, None]
-        return world.raw, white.reshape(-1, len(index)), tuple(model.names[k] for k in index)
+        linear = replace(source, free=np.array(index, dtype=np.int64)).linear(problem.values, None, [])
+        white = np.matmul(problem.settings.whitener, linear.G) * problem.settings.used[:, None, None]
+        return problem.raw, white.reshape(-1, len(index)), tuple(model.names[k] for k in index)
     assert isinstance(source, LinkSource)
     model = source.model
     names = model.names[model.n_geometric : len(model.names) - source.n_library]
-    J = world.G[:, source.n_offsets :]
+    J = problem.G[:, source.n_offsets :]
     at = dict(zip(found.names, found.values, strict=True))
-    moved = source.geometry(world.values)[source.n_offsets :] - np.array([at[name] for name in names])
-    return world.raw + J @ moved, J, names
+    moved = source.geometry(problem.values)[source.n_offsets :] - np.array([at[name] for name in names])
+    return problem.raw + J @ moved, J, names
 
 
 def _offsets(prepared: Prepared) -> Floats:
     """Orthonormal basis of the encoder offsets of the motions."""
-    source = prepared.world.setting.source
+    source = prepared.problem.settings.source
     assert isinstance(source, LinkSource)
-    columns = prepared.world.G[:, : source.n_offsets]
+    columns = prepared.problem.G[:, : source.n_offsets]
     u, s, _ = scipy.linalg.svd(columns, full_matrices=False)
     return np.asarray(u[:, s > 1e-9 * s.max(initial=1e-300)])
 

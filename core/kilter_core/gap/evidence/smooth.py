@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from kilter_core.gap.evidence.likeness import Alias, correlation
 from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.select import MARGIN
 from kilter_core.gap.search.source import LinkSource, Source, ToolSource
@@ -47,20 +47,20 @@ def own_curve(candidate: Candidate, joints: set[int]) -> bool:
     return alone and all(getattr(e, "partner", None) is None for e in candidate.effects)
 
 
-def smooth_members(hunt: Hunt, place: int) -> tuple[Alias, ...]:
+def smooth_members(search: SearchResult, place: int) -> tuple[Alias, ...]:
     """The others of the class "smooth error of joint k" where a chosen curve cannot be told from it; else none."""
-    candidate = hunt.selector.scorer.candidates[place]
+    candidate = search.selector.scorer.candidates[place]
     if not is_curve(candidate):
         return ()
-    view = _View.of(hunt, place)
+    view = _View.of(search, place)
     smooth = [j for j in candidate.joints or () if view.smooth(j)]
     unsure = [j for j in smooth if view.partial(j)]
-    shared = [j for j in unsure if _others(hunt, place, j)]
+    shared = [j for j in unsure if _others(search, place, j)]
     unnamed = 2 * len(shared) > len(candidate.joints or ()) or view.replaced(unsure)
     if not smooth or not (unnamed or view.improved(smooth)):
         return ()
     joints = unsure or smooth
-    return tuple(_members(hunt, place, joints, _named(joints)))
+    return tuple(_members(search, place, joints, _named(joints)))
 
 
 def _named(joints: Sequence[int]) -> str:
@@ -68,16 +68,18 @@ def _named(joints: Sequence[int]) -> str:
     return f"smooth error of joint{'s' if len(joints) > 1 else ''} {shown}"
 
 
-def _others(hunt: Hunt, place: int, joint: int) -> list[int]:
+def _others(search: SearchResult, place: int, joint: int) -> list[int]:
     """Other chosen curves that are smooth at the joint."""
-    candidates = hunt.selector.scorer.candidates
-    near = [k for k in hunt.chosen if k != place and is_curve(candidates[k]) and joint in (candidates[k].joints or ())]
-    return [k for k in near if _View.of(hunt, k).smooth(joint)]
+    candidates = search.selector.scorer.candidates
+    near = [
+        k for k in search.chosen if k != place and is_curve(candidates[k]) and joint in (candidates[k].joints or ())
+    ]
+    return [k for k in near if _View.of(search, k).smooth(joint)]
 
 
-def _members(hunt: Hunt, place: int, joints: Sequence[int], name: str) -> list[Alias]:
+def _members(search: SearchResult, place: int, joints: Sequence[int], name: str) -> list[Alias]:
     """The unknown curve of each joint, then the other names chosen there."""
-    candidates, A = hunt.selector.scorer.candidates, hunt.world.A
+    candidates, A = search.selector.scorer.candidates, search.problem.A
     own = candidates[place].columns
     made = []
     for j in joints:
@@ -86,7 +88,7 @@ def _members(hunt: Hunt, place: int, joints: Sequence[int], name: str) -> list[A
         most = max(known, key=lambda n: len(candidates[n].columns), default=place)
         curve = candidates[most] if known else Candidate(UnknownSmoothCurve.id, (j,), (), JOINT, empirical=True)
         made.append(Alias(most, curve, 0.0, correlation(A, own, curve.columns) if known else 1.0, EVEN, name))
-    for k in hunt.chosen:
+    for k in search.chosen:
         c = candidates[k]
         if k != place and is_curve(c) and c.level != FAMILY and set(c.joints or ()) <= set(joints):
             made.append(Alias(k, c, 0.0, correlation(A, own, c.columns), EVEN, name))
@@ -97,7 +99,7 @@ def _members(hunt: Hunt, place: int, joints: Sequence[int], name: str) -> list[A
 class _View:
     """A chosen curve and the data given all else that was chosen: residual ``r (R,)``, ``basis`` of the rest."""
 
-    hunt: Hunt
+    search: SearchResult
     candidate: Candidate
     q: Floats
     basis: Floats
@@ -105,21 +107,21 @@ class _View:
     along: Callable[[int], Floats]
 
     @staticmethod
-    def of(hunt: Hunt, place: int) -> _View:
-        rest = hunt.selector.columns([k for k in hunt.chosen if k != place])
-        world, candidate = hunt.world, hunt.selector.scorer.candidates[place]
-        q = world.setting.source.batch.q
-        return _View(hunt, candidate, q, world.basis(rest), residual_given(world, rest), _turning(hunt))
+    def of(search: SearchResult, place: int) -> _View:
+        rest = search.selector.columns([k for k in search.chosen if k != place])
+        problem, candidate = search.problem, search.selector.scorer.candidates[place]
+        q = problem.settings.source.batch.q
+        return _View(search, candidate, q, problem.basis(rest), residual_given(problem, rest), _turning(search))
 
     def partial(self, joint: int) -> bool:
         """Whether a joint moved less than a turn; a slide never turns."""
-        kind = _model(self.hunt).robot.joints[joint].kind
+        kind = _model(self.search).robot.joints[joint].kind
         return kind != "revolute" or float(np.ptp(self.q[:, joint])) < TURN
 
     @property
     def own(self) -> Floats:
         """Columns (R, d) of the candidate, given the rest."""
-        return self._given(self.hunt.world.W_raw[:, list(self.candidate.columns)])
+        return self._given(self.search.problem.W_raw[:, list(self.candidate.columns)])
 
     def of_joint(self, joint: int) -> list[int]:
         """Library columns of the candidate at one of its joints."""
@@ -144,7 +146,7 @@ class _View:
 
     def smooth(self, joint: int) -> bool:
         """Whether the name is a smooth shape on the range that the joint moved."""
-        own = self._given(self.hunt.world.W_raw[:, self.of_joint(joint)])
+        own = self._given(self.search.problem.W_raw[:, self.of_joint(joint)])
         tier = _orthonormal(self.curves(joint, polynomials(self.q[:, joint])))
         return _share(_orthonormal(own), tier) > SPANNED
 
@@ -152,17 +154,17 @@ class _View:
         """Whether curves with as many parameters, or fewer, do as well at these joints as the name does (E6)."""
         if not joints:
             return False
-        world, selector = self.hunt.world, self.hunt.selector
-        variance = selector.variance(world.gram, self.hunt.chosen)
+        problem, selector = self.search.problem, self.search.selector
+        variance = selector.variance(problem.gram, self.search.chosen)
         price = float(np.log(selector.rows))
         kept = [k for j in self.candidate.joints or () if j not in joints for k in self.of_joint(j)]
-        basis = _orthonormal(self._given(world.W_raw[:, kept])) if kept else np.zeros((len(self.r), 0))
+        basis = _orthonormal(self._given(problem.W_raw[:, kept])) if kept else np.zeros((len(self.r), 0))
         r = self.r - basis @ (basis.T @ self.r)
-        named = _orthonormal(_less(self._given(world.W_raw[:, self._columns(joints)]), basis))
+        named = _orthonormal(_less(self._given(problem.W_raw[:, self._columns(joints)]), basis))
         value = float(np.sum((named.T @ r) ** 2)) / variance - price * named.shape[1]
         curve = 0.0
         for j in joints:
-            mine = _orthonormal(_less(self._given(world.W_raw[:, self.of_joint(j)]), basis))
+            mine = _orthonormal(_less(self._given(problem.W_raw[:, self.of_joint(j)]), basis))
             pool = _less(self.curves(j, shapes_of(self.q[:, j])), basis)
             found = _best(pool, r, mine, variance, price)
             if found is None:
@@ -174,8 +176,8 @@ class _View:
 
     def improved(self, joints: Sequence[int]) -> bool:
         """Whether a smooth curve added to the name still improves the fit, at one of the joints."""
-        world, selector = self.hunt.world, self.hunt.selector
-        variance = selector.variance(world.gram, self.hunt.chosen)
+        problem, selector = self.search.problem, self.search.selector
+        variance = selector.variance(problem.gram, self.search.chosen)
         own = _orthonormal(self.own)
         r = self.r - own @ (own.T @ self.r)
         for j in joints:
@@ -223,18 +225,18 @@ def _best(pool: Floats, r: Floats, own: Floats, variance: float, price: float) -
     return None if best is None else (best[0], Q @ best[1])
 
 
-def _turning(hunt: Hunt) -> Callable[[int], Floats]:
+def _turning(search: SearchResult) -> Callable[[int], Floats]:
     """Whitened change (V, m) of what was measured, per radian that a joint turns."""
-    source, setting = hunt.world.setting.source, hunt.world.setting
+    source, settings = search.problem.settings.source, search.problem.settings
 
     def whitened(change: Floats) -> Floats:
-        return np.asarray(np.einsum("vij,vj->vi", setting.whitener, np.nan_to_num(change)) * setting.used[:, None])
+        return np.asarray(np.einsum("vij,vj->vi", settings.whitener, np.nan_to_num(change)) * settings.used[:, None])
 
     if isinstance(source, LinkSource):
         live = np.flatnonzero(source.live)
-        return lambda joint: whitened(np.tile((live == joint) * 1.0, (len(setting.used), 1)))
+        return lambda joint: whitened(np.tile((live == joint) * 1.0, (len(settings.used), 1)))
     assert isinstance(source, ToolSource)
-    prediction, JQ = source.model.joint_jacobian(source.batch, hunt.world.values)
+    prediction, JQ = source.model.joint_jacobian(source.batch, search.problem.values)
 
     def of_tool(joint: int) -> Floats:
         residual = source.measurement.residual(prediction, JQ[:, :, [joint]])
@@ -247,8 +249,8 @@ def _turning(hunt: Hunt) -> Callable[[int], Floats]:
     return of_tool
 
 
-def _model(hunt: Hunt) -> RobotModel:
-    source: Source = hunt.world.setting.source
+def _model(search: SearchResult) -> RobotModel:
+    source: Source = search.problem.settings.source
     assert isinstance(source, ToolSource | LinkSource)
     return source.model
 

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.gram import Gram
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import FEWEST_FLIPS, grouping, residual_given
-from kilter_core.gap.search.world import World
 from kilter_core.types import Floats
 
 INCLUDED = 0.8  # share of resamples in which a name must return
@@ -25,36 +25,36 @@ SMALLEST = 1e-9
 
 
 def inclusion(
-    hunt: Hunt, classes: dict[int, tuple[int, ...]], draws: int, seed: int, tell: Callable[[float], None]
+    search: SearchResult, classes: dict[int, tuple[int, ...]], draws: int, seed: int, progress: Callable[[float], None]
 ) -> dict[int, tuple[float, float]]:
     """Share of resamples in which each chosen candidate, and any of its class, is selected again.
 
     ``classes`` gives the places that count as the same name.
     """
     # Pairs cost most of a search under unknown noise; what entered one by one is looked for one by one again.
-    selector = replace(hunt.selector, pairs=hunt.selector.scorer.absolute or hunt.paired)
-    if not hunt.chosen:
+    selector = replace(search.selector, pairs=search.selector.scorer.absolute or search.paired)
+    if not search.chosen:
         return {}
     rng = np.random.default_rng(seed)
-    own = dict.fromkeys(hunt.chosen, 0)
-    any_ = dict.fromkeys(hunt.chosen, 0)
-    resampled = _resampled(hunt, rng)
-    most = len(hunt.chosen) + 2
+    own = dict.fromkeys(search.chosen, 0)
+    any_ = dict.fromkeys(search.chosen, 0)
+    resampled = _resampled(search, rng)
+    most = len(search.chosen) + 2
     done = draws
     for b in range(draws):
-        if b and b % LOOK == 0 and _decided([any_[k] / b for k in hunt.chosen], b):
+        if b and b % LOOK == 0 and _decided([any_[k] / b for k in search.chosen], b):
             done = b
             break
         if b % 5 == 0:
-            tell(b / draws)
-        again = selector.searched(resampled(), hunt.critical, most)
+            progress(b / draws)
+        again = selector.searched(resampled(), search.critical, most)
         names = {(selector.scorer.candidates[k].id, selector.scorer.candidates[k].joints) for k in again}
         columns = set(selector.columns(again))
-        for k in hunt.chosen:
-            found = _found(hunt, k, names, columns)
+        for k in search.chosen:
+            found = _found(search, k, names, columns)
             own[k] += found
-            any_[k] += found or any(_found(hunt, m, names, columns) for m in classes.get(k, ()))
-    return {k: (own[k] / done, any_[k] / done) for k in hunt.chosen}
+            any_[k] += found or any(_found(search, m, names, columns) for m in classes.get(k, ()))
+    return {k: (own[k] / done, any_[k] / done) for k in search.chosen}
 
 
 def _decided(shares: list[float], draws: int) -> bool:
@@ -63,25 +63,25 @@ def _decided(shares: list[float], draws: int) -> bool:
     return all(abs(share - INCLUDED) > DECIDED * error for share in shares)
 
 
-def _found(hunt: Hunt, place: int, names: set[tuple[str, tuple[int, ...] | None]], columns: set[int]) -> bool:
+def _found(search: SearchResult, place: int, names: set[tuple[str, tuple[int, ...] | None]], columns: set[int]) -> bool:
     """Whether a candidate was selected: by name, or most of its columns within a family or as members of one."""
-    candidate = hunt.selector.scorer.candidates[place]
+    candidate = search.selector.scorer.candidates[place]
     if (candidate.id, candidate.joints) in names:
         return True
     same = {name for name, _ in names}
     return candidate.id in same and len(columns & set(candidate.columns)) >= 0.5 * len(candidate.columns)
 
 
-def _resampled(hunt: Hunt, rng: np.random.Generator) -> Callable[[], Gram]:
+def _resampled(search: SearchResult, rng: np.random.Generator) -> Callable[[], Gram]:
     """What draws a resample: poses weighted anew, on thousands of scalars in the data alone; noise where poses are few."""
-    poses = int(hunt.world.setting.group.max()) + 1
+    poses = int(search.problem.settings.group.max()) + 1
     if poses < FEWEST_FLIPS:
-        return lambda: _noisy(hunt, rng)
-    if hunt.world.rows > MANY:
-        scores = _scores(hunt, poses)
-        return lambda: _moved(hunt, *scores, _weights(poses, rng) - 1.0)
-    group = hunt.world.setting.group[hunt.world.row_visit]
-    return lambda: reweighted(hunt.world, _weights(poses, rng)[group])
+        return lambda: _noisy(search, rng)
+    if search.problem.rows > MANY:
+        scores = _scores(search, poses)
+        return lambda: _moved(search, *scores, _weights(poses, rng) - 1.0)
+    group = search.problem.settings.group[search.problem.row_visit]
+    return lambda: reweighted(search.problem, _weights(poses, rng)[group])
 
 
 def _weights(poses: int, rng: np.random.Generator) -> Floats:
@@ -90,39 +90,39 @@ def _weights(poses: int, rng: np.random.Generator) -> Floats:
     return np.asarray(drawn / drawn.mean())
 
 
-def reweighted(world: World, weight: Floats) -> Gram:
-    """The linear world with rows weighted (R,): geometry, candidates and data projected anew."""
-    X = np.sqrt(weight)[:, None] * np.column_stack([world.U, world.W, world.y])
-    p, H = world.U.shape[1], X.T @ X
+def reweighted(problem: LinearizedProblem, weight: Floats) -> Gram:
+    """The linearised problem with rows weighted (R,): geometry, candidates and data projected anew."""
+    X = np.sqrt(weight)[:, None] * np.column_stack([problem.U, problem.W, problem.y])
+    p, H = problem.U.shape[1], X.T @ X
     K = np.linalg.solve(H[:p, :p] + SMALLEST * np.eye(p), H[:p, p:])
     left = H[p:, p:] - H[p:, :p] @ K
-    return Gram(0.5 * (left + left.T)[:-1, :-1], left[:-1, -1], max(float(left[-1, -1]), 0.0), world.nu)
+    return Gram(0.5 * (left + left.T)[:-1, :-1], left[:-1, -1], max(float(left[-1, -1]), 0.0), problem.nu)
 
 
-def _scores(hunt: Hunt, poses: int) -> tuple[Floats, Floats]:
+def _scores(search: SearchResult, poses: int) -> tuple[Floats, Floats]:
     """What each pose adds to the candidates' data (G, Q) and to chi-square (G,), by its residual."""
-    world = hunt.world
-    r = residual_given(world, hunt.columns)
-    group = world.setting.group[world.row_visit]
-    return world.projection.under(grouping(group, poses, r)), np.bincount(group, r**2, poses).astype(np.float64)
+    problem = search.problem
+    r = residual_given(problem, search.columns)
+    group = problem.settings.group[problem.row_visit]
+    return problem.projection.under(grouping(group, poses, r)), np.bincount(group, r**2, poses).astype(np.float64)
 
 
-def _moved(hunt: Hunt, scores: Floats, sizes: Floats, weight: Floats) -> Gram:
+def _moved(search: SearchResult, scores: Floats, sizes: Floats, weight: Floats) -> Gram:
     """The data of poses weighted by one more than ``weight``; among so many the candidates stay as they are."""
-    gram = hunt.world.gram
+    gram = search.problem.gram
     step = weight @ scores
-    beta = gram.solve(hunt.columns)
-    yy = gram.yy + float(weight @ sizes) + 2.0 * float(step[hunt.columns] @ beta)
+    beta = gram.solve(search.columns)
+    yy = gram.yy + float(weight @ sizes) + 2.0 * float(step[search.columns] @ beta)
     return gram.with_data(gram.c + step, max(yy, 0.0))
 
 
-def _noisy(hunt: Hunt, rng: np.random.Generator) -> Gram:
+def _noisy(search: SearchResult, rng: np.random.Generator) -> Gram:
     """The fitted effects and Gaussian noise."""
-    world, columns = hunt.world, hunt.columns
-    beta = world.gram.solve(columns)
-    w, V = np.linalg.eigh(world.A)
+    problem, columns = search.problem, search.columns
+    beta = problem.gram.solve(columns)
+    w, V = np.linalg.eigh(problem.A)
     noise = V @ (rng.standard_normal(len(w)) * np.sqrt(np.maximum(w, 0.0)))
-    power = float(beta @ world.A[np.ix_(columns, columns)] @ beta)
-    chi2 = float(rng.chisquare(max(world.nu, 1.0)))
+    power = float(beta @ problem.A[np.ix_(columns, columns)] @ beta)
+    chi2 = float(rng.chisquare(max(problem.nu, 1.0)))
     yy = power + 2.0 * float(noise[columns] @ beta) + chi2
-    return world.gram.with_data(world.A[:, columns] @ beta + noise, max(yy, 0.0))
+    return problem.gram.with_data(problem.A[:, columns] @ beta + noise, max(yy, 0.0))

@@ -12,7 +12,7 @@ import numpy as np
 from kilter_core.gap.evidence.likeness import correlations
 from kilter_core.gap.search.candidates import FAMILY, Candidate, Library, Untestable
 from kilter_core.gap.search.gram import VISIBLE
-from kilter_core.gap.search.world import World
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.identify.report import WIRE
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats
@@ -32,12 +32,12 @@ class Testability:
     able: Bools
 
 
-def testability(world: World, library: Library) -> Testability:
-    """Judge every column by the world at the geometry-only fit."""
-    visible = np.clip(np.diag(world.A), 0.0, 1.0)
-    seen = (visible > max(BARELY, VISIBLE)) & (world.scale > 0.0)
+def testability(problem: LinearizedProblem, library: Library) -> Testability:
+    """Judge every column by the linearised problem at the geometry-only fit."""
+    visible = np.clip(np.diag(problem.A), 0.0, 1.0)
+    seen = (visible > max(BARELY, VISIBLE)) & (problem.scale > 0.0)
     with np.errstate(divide="ignore"):
-        smallest = np.where(seen, np.sqrt(DETECTED / np.where(seen, visible, 1.0)) * world.scale, np.inf)
+        smallest = np.where(seen, np.sqrt(DETECTED / np.where(seen, visible, 1.0)) * problem.scale, np.inf)
     limit = np.array([max(abs(p.lower), abs(p.upper)) for p in library.parameters])
     return Testability(visible, smallest, seen & (smallest <= limit))
 
@@ -60,7 +60,9 @@ def _late(library: Library) -> Bools:
     return late
 
 
-def untestable(library: Library, judged: Testability, world: World, rows: Observations) -> tuple[Untestable, ...]:
+def untestable(
+    library: Library, judged: Testability, problem: LinearizedProblem, rows: Observations
+) -> tuple[Untestable, ...]:
     """Candidates that cannot be tested, one entry per effect and reason, with the remedy."""
     grouped: dict[tuple[str, str, str], list[int]] = {}
     whole: dict[tuple[str, str, str], None] = {}
@@ -69,7 +71,7 @@ def untestable(library: Library, judged: Testability, world: World, rows: Observ
             continue
         if c.joints is None and any(judged.able[k] for k in c.columns):
             continue
-        reason = _reason(c, judged, world, rows, library)
+        reason = _reason(c, judged, problem, rows, library)
         key = (c.id, reason, c.effects[0].remedy)
         if c.joints is None:
             whole[key] = None
@@ -113,11 +115,11 @@ def smallest_rows(library: Library, judged: Testability) -> list[dict[str, Any]]
     return out
 
 
-def alias_matrix(world: World, candidates: Sequence[Candidate], first: Sequence[int]) -> dict[str, Any]:
+def alias_matrix(problem: LinearizedProblem, candidates: Sequence[Candidate], first: Sequence[int]) -> dict[str, Any]:
     """Correlations after geometry: a matrix over the chosen and their nearest, and every close pair of the library."""
     tested = [c for c in candidates if c.level != FAMILY]
     single = [c for c in tested if not c.empirical]
-    C = correlations(world.A, [c.columns for c in single])
+    C = correlations(problem.A, [c.columns for c in single])
     np.fill_diagonal(C, 1.0)
     pairs = [
         {"first": single[i].named(), "second": single[j].named(), "correlation": round(float(C[i, j]), 4)}
@@ -142,11 +144,11 @@ def _shown(single: Sequence[Candidate], C: Floats, chosen: Sequence[Candidate]) 
     return own + [int(i) for i in closest if int(i) not in own][: max(SHOWN - len(own), 0)]
 
 
-def _reason(c: Candidate, judged: Testability, world: World, rows: Observations, library: Library) -> str:
+def _reason(c: Candidate, judged: Testability, problem: LinearizedProblem, rows: Observations, library: Library) -> str:
     columns = list(c.columns)
     if c.effects[0].changes_loads and not np.all(judged.smallest[columns] < np.inf):
         return "It shows through effects of the load only, and none was named that shows it."
-    if np.all(world.scale[columns] == 0.0):
+    if np.all(problem.scale[columns] == 0.0):
         if "moments" in c.effects[0].needs:
             return "No load moment acts there: gravity and payload put none on it, or the masses are not known."
         return "It moves nothing in these observations: what it needs is constant zero."

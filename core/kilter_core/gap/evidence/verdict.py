@@ -14,7 +14,7 @@ from kilter_core.gap.evidence.matters import Misfit
 from kilter_core.gap.evidence.replication import Replication
 from kilter_core.gap.evidence.stability import INCLUDED
 from kilter_core.gap.search.candidates import Candidate, Library
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
 
 SURE_GAIN = 3.0  # standard deviations by which held-out poses must err as foretold
 SHADOWED = 0.3  # correlation with an unknown curve above which a named effect may be part of it
@@ -34,7 +34,7 @@ class Evidence:
     amplitudes: tuple[Amplitude, ...]
     p_value: float
     gain_mm: float
-    bumped: bool = False  # a local bump of its joint does as well
+    local_bump_test: bool = False  # a local bump of its joint does as well
     unseen_poses: int = 0  # held-out poses that took no part in choosing
     seen_joints: tuple[int, ...] | None = None  # of those it acts at, where the data show it; None: acts at none
     seen: bool = True  # whether the data show any of it
@@ -53,10 +53,10 @@ class Judged:
     alias_set: tuple[Alias, ...]
 
 
-def judge(hunt: Hunt, evidence: Evidence, fit: Adequacy, misfit: Misfit, library: Library) -> Judged:
+def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, misfit: Misfit, library: Library) -> Judged:
     """Pass one candidate through the gates: replicated, confirmed, class_confirmed, or provisional."""
     rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
-    numbers = _numbers(hunt, evidence, fit, library, bool(rivals))
+    numbers = _numbers(search, evidence, fit, library, bool(rivals))
     told = evidence.replication
     gates = {
         "physical": not evidence.candidate.empirical,
@@ -64,8 +64,8 @@ def judge(hunt: Hunt, evidence: Evidence, fit: Adequacy, misfit: Misfit, library
         "held_out": evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN,
         "unseen_poses": evidence.unseen_poses > 0 or (told is not None and told.replicated),
         "no_empirical_alias": len(rivals) == len(evidence.aliases)
-        and not evidence.bumped
-        and not _shadowed(hunt, evidence),
+        and not evidence.local_bump_test
+        and not _shadowed(search, evidence),
         "plausible": _plausible(evidence, library),
         "seen": evidence.seen,
         "inclusion": evidence.inclusion[1 if rivals else 0] >= INCLUDED,
@@ -85,7 +85,9 @@ def _level(gates: dict[str, bool], rivals: tuple[Alias, ...], told: Replication 
     return "replicated" if told is not None and told.replicated else "confirmed"
 
 
-def _numbers(hunt: Hunt, evidence: Evidence, fit: Adequacy, library: Library, class_: bool) -> dict[str, float | None]:
+def _numbers(
+    search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, class_: bool
+) -> dict[str, float | None]:
     """What each gate was decided by, to be decided again with other thresholds."""
     gain, _, foretold = evidence.held_out
     told = evidence.replication
@@ -94,9 +96,9 @@ def _numbers(hunt: Hunt, evidence: Evidence, fit: Adequacy, library: Library, cl
         "adequate": fit.p_value,
         "held_out": foretold if gain > 0.0 else min(foretold, 0.0),
         "unseen_poses": float(evidence.unseen_poses),
-        "no_empirical_alias": nearest_shape(hunt, evidence.place),
-        "bumped": float(evidence.bumped),
-        "shadowed": _shadow(hunt, evidence),
+        "no_empirical_alias": nearest_shape(search, evidence.place),
+        "bumped": float(evidence.local_bump_test),
+        "shadowed": _shadow(search, evidence),
         "plausible": max((_beyond(a, library, evidence.candidate) for a in evidence.amplitudes), default=0.0),
         "seen": float(evidence.seen),
         "inclusion": evidence.inclusion[1 if class_ else 0],
@@ -105,13 +107,13 @@ def _numbers(hunt: Hunt, evidence: Evidence, fit: Adequacy, library: Library, cl
     return numbers if told is None else numbers | {"confirmation": told.apart, "confirmation_p": told.p_value}
 
 
-def nearest_shape(hunt: Hunt, place: int) -> float | None:
+def nearest_shape(search: SearchResult, place: int) -> float | None:
     """Points that the best shape without a cause is behind the chosen one in its place; None without such shapes."""
-    selector, gram = hunt.selector, hunt.world.gram
-    scores = selector.scorer.scores(gram.given(selector.columns([k for k in hunt.chosen if k != place])))
-    value = scores.S / selector.variance(gram, hunt.chosen) - scores.d * np.log(selector.rows)
+    selector, gram = search.selector, search.problem.gram
+    scores = selector.scorer.scores(gram.given(selector.columns([k for k in search.chosen if k != place])))
+    value = scores.S / selector.variance(gram, search.chosen) - scores.d * np.log(selector.rows)
     shapes = selector.scorer.empirical & (scores.d > 0)
-    shapes[list(hunt.chosen)] = False
+    shapes[list(search.chosen)] = False
     return float(value[place] - np.max(value[shapes])) if shapes.any() else None
 
 
@@ -165,28 +167,29 @@ def _plausible(evidence: Evidence, library: Library) -> bool:
     return True
 
 
-def _shadow(hunt: Hunt, evidence: Evidence) -> float:
+def _shadow(search: SearchResult, evidence: Evidence) -> float:
     """Largest correlation with an unknown curve that was needed too."""
     return max(
-        (correlation(hunt.world.A, evidence.candidate.columns, c.columns) for c in _curves(hunt, evidence)), default=0.0
+        (correlation(search.problem.A, evidence.candidate.columns, c.columns) for c in _curves(search, evidence)),
+        default=0.0,
     )
 
 
-def _shadowed(hunt: Hunt, evidence: Evidence) -> bool:
+def _shadowed(search: SearchResult, evidence: Evidence) -> bool:
     """Whether an unknown curve was needed too, and could take this effect's place in part."""
-    return any(_related(hunt, evidence.candidate, c) for c in _curves(hunt, evidence))
+    return any(_related(search, evidence.candidate, c) for c in _curves(search, evidence))
 
 
-def _curves(hunt: Hunt, evidence: Evidence) -> list[Candidate]:
-    candidates = hunt.selector.scorer.candidates
-    return [candidates[k] for k in hunt.chosen if candidates[k].empirical and k != evidence.place]
+def _curves(search: SearchResult, evidence: Evidence) -> list[Candidate]:
+    candidates = search.selector.scorer.candidates
+    return [candidates[k] for k in search.chosen if candidates[k].empirical and k != evidence.place]
 
 
-def _related(hunt: Hunt, candidate: Candidate, curve: Candidate) -> bool:
+def _related(search: SearchResult, candidate: Candidate, curve: Candidate) -> bool:
     """Same joint and a curve of the angle alone, or signatures that overlap after geometry."""
     same_joint = bool(set(candidate.joints or ()) & set(curve.joints or ()))
     of_angle = not candidate.effects[0].needs
     if same_joint and of_angle:
         return True
-    rho = correlation(hunt.world.A, candidate.columns, curve.columns)
+    rho = correlation(search.problem.A, candidate.columns, curve.columns)
     return bool(rho > SHADOWED and rho < SAME) or bool(np.isclose(rho, 1.0))

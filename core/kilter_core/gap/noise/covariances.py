@@ -19,7 +19,7 @@ FEWEST_OF_SIGHT = 20  # deviations from which a line of sight is looked for
 def spread(pooled: tuple[Floats, Ints], vectors: float, rows_at: Floats | None, visits_at: Floats | None) -> Floats:
     """Covariance at each visit (V, m, m): one for the room, or by the line of sight when that fits better."""
     deviation, index = pooled
-    room = shrunk(second(deviation), vectors) if vectors else np.eye(deviation.shape[1])
+    room = or_geometry_alone(second(deviation), vectors) if vectors else np.eye(deviation.shape[1])
     if visits_at is None or rows_at is None:
         return room[None]
     flat = np.broadcast_to(room, (len(visits_at), *room.shape)).copy()
@@ -84,7 +84,7 @@ def second(deviation: Floats) -> Floats:
     return np.asarray(deviation.T @ deviation / max(len(deviation), 1))
 
 
-def shrunk(cov: Floats, vectors: float) -> Floats:
+def or_geometry_alone(cov: Floats, vectors: float) -> Floats:
     """Covariance with equal variances within each triple, unless the repeats clearly say otherwise.
 
     A free 3x3 covariance from ten repeats has axes wrong by half; whitening with it makes names out of the worst axis.
@@ -114,7 +114,7 @@ def approach(total: Floats, known: Floats, vectors: float) -> Floats:
     model = known + even(np.diag(np.maximum(np.diag(even(total - known)), 0.0)))
     root = np.linalg.cholesky(model + SMALLEST**2 * np.eye(len(model)))
     back = np.linalg.inv(root)
-    return _positive(root @ shrunk(back @ total @ back.T, vectors) @ root.T - known)
+    return _positive(root @ or_geometry_alone(back @ total @ back.T, vectors) @ root.T - known)
 
 
 def even(cov: Floats) -> Floats:

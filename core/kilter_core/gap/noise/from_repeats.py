@@ -1,7 +1,7 @@
 """Measurement noise from repeats (E0): within a visit and from one approach to the next, with full covariance.
 
 The only noise that owes nothing to the model. Assuming it 1.5 times too small gives 50 % false alarms, so it is never
-guessed: without repeats the hunt goes on with the scatter of the fit itself, and every verdict becomes relative.
+guessed: without repeats the search goes on with the scatter of the fit itself, and every verdict becomes relative.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.gap.noise.centred import centred
-from kilter_core.gap.noise.covariances import SMALLEST, approach, even, second, shrunk, spread
+from kilter_core.gap.noise.covariances import SMALLEST, approach, even, or_geometry_alone, second, spread
 from kilter_core.gap.noise.drift import Drift, Repeats, blocks_of, repeats_of
 from kilter_core.gap.noise.visits import Visits, apart
 from kilter_core.types import Bools, Floats, Ints
@@ -222,7 +222,7 @@ def _scatter(visit_residual: Floats, used: Bools, lost: float, lengths: int | No
     size = np.abs(kept - np.median(kept, axis=0))
     robust = np.median(size, axis=0) / 0.6745 + SMALLEST
     inside = kept[(size / robust).max(axis=1) < SPIKE]
-    cov = shrunk(inside.T @ inside / max(len(inside) * (1.0 - lost), 1.0), len(inside))
+    cov = or_geometry_alone(inside.T @ inside / max(len(inside) * (1.0 - lost), 1.0), len(inside))
     each = np.broadcast_to(cov, (len(visit_residual), *cov.shape)).copy()
     return Noise(each, cov, 0.0, False, FIT, lengths=lengths)
 

@@ -7,111 +7,111 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.gap.evidence.heldout import Bench
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator
+from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.in_space import moved_by, rms
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.source import LinkSource, ToolSource
-from kilter_core.gap.search.world import World
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 
 MOST_POINTS = 1500
 
 
-def figures(hunt: Hunt, rows: Observations, gap: dict[str, Any], held: Bench) -> dict[str, Any]:
+def figures(search: SearchResult, rows: Observations, gap: dict[str, Any], held: HoldoutEvaluator) -> dict[str, Any]:
     """Plain lists, ready to be drawn; lengths in mm (deg for joint data). ``held`` are the held-out rows, if any."""
     return {
-        "residual_by_angle": [_by_angle(hunt, rows, j) for j in _joints(hunt, rows)],
-        "residual_by_direction": _by_label(hunt, rows, "direction"),
-        "residual_by_load": _by_label(hunt, rows, "payload_kg"),
-        "contribution": contributions(hunt),
-        "gap_bar": _gap_bar(hunt, gap, held),
+        "residual_by_angle": [_by_angle(search, rows, j) for j in _joints(search, rows)],
+        "residual_by_direction": _by_label(search, rows, "direction"),
+        "residual_by_load": _by_label(search, rows, "payload_kg"),
+        "contribution": contributions(search),
+        "gap_bar": _gap_bar(search, gap, held),
     }
 
 
-def contributions(hunt: Hunt) -> list[dict[str, Any]]:
+def contributions(search: SearchResult) -> list[dict[str, Any]]:
     """Displacement by each named effect: rms and largest, over the visits."""
     out = []
-    for place in hunt.chosen:
-        candidate = hunt.selector.scorer.candidates[place]
-        moved = moved_by(hunt.world, hunt.columns, candidate.columns)[hunt.world.setting.used]
-        size = np.abs(moved).max(axis=1) if _joint_data(hunt) else np.linalg.norm(moved[:, :3], axis=1)
+    for place in search.chosen:
+        candidate = search.selector.scorer.candidates[place]
+        moved = moved_by(search.problem, search.columns, candidate.columns)[search.problem.settings.used]
+        size = np.abs(moved).max(axis=1) if _joint_data(search) else np.linalg.norm(moved[:, :3], axis=1)
         out.append({
             "label": candidate.label, **candidate.named(),
-            "rms": rms(moved, np.eye(moved.shape[1]), _joint_data(hunt)) * _unit(hunt),
-            "largest": float(size.max(initial=0.0)) * _unit(hunt),
+            "rms": rms(moved, np.eye(moved.shape[1]), _joint_data(search)) * _unit(search),
+            "largest": float(size.max(initial=0.0)) * _unit(search),
         })  # fmt: skip
     return out
 
 
-def _residuals(world: World, columns: Sequence[int]) -> Floats:
-    r = residual_given(world, columns).reshape(-1, world.setting.whitener.shape[-1])
-    return np.asarray(np.einsum("vij,vj->vi", np.linalg.inv(world.setting.whitener), r))
+def _residuals(problem: LinearizedProblem, columns: Sequence[int]) -> Floats:
+    r = residual_given(problem, columns).reshape(-1, problem.settings.whitener.shape[-1])
+    return np.asarray(np.einsum("vij,vj->vi", np.linalg.inv(problem.settings.whitener), r))
 
 
-def _unit(hunt: Hunt) -> float:
-    return 180.0 / np.pi if _joint_data(hunt) else 1e3
+def _unit(search: SearchResult) -> float:
+    return 180.0 / np.pi if _joint_data(search) else 1e3
 
 
-def _joint_data(hunt: Hunt) -> bool:
-    return isinstance(hunt.world.setting.source, LinkSource)
+def _joint_data(search: SearchResult) -> bool:
+    return isinstance(search.problem.settings.source, LinkSource)
 
 
-def _joints(hunt: Hunt, rows: Observations) -> list[int]:
-    named = {j for k in hunt.chosen for j in hunt.selector.scorer.candidates[k].joints or ()}
+def _joints(search: SearchResult, rows: Observations) -> list[int]:
+    named = {j for k in search.chosen for j in search.selector.scorer.candidates[k].joints or ()}
     return sorted(named) or list(range(rows.q.shape[1]))
 
 
-def _by_angle(hunt: Hunt, rows: Observations, j: int) -> dict[str, Any]:
+def _by_angle(search: SearchResult, rows: Observations, j: int) -> dict[str, Any]:
     """Residual along what joint ``j`` moves, before and after, with the curve the named effects of the joint draw."""
-    world = hunt.world
-    along = _along(world, j)
-    own = [k for c in hunt.chosen if j in (hunt.selector.scorer.candidates[c].joints or ())
-           for k in hunt.selector.scorer.candidates[c].columns]  # fmt: skip
+    problem = search.problem
+    along = _along(problem, j)
+    own = [k for c in search.chosen if j in (search.selector.scorer.candidates[c].joints or ())
+           for k in search.selector.scorer.candidates[c].columns]  # fmt: skip
     order = np.argsort(rows.q[:, j], kind="stable")
-    order = order[world.setting.used[order]]
+    order = order[problem.settings.used[order]]
     order = order[:: -(-len(order) // MOST_POINTS) or 1]
-    curve = moved_by(world, hunt.columns, sorted(set(own))) if own else np.zeros((len(rows), along.shape[1]))
+    curve = moved_by(problem, search.columns, sorted(set(own))) if own else np.zeros((len(rows), along.shape[1]))
 
     def drawn(values: Floats) -> list[float]:
-        return [round(float(v), 6) for v in (np.sum(values * along, axis=1) * _unit(hunt))[order]]
+        return [round(float(v), 6) for v in (np.sum(values * along, axis=1) * _unit(search))[order]]
 
-    rest = [k for k in hunt.columns if k not in own]
+    rest = [k for k in search.columns if k not in own]
     return {
         "joint": j + 1, "q_deg": [round(float(v), 4) for v in np.degrees(rows.q[order, j])],
-        "before": drawn(_residuals(world, rest)),
-        "after": drawn(_residuals(world, hunt.columns)), "curve": drawn(curve),
+        "before": drawn(_residuals(problem, rest)),
+        "after": drawn(_residuals(problem, search.columns)), "curve": drawn(curve),
     }  # fmt: skip
 
 
-def _along(world: World, j: int) -> Floats:
+def _along(problem: LinearizedProblem, j: int) -> Floats:
     """Unit direction (V, m) in which joint ``j`` moves what is measured."""
-    source, size = world.setting.source, world.setting.whitener.shape[-1]
+    source, size = problem.settings.source, problem.settings.whitener.shape[-1]
     if isinstance(source, LinkSource):
-        out = np.zeros((len(world.setting.used), size))
+        out = np.zeros((len(problem.settings.used), size))
         if source.live[j]:
             out[:, int(source.live[:j].sum())] = 1.0
         return out
     assert isinstance(source, ToolSource)
-    _, JQ = source.model.joint_jacobian(source.batch, world.values)
+    _, JQ = source.model.joint_jacobian(source.batch, problem.values)
     D = np.zeros((len(JQ), size))
     D[:, :3] = JQ[:, :3, j]
     return np.asarray(D / np.maximum(np.linalg.norm(D, axis=1, keepdims=True), 1e-9))
 
 
-def _by_label(hunt: Hunt, rows: Observations, name: str) -> list[dict[str, Any]]:
+def _by_label(search: SearchResult, rows: Observations, name: str) -> list[dict[str, Any]]:
     """Mean and spread of the residual for every value of a label, before and after."""
     label = getattr(rows, name)
     if label is None:
         return []
-    used = hunt.world.setting.used
-    before, after = _residuals(hunt.world, []), _residuals(hunt.world, hunt.columns)
+    used = search.problem.settings.used
+    before, after = _residuals(search.problem, []), _residuals(search.problem, search.columns)
     columns = range(label.shape[1]) if label.ndim == 2 else [None]
     out = []
     for j in columns:
         values = label if j is None else label[:, j]
-        along = None if j is None else _along(hunt.world, j)
+        along = None if j is None else _along(search.problem, j)
         for v in np.unique(values)[:10]:
             own = (values == v) & used
             if not own.any():
@@ -122,13 +122,13 @@ def _by_label(hunt: Hunt, rows: Observations, name: str) -> list[dict[str, Any]]
             ]
             out.append({
                 "joint": None if j is None else j + 1, "value": float(v), "n": int(own.sum()),
-                "before_mean": float(pair[0].mean()) * _unit(hunt), "before_sd": float(pair[0].std()) * _unit(hunt),
-                "after_mean": float(pair[1].mean()) * _unit(hunt), "after_sd": float(pair[1].std()) * _unit(hunt),
+                "before_mean": float(pair[0].mean()) * _unit(search), "before_sd": float(pair[0].std()) * _unit(search),
+                "after_mean": float(pair[1].mean()) * _unit(search), "after_sd": float(pair[1].std()) * _unit(search),
             })  # fmt: skip
     return out
 
 
-def _gap_bar(hunt: Hunt, gap: dict[str, Any], held: Bench) -> list[dict[str, Any]]:
+def _gap_bar(search: SearchResult, gap: dict[str, Any], held: HoldoutEvaluator) -> list[dict[str, Any]]:
     """The error before, after each effect in the order of what it takes off, and the noise; no label twice.
 
     ``held_out`` is the same on rows that took no part in the fit, None where there are none.
@@ -138,23 +138,23 @@ def _gap_bar(hunt: Hunt, gap: dict[str, Any], held: Bench) -> list[dict[str, Any
     fitted: list[list[int]] = [[]]
     taken: list[int] = []
     seen: dict[str, int] = {}
-    while len(taken) < len(hunt.chosen):
-        sizes = {k: _left(hunt, [*taken, k]) for k in hunt.chosen if k not in taken}
+    while len(taken) < len(search.chosen):
+        sizes = {k: _left(search, [*taken, k]) for k in search.chosen if k not in taken}
         best = min(sizes, key=lambda k: sizes[k])
         taken.append(best)
-        fitted.append(hunt.selector.columns(taken))
-        label = "+ " + hunt.selector.scorer.candidates[best].label
+        fitted.append(search.selector.columns(taken))
+        label = "+ " + search.selector.scorer.candidates[best].label
         seen[label] = seen.get(label, 0) + 1
-        value = gap[f"after_{unit}"] if len(taken) == len(hunt.chosen) else sizes[best]
+        value = gap[f"after_{unit}"] if len(taken) == len(search.chosen) else sizes[best]
         bars.append({"label": label if seen[label] == 1 else f"{label} ({seen[label]})", "value": value})
     bars.append({"label": "noise", "value": gap[f"noise_rms_{unit}"]})
     if held.rows is None:
         return [{**bar, "held_out": None} for bar in bars]
-    others = [*(held.rms(columns) * _unit(hunt) for columns in fitted), gap[f"validation_noise_rms_{unit}"]]
+    others = [*(held.rms(columns) * _unit(search) for columns in fitted), gap[f"validation_noise_rms_{unit}"]]
     return [{**bar, "held_out": other} for bar, other in zip(bars, others, strict=True)]
 
 
-def _left(hunt: Hunt, chosen: Sequence[int]) -> float:
+def _left(search: SearchResult, chosen: Sequence[int]) -> float:
     """Rms error with some of the chosen candidates, mm or deg."""
-    r = _residuals(hunt.world, hunt.selector.columns(chosen))[hunt.world.setting.used]
-    return rms(r, np.eye(r.shape[1]), _joint_data(hunt)) * _unit(hunt)
+    r = _residuals(search.problem, search.selector.columns(chosen))[search.problem.settings.used]
+    return rms(r, np.eye(r.shape[1]), _joint_data(search)) * _unit(search)

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import chi2
 
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import flipped
 from kilter_core.gap.search.source import LinkSource, ToolSource
-from kilter_core.gap.search.world import World
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
 
@@ -33,31 +33,31 @@ class Place:
     visits: int
 
 
-def where(world: World, rows: Observations, seed: int = 0, moving: bool = False) -> tuple[Place, ...]:
+def where(problem: LinearizedProblem, rows: Observations, seed: int = 0, moving: bool = False) -> tuple[Place, ...]:
     """Levels by how far they stand out, most significant first; contrasts before bins at equal p.
 
     Samples of a motion have no pose in common, so of motions (and of poses judged in blocks) there are no contrasts.
     """
-    size = world.setting.whitener.shape[-1]
-    r = _studentised(world).reshape(-1, size)
-    scale = 1.0 if world.setting.trusted else float(np.mean(r[world.setting.used] ** 2))
-    found = [] if moving or world.setting.inflation > 1.0 else list(_contrasts(world, rows, r, scale))
-    found += _bins(world, rows, r, scale, seed)
+    size = problem.settings.whitener.shape[-1]
+    r = _studentised(problem).reshape(-1, size)
+    scale = 1.0 if problem.settings.trusted else float(np.mean(r[problem.settings.used] ** 2))
+    found = [] if moving or problem.settings.inflation > 1.0 else list(_contrasts(problem, rows, r, scale))
+    found += _bins(problem, rows, r, scale, seed)
     return tuple(sorted(found, key=lambda p: (p.p_value, -p.excess)))
 
 
-def _studentised(world: World) -> Floats:
-    leverage = np.minimum(np.sum(world.U**2, axis=1), 0.99)
-    return np.asarray(world.y / np.sqrt(1.0 - leverage))
+def _studentised(problem: LinearizedProblem) -> Floats:
+    leverage = np.minimum(np.sum(problem.U**2, axis=1), 0.99)
+    return np.asarray(problem.y / np.sqrt(1.0 - leverage))
 
 
-def _contrasts(world: World, rows: Observations, r: Floats, scale: float) -> Iterator[Place]:
+def _contrasts(problem: LinearizedProblem, rows: Observations, r: Floats, scale: float) -> Iterator[Place]:
     """Same pose under two conditions: geometry cancels, so chi-square of the difference needs no fit."""
-    used, group = world.setting.used, world.setting.group
+    used, group = problem.settings.used, problem.settings.group
     labels: dict[str, Floats] = {}
     own: dict[str, Floats] = {}
     if rows.direction is not None:
-        for j, part in enumerate(_parts(world, r, rows.direction.shape[1])):
+        for j, part in enumerate(_parts(problem, r, rows.direction.shape[1])):
             labels[f"direction of joint {j + 1}"] = rows.direction[:, j]
             own[f"direction of joint {j + 1}"] = part
     if rows.payload_kg is not None:
@@ -74,9 +74,9 @@ def _contrasts(world: World, rows: Observations, r: Floats, scale: float) -> Ite
             yield Place(f"contrast: {factor}", f"{pairs} poses measured under both", excess, p, 2 * pairs)
 
 
-def _parts(world: World, r: Floats, joints: int) -> Iterator[Floats]:
+def _parts(problem: LinearizedProblem, r: Floats, joints: int) -> Iterator[Floats]:
     """What a joint can move of the residual: all of a tool's, its own encoder's of joint data, nothing without one."""
-    source = world.setting.source
+    source = problem.settings.source
     if not isinstance(source, LinkSource):
         yield from itertools.repeat(r, joints)
         return
@@ -103,13 +103,13 @@ def _contrast(r: Floats, group: Ints, label: Floats) -> tuple[float, float, int]
     return float(np.sum(difference**2)), float(difference.size), int(both.sum())
 
 
-def _bins(world: World, rows: Observations, r: Floats, scale: float, seed: int) -> list[Place]:
+def _bins(problem: LinearizedProblem, rows: Observations, r: Floats, scale: float, seed: int) -> list[Place]:
     """Mean residual of each bin, with the largest over all bins under sign flips of whole poses as the yardstick.
 
     Each bin is held against what flips make of it: an effect that is strong elsewhere would drown it otherwise.
     """
-    used, group = world.setting.used, world.setting.group
-    bins = [(f, level, mask & used, part) for f, level, mask, part in _levels(world, rows, r)]
+    used, group = problem.settings.used, problem.settings.group
+    bins = [(f, level, mask & used, part) for f, level, mask, part in _levels(problem, rows, r)]
     bins = [b for b in bins if b[2].sum() >= FEWEST]
     if not bins:
         return []
@@ -150,9 +150,9 @@ def unlikelihood(T: Floats, freedom: float) -> Floats:
     return np.asarray(np.where(np.isfinite(exact), exact, far))
 
 
-def _levels(world: World, rows: Observations, r: Floats) -> Iterator[tuple[str, str, Bools, Floats]]:
+def _levels(problem: LinearizedProblem, rows: Observations, r: Floats) -> Iterator[tuple[str, str, Bools, Floats]]:
     """Factor, level, members (V,), and the residual part (V, k) that the factor would move."""
-    for j, along in enumerate(_along_joints(world, rows, r)):
+    for j, along in enumerate(_along_joints(problem, rows, r)):
         if np.ptp(rows.q[:, j]) < 1e-6 or not along.shape[1]:
             continue
         for level, mask in _ranges(np.degrees(rows.q[:, j]), "°"):
@@ -176,19 +176,19 @@ def _levels(world: World, rows: Observations, r: Floats) -> Iterator[tuple[str, 
             yield "octant", word, octant == k, r
 
 
-def _along_joints(world: World, rows: Observations, r: Floats) -> Iterator[Floats]:
+def _along_joints(problem: LinearizedProblem, rows: Observations, r: Floats) -> Iterator[Floats]:
     """Residual (V, 1) along what each joint's own angle would move, in units of noise."""
-    source = world.setting.source
+    source = problem.settings.source
     if not isinstance(source, ToolSource):
-        yield from _parts(world, r, rows.q.shape[1])
+        yield from _parts(problem, r, rows.q.shape[1])
         return
-    _, JQ = source.model.joint_jacobian(source.batch, world.values)
-    residual = source.measurement.residual(source.model.predict(source.batch, world.values), JQ)
+    _, JQ = source.model.joint_jacobian(source.batch, problem.values)
+    residual = source.measurement.residual(source.model.predict(source.batch, problem.values), JQ)
     assert residual.d_points is not None
     D = residual.d_points.reshape(len(r), -1, JQ.shape[2])
     if residual.d_turns is not None:
         D = np.concatenate([D, residual.d_turns], axis=1)
-    D = np.matmul(world.setting.whitener, np.nan_to_num(D))
+    D = np.matmul(problem.settings.whitener, np.nan_to_num(D))
     size = np.linalg.norm(D, axis=1)
     for j in range(rows.q.shape[1]):
         unit = D[:, :, j] / np.maximum(size[:, j], 1e-12 + 1e-6 * size[:, j].max())[:, None]

@@ -16,8 +16,8 @@ import numpy as np
 from kilter_core.arm.driving_order import joint_ranges, short_way
 from kilter_core.arm.robot import Robot
 from kilter_core.gap.search.candidates import Candidate
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.source import ToolSource
-from kilter_core.gap.search.world import World
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
@@ -43,7 +43,7 @@ class Proposal:
 
 
 def separate(
-    world: World, rows: Observations, target: Candidate, rivals: Sequence[Candidate], others: Sequence[int],
+    problem: LinearizedProblem, rows: Observations, target: Candidate, rivals: Sequence[Candidate], others: Sequence[int],
     amplitudes: Floats, count: int, seed: int, region: Region | None = None,
 ) -> tuple[Proposal, ...]:  # fmt: skip
     """Best poses for telling ``target`` (with its fitted ``amplitudes``) from its rivals, best proposal first.
@@ -51,13 +51,13 @@ def separate(
     ``others`` are library columns of the other named effects. New poses are in ``region``, else where ``rows`` were.
     Only tool measurements can be planned for.
     """
-    source = world.setting.source
+    source = problem.settings.source
     if not isinstance(source, ToolSource) or count < 1:
         return ()
-    model = Calibration(source.model, world.values)
+    model = Calibration(source.model, problem.values)
     region = region or Region.of(model, rows.q)
     needs = frozenset[str]().union(*(c.effects[0].needs for c in (target, *rivals)))
-    question = _Question(world, target, tuple(k for c in rivals for k in c.columns), tuple(others), amplitudes)
+    question = _Question(problem, target, tuple(k for c in rivals for k in c.columns), tuple(others), amplitudes)
     rng = np.random.default_rng(seed)
     new = _greedy(question, _pool(rows, region, needs, rng), count, "new", "")
     old = rows.select(np.flatnonzero(region.clear(rows.q)))
@@ -98,7 +98,7 @@ def _row(p: Proposal, k: int, names: tuple[str, str], scale: Floats) -> dict[str
 class _Question:
     """The information matrix so far and how to get rows of it."""
 
-    world: World
+    problem: LinearizedProblem
     target: Candidate
     rivals: tuple[int, ...]
     others: tuple[int, ...]
@@ -106,7 +106,7 @@ class _Question:
 
     def columns(self, G: Floats, W: Floats) -> Floats:
         """Signature of the target first, then geometry, rivals, others, each scaled to order one."""
-        source = self.world.setting.source
+        source = self.problem.settings.source
         signature = W[..., list(self.target.columns)] @ self.amplitudes
         free = [k for k in dict.fromkeys((*self.rivals, *self.others)) if k not in self.target.columns]
         return np.concatenate(
@@ -115,18 +115,18 @@ class _Question:
 
     def information(self) -> Floats:
         """Information matrix of what was measured, priors on everything but the target."""
-        world = self.world
-        X = self.columns(world.G, world.W_raw * world.size)
+        problem = self.problem
+        X = self.columns(problem.G, problem.W_raw * problem.size)
         H = X.T @ X
         H[np.diag_indices_from(H)] += np.r_[1e-9 * max(H[0, 0], 1e-9), np.ones(len(H) - 1)]
         return H
 
     def rows(self, observations: Observations) -> Floats:
         """Whitened columns (V, m, p) of poses not measured yet, visited as the others were on average."""
-        source = self.world.setting.source
+        source = self.problem.settings.source
         assert isinstance(source, ToolSource)
-        linear = source.on(_imagined(source, observations, self.world.values)).linear(self.world.values)
-        noise = np.mean(self.world.setting.noise.visit[self.world.setting.used], axis=0)
+        linear = source.on(_imagined(source, observations, self.problem.values)).linear(self.problem.values)
+        noise = np.mean(self.problem.settings.noise.visit[self.problem.settings.used], axis=0)
         L = np.linalg.inv(np.linalg.cholesky(noise + 1e-18 * np.eye(len(noise))))
         return self.columns(L @ linear.G, L @ linear.W)
 
@@ -152,7 +152,7 @@ def _greedy(question: _Question, pool: Observations, count: int, kind: str, chan
 def _ordered(question: _Question, proposal: Proposal, needs: frozenset[str]) -> Proposal:
     """The same poses in the order of a short way, with what is known after each, and only the conditions that matter."""
     rows = proposal.rows
-    robot = question.world.setting.source.model.robot  # type: ignore[attr-defined]
+    robot = question.problem.settings.source.model.robot  # type: ignore[attr-defined]
     rows = rows.select(short_way(rows.q, joint_ranges(robot)))
     H, after = question.information(), []
     for X in question.rows(rows):

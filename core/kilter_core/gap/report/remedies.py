@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from kilter_core.gap.evidence.holding import FEWEST
+from kilter_core.gap.evidence.holding_out import FEWEST
 from kilter_core.gap.evidence.verdict import Judged
 
 REMEDIES = {
     "physical": "It has a shape and no cause: look for a cause outside the library.",
     "adequate": "Something else is left, or the noise is not known: repeat ten poses three times, leaving them in between, "
-    "and hunt again from this version.",
+    "and search again from this version.",
     "held_out": "Held-out poses do not clearly gain by it: measure more poses.",
     "unseen_poses": f"No pose judged it that did not choose it: measure {FEWEST} poses or more (a quarter is then held "
     "out), give `validation`, or measure a `confirmation` campaign on another day.",

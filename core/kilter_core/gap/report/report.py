@@ -1,4 +1,4 @@
-"""The result of a gap hunt, as objects and as the document of the contract (mm, degrees, joints from 1)."""
+"""The result of a gap search, as objects and as the document of the contract (mm, degrees, joints from 1)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SURE = 0.05
 
 @dataclass(frozen=True)
 class GapReport:
-    """What the hunt found. ``stored`` holds the named effects; ``to_document()`` is the job's result."""
+    """What the search found. ``stored`` holds the named effects; ``to_document()`` is the job's result."""
 
     stored: Stored
     verdict: str

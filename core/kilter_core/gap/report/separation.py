@@ -1,4 +1,4 @@
-"""Poses that tell two named effects apart, without a hunt before: the planning job's purpose "separate A from B"."""
+"""Poses that tell two named effects apart, without a search before: the planning job's purpose "separate A from B"."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from kilter_core.gap.evidence.testability import testability
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.next_poses import Proposal, separate
 from kilter_core.gap.search.candidates import Candidate, Library
-from kilter_core.gap.search.prepare import Prepared, Workshop
-from kilter_core.gap.search.world import World, fitted
+from kilter_core.gap.search.linearized import LinearizedProblem, fitted
+from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
@@ -68,18 +68,18 @@ def plan_separation(
     if observations is None:
         options = replace(options, noise_mm=options.noise_mm or IMAGINED_NOISE_MM)
     rows = imagined(begin, options) if observations is None else observations
-    prepared = Workshop(bare, rows, options, lambda f, s: None).run()
+    prepared = prepare_data(bare, rows, options, lambda f, s: None)
     chosen = [_found(prepared.library, named) for named in wanted]
     for candidate in chosen:
-        _refuse_still(candidate, prepared.world, robot)
+        _refuse_still(candidate, prepared.problem, robot)
     target, rivals = chosen[0], chosen[1:]
     proposals = separate(
-        prepared.world, prepared.visits.observations, target, rivals, (), _amounts(prepared, target, begin, observations),
+        prepared.problem, prepared.visits.observations, target, rivals, (), _amounts(prepared, target, begin, observations),
         count, options.seed, region,
     )  # fmt: skip
     if not proposals:
         raise OptionError("Poses can be planned for measurements of the tool only: name campaigns with positions.")
-    alike = correlation(prepared.world.A, target.columns, rivals[0].columns) if rivals else 0.0
+    alike = correlation(prepared.problem.A, target.columns, rivals[0].columns) if rivals else 0.0
     return Plan(proposals, (target.label, rivals[0].label if rivals else "geometry"), float(alike))
 
 
@@ -125,15 +125,15 @@ def _found(library: Library, wanted: Named) -> Candidate:
     raise OptionError(f"These observations cannot show {effect}{where}. {why}".strip(), option="effects", effect=effect)
 
 
-def _refuse_still(candidate: Candidate, world: World, robot: Robot) -> None:
+def _refuse_still(candidate: Candidate, problem: LinearizedProblem, robot: Robot) -> None:
     """Refuse to plan for what moves nothing, whatever the pose: a load about a vertical first axis."""
-    still = [k for k in candidate.columns if world.scale[k] == 0.0]
+    still = [k for k in candidate.columns if problem.scale[k] == 0.0]
     if len(still) < len(candidate.columns):
         return
     needs = EFFECTS[candidate.id].needs
     why = "what it needs is constant zero in these observations"
     if "moments" in needs:
-        masses = robot.has_masses or np.any(world.setting.source.batch.payload_kg)
+        masses = robot.has_masses or np.any(problem.settings.source.batch.payload_kg)
         why = "no load moment acts there" if masses else "neither link masses nor a payload are known"
     raise OptionError(
         f"{candidate.label} moves nothing: {why}, so no pose can show it. Name another joint or effect. "
@@ -150,18 +150,18 @@ def _amounts(prepared: Prepared, target: Candidate, begin: Calibration, measured
     known = dict(zip(begin.names, begin.values, strict=True))
     if all(name in known for name in names) and any(known[name] for name in names):
         return np.array([known[name] for name in names])
-    smallest = testability(prepared.world, prepared.library).smallest[columns]
-    sigma = prepared.world.setting.source.library_sigma[columns]
+    smallest = testability(prepared.problem, prepared.library).smallest[columns]
+    sigma = prepared.problem.settings.source.library_sigma[columns]
     barely = np.where(np.isfinite(smallest), np.minimum(BARELY_SEEN * smallest, sigma), sigma)
     if measured is None:
         return np.asarray(barely)
-    values, covariance = fitted(prepared.world, columns)
+    values, covariance = fitted(prepared.problem, columns)
     seen = np.abs(values) > 2.0 * np.sqrt(np.diag(covariance))
     return np.asarray(np.where(seen, values, barely))
 
 
 def undecided(report: dict[str, Any]) -> tuple[Named, Named | None] | None:
-    """What a hunt's report (its document) left open: an effect and its nearest look-alike, or a name to make surer."""
+    """What a search's report (its document) left open: an effect and its nearest look-alike, or a name to make surer."""
 
     def named(row: dict[str, Any]) -> Named:
         joints = row.get("joints")

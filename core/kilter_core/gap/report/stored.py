@@ -1,4 +1,4 @@
-"""What a hunt leaves to be stored: the fit as a calibration, the frames a correction works in, its uncertainty."""
+"""What a search leaves to be stored: the fit as a calibration, the frames a correction works in, its uncertainty."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from kilter_core.effects import Effect
 from kilter_core.gap.evidence.posterior import Posterior, posterior
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.masses import with_masses
 from kilter_core.gap.search.source import LinkSource, ToolSource, calibrated
 from kilter_core.identify.identifiability import identifiable, null_directions
@@ -27,7 +27,7 @@ from kilter_core.observations import Observations
 
 @dataclass(frozen=True)
 class Stored:
-    """A version made by a hunt. ``registered`` is the nominal robot in fitted frames, None where no tool was measured."""
+    """A version made by a search. ``registered`` is the nominal robot in fitted frames, None where no tool was measured."""
 
     calibration: Calibration
     posterior: Posterior
@@ -80,17 +80,17 @@ class Stored:
         return named(self.calibration)
 
 
-def stored(found: Hunt, begin: Calibration, rows: Observations, options: GapOptions) -> Stored:
-    """What is stored of a hunt that started at ``begin``; the effects' configuration comes from ``rows``."""
-    setting = found.world.setting
-    source = setting.source
+def stored(found: SearchResult, begin: Calibration, rows: Observations, options: GapOptions) -> Stored:
+    """What is stored of a search that started at ``begin``; the effects' configuration comes from ``rows``."""
+    settings = found.problem.settings
+    source = settings.source
     assert isinstance(source, ToolSource | LinkSource)
     model = _model(found, begin, rows)
-    calibration = calibrated(source, found.world.values, model, begin)
+    calibration = calibrated(source, found.problem.values, model, begin)
     wide = posterior(found, begin, calibration)
     if isinstance(source, LinkSource):
         return Stored(calibration, wide, source.observations)
-    shown = Measurement(source.measurement.observations.select(setting.used), source.measurement.marker_points)
+    shown = Measurement(source.measurement.observations.select(settings.used), source.measurement.marker_points)
     nominal = registered(begin, shown)
     asked = IdentifyOptions(base=options.base, tool=options.tool, reference=options.reference)
     base, tool = wanted_frames(begin, nominal, shown, asked)
@@ -98,9 +98,9 @@ def stored(found: Hunt, begin: Calibration, rows: Observations, options: GapOpti
     return Stored(calibration, wide, shown.observations, nominal)
 
 
-def _model(found: Hunt, begin: Calibration, rows: Observations) -> RobotModel:
+def _model(found: SearchResult, begin: Calibration, rows: Observations) -> RobotModel:
     """The robot with the effects of the start and those named, in the frames of the fit."""
-    source = found.world.setting.source
+    source = found.problem.settings.source
     candidates = [found.selector.scorer.candidates[k] for k in found.chosen]
     effects = with_masses((*begin.model.effects, *_merged(candidates, begin, rows)), source)
     frames = source.model if isinstance(source, ToolSource) else begin.model
@@ -118,7 +118,7 @@ def _merged(chosen: list[Candidate], begin: Calibration, rows: Observations) -> 
         if kind.at_joints and "drivers" not in kind.counted and "partner" not in kind.counted:
             joints = tuple(sorted({j for e in parts for j in e.joints or ()}))
             whole = kind(joints=joints).on(robot, rows)
-            # What a configuration took from the rows, as a range or the first time, must be that of the hunt.
+            # What a configuration took from the rows, as a range or the first time, must be that of the search.
             alike = all(kind(joints=e.joints).on(robot, rows) == e for e in parts)
             if alike and {p.name for p in whole.parameters(robot)} == wanted:
                 out.append(whole)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.source import ToolSource
 from kilter_core.types import Floats
@@ -19,18 +19,18 @@ POSE = 6  # scalars of a full pose: position, then orientation
 SEEN = 1e-9
 
 
-def contradicted(hunt: Hunt, place: int) -> bool:
+def contradicted(search: SearchResult, place: int) -> bool:
     """Whether position and orientation give a chosen effect different amplitudes, and it makes one of them worse."""
-    world = hunt.world
-    size = world.setting.whitener.shape[-1]
-    if size != POSE or not isinstance(world.setting.source, ToolSource):
+    problem = search.problem
+    size = problem.settings.whitener.shape[-1]
+    if size != POSE or not isinstance(problem.settings.source, ToolSource):
         return False
-    selector = hunt.selector
-    rest = selector.columns([k for k in hunt.chosen if k != place])
-    basis = world.basis(rest)
-    W = world.projected(list(selector.scorer.candidates[place].columns))
+    selector = search.selector
+    rest = selector.columns([k for k in search.chosen if k != place])
+    basis = problem.basis(rest)
+    W = problem.projected(list(selector.scorer.candidates[place].columns))
     X = W - basis @ (basis.T @ W)
-    r = residual_given(world, rest)
+    r = residual_given(problem, rest)
     amount = np.asarray(np.linalg.lstsq(X, r, rcond=None)[0], dtype=np.float64)
     turned = np.arange(len(r)) % size >= 3
     worse = [_gain(X[part], r[part], amount) < 0.0 for part in (~turned, turned)]
@@ -40,7 +40,7 @@ def contradicted(hunt: Hunt, place: int) -> bool:
     D = np.zeros((X.shape[1], len(r)))
     D[:, ~turned], D[:, turned] = np.linalg.pinv(X[~turned]), -np.linalg.pinv(X[turned])
     covariance = D @ D.T - (D @ basis) @ (D @ basis).T
-    w, V = np.linalg.eigh(covariance * selector.variance(world.gram, hunt.chosen))
+    w, V = np.linalg.eigh(covariance * selector.variance(problem.gram, search.chosen))
     keep = w > SEEN * max(float(w[-1]), 1e-300)
     apart = float(np.sum((V[:, keep].T @ (D @ r)) ** 2 / w[keep]))
     return bool(chi2.sf(apart, int(keep.sum())) < APART)

@@ -8,17 +8,17 @@ import numpy as np
 
 from kilter_core.gap.noise.centred import centred
 from kilter_core.gap.noise.visits import apart
-from kilter_core.gap.search.world import World
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.types import Ints
 
 
-def fitted_away(world: World, columns: Sequence[int], condition: Ints) -> float:
+def fitted_away(problem: LinearizedProblem, columns: Sequence[int], condition: Ints) -> float:
     """How many scalars of the differences between visits of one ``condition (V,)`` the library columns fit.
 
     The noise in them is gone from the residual. Geometry fits none: it is the same for all visits of a condition.
     """
-    used = world.setting.used
-    basis = world.basis(columns)[:, world.U.shape[1] :]
+    used = problem.settings.used
+    basis = problem.basis(columns)[:, problem.U.shape[1] :]
     if not basis.shape[1]:
         return 0.0
     rows = basis.reshape(len(used), -1)

@@ -1,4 +1,4 @@
-"""Masses in a hunt: carried beside the geometry with their priors, and as a blur of the loads where these change sign."""
+"""Masses in a search: carried beside the geometry with their priors, and as a blur of the loads where these change sign."""
 
 from __future__ import annotations
 

@@ -13,8 +13,8 @@ import numpy as np
 import scipy.linalg
 from scipy.stats import chi2
 
+from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings
 from kilter_core.gap.search.projection import Stacked
-from kilter_core.gap.search.world import Setting, World
 from kilter_core.gap.search.wrong_rows import are_wrong
 from kilter_core.identify.robust import redescended
 from kilter_core.types import Bools, Floats
@@ -27,42 +27,42 @@ WILD = 2.0  # times the squared limit, when geometry and what was named predict 
 LARGE = 3000  # visits from which the descent is made only where the plain fit leaves any visit far
 
 
-def outliers(world: World, chosen: Sequence[int] = ()) -> Bools:
+def outliers(problem: LinearizedProblem, chosen: Sequence[int] = ()) -> Bools:
     """Visits (V,) to set aside. Leave-one-out residual against geometry and library, studentised, robust scale.
 
     Where the library has more parameters than the data could fix it explains anything, a wild reading too. Then geometry
     and the ``chosen`` columns alone predict, and a visit must stand so far out of the scatter as no smooth effect ever does.
     """
-    setting = world.setting
-    size = setting.whitener.shape[-1]
-    y, whole = world.within_priors()
-    geometry = world.G.shape[1]
-    limit, alike = _limit(setting)
-    found = _far(world, whole, y, limit, alike)
-    if whole.width > SUPPLE * setting.used.sum() * size:
+    settings = problem.settings
+    size = settings.whitener.shape[-1]
+    y, whole = problem.within_priors()
+    geometry = problem.G.shape[1]
+    limit, alike = _limit(settings)
+    found = _far(problem, whole, y, limit, alike)
+    if whole.width > SUPPLE * settings.used.sum() * size:
         known = [*range(geometry), *(geometry + k for k in chosen)]
-        found |= _far(world, whole.only(known), y, np.sqrt(WILD) * limit, alike)
+        found |= _far(problem, whole.only(known), y, np.sqrt(WILD) * limit, alike)
     return found
 
 
-def stands_out(setting: Setting, values: Floats) -> bool:
+def stands_out(settings: ProblemSettings, values: Floats) -> bool:
     """Whether any visit is so far from the model at these values that it is worth asking what else could explain it."""
-    limit, alike = _limit(setting)
-    size = np.sqrt(np.sum(setting.whitened(values) ** 2, axis=1) / alike)
+    limit, alike = _limit(settings)
+    size = np.sqrt(np.sum(settings.whitened(values) ** 2, axis=1) / alike)
     return bool(size.max(initial=0.0) > limit)
 
 
-def _limit(setting: Setting) -> tuple[float, int]:
+def _limit(settings: ProblemSettings) -> tuple[float, int]:
     """Size beyond which chance puts hardly any visit, and how many numbers of a visit move alike."""
-    size = setting.whitener.shape[-1]
+    size = settings.whitener.shape[-1]
     # Errors of the model move all markers of a tool alike: as many numbers, but no more independent ones than a point has.
-    alike = size // 3 if size > POSE and not setting.noise.absolute else 1
-    return float(np.sqrt(chi2.isf(CHANCE / len(setting.used), size / alike))), alike
+    alike = size // 3 if size > POSE and not settings.noise.absolute else 1
+    return float(np.sqrt(chi2.isf(CHANCE / len(settings.used), size / alike))), alike
 
 
-def _far(world: World, X: Stacked, y: Floats, limit: float, alike: int) -> Bools:
+def _far(problem: LinearizedProblem, X: Stacked, y: Floats, limit: float, alike: int) -> Bools:
     """Visits beyond the limit, if they are wrong readings and no structure."""
-    used = world.setting.used
+    used = problem.settings.used
     dimension = max(1, round(X.size / alike))
 
     def sizes(weight: Floats) -> Floats:
@@ -76,11 +76,11 @@ def _far(world: World, X: Stacked, y: Floats, limit: float, alike: int) -> Bools
         return far
     robust = redescended(sizes, start, dimension)
     # A noise that comes from the fit holds the wrong readings themselves: the bulk says better what it is.
-    least = 1.0 if world.setting.trusted else 0.0
+    least = 1.0 if problem.settings.trusted else 0.0
     far[used] = robust.size > limit * max(least, robust.scale)
     whole = np.zeros(len(used))
     whole[used] = robust.size
-    return far if are_wrong(world, far, whole) else np.zeros_like(far)
+    return far if are_wrong(problem, far, whole) else np.zeros_like(far)
 
 
 def _left_out(X: Stacked, y: Floats, weight: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""From rows to the first linear world: visits, the robust geometry fit, noise, outliers, the library (E0, E1)."""
+"""From rows to the first linearised problem: visits, the robust geometry fit, noise, outliers, the library (E0, E1)."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from kilter_core.gap.noise.motion import (
 from kilter_core.gap.noise.visits import Visits, visits_of
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library, library_of
+from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, Tick, go_on, refit
 from kilter_core.gap.search.masses import blurred, tool_source
-from kilter_core.gap.search.remarks import JUDGED_AGAIN, identical_repeats, noise_warnings, outlier_warnings
 from kilter_core.gap.search.renewal import renewed, under
+from kilter_core.gap.search.row_warnings import JUDGED_AGAIN, identical_repeats, noise_warnings, outlier_warnings
 from kilter_core.gap.search.source import LinkSource, Source, ToolSource
-from kilter_core.gap.search.world import Setting, Tick, World, go_on, refit
 from kilter_core.identify.estimate import estimate
 from kilter_core.identify.estimate import prepared as start_of
 from kilter_core.identify.least_squares import Fit, fit_at
@@ -38,7 +38,7 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
 
-Tell = Callable[[float, str], None]
+Progress = Callable[[float, str], None]
 
 CHUNK = 20_000
 NOT_FITTED = "geometry_not_fitted"
@@ -51,9 +51,9 @@ SPARE = 6  # scalars beyond the geometry below which nothing can be tested
 
 @dataclass(frozen=True)
 class Prepared:
-    """All that the hunt starts from. ``kept (N,)`` marks the rows used of those given, before averaging."""
+    """All that the search starts from. ``kept (N,)`` marks the rows used of those given, before averaging."""
 
-    world: World
+    problem: LinearizedProblem
     library: Library
     visits: Visits
     rows: Observations
@@ -63,29 +63,29 @@ class Prepared:
     width: int  # rows in a window of a motion
     warnings: tuple[dict[str, Any], ...]
 
-    def judged_by(self, found: World) -> Prepared:
-        """The same with noise and outliers as the hunt judged them at its end, the geometry fitted to what is left."""
-        if found.setting is self.world.setting:
+    def judged_by(self, found: LinearizedProblem) -> Prepared:
+        """The same with noise and outliers as the search judged them at its end, the geometry fitted to what is left."""
+        if found.settings is self.problem.settings:
             return self
-        world = under(found.setting, self.world)
-        joint = isinstance(world.setting.source, LinkSource)
+        problem = under(found.settings, self.problem)
+        joint = isinstance(problem.settings.source, LinkSource)
         said = (
             *(w for w in self.warnings if w["code"] not in JUDGED_AGAIN),
-            *noise_warnings(world.setting.noise, joint),
+            *noise_warnings(problem.settings.noise, joint),
         )
-        outlying = np.setdiff1d(self.outlying, _outlying(self.kept, self.visits, self.world))
-        outlying = np.union1d(outlying, _outlying(self.kept, self.visits, world)).astype(np.int64)
-        return replace(self, world=world, outlying=outlying, warnings=(*said, *outlier_warnings(world)))
+        outlying = np.setdiff1d(self.outlying, _outlying(self.kept, self.visits, self.problem))
+        outlying = np.union1d(outlying, _outlying(self.kept, self.visits, problem)).astype(np.int64)
+        return replace(self, problem=problem, outlying=outlying, warnings=(*said, *outlier_warnings(problem)))
 
 
 @dataclass
-class Workshop:
+class prepare_data:
     """Steps of the preparation, in order; each leaves what the next needs."""
 
     start: Calibration
     rows: Observations
     options: GapOptions
-    tell: Tell
+    progress: Progress
     warnings: list[dict[str, Any]] = field(default_factory=list)
 
     def run(self) -> Prepared:
@@ -98,7 +98,7 @@ class Workshop:
         kept = self._without_copies()
         rows = self.rows.select(kept)
         moving = is_trajectory(rows)
-        self.tell(0.02, "fitting the geometry")
+        self.progress(0.02, "fitting the geometry")
         windows = windows_of(rows)
         visits = visits_of(rows.select(windows.middle) if moving else rows)
         source, values, library = self._source(visits)
@@ -113,20 +113,20 @@ class Workshop:
                 rows = rows.select(~spiky)
                 visits = visits_of(rows)
         source = blurred(_on(source, visits.observations), values)
-        self.tell(0.3, "noise from repeats")
+        self.progress(0.3, "noise from repeats")
         noise = self._noise(source, values, rows, visits)
-        setting = Setting(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
-        world = self._enough(refit(setting, values, [], partial(self.tell, 0.45, "fitting the geometry again")))
-        world = _weighed(world)
-        self.tell(0.6, "looking for outliers")
-        world = self._correlated(world, visits) if moving else self._without_outliers(world)
-        if not moving and not world.setting.trusted and len(visits) >= FEWEST_ROWS:
-            world = self._in_order(world, visits)
-        outlying = _outlying(kept, visits, world)
-        told = noise if world.setting.noise.repeats is None else world.setting.noise
+        settings = ProblemSettings(source, noise, np.ones(len(visits), dtype=bool), visits.pose, trusted=noise.absolute)
+        problem = self._enough(refit(settings, values, [], partial(self.progress, 0.45, "fitting the geometry again")))
+        problem = _weighed(problem)
+        self.progress(0.6, "looking for outliers")
+        problem = self._correlated(problem, visits) if moving else self._without_outliers(problem)
+        if not moving and not problem.settings.trusted and len(visits) >= FEWEST_ROWS:
+            problem = self._in_order(problem, visits)
+        outlying = _outlying(kept, visits, problem)
+        told = noise if problem.settings.noise.repeats is None else problem.settings.noise
         drift = noise_warnings(told, isinstance(source, LinkSource))
-        said = (*self.warnings, *drift, *outlier_warnings(world))
-        return Prepared(world, library, visits, rows, kept, outlying, moving, windows.width, said)
+        said = (*self.warnings, *drift, *outlier_warnings(problem))
+        return Prepared(problem, library, visits, rows, kept, outlying, moving, windows.width, said)
 
     def _without_copies(self) -> Bools:
         """Rows that are not exact copies of an earlier one: a copy would make the noise look like nothing."""
@@ -180,7 +180,7 @@ class Workshop:
                 why = error.message
         self._warn(
             NOT_FITTED,
-            f"The geometry could not be fitted at once ({why}) The hunt fits it from base and tool registered; compare "
+            f"The geometry could not be fitted at once ({why}) The search fits it from base and tool registered; compare "
             "what it leaves with an identification.",
         )
         problem, values = start_of(self.start, measurement, options)
@@ -201,7 +201,7 @@ class Workshop:
         return source, values, library
 
     def _windowed(self, rows: Observations, source: Source, values: Floats) -> Observations:
-        now = partial(self.tell, 0.15, f"averaging {len(rows)} samples of a motion")
+        now = partial(self.progress, 0.15, f"averaging {len(rows)} samples of a motion")
         now()
         return windowed(rows, source, values, tick=now)
 
@@ -236,28 +236,28 @@ class Workshop:
         lost = min(0.9, int(np.sum(~source.soft)) / max(visit_residual.size, 1))
         return _weights(fit_noise(visit_residual, visits, np.ones(len(visits), dtype=bool), lost), source)
 
-    def _enough(self, world: World) -> World:
-        if world.nu < SPARE:
-            poses = int(world.setting.group.max()) + 1
+    def _enough(self, problem: LinearizedProblem) -> LinearizedProblem:
+        if problem.nu < SPARE:
+            poses = int(problem.settings.group.max()) + 1
             raise TooFewPosesError(
-                f"{poses} poses determine the geometry and leave {world.nu:.0f} numbers to test anything with: "
+                f"{poses} poses determine the geometry and leave {problem.nu:.0f} numbers to test anything with: "
                 "measure at least twice as many poses as the geometry needs.",
                 poses=poses,
             )
-        return world
+        return problem
 
-    def _without_outliers(self, world: World) -> World:
+    def _without_outliers(self, problem: LinearizedProblem) -> LinearizedProblem:
         for _ in range(ROUNDS):
-            after = renewed(world, ())
-            if after is world:
+            after = renewed(problem, ())
+            if after is problem:
                 break
-            self.tell(0.7, "fitting without outliers")
-            world = after
-        return world
+            self.progress(0.7, "fitting without outliers")
+            problem = after
+        return problem
 
-    def _correlated(self, world: World, visits: Visits) -> World:
+    def _correlated(self, problem: LinearizedProblem, visits: Visits) -> LinearizedProblem:
         """Noise and its correlation from what the whole library could not explain; blocks instead of poses."""
-        rest = _unexplained(world)
+        rest = _unexplained(problem)
         length = correlation_length(rest)
         group = motion_blocks(visits.observations, length)
         self._warn(
@@ -265,16 +265,16 @@ class Workshop:
             f"The rows are samples of a motion; one in {length:.0f} counts as independent, and blocks of "
             f"{int(np.bincount(group).max())} are shuffled and held out together.",
         )
-        return self._inflated(world, visits, rest, group, length)
+        return self._inflated(problem, visits, rest, group, length)
 
-    def _in_order(self, world: World, visits: Visits) -> World:
+    def _in_order(self, problem: LinearizedProblem, visits: Visits) -> LinearizedProblem:
         """The same for poses without repeats whose errors resemble those of the poses measured before and after."""
-        rest = _unexplained(world)
+        rest = _unexplained(problem)
         t = visits.observations.t
         order = np.arange(len(rest)) if t is None else np.argsort(t, kind="stable")
         length = correlation_length(rest[order])
         if length < LIKE_NEIGHBOURS:
-            return world
+            return problem
         group = np.empty(len(rest), dtype=np.int64)
         group[order] = blocks(len(rest), length)
         self._warn(
@@ -282,15 +282,21 @@ class Workshop:
             f"What no effect explains is alike from one pose to the next; one pose in {length:.1f} counts as "
             f"independent, and {int(np.bincount(group).max())} poses in a row are shuffled together.",
         )
-        return self._inflated(world, visits, rest, group, length)
+        return self._inflated(problem, visits, rest, group, length)
 
-    def _inflated(self, world: World, visits: Visits, rest: Floats, group: Ints, length: float) -> World:
+    def _inflated(
+        self, problem: LinearizedProblem, visits: Visits, rest: Floats, group: Ints, length: float
+    ) -> LinearizedProblem:
         """Re-fit with noise from ``rest``, its variance times the correlation ``length``."""
-        setting = world.setting
-        L = np.linalg.inv(setting.whitener)
-        noise = fit_noise(np.einsum("vij,vj->vi", L, rest), visits, setting.used, 0.0)
-        setting = replace(setting, noise=_weights(noise, setting.source), group=group, inflation=length, trusted=True)
-        return refit(setting, world.values, [], partial(self.tell, 0.8, "fitting with the noise of correlated rows"))
+        settings = problem.settings
+        L = np.linalg.inv(settings.whitener)
+        noise = fit_noise(np.einsum("vij,vj->vi", L, rest), visits, settings.used, 0.0)
+        settings = replace(
+            settings, noise=_weights(noise, settings.source), group=group, inflation=length, trusted=True
+        )
+        return refit(
+            settings, problem.values, [], partial(self.progress, 0.8, "fitting with the noise of correlated rows")
+        )
 
     def _warn(self, code: str, message: str) -> None:
         self.warnings.append({"code": code, "message": message})
@@ -304,17 +310,17 @@ def windowed(
     return averaged(rows, _row_residual(source, values, rows, tick), windows_of(rows, width), live)
 
 
-def _weighed(world: World) -> World:
+def _weighed(problem: LinearizedProblem) -> LinearizedProblem:
     """The same with equal weights for all coordinates where the error of the model, not the noise, is what is left.
 
     The repeats of an arm that errs by twenty times their scatter say nothing of the shape of that error: see
     :meth:`~kilter_core.gap.noise.from_repeats.Noise.even`.
     """
-    setting = world.setting
-    even = replace(setting, noise=_weights(setting.noise, setting.source))
-    if not setting.noise.absolute or world.chi2 < DOMINATES**2 * world.nu:
-        return world
-    return refit(even, world.values, [])
+    settings = problem.settings
+    even = replace(settings, noise=_weights(settings.noise, settings.source))
+    if not settings.noise.absolute or problem.chi2 < DOMINATES**2 * problem.nu:
+        return problem
+    return refit(even, problem.values, [])
 
 
 def _weights(noise: Noise, source: Source) -> Noise:
@@ -340,22 +346,22 @@ def _row_residual(source: Source, values: Floats, rows: Observations, tick: Tick
     return np.concatenate(parts)
 
 
-def _unexplained(world: World) -> Floats:
+def _unexplained(problem: LinearizedProblem) -> Floats:
     """Whitened residual (V, m) off geometry and the whole library, every parameter within its prior."""
-    setting = world.setting
-    y, X = world.within_priors()
+    settings = problem.settings
+    y, X = problem.within_priors()
     H, b = np.eye(X.width), np.zeros(X.width)
     for part, columns in X.each():
         H += columns.T @ columns
         b += columns.T @ y[part]
     beta = scipy.linalg.solve(H, b, assume_a="pos")
     r = np.concatenate([y[part] - columns @ beta for part, columns in X.each()])
-    return np.asarray(r.reshape(-1, setting.whitener.shape[-1]))
+    return np.asarray(r.reshape(-1, settings.whitener.shape[-1]))
 
 
-def _outlying(kept: Bools, visits: Visits, world: World) -> Ints:
+def _outlying(kept: Bools, visits: Visits, problem: LinearizedProblem) -> Ints:
     """Rows (of those given) set aside as spikes or with their visit."""
     aside = np.zeros(len(kept), dtype=bool)
     if len(visits.visit) == kept.sum():
-        aside[kept] = ~world.setting.used[visits.visit]
+        aside[kept] = ~problem.settings.used[visits.visit]
     return np.flatnonzero(aside).astype(np.int64)

@@ -10,7 +10,7 @@ import numpy as np
 
 T = TypeVar("T")
 
-MOST_BYTES = 32 << 20  # a selection looks back at a few sets; without a limit a hunt kept gigabytes of them
+MOST_BYTES = 32 << 20  # a selection looks back at a few sets; without a limit a search kept gigabytes of them
 EACH = 200  # bytes of an entry besides its arrays
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from kilter_core.gap.noise.from_repeats import FIT, Noise, noise_again, refitted
 from kilter_core.gap.search.contrasts import fitted_away
+from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings, linearize_at, refit
 from kilter_core.gap.search.outliers import LARGE, outliers, stands_out
 from kilter_core.gap.search.source import ToolSource
-from kilter_core.gap.search.world import Setting, World, refit, world_at
 from kilter_core.types import Bools
 
 CHANGED = 0.02  # of the noise, from which a fit is made anew
@@ -24,40 +24,40 @@ FREER = 0.1  # of its freedom, from which the same
 ROUNDS = 3  # more of noise read from repeats and amounts fitted under it
 
 
-def renewed(world: World, columns: Sequence[int]) -> World:
+def renewed(problem: LinearizedProblem, columns: Sequence[int]) -> LinearizedProblem:
     """The world re-fitted with noise and outliers as the fit with these library columns shows them; itself if alike.
 
     Every visit is judged, also those set aside before: one may come back. A drift in a noise that came from repeats keeps
     the amount of the name that explains it near its prior: the noise that is left of them lets it go, in some rounds.
     """
-    before, world = world, _renewed(world, columns)
-    for _ in range(ROUNDS if world is not before and world.setting.noise.repeats is not None else 0):
-        noise = _with_noise(world.setting, world, columns, world.setting.used).noise
-        if _alike(world.setting.noise, noise):
+    before, problem = problem, _renewed(problem, columns)
+    for _ in range(ROUNDS if problem is not before and problem.settings.noise.repeats is not None else 0):
+        noise = _with_noise(problem.settings, problem, columns, problem.settings.used).noise
+        if _alike(problem.settings.noise, noise):
             break
-        world = refit(replace(world.setting, noise=noise), world.values, columns)
-    return world
+        problem = refit(replace(problem.settings, noise=noise), problem.values, columns)
+    return problem
 
 
-def _renewed(world: World, columns: Sequence[int]) -> World:
-    setting = world.setting
-    if setting.inflation > 1.0:  # rows alike in time: a disturbance cannot be told from what they have in common
-        return world
-    every = replace(setting, used=np.ones(len(setting.used), dtype=bool))
-    every = _with_noise(every, world, columns, setting.used)
-    if len(setting.used) > LARGE and setting.used.all() and not stands_out(every, world.values):
-        used = setting.used
+def _renewed(problem: LinearizedProblem, columns: Sequence[int]) -> LinearizedProblem:
+    settings = problem.settings
+    if settings.inflation > 1.0:  # rows alike in time: a disturbance cannot be told from what they have in common
+        return problem
+    every = replace(settings, used=np.ones(len(settings.used), dtype=bool))
+    every = _with_noise(every, problem, columns, settings.used)
+    if len(settings.used) > LARGE and settings.used.all() and not stands_out(every, problem.values):
+        used = settings.used
     else:
-        used = ~outliers(world_at(every, world.values), columns)
-    after = _with_noise(replace(every, used=used), world, columns, used)
-    if np.array_equal(used, setting.used) and _alike(setting.noise, after.noise):
-        return world
-    return refit(after, world.values, columns)
+        used = ~outliers(linearize_at(every, problem.values), columns)
+    after = _with_noise(replace(every, used=used), problem, columns, used)
+    if np.array_equal(used, settings.used) and _alike(settings.noise, after.noise):
+        return problem
+    return refit(after, problem.values, columns)
 
 
-def under(setting: Setting, world: World, columns: Sequence[int] = ()) -> World:
+def under(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int] = ()) -> LinearizedProblem:
     """A world re-fitted under the noise and outliers of another, so that the two can be compared."""
-    return world if setting is world.setting else refit(setting, world.values, columns)
+    return problem if settings is problem.settings else refit(settings, problem.values, columns)
 
 
 def _alike(before: Noise, after: Noise) -> bool:
@@ -69,24 +69,26 @@ def _alike(before: Noise, after: Noise) -> bool:
     return abs(ratio - 1.0) < CHANGED and abs(freedom - 1.0) < FREER and before.most == after.most
 
 
-def _with_noise(setting: Setting, world: World, columns: Sequence[int], used: Bools) -> Setting:
+def _with_noise(
+    settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int], used: Bools
+) -> ProblemSettings:
     """The noise of the fit where it comes from there, that of repeats without what the fit explains; others stay."""
-    if setting.noise.repeats is not None:
-        return replace(setting, noise=_of_repeats(setting, world, columns, used))
-    if setting.noise.source != FIT or setting.trusted:
-        return setting
-    residual = setting.source.residual(world.values)
-    free = world.U.shape[1] + len(columns)
-    noise = refitted(setting.noise, residual, used, min(0.9, free / max(used.sum() * residual.shape[1], 1)))
-    return replace(setting, noise=noise.even() if isinstance(setting.source, ToolSource) else noise)
+    if settings.noise.repeats is not None:
+        return replace(settings, noise=_of_repeats(settings, problem, columns, used))
+    if settings.noise.source != FIT or settings.trusted:
+        return settings
+    residual = settings.source.residual(problem.values)
+    free = problem.U.shape[1] + len(columns)
+    noise = refitted(settings.noise, residual, used, min(0.9, free / max(used.sum() * residual.shape[1], 1)))
+    return replace(settings, noise=noise.even() if isinstance(settings.source, ToolSource) else noise)
 
 
-def _of_repeats(setting: Setting, world: World, columns: Sequence[int], used: Bools) -> Noise:
+def _of_repeats(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int], used: Bools) -> Noise:
     """The noise of the repeats at this fit, with equal weights where it had them."""
-    noise = setting.noise
+    noise = settings.noise
     assert noise.repeats is not None
-    taken = fitted_away(world, columns, noise.repeats.visits.condition)
-    again = noise_again(noise, setting.source.residual(world.values), taken, used)
+    taken = fitted_away(problem, columns, noise.repeats.visits.condition)
+    again = noise_again(noise, settings.source.residual(problem.values), taken, used)
     if again is noise or not np.allclose(noise.visit, noise.even().visit, rtol=1e-9, atol=0.0):
         return again
     return again.even()

@@ -18,9 +18,9 @@ from scipy.sparse import csr_array
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.gram import VISIBLE, Gram
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.projection import Projection
 from kilter_core.gap.search.tails import tail
-from kilter_core.gap.search.world import World
 from kilter_core.types import Bools, Floats, Ints
 
 # Share of alpha that is spent. Whitening uses an estimated covariance, which makes noise a little wilder than the
@@ -214,7 +214,7 @@ class Null:
         return worst if p * tests > 1.0 / (len(self.bootstrap) + 1.0) else min(worst, max(p * tests, 1e-300))
 
 
-def null_of(world: World, scorer: Scorer, chosen: Sequence[int], draws: int, seed: int) -> Null:
+def null_of(problem: LinearizedProblem, scorer: Scorer, chosen: Sequence[int], draws: int, seed: int) -> Null:
     """Null distribution of the best candidate, given the chosen columns.
 
     Signs of whole poses are flipped in what the best candidate would leave (ter Braak's residuals of the full model).
@@ -223,11 +223,11 @@ def null_of(world: World, scorer: Scorer, chosen: Sequence[int], draws: int, see
     alike in time, all is flipped: what a disturbance and an effect have in common must not make the limit lenient.
     """
     rng = np.random.default_rng(seed)
-    gram = world.gram.given(chosen)
-    known = world.setting.inflation > 1.0 or not scorer.candidates
+    gram = problem.gram.given(chosen)
+    known = problem.settings.inflation > 1.0 or not scorer.candidates
     best = () if known else scorer.candidates[int(np.argmin(scorer.scores(gram).p))].columns
     drawn = bootstrap(gram, scorer, draws, rng)
-    flips = _Flips.of(world, gram, scorer, chosen, draws // 2)
+    flips = _Flips.of(problem, gram, scorer, chosen, draws // 2)
     if flips is None:
         return Null(drawn, None, None)
     calm = flips.tails(sorted({*chosen, *best}), rng)
@@ -251,7 +251,7 @@ def bootstrap(gram: Gram, scorer: Scorer, draws: int, rng: np.random.Generator) 
 class _Flips:
     """Flips of the signs of whole poses: candidates' ``columns`` with the chosen ones, of ``basis``, taken out."""
 
-    world: World
+    problem: LinearizedProblem
     gram: Gram
     scorer: Scorer
     draws: int
@@ -259,20 +259,20 @@ class _Flips:
     columns: Projection
 
     @staticmethod
-    def of(world: World, gram: Gram, scorer: Scorer, chosen: Sequence[int], draws: int) -> _Flips | None:
-        if int(world.setting.group.max()) + 1 < FEWEST_FLIPS:
+    def of(problem: LinearizedProblem, gram: Gram, scorer: Scorer, chosen: Sequence[int], draws: int) -> _Flips | None:
+        if int(problem.settings.group.max()) + 1 < FEWEST_FLIPS:
             return None
-        basis = world.basis(chosen)
-        return _Flips(world, gram, scorer, draws, basis, world.projection.less(basis))
+        basis = problem.basis(chosen)
+        return _Flips(problem, gram, scorer, draws, basis, problem.projection.less(basis))
 
     def tails(self, taken: Sequence[int], rng: np.random.Generator) -> Floats:
         """Smallest tail probabilities (draws,) of what the columns ``taken`` leave."""
-        world, scorer, gram = self.world, self.scorer, self.gram
-        group = world.setting.group
+        problem, scorer, gram = self.problem, self.scorer, self.gram
+        group = problem.settings.group
         poses = int(group.max()) + 1
-        full = world.basis(taken)
-        r = residual_given(world, taken, full) / np.sqrt(1.0 - np.minimum(np.sum(full**2, axis=1), ALMOST_ALL))
-        sums = grouping(group[world.row_visit], poses, r)
+        full = problem.basis(taken)
+        r = residual_given(problem, taken, full) / np.sqrt(1.0 - np.minimum(np.sum(full**2, axis=1), ALMOST_ALL))
+        sums = grouping(group[problem.row_visit], poses, r)
         c, along = flipped((self.columns.under(sums), sums @ self.basis), self.draws, rng)
         yy = float(r @ r) - np.sum(along**2, axis=1)
         S, d = scorer.reductions(gram, c)
@@ -280,10 +280,10 @@ class _Flips:
         return scorer.best_tail(tails, d, gram.nu)
 
 
-def residual_given(world: World, chosen: Sequence[int], basis: Floats | None = None) -> Floats:
+def residual_given(problem: LinearizedProblem, chosen: Sequence[int], basis: Floats | None = None) -> Floats:
     """Whitened residual (R,) with geometry and the chosen columns, whose ``basis`` may be known, taken out."""
-    basis = world.basis(chosen) if basis is None else basis
-    return np.asarray(world.y - basis @ (basis.T @ world.y))
+    basis = problem.basis(chosen) if basis is None else basis
+    return np.asarray(problem.y - basis @ (basis.T @ problem.y))
 
 
 def flipped(sums: Sequence[Floats], draws: int, rng: np.random.Generator) -> list[Floats]:

@@ -1,4 +1,4 @@
-"""Selection on the linear world: enter the best, swap, drop, and write a family as a family.
+"""Selection on the linearised problem: enter the best, swap, drop, and write a family as a family.
 
 Forward selection alone leaves wrong extra names: an effect that covered for two true ones stays. Hence after each entry
 a swap pass (one for one, and two for one) and a backward pass; and an effect that most joints share is named once.
@@ -154,10 +154,10 @@ class Selector:
         for _ in range(3 * len(chosen)):
             best, gain = chosen, SMALLEST_GAIN
             for out in [(m,) for m in chosen] + list(itertools.combinations(chosen, 2)):
-                rest, world = tuple(m for m in chosen if m not in out), self.without(gram, out)
-                variance = self.variance(world, chosen)
-                now = self.criterion(world, chosen, variance)
-                k, value = self._best_instead(world, rest, variance, critical, set(chosen))
+                rest, problem = tuple(m for m in chosen if m not in out), self.without(gram, out)
+                variance = self.variance(problem, chosen)
+                now = self.criterion(problem, chosen, variance)
+                k, value = self._best_instead(problem, rest, variance, critical, set(chosen))
                 if k is not None and value - now > gain:
                     best, gain = (*rest, k), value - now
             if best == chosen:
@@ -168,14 +168,14 @@ class Selector:
     def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace a family by two others that together explain as much for less: with enough joints it imitates both."""
         for family in (k for k in chosen if self.scorer.candidates[k].level == FAMILY):
-            rest, world = tuple(k for k in chosen if k != family), self.without(gram, (family,))
-            variance = self.variance(world, chosen)
-            first, _ = self._best_instead(world, rest, variance, critical, set(chosen))
+            rest, problem = tuple(k for k in chosen if k != family), self.without(gram, (family,))
+            variance = self.variance(problem, chosen)
+            first, _ = self._best_instead(problem, rest, variance, critical, set(chosen))
             if first is None:
                 continue
-            second, value = self._best_instead(world, (*rest, first), variance, critical, {*chosen, first})
+            second, value = self._best_instead(problem, (*rest, first), variance, critical, {*chosen, first})
             after = (*rest, first) if second is None else (*rest, first, second)
-            if second is None or value <= self.criterion(world, chosen, variance) + FAMILY_MARGIN:
+            if second is None or value <= self.criterion(problem, chosen, variance) + FAMILY_MARGIN:
                 continue
             if max(self.tails(gram, after)[len(rest) :]) < critical:
                 chosen = after
@@ -188,11 +188,11 @@ class Selector:
             own = [k for k in chosen if self.scorer.candidates[k].id == effect]
             if not family or (own != family and len(own) < 2):
                 continue
-            rest, world = tuple(k for k in chosen if k not in own), self.without(gram, own)
-            variance = self.variance(world, (*rest, family[0]))
-            members = self._members(world, rest, family[0], variance)
-            whole = self.criterion(world, (*rest, family[0]), variance)
-            better = self.criterion(world, (*rest, *members), variance) > whole + self._family_margin(
+            rest, problem = tuple(k for k in chosen if k not in own), self.without(gram, own)
+            variance = self.variance(problem, (*rest, family[0]))
+            members = self._members(problem, rest, family[0], variance)
+            whole = self.criterion(problem, (*rest, family[0]), variance)
+            better = self.criterion(problem, (*rest, *members), variance) > whole + self._family_margin(
                 family[0], members
             )
             if better and max(self.tails(gram, (*rest, *members))[len(rest) :]) < critical:
@@ -232,18 +232,18 @@ class Selector:
         return out
 
     def searched(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
-        """Whole selection on one linear world, for resamples.
+        """Whole selection on one linearised problem, for resamples.
 
         A shape that enters first can keep the causes out that together explain more: then they are tried alone.
         """
-        chosen = self._climbed(gram, critical, most)
+        chosen = self._forward_selection(gram, critical, most)
         if self.shapes(chosen):
-            causes = self.causes._climbed(gram, critical, most)
+            causes = self.causes._forward_selection(gram, critical, most)
             if causes and self.beats(gram, causes, chosen):
                 return causes
         return chosen
 
-    def _climbed(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
+    def _forward_selection(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
         chosen: tuple[int, ...] = ()
         for _ in range(2 * most):
             after = self.better(gram, chosen, critical, most)
@@ -266,7 +266,7 @@ class Selector:
                 break
             after = self.improved(gram, (*chosen, k), critical)
             if frozenset(after) in seen and scores.S[k] > MOST_OF_IT * gram.given(self.columns(chosen)).yy:
-                after = (*chosen, k)  # what it was improved to did not do what the linear world promised
+                after = (*chosen, k)  # what it was improved to did not do what the linearised problem promised
             # A significant addition needs no better price: the price compares explanations, noise was ruled out already.
             added = set(after) > set(chosen)
             if frozenset(after) not in {frozenset(chosen), *seen} and (added or self.beats(gram, after, chosen)):

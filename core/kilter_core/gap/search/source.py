@@ -1,4 +1,4 @@
-"""What a hunt measures: the tool (points, poses, markers) or the joints themselves; residuals and their derivatives."""
+"""What a search measures: the tool (points, poses, markers) or the joints themselves; residuals and their derivatives."""
 
 from __future__ import annotations
 
@@ -301,7 +301,7 @@ def calibrated(source: Source, values: Floats, model: RobotModel, begin: Calibra
     if isinstance(source, ToolSource):
         known = dict(zip(source.model.names, values, strict=True))
         made = np.array([known.get(p.name, p.value) for p in model.parameters])
-        return Calibration(*model.folded(made), source.measurement.marker_points)
+        return Calibration(*model.absorb_frame_increments(made), source.measurement.marker_points)
     assert isinstance(source, LinkSource)
     offsets = values[: source.n_offsets].reshape(-1, source.model.robot.n_joints).mean(axis=0)
     known = dict(zip(begin.names, begin.values, strict=True))

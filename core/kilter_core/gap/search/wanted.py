@@ -1,4 +1,4 @@
-"""Which effects a hunt was asked to look for, and at which joints."""
+"""Which effects a search was asked to look for, and at which joints."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def wanted(only: Sequence[Asked]) -> dict[str, frozenset[int] | None]:
     """Ids with the joints (from 0) to look at, None for all; of an effect named twice the joints of both.
 
     Raises:
-        OptionError: an effect that does not exist or is not searched for, or an option that a hunt chooses itself.
+        OptionError: an effect that does not exist or is not searched for, or an option that a search chooses itself.
 
     """
     out: dict[str, frozenset[int] | None] = {}
@@ -32,13 +32,13 @@ def _read(one: Mapping[str, Any]) -> tuple[str, frozenset[int] | None]:
     if kind is None:
         raise OptionError(f"There is no effect {effect_id!r}. There are: {', '.join(EFFECTS)}.", option="effects")
     if kind.nuisance:
-        raise OptionError(f"{effect_id} is carried by every hunt, not searched: leave it out.", option="effects")
+        raise OptionError(f"{effect_id} is carried by every search, not searched: leave it out.", option="effects")
     if kind.learned:
         raise OptionError(f"{effect_id} is learned, not searched: give it to an identification.", option="effects")
     more = sorted(name for name, value in one.items() if name not in ("id", "joints"))
     if more:
         raise OptionError(
-            f"A hunt chooses {more[0]} of {effect_id} itself: name the effect and its joints alone.", option="effects"
+            f"A search chooses {more[0]} of {effect_id} itself: name the effect and its joints alone.", option="effects"
         )
     joints = one.get("joints")
     if joints is None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import binom
 
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.source import LinkSource, ToolSource
-from kilter_core.gap.search.world import World
 from kilter_core.types import Bools, Floats, Ints
 
 FORETOLD = 0.01  # chance of wrong readings that seem to follow from the pose
@@ -18,19 +18,19 @@ APART = 0.1  # of the campaign between two visits of a pose that one disturbance
 DRAWS = 999
 
 
-def are_wrong(world: World, far: Bools, size: Floats) -> bool:
+def are_wrong(problem: LinearizedProblem, far: Bools, size: Floats) -> bool:
     """Whether the ``far (V,)`` visits, of these sizes (V,), are wrong readings and no structure of the model's error.
 
     An effect, however large, follows from pose, direction, load or temperature: it strikes neighbours alike, and the same
     pose again. Wrong readings do neither. More than a few must also stand apart from the others by a clear gap.
     """
-    used = world.setting.used
+    used = problem.settings.used
     count = int(far.sum())
     if not count or count > MOST * used.sum():
         return False
     if count > max(2, FEW * used.sum()) and not _stand_apart(size[used & ~far], size[far]):
         return False
-    return count < FEWEST or not (_again(world, far) or _foretold(world, far))
+    return count < FEWEST or not (_again(problem, far) or _foretold(problem, far))
 
 
 def _stand_apart(others: Floats, far: Floats) -> bool:
@@ -38,21 +38,21 @@ def _stand_apart(others: Floats, far: Floats) -> bool:
     return bool(np.quantile(far, 0.1) > GAP * np.quantile(others, 0.99))
 
 
-def _again(world: World, far: Bools) -> bool:
+def _again(problem: LinearizedProblem, far: Bools) -> bool:
     """Whether a pose that was far once is far again, long after."""
-    group, place = world.setting.group, np.arange(len(far))
+    group, place = problem.settings.group, np.arange(len(far))
     partners = hits = 0
     for k in np.flatnonzero(far):
-        other = world.setting.used & (group == group[k]) & (np.abs(place - k) > APART * len(far))
+        other = problem.settings.used & (group == group[k]) & (np.abs(place - k) > APART * len(far))
         partners, hits = partners + int(other.sum()), hits + int((other & far).sum())
-    share = float(far.sum() - 1) / max(float(world.setting.used.sum() - 1), 1.0)
+    share = float(far.sum() - 1) / max(float(problem.settings.used.sum() - 1), 1.0)
     return partners >= FEWEST and float(binom.sf(hits - 1, partners, share)) < FORETOLD
 
 
-def _foretold(world: World, far: Bools) -> bool:
+def _foretold(problem: LinearizedProblem, far: Bools) -> bool:
     """Whether any condition of the poses tells the far ones from the others: by its rank, or neighbours in its order."""
-    pose = np.unique(world.setting.group, return_inverse=True)[1]
-    conditions = _conditions(world)
+    pose = np.unique(problem.settings.group, return_inverse=True)[1]
+    conditions = _conditions(problem)
     mean = np.stack([np.bincount(pose, c) for c in conditions.T], axis=1) / np.bincount(pose)[:, None]
     label = (np.bincount(pose, far) / np.bincount(pose) > 0.5).astype(np.float64)
     varied = mean[:, np.ptp(mean, axis=0) > 1e-9]
@@ -73,9 +73,9 @@ def _patterns(labels: Floats, order: Ints) -> Floats:
     return np.asarray(np.stack([np.abs(ranked @ rank), np.sum(ranked[:, 1:] * ranked[:, :-1], axis=1)], axis=1))
 
 
-def _conditions(world: World) -> Floats:
+def _conditions(problem: LinearizedProblem) -> Floats:
     """What an effect may follow (V, K): joints, loads, directions, payload and temperature. Not time: disturbances do."""
-    source = world.setting.source
+    source = problem.settings.source
     assert isinstance(source, ToolSource | LinkSource)
     batch = source.batch
     parts = [batch.q, np.cos(batch.q), batch.axial]

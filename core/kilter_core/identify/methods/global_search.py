@@ -111,7 +111,7 @@ def _search(problem: Problem, values: Floats, options: IdentifyOptions) -> _Sear
 def _evolved(search: _Search, seed: int, progress: Progress | None) -> Any:
     generation = 0
 
-    def tell(intermediate_result: Any) -> None:
+    def progress(intermediate_result: Any) -> None:
         nonlocal generation
         generation += 1
         if progress is not None:
@@ -120,7 +120,7 @@ def _evolved(search: _Search, seed: int, progress: Progress | None) -> Any:
     one = np.ones(len(search.span))
     return scipy.optimize.differential_evolution(
         search, scipy.optimize.Bounds(-one, one), maxiter=GENERATIONS, popsize=POPULATION, polish=False,
-        x0=0.0 * one, callback=tell, tol=1e-6, rng=np.random.default_rng(seed),
+        x0=0.0 * one, callback=progress, tol=1e-6, rng=np.random.default_rng(seed),
     )  # fmt: skip
 
 

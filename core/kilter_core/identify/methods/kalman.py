@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.errors import NotConvergedError, OptionError
-from kilter_core.identify.estimate import Progress, blind_directions, near, prepared, weights_of
+from kilter_core.identify.estimate import Progress, near, prepared, unobservable_directions, weights_of
 from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at
 from kilter_core.identify.methods.per_pose import stacked_by_row
 from kilter_core.identify.noise import repeat_sigma
@@ -80,12 +80,12 @@ def kalman(
             raise NotConvergedError("The filter lost its way: begin with least_squares, or a better start.")
         fit = _finished(problem, values, P, P0, innovation, fresh=prior is None)
         wanted = weights_of(fit, options)
-        blind = blind_directions(fit) if prior is None and step == 1 else np.zeros((0, len(names)))
+        unobservable = unobservable_directions(fit) if prior is None and step == 1 else np.zeros((0, len(names)))
         moved = float(np.max(np.abs(values[problem.free] - before) / fit.sigma, initial=0.0))
         settled = near(float(np.mean(wanted.points)), float(np.mean(problem.weights.points)))
-        if step > 0 and moved < SETTLED and settled and len(blind) == 0:
+        if step > 0 and moved < SETTLED and settled and len(unobservable) == 0:
             break
-        P0 = P0 - blind.T @ blind  # known to stay where they are
+        P0 = P0 - unobservable.T @ unobservable  # known to stay where they are
         problem = problem.reweighted(wanted, None)
     return fit
 

@@ -172,7 +172,7 @@ def _fitted(robot: Robot, rows: Observations, circle: _Circle, quarters: int) ->
 
 def _free(model: RobotModel) -> tuple[Ints, Floats]:
     """Base, joint offsets and geometry (indices), and how far each may be off."""
-    elements = {e.name: e for e in model.robot.chain.elements if e.name and not e.spare}
+    elements = {e.name: e for e in model.robot.chain.elements if e.name and not e.dependent}
     free, sigma = list(range(6)), [model.parameters[k].prior_sigma for k in range(6)]
     for k in range(6, model.n_geometric - 6):
         element = elements.get(model.names[k])

@@ -11,7 +11,7 @@ from kilter_core.errors import NotConvergedError
 from kilter_core.identify.least_squares import Fit, solve
 from kilter_core.types import Bools, Floats, Ints
 
-Tell = Callable[[float, str], None]
+Progress = Callable[[float, str], None]
 
 CONFIDENCE = 0.95
 QUANTILE = 1.959963984540054  # of the standard normal at 97.5 %
@@ -38,7 +38,7 @@ class Intervals:
         return replace(self, lower=self.lower * factor, upper=self.upper * factor)
 
 
-def bootstrap(fit: Fit, seed: int, tell: Tell, resamples: int = RESAMPLES) -> Intervals:
+def bootstrap(fit: Fit, seed: int, progress: Progress, resamples: int = RESAMPLES) -> Intervals:
     """Resample whole poses and refit from the fitted values, each refit one Gauss-Newton step.
 
     The step is exact where the model is linear over a few sigmas, as calibrated arms are; weights of a robust loss stay
@@ -55,17 +55,17 @@ def bootstrap(fit: Fit, seed: int, tell: Tell, resamples: int = RESAMPLES) -> In
         count = rng.multinomial(len(H), np.full(len(H), 1.0 / len(H))).astype(np.float64)
         moves[b] = np.linalg.solve(np.tensordot(count, H, 1) + rest, count @ g + prior) * scale
         if b % 50 == 0:
-            tell(b / resamples, f"resample {b} of {resamples}")
+            progress(b / resamples, f"resample {b} of {resamples}")
     low, high = np.percentile(moves, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)], axis=0)
     return Intervals("bootstrap", low, high, np.zeros(len(low), dtype=bool))
 
 
-def profile(fit: Fit, tell: Tell) -> Intervals:
+def profile(fit: Fit, progress: Progress) -> Intervals:
     """Where the loss, minimised over all other parameters, has risen by what 95 % allow (1.92), on either side."""
     ends = np.zeros((2, len(fit.names)))
     sigma, stands_in = fit.sigma, np.zeros(len(fit.names), dtype=bool)
     for c in range(len(fit.names)):
-        tell(c / len(fit.names), f"profile of {fit.names[c]}")
+        progress(c / len(fit.names), f"profile of {fit.names[c]}")
         for side, sign in enumerate((-1.0, 1.0)):
             end = _end(fit, c, sign * float(sigma[c]))
             stands_in[c] |= end is None

@@ -16,7 +16,7 @@ TOO_ALIKE = 10.0  # uncertainty over the limits, as a multiple of that in the po
 
 
 @dataclass(frozen=True)
-class Spread:
+class WorkspaceUncertainty:
     """Standard deviation m of a coordinate of the tool point, by the identified geometry: ``here`` in the poses,
     ``elsewhere`` over the joint limits; ``narrow`` is the joint that used least of its range, ``used`` that share.
     """
@@ -32,7 +32,7 @@ class Spread:
         return self.elsewhere > TOO_ALIKE * self.here
 
 
-def spread_of(fit: Fit) -> Spread | None:
+def workspace_uncertainty(fit: Fit) -> WorkspaceUncertainty | None:
     """Spread of a fit's poses; None where no instrument saw the tool in a frame of its own, or the chain was held."""
     problem = fit.problem
     model, n = problem.model, problem.model.n_geometric
@@ -52,7 +52,7 @@ def spread_of(fit: Fit) -> Spread | None:
     elsewhere = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))
     used = np.ptp(q, axis=0) / np.maximum(upper - lower, 1e-12)
     k = int(np.argmin(used))
-    return Spread(sigma(some), sigma(elsewhere), model.robot.joints[k].name, float(used[k]))
+    return WorkspaceUncertainty(sigma(some), sigma(elsewhere), model.robot.joints[k].name, float(used[k]))
 
 
 def within_a_turn(robot: Robot, q: Floats) -> tuple[Floats, Floats]:

@@ -46,7 +46,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
 def _hunt(job: JobInput, progress: Progress) -> JobOutput:
     """Hunt through all campaigns together; the version made holds the named effects and the geometry fitted with them."""
     from kilter_core.gap import find_gap  # compiled kernels: only the worker needs them
-    from kilter_core.gap.evidence.holding import parted, share_of
+    from kilter_core.gap.evidence.holding_out import parted, share_of
 
     options = _core(job.options)
     rows, validation, confirmation = _rows(job)
@@ -71,7 +71,7 @@ def _hunt(job: JobInput, progress: Progress) -> JobOutput:
 def foresee(job: JobInput, found: Foresight) -> None:
     """Say what would be searched and held out, and which effects these rows can test."""
     from kilter_core.gap.check import check_gap
-    from kilter_core.gap.evidence.holding import parted
+    from kilter_core.gap.evidence.holding_out import parted
     from kilter_core.observations import Observations
 
     options = _core(job.options)

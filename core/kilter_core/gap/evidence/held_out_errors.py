@@ -15,11 +15,11 @@ from kilter_core.gap.evidence.foretold import surely_foretold
 from kilter_core.gap.evidence.intervals import inflation, interval_width
 from kilter_core.gap.evidence.posterior import SMALLEST, Posterior
 from kilter_core.gap.noise.motion import blocks, is_trajectory, motion_blocks, segments
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.in_space import fit_rms, noise_rms, rms, root_of
+from kilter_core.gap.search.linearized import ProblemSettings, solved
 from kilter_core.gap.search.prepare import Prepared, windowed
 from kilter_core.gap.search.source import LinkSource, Source, ToolSource
-from kilter_core.gap.search.world import Setting, solved
 from kilter_core.measurement import Measurement
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
@@ -48,20 +48,20 @@ class HeldOut:
     predictive: dict[str, Any] | None = None
 
 
-class Bench:
+class HoldoutEvaluator:
     """Predicts held-out poses by any set of library columns, fitted to the training rows only.
 
     ``fit`` is what the data say of all that was fitted: how far predictions of other poses may be off for it.
     """
 
     def __init__(
-        self, hunt: Hunt, prepared: Prepared, validation: Observations | None, fit: Posterior | None = None
+        self, search: SearchResult, prepared: Prepared, validation: Observations | None, fit: Posterior | None = None
     ) -> None:
-        self.hunt, self.prepared, self.fit = hunt, prepared, fit
+        self.search, self.prepared, self.fit = search, prepared, fit
         self.rows = validation
         self.moving = prepared.moving and validation is not None and is_trajectory(validation)
         if self.moving and validation is not None:
-            source, values = on_rows(hunt.world.setting.source, validation, hunt, hunt.world.values)
+            source, values = on_rows(search.problem.settings.source, validation, search, search.problem.values)
             self.rows = windowed(validation, source, values, prepared.width)
         self._known: dict[tuple[int, ...], Floats] = {}
 
@@ -74,11 +74,13 @@ class Bench:
 
     def _errors(self, columns: Sequence[int]) -> Floats:
         if self.rows is None:
-            world = self.hunt.world if len(columns) else self.prepared.world
-            return left_out_errors(world, columns)[world.setting.used]
-        world = self.hunt.world
-        begin = world if len(columns) else self.prepared.world
-        source = on_rows(world.setting.source, self.rows, self.hunt, solved(world.setting, begin.values, columns)[0])
+            problem = self.search.problem if len(columns) else self.prepared.problem
+            return left_out_errors(problem, columns)[problem.settings.used]
+        problem = self.search.problem
+        begin = problem if len(columns) else self.prepared.problem
+        source = on_rows(
+            problem.settings.source, self.rows, self.search, solved(problem.settings, begin.values, columns)[0]
+        )
         r = np.nan_to_num(source[0].residual(source[1]))
         if self.moving and isinstance(source[0], LinkSource):
             r = referenced(r, segments(self.rows))
@@ -86,7 +88,7 @@ class Bench:
 
     def rms(self, columns: Sequence[int]) -> float:
         """Rms error (m; rad of a joint) of the held-out rows that are measurements, by a set of columns."""
-        joint = isinstance(self.hunt.world.setting.source, LinkSource)
+        joint = isinstance(self.search.problem.settings.source, LinkSource)
         return rms(self.errors(columns)[self.kept], self._lower(), joint)
 
     @property
@@ -96,27 +98,27 @@ class Bench:
 
     def _lower(self) -> Floats:
         """Root (m, m) of the noise covariance of a held-out row."""
-        setting = self.hunt.world.setting
-        return root_of(setting.noise.row * (setting.inflation if self.moving else 1.0))
+        settings = self.search.problem.settings
+        return root_of(settings.noise.row * (settings.inflation if self.moving else 1.0))
 
     def report(self) -> HeldOut:
         """Geometry only, and everything named."""
-        before, after = self.errors([]), self.errors(self.hunt.columns)
-        world, columns = self.hunt.world, self.hunt.columns
-        noise, used = world.setting.noise, world.setting.used
+        before, after = self.errors([]), self.errors(self.search.columns)
+        problem, columns = self.search.problem, self.search.columns
+        noise, used = problem.settings.noise, problem.settings.used
         if self.rows is None:
-            lower = root_of(np.mean(noise.visit[used], axis=0) * world.setting.inflation)
-            floor = left_out_floor(world, columns)
-            return HeldOut(before, after, lower, floor, "leave one pose out", 0, world.setting.inflation)
+            lower = root_of(np.mean(noise.visit[used], axis=0) * problem.settings.inflation)
+            floor = left_out_floor(problem, columns)
+            return HeldOut(before, after, lower, floor, "leave one pose out", 0, problem.settings.inflation)
         spike = ~self.kept
         spread = self._spread()
-        floor = 1.0 + (world.U.shape[1] + len(columns)) / max(world.rows, 1)
+        floor = 1.0 + (problem.U.shape[1] + len(columns)) / max(problem.rows, 1)
         if spread is not None:
-            floor = _floor(spread[~spike] / max(inflation(self.hunt), SMALLEST) ** 2, self._lower())
+            floor = _floor(spread[~spike] / max(inflation(self.search), SMALLEST) ** 2, self._lower())
         how = "validation observations"
-        if self.moving and isinstance(world.setting.source, LinkSource):
+        if self.moving and isinstance(problem.settings.source, LinkSource):
             how += ", with the encoder offsets of each motion fitted to it"
-        grown = world.setting.inflation if self.moving else 1.0
+        grown = problem.settings.inflation if self.moving else 1.0
         told = None if spread is None else self._predictive(after, spread, ~spike)
         return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), grown, told)
 
@@ -127,29 +129,29 @@ class Bench:
         A share alone would call one broken beam among thirty rows structure, and let it decide what the others cannot. Where
         more of the rows of the search were wrong, as many are to be expected here.
         """
-        before, after = self.errors([]), self.errors(self.hunt.columns)
+        before, after = self.errors([]), self.errors(self.search.columns)
         spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
-        share = max(SPIKES, 1.0 - float(np.mean(self.hunt.world.setting.used)))
+        share = max(SPIKES, 1.0 - float(np.mean(self.search.problem.settings.used)))
         if self.rows is None or np.sum(spike) > binom.ppf(SPIKES_SURE, len(spike), share):
             return np.ones(len(spike), dtype=bool)
         return np.asarray(~spike)
 
     def _spread(self) -> Floats | None:
         """Covariance (N, m, m) of the predictions of the held-out rows by that of the fit; None for joint data."""
-        source, world = self.hunt.world.setting.source, self.hunt.world
+        source, problem = self.search.problem.settings.source, self.search.problem
         if self.rows is None or self.fit is None or not isinstance(source, ToolSource):
             return None
-        other, values = on_rows(source, self.rows, self.hunt, world.values)
+        other, values = on_rows(source, self.rows, self.search, problem.values)
         assert isinstance(other, ToolSource)
         return predicted_covariance(other, values, self.fit)
 
     def _predictive(self, after: Floats, spread: Floats, kept: Bools) -> dict[str, Any]:
         """How many held-out coordinates lie in their 95 % intervals: fit, noise, and what the noise does not explain."""
-        lower, grown = self._lower(), max(1.0, inflation(self.hunt))
+        lower, grown = self._lower(), max(1.0, inflation(self.search))
         noise = lower @ lower.T * grown**2
         sigma = np.sqrt(np.diagonal(spread + noise, axis1=1, axis2=2))
         seen = np.isfinite(self._measured()) & kept[:, None]
-        inside = (np.abs(after @ lower.T) <= interval_width(self.hunt) * sigma) & seen
+        inside = (np.abs(after @ lower.T) <= interval_width(self.search) * sigma) & seen
         group = np.unique(self._groups(), return_inverse=True)[1]
         by_pose = [np.bincount(group, np.sum(m, axis=1)).astype(int).tolist() for m in (inside, seen)]
         poses = [list(pose) for pose in zip(*by_pose, strict=True) if pose[1]]
@@ -158,34 +160,36 @@ class Bench:
     def _measured(self) -> Floats:
         """Residuals (N, m) of the held-out rows, NaN where nothing was seen."""
         assert self.rows is not None
-        source, values = on_rows(self.hunt.world.setting.source, self.rows, self.hunt, self.hunt.world.values)
+        source, values = on_rows(
+            self.search.problem.settings.source, self.rows, self.search, self.search.problem.values
+        )
         return source.residual(values)
 
     def by_pose(self) -> tuple[Floats, Floats]:
         """Whitened rms errors (G,) of the held-out poses by geometry alone and by everything named."""
         group = np.unique(self._groups(), return_inverse=True)[1]
         count = np.bincount(group)
-        both = (self.errors([]), self.errors(self.hunt.columns))
+        both = (self.errors([]), self.errors(self.search.columns))
         before, after = (np.sqrt(np.bincount(group, np.sum(e**2, axis=1)) / count) for e in both)
         return before, after
 
     def gain_of(self, place: int) -> tuple[float, float, float]:
         """Gain by one chosen candidate beyond the others, its standard error, and how surely it was foretold."""
-        rest = self.hunt.selector.columns([k for k in self.hunt.chosen if k != place])
-        without, with_ = self.errors(rest)[self.kept], self.errors(self.hunt.columns)[self.kept]
+        rest = self.search.selector.columns([k for k in self.search.chosen if k != place])
+        without, with_ = self.errors(rest)[self.kept], self.errors(self.search.columns)[self.kept]
         group = self._groups()[self.kept]
         return (*gain(without, with_, group), surely_foretold(without, with_, group))
 
     def _groups(self) -> Ints:
         """Pose of each held-out row; of motions the block."""
-        setting = self.hunt.world.setting
+        settings = self.search.problem.settings
         if self.rows is None:
-            return setting.group[setting.used]
+            return settings.group[settings.used]
         if self.moving:
-            return motion_blocks(self.rows, setting.inflation)
-        if setting.inflation > 1.0:  # a part of the poses in the order they were measured
-            share = len(self.rows) / (len(self.rows) + len(setting.used))
-            return blocks(len(self.rows), share * setting.inflation)
+            return motion_blocks(self.rows, settings.inflation)
+        if settings.inflation > 1.0:  # a part of the poses in the order they were measured
+            share = len(self.rows) / (len(self.rows) + len(settings.used))
+            return blocks(len(self.rows), share * settings.inflation)
         return self.rows.pose_groups()
 
 
@@ -211,9 +215,9 @@ def referenced(residual: Floats, motion: Ints) -> Floats:
     return np.asarray(residual - mean[motion])
 
 
-def on_rows(source: Source, rows: Observations, hunt: Hunt, fitted: Floats) -> tuple[Source, Floats]:
+def on_rows(source: Source, rows: Observations, search: SearchResult, fitted: Floats) -> tuple[Source, Floats]:
     """The fitted model on other rows: only the effects in use, so that only their columns are needed."""
-    effects = tuple(e for k in hunt.chosen for e in hunt.selector.scorer.candidates[k].effects)
+    effects = tuple(e for k in search.chosen for e in search.selector.scorer.candidates[k].effects)
     if isinstance(source, ToolSource):
         started = len(source.model.effects) - _library_effects(source)
         model = replace(source.model, effects=(*source.model.effects[:started], *effects))
@@ -235,9 +239,9 @@ def _library_effects(source: ToolSource) -> int:
     return count
 
 
-def noise_document(setting: Setting) -> dict[str, Any]:
+def noise_document(settings: ProblemSettings) -> dict[str, Any]:
     """The noise: standard deviations of a coordinate, and the covariance of a single row (of poses mm, then deg)."""
-    noise, joint = setting.noise, isinstance(setting.source, LinkSource)
+    noise, joint = settings.noise, isinstance(settings.source, LinkSource)
     unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
     scales = np.full(len(noise.row), scale)
     scales[noise.lengths or len(scales) :] = 180.0 / np.pi
@@ -247,41 +251,41 @@ def noise_document(setting: Setting) -> dict[str, Any]:
         f"within_visit_{unit}": None if noise.within is None else noise.within * scale,
         f"re_approach_{unit}": None if noise.between is None else noise.between * scale,
         "covariance": (noise.row * np.outer(scales, scales)).tolist(),
-        "correlated_samples": setting.inflation,
+        "correlated_samples": settings.inflation,
         "drift": None if noise.drift is None else noise.drift.to_document(unit, scale),
     }  # fmt: skip
 
 
-def gap_document(prepared: Prepared, hunt: Hunt, held: HeldOut) -> dict[str, Any]:
+def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dict[str, Any]:
     """The gap before and after in mm (rms of the 3-D error), on training and held-out poses, beside the noise.
 
     ``noise_mm`` is the standard deviation of one coordinate of a row, as everywhere. ``noise_rms_mm`` and
     ``validation_noise_rms_mm`` are what the noise alone would give where before and after stand: lengths in space.
     """
-    world = hunt.world
-    size = world.setting.whitener.shape[-1]
-    joint = isinstance(world.setting.source, LinkSource)
-    coordinate = world.setting.noise.coordinate
-    noise = noise_rms(world.setting)
+    problem = search.problem
+    size = problem.settings.whitener.shape[-1]
+    joint = isinstance(problem.settings.source, LinkSource)
+    coordinate = problem.settings.noise.coordinate
+    noise = noise_rms(problem.settings)
     r0, r1 = rms(held.before, held.lower, joint), rms(held.after, held.lower, joint)
     sigma = rms(np.eye(size) * np.sqrt(size * held.floor), held.lower / np.sqrt(held.inflation), joint)
-    if not world.setting.trusted:
+    if not problem.settings.trusted:
         # The scatter of the first fit holds the gap itself: the floor is that of the last fit.
-        last = world.gram.given(hunt.columns)
+        last = problem.gram.given(search.columns)
         share = np.sqrt(last.yy / max(last.nu, 1.0))
         coordinate, noise, sigma = coordinate * share, noise * share, sigma * share
     # Against a noise that was read from the fit itself, a closed gap means nothing.
-    known = world.setting.noise.absolute and r0**2 > sigma**2 and bool(hunt.chosen)
+    known = problem.settings.noise.absolute and r0**2 > sigma**2 and bool(search.chosen)
     closure = (r0**2 - r1**2) / (r0**2 - sigma**2) if known else None
     numbers = {
-        "before": fit_rms(prepared.world), "after": fit_rms(world), "noise": coordinate, "noise_rms": noise,
+        "before": fit_rms(prepared.problem), "after": fit_rms(problem), "noise": coordinate, "noise_rms": noise,
         "validation_before": r0, "validation_after": r1, "validation_noise_rms": sigma,
     }  # fmt: skip
     unit, scale = ("deg", 180.0 / np.pi) if joint else ("mm", 1e3)
     out: dict[str, Any] = {f"{k}_{unit}": v * scale for k, v in numbers.items()}
     if joint:
         out |= {f"{k}_mm": None for k in ("before", "after", "noise", "validation_before", "validation_after")}
-    steps = [{"names": list(s.names), "chi2_per_freedom": s.chi2_per_freedom} for s in hunt.steps]
+    steps = [{"names": list(s.names), "chi2_per_freedom": s.chi2_per_freedom} for s in search.steps]
     return out | {
         "closure": closure,
         "held_out": held.how,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.source import ToolSource
 from kilter_core.types import Floats
@@ -19,21 +19,21 @@ FAIR = 2.0  # price of a parameter, Akaike: taking a name away needs less proof 
 WIDTHS = (0.06, 0.12, 0.25)  # of the joint's range, as standard deviations
 
 
-def bumped(hunt: Hunt, place: int, rows_q: Floats) -> bool:
+def local_bump_test(search: SearchResult, place: int, rows_q: Floats) -> bool:
     """Whether a local bump of the candidate's joint, at its best centre and width, does as well in its place."""
-    candidate = hunt.selector.scorer.candidates[place]
-    source = hunt.world.setting.source
+    candidate = search.selector.scorer.candidates[place]
+    source = search.problem.settings.source
     if not _is_curve(candidate) or not isinstance(source, ToolSource):
         return False
-    world, selector = hunt.world, hunt.selector
-    rest = selector.columns([k for k in hunt.chosen if k != place])
-    basis = world.basis(rest)
-    r = residual_given(world, rest)
-    variance = selector.variance(world.gram, hunt.chosen)
-    S = world.gram.reduction(selector.columns(hunt.chosen)) - world.gram.reduction(rest)
+    problem, selector = search.problem, search.selector
+    rest = selector.columns([k for k in search.chosen if k != place])
+    basis = problem.basis(rest)
+    r = residual_given(problem, rest)
+    variance = selector.variance(problem.gram, search.chosen)
+    S = problem.gram.reduction(selector.columns(search.chosen)) - problem.gram.reduction(rest)
     own = S / variance - FAIR * len(candidate.columns)
     (joint,) = candidate.joints or (0,)
-    columns = world.soft(_columns(hunt, source, joint, rows_q[:, joint]))
+    columns = problem.soft(_columns(search, source, joint, rows_q[:, joint]))
     columns = columns - basis @ (basis.T @ columns)
     size = np.sum(columns**2, axis=0)
     seen = size > 1e-6 * size.max(initial=1e-300)
@@ -47,16 +47,16 @@ def _is_curve(candidate: Candidate) -> bool:
     return len(candidate.joints or ()) == 1 and not candidate.effects[0].needs and not candidate.empirical
 
 
-def _columns(hunt: Hunt, source: ToolSource, joint: int, q: Floats) -> Floats:
+def _columns(search: SearchResult, source: ToolSource, joint: int, q: Floats) -> Floats:
     """Whitened effect (R, B) of turning the joint by a bump of one radian, for all bumps."""
-    prediction, JQ = source.model.joint_jacobian(source.batch, hunt.world.values)
+    prediction, JQ = source.model.joint_jacobian(source.batch, search.problem.values)
     residual = source.measurement.residual(prediction, JQ[:, :, [joint]])
     assert residual.d_points is not None
     parts = [residual.d_points.reshape(len(q), -1)]
     if residual.d_turns is not None:
         parts.append(residual.d_turns[:, :, 0])
-    setting = hunt.world.setting
-    along = np.einsum("vij,vj->vi", setting.whitener, np.nan_to_num(np.hstack(parts))) * setting.used[:, None]
+    settings = search.problem.settings
+    along = np.einsum("vij,vj->vi", settings.whitener, np.nan_to_num(np.hstack(parts))) * settings.used[:, None]
     span = float(np.ptp(q))
     centres = np.linspace(q.min(), q.max(), CENTRES)
     shapes = [np.exp(-0.5 * ((q - c) / (w * span)) ** 2) for c in centres for w in WIDTHS]

@@ -1,7 +1,7 @@
-"""The linear world at a fit: data and candidates whitened, geometry projected off, everything small after that.
+"""The linearised problem at a fit: data and candidates whitened, geometry projected off, everything small after that.
 
 Geometry hides physics: after it is re-fitted only 6-90 % of an effect's variance is left (trap 1). So every statistic
-of the hunt works on A = W'MW and c = W'My, with M the projection off the geometric Jacobian; a set of candidates I
+of the search works on A = W'MW and c = W'My, with M the projection off the geometric Jacobian; a set of candidates I
 takes c_I' A_II^-1 c_I off chi-square, and conditioning on a set is a Schur complement.
 """
 
@@ -34,8 +34,8 @@ STILL = 1e-1  # change of the fit, in sigmas over all data, that counts as conve
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What stays the same through a hunt: source, whitening, which visits count, and which belong to one pose."""
+class ProblemSettings:
+    """What stays the same through a search: source, whitening, which visits count, and which belong to one pose."""
 
     source: Source
     noise: Noise
@@ -74,7 +74,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class World:
+class LinearizedProblem:
     """Whitened, projected data at ``values``. R = V m rows, Q library columns (unit raw norm), P geometric ones.
 
     ``y (R,)`` is what the data say with every library effect taken out; ``scale (Q,)`` turns a unit-column coefficient
@@ -82,7 +82,7 @@ class World:
     where they are asked for: those of thousands of poses fill the memory.
     """
 
-    setting: Setting
+    settings: ProblemSettings
     values: Floats
     y: Floats
     U: Floats
@@ -116,10 +116,10 @@ class World:
 
     def within_priors(self) -> tuple[Floats, Stacked]:
         """Whitened data (R,) without any library effect, and the columns (R, P + Q) of one prior sigma each."""
-        source = self.setting.source
+        source = self.settings.source
         sigmas = np.concatenate([source.prior_sigma, source.library_sigma * self.size])
         y = self.raw + self.W_raw @ (source.library(self.values) * self.size)
-        return y, Stacked(self.G, self.W_raw, sigmas, self.setting.whitener.shape[-1])
+        return y, Stacked(self.G, self.W_raw, sigmas, self.settings.whitener.shape[-1])
 
     @property
     def chi2(self) -> float:
@@ -128,8 +128,8 @@ class World:
         Where doubtful signs widen the noise, what that takes off counts as a Gaussian's norm does: nothing is explained
         by looking away.
         """
-        away = _away(self.setting.source, self.values)[self.setting.source.soft]
-        return float(self.raw @ self.raw + away @ away) + self.setting.widened
+        away = _away(self.settings.source, self.values)[self.settings.source.soft]
+        return float(self.raw @ self.raw + away @ away) + self.settings.widened
 
     @cached_property
     def gram(self) -> Gram:
@@ -137,13 +137,13 @@ class World:
         yy = float(self.y @ self.y)
         if not len(self.soft.shrink):
             return Gram(self.A, self.c, yy, self.nu)
-        there = frozenset(np.flatnonzero(self.setting.source.library(self.values)).tolist())
+        there = frozenset(np.flatnonzero(self.settings.source.library(self.values)).tolist())
         return Gram(self.A, self.c, yy, self.nu, held=lambda: self._firm, there=there)
 
     @cached_property
     def _firm(self) -> Gram:
-        source = self.setting.source
-        U = seen((self.G * source.prior_sigma)[:, self.setting.hard])
+        source = self.settings.source
+        U = seen((self.G * source.prior_sigma)[:, self.settings.hard])
         y = self.raw + self.W_raw @ (source.library(self.values) * self.size)
         y -= U @ (U.T @ y)
         products = Projection.of(Soft.of(U[:, :0]), U, self.W_raw).products(y)
@@ -152,13 +152,13 @@ class World:
     @property
     def rows(self) -> int:
         """Number of independent scalars that count."""
-        return max(2, int(self.setting.used.sum() * self.setting.whitener.shape[-1] / self.setting.inflation))
+        return max(2, int(self.settings.used.sum() * self.settings.whitener.shape[-1] / self.settings.inflation))
 
     @property
     def row_visit(self) -> Ints:
         """Visit of each row (R,)."""
-        size = self.setting.whitener.shape[-1]
-        return np.repeat(np.arange(len(self.setting.used)), size)
+        size = self.settings.whitener.shape[-1]
+        return np.repeat(np.arange(len(self.settings.used)), size)
 
     def basis(self, columns: Sequence[int]) -> Floats:
         """Orthonormal basis (R, p + d) of geometry and the library ``columns``."""
@@ -167,20 +167,22 @@ class World:
         return np.hstack([self.U, orthonormal(self.projected(list(columns)))])
 
 
-def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None) -> World:
+def linearize_at(
+    settings: ProblemSettings, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None
+) -> LinearizedProblem:
     """Linearise at ``values``: whiten, project off geometry, take the library's own part back into the data.
 
     ``only`` keeps these library columns, in this order, and holds the rest of the library at its values.
     """
-    linear = setting.source.linear(values, batch, only)
-    r = setting.white(linear.r).reshape(-1)
-    G = _white(setting, linear.G)
-    W = _white(setting, linear.W)
+    linear = settings.source.linear(values, batch, only)
+    r = settings.white(linear.r).reshape(-1)
+    G = _white(settings, linear.G)
+    W = _white(settings, linear.W)
     del linear
     norm = lengths(W)
     unit = np.where(norm > 0.0, norm, 1.0)
     W /= unit
-    source, hard = setting.source, setting.hard
+    source, hard = settings.source, settings.hard
     B = G[:, ~hard] * source.prior_sigma[~hard]
     soft = Soft.of(B)
     U = seen(soft((G * source.prior_sigma)[:, hard]))
@@ -190,16 +192,16 @@ def world_at(setting: Setting, values: Floats, batch: Batch | None = None, only:
     y = soft(y + B @ _away(source, values)[~hard]) if len(soft.shrink) else y
     y -= U @ (U.T @ y)
     # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
-    nu = float(setting.used.sum() * setting.whitener.shape[-1] / setting.inflation - U.shape[1])
+    nu = float(settings.used.sum() * settings.whitener.shape[-1] / settings.inflation - U.shape[1])
     scale = np.where(norm > 0.0, 1.0 / unit, 0.0)
-    return World(setting, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, G, W, soft)
+    return LinearizedProblem(settings, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, G, W, soft)
 
 
-def columns_at(setting: Setting, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:
+def columns_at(settings: ProblemSettings, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:
     """Whitened unit columns (R, K) of the library, as :func:`world_at` has them, without the geometry."""
-    source = setting.source
+    source = settings.source
     bare = replace(source, free=np.zeros(0, dtype=np.int64)) if isinstance(source, ToolSource) else source
-    W = _white(setting, bare.linear(values, batch, only).W)
+    W = _white(settings, bare.linear(values, batch, only).W)
     norm = lengths(W)
     W /= np.where(norm > 0.0, norm, 1.0)
     return W
@@ -214,51 +216,53 @@ def go_on() -> None:
     """Nobody asks to be told of a step."""
 
 
-def refit(setting: Setting, values: Floats, columns: Sequence[int], tick: Tick = go_on) -> World:
+def refit(settings: ProblemSettings, values: Floats, columns: Sequence[int], tick: Tick = go_on) -> LinearizedProblem:
     """Nonlinear re-fit of geometry and the library ``columns``, each with its prior, from ``values``."""
-    values = solved(setting, values, columns, tick=tick)[0]
-    other = reloaded(setting, values)  # once: the next name, or the next noise, brings the next fit
+    values = solved(settings, values, columns, tick=tick)[0]
+    other = reloaded(settings, values)  # once: the next name, or the next noise, brings the next fit
     for _ in range(PASSES):
         other = doubted(other, values)
-        if other is setting:
+        if other is settings:
             break
-        setting, values = other, solved(other, values, columns, tick=tick)[0]
+        settings, values = other, solved(other, values, columns, tick=tick)[0]
     tick()
-    return world_at(setting, values)
+    return linearize_at(settings, values)
 
 
-def reloaded(setting: Setting, values: Floats) -> Setting:
+def reloaded(settings: ProblemSettings, values: Floats) -> ProblemSettings:
     """The setting with loads on the chain of these values; itself where that moves far less than is left anyway."""
-    source = setting.source
+    source = settings.source
     if not isinstance(source, ToolSource) or not source.bears(values):
-        return setting
-    rows = np.arange(len(setting.used))[:: max(1, len(setting.used) // SAMPLED)]
+        return settings
+    rows = np.arange(len(settings.used))[:: max(1, len(settings.used) // SAMPLED)]
     few = source.only(rows)
     before, after = few.residual(values), few.reloaded(values).residual(values)
 
     def size(residual: Floats) -> float:
-        white = np.einsum("vij,vj->vi", setting.whitener[rows], np.nan_to_num(residual)) * setting.used[rows, None]
+        white = np.einsum("vij,vj->vi", settings.whitener[rows], np.nan_to_num(residual)) * settings.used[rows, None]
         return float(np.sqrt(np.mean(white**2)))
 
     if size(after - before) < UNMOVED * max(1.0, size(before)):
-        return setting
-    return replace(setting, source=source.reloaded(values))
+        return settings
+    return replace(settings, source=source.reloaded(values))
 
 
-def doubted(setting: Setting, values: Floats) -> Setting:
+def doubted(settings: ProblemSettings, values: Floats) -> ProblemSettings:
     """The setting with the scatter that doubtful signs of loads have at these values; itself where it has not changed."""
-    source = setting.source
+    source = settings.source
     if not isinstance(source, ToolSource) or source.batch.blur is None:
-        return setting
+        return settings
     doubt = source.doubt(values)
-    before = 0.0 if setting.doubt is None else setting.doubt
-    if np.max(np.abs(doubt - before), initial=0.0) <= CHANGED * np.max(np.trace(setting.noise.visit, axis1=1, axis2=2)):
-        return setting
-    return replace(setting, doubt=doubt if np.any(doubt) else None)
+    before = 0.0 if settings.doubt is None else settings.doubt
+    if np.max(np.abs(doubt - before), initial=0.0) <= CHANGED * np.max(
+        np.trace(settings.noise.visit, axis1=1, axis2=2)
+    ):
+        return settings
+    return replace(settings, doubt=doubt if np.any(doubt) else None)
 
 
 def solved(
-    setting: Setting,
+    settings: ProblemSettings,
     values: Floats,
     columns: Sequence[int],
     held: tuple[int, float] | None = None,
@@ -270,15 +274,15 @@ def solved(
     raise: on ten thousand poses a fit takes seconds, and who cancels should not wait for its end.
     """
     free = [k for k in columns if held is None or k != held[0]]
-    library = np.zeros(len(setting.source.library(values)))
-    library[free] = setting.source.library(values)[free]
+    library = np.zeros(len(settings.source.library(values)))
+    library[free] = settings.source.library(values)[free]
     if held is not None:
         library[held[0]] = held[1]
-    values = setting.source.moved(values, np.zeros(len(setting.source.prior_mean)), library)
-    descent = Descent(setting, free)
+    values = settings.source.moved(values, np.zeros(len(settings.source.prior_mean)), library)
+    descent = Descent(settings, free)
     found = minimise(descent, values, descent.at(values), lambda *_: tick(), patience=PATIENCE)
-    world = world_at(setting, found.values, only=free)
-    return found.values, world.gram.given(range(len(free))).yy
+    problem = linearize_at(settings, found.values, only=free)
+    return found.values, problem.gram.given(range(len(free))).yy
 
 
 @dataclass(frozen=True)
@@ -297,13 +301,13 @@ class Descent:
     Without the effects' own priors a candidate that imitates geometry to seven digits ran away with it.
     """
 
-    setting: Setting
+    settings: ProblemSettings
     free: list[int]
 
     @property
     def rows(self) -> float:
         """Whitened residuals."""
-        return float(max(1, self.setting.used.sum() * self.setting.whitener.shape[-1]))
+        return float(max(1, self.settings.used.sum() * self.settings.whitener.shape[-1]))
 
     def worth(self, loss: float) -> float:
         """What a step must promise: less moves nothing that a statistic would show.
@@ -314,10 +318,10 @@ class Descent:
 
     def at(self, values: Floats) -> Fitted:
         """Linearise there."""
-        source = self.setting.source
+        source = self.settings.source
         linear = source.linear(values, None, self.free)
-        r = self.setting.white(linear.r).reshape(-1)
-        J = np.hstack([_white(self.setting, linear.G), _white(self.setting, linear.W)]) * self._sigma
+        r = self.settings.white(linear.r).reshape(-1)
+        J = np.hstack([_white(self.settings, linear.G), _white(self.settings, linear.W)]) * self._sigma
         away = self._away(values)
         return Fitted(r, J, 0.5 * float(r @ r + away @ away))
 
@@ -333,7 +337,7 @@ class Descent:
 
     def moved(self, values: Floats, step: Floats) -> Floats:
         """Take a step."""
-        source = self.setting.source
+        source = self.settings.source
         library = source.library(values).copy()
         moved = step * self._sigma
         split = len(source.prior_mean)
@@ -342,7 +346,7 @@ class Descent:
 
     def bend(self, values: Floats, here: Fitted, step: Floats) -> Floats:
         """How the prediction bends along a step."""
-        r = self.setting.whitened(self.moved(values, BEND * step)).reshape(-1)
+        r = self.settings.whitened(self.moved(values, BEND * step)).reshape(-1)
         return np.asarray(here.J.T @ (here.r - r - here.J @ (BEND * step)) * (2.0 / BEND**2))
 
     def beyond(self, here: Fitted, values: Floats, step: Floats) -> Fitted:
@@ -352,29 +356,29 @@ class Descent:
 
     @property
     def _sigma(self) -> Floats:
-        return np.concatenate([self.setting.source.prior_sigma, self.setting.source.library_sigma[self.free]])
+        return np.concatenate([self.settings.source.prior_sigma, self.settings.source.library_sigma[self.free]])
 
     def _away(self, values: Floats) -> Floats:
         """How far (F,) the parameters are from their priors, in prior sigmas."""
-        source = self.setting.source
+        source = self.settings.source
         away = np.concatenate([source.geometry(values) - source.prior_mean, source.library(values)[self.free]])
         return np.asarray(away / self._sigma)
 
 
-def fitted(world: World, columns: Sequence[int]) -> tuple[Floats, Floats]:
+def fitted(problem: LinearizedProblem, columns: Sequence[int]) -> tuple[Floats, Floats]:
     """Parameters (d,) of the columns and their covariance (d, d), geometry re-optimised, no prior on them."""
     index = list(columns)
-    scale = world.scale[index]
-    covariance = _pinv(world.A[np.ix_(index, index)])
-    return world.gram.solve(index) * scale, covariance * np.outer(scale, scale)
+    scale = problem.scale[index]
+    covariance = _pinv(problem.A[np.ix_(index, index)])
+    return problem.gram.solve(index) * scale, covariance * np.outer(scale, scale)
 
 
-def _white(setting: Setting, columns: Floats) -> Floats:
+def _white(settings: ProblemSettings, columns: Floats) -> Floats:
     """Whiten columns (V, m, K) where they stand; (R, K) of them."""
     size = max(1, MOST_NUMBERS // max(1, columns.shape[2]))
     for k in range(0, len(columns), size):
         part = slice(k, k + size)
-        columns[part] = np.matmul(setting.whitener[part] * setting.used[part, None, None], columns[part])
+        columns[part] = np.matmul(settings.whitener[part] * settings.used[part, None, None], columns[part])
     return columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
 
 

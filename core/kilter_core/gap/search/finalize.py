@@ -1,6 +1,6 @@
-"""After the hunt: no name that chance could have given, no shape without a cause where a cause does as well.
+"""After the search: no name that chance could have given, no shape without a cause where a cause does as well.
 
-The hunt judged each entry before the last re-fit. Here everything is judged again at the final fit, with the null
+The search judged each entry before the last re-fit. Here everything is judged again at the final fit, with the null
 distribution the report quotes; and an empirical term that a physical one could replace at the same price gives way.
 """
 
@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.gap.search.agreement import contradicted
-from kilter_core.gap.search.hunt import Hunt
+from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.in_space import fit_rms
+from kilter_core.gap.search.linearized import LinearizedProblem, refit
 from kilter_core.gap.search.select import MARGIN
-from kilter_core.gap.search.world import World, refit
 
 
-def settled(found: Hunt, alpha: float) -> Hunt:
+def finalize(found: SearchResult, alpha: float) -> SearchResult:
     """Drop and replace until every member stands at the final fit; each change is followed by a re-fit."""
     seen = {frozenset(found.chosen)}
     while found.chosen:
@@ -28,21 +28,21 @@ def settled(found: Hunt, alpha: float) -> Hunt:
         if after == found.chosen:
             return found
         seen.add(frozenset(after))
-        world = refit(found.world.setting, found.world.values, found.selector.columns(after))
-        found = replace(found, world=world, chosen=after, steps=found.stepped(world, after))
+        problem = refit(found.problem.settings, found.problem.values, found.selector.columns(after))
+        found = replace(found, problem=problem, chosen=after, steps=found.stepped(problem, after))
     return found
 
 
-def shrunk(found: Hunt, geometry: World) -> Hunt:
-    """The hunt if what it found leaves a smaller error than the ``geometry`` alone; else nothing is named."""
-    better = found.world.chi2 <= geometry.chi2 and fit_rms(found.world) <= fit_rms(geometry)
+def or_geometry_alone(found: SearchResult, geometry: LinearizedProblem) -> SearchResult:
+    """The search if what it found leaves a smaller error than the ``geometry`` alone; else nothing is named."""
+    better = found.problem.chi2 <= geometry.chi2 and fit_rms(found.problem) <= fit_rms(geometry)
     if found.chosen and better:
         return found
     steps = (found.steps[0],) if not found.chosen else found.stepped(geometry, ())
-    return replace(found, world=geometry, chosen=(), steps=steps)
+    return replace(found, problem=geometry, chosen=(), steps=steps)
 
 
-def chance(found: Hunt, place: int, alpha: float) -> float:
+def chance(found: SearchResult, place: int, alpha: float) -> float:
     """Family-wise p-value of a chosen candidate given the others, at the final fit.
 
     Where the linear statistic does not reach ``alpha``, a re-fit without the candidate decides: what it leaves more is
@@ -51,26 +51,28 @@ def chance(found: Hunt, place: int, alpha: float) -> float:
     """
     scorer = found.selector.scorer
     rest = found.selector.columns([k for k in found.chosen if k != place])
-    gram = found.world.gram
+    gram = found.problem.gram
     scores = scorer.scores(gram.given(rest))
     tests = len(scorer.candidates)
     p = found.null.family_wise(float(scores.p[place]), tests)
     if p <= alpha:
         return p
-    without = refit(found.world.setting, found.world.values, rest)
-    ratio = scorer.tail_of_ratio(place, int(scores.d[place]), without.chi2, found.world.chi2, gram.nu - gram.rank(rest))
+    without = refit(found.problem.settings, found.problem.values, rest)
+    ratio = scorer.tail_of_ratio(
+        place, int(scores.d[place]), without.chi2, found.problem.chi2, gram.nu - gram.rank(rest)
+    )
     return min(p, found.null.family_wise(ratio, tests))
 
 
-def _without_chance(found: Hunt, alpha: float) -> tuple[int, ...]:
+def _without_chance(found: SearchResult, alpha: float) -> tuple[int, ...]:
     p = {k: chance(found, k, alpha) for k in found.chosen}
     worst = max(p, key=lambda k: p[k])
     return found.chosen if p[worst] <= alpha else tuple(k for k in found.chosen if k != worst)
 
 
-def _with_causes(found: Hunt, seen: set[frozenset[int]]) -> tuple[int, ...]:
+def _with_causes(found: SearchResult, seen: set[frozenset[int]]) -> tuple[int, ...]:
     """The set with one empirical member replaced by the best physical one within the margin, where there is one."""
-    selector, gram = found.selector, found.world.gram
+    selector, gram = found.selector, found.problem.gram
     candidates = selector.scorer.candidates
     for place in (k for k in found.chosen if candidates[k].empirical):
         rest = tuple(k for k in found.chosen if k != place)

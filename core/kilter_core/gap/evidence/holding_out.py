@@ -1,4 +1,4 @@
-"""Which poses a hunt never sees: held out before anything is chosen, so that they can judge what was.
+"""Which poses a search never sees: held out before anything is chosen, so that they can judge what was.
 
 Leave-one-out after a selection is not held out: the same poses chose the name. Of pure noise the best of all candidates
 gains on poses left out one at a time in 92 % of campaigns.

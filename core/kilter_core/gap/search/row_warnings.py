@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.gap.noise.clock import clock_of
 from kilter_core.gap.noise.from_repeats import Noise
-from kilter_core.gap.search.world import World
+from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.observations import Observations
 from kilter_core.types import Bools
 
@@ -75,9 +75,9 @@ def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
         }
 
 
-def outlier_warnings(world: World) -> Iterator[Warning_]:
+def outlier_warnings(problem: LinearizedProblem) -> Iterator[Warning_]:
     """Say how many visits were set aside."""
-    used = world.setting.used
+    used = problem.settings.used
     if not used.all():
         yield {
             "code": "outliers", "visits": int(np.sum(~used)),

@@ -1,0 +1,28 @@
+"""A search judged again under the noise that its own names leave: a drift that is named is no noise any more.
+
+A name that follows the clock or the temperature explains a part of what repeats differ by. Judged by the noise from before
+it, everything seems too good to be true, or too small to be seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from kilter_core.gap.search.finalize import finalize
+from kilter_core.gap.search.forward_selection import SearchResult, selector_at
+from kilter_core.gap.search.renewal import renewed
+from kilter_core.types import Floats
+
+ROUNDS = 3  # of names judged by the noise and noise judged by the names
+
+
+def rejudged(found: SearchResult, alpha: float, limits: Floats) -> SearchResult:
+    """Settle the names and renew noise and outliers in turn, until neither changes. ``limits (Q,)`` as of a search."""
+    for _ in range(ROUNDS):
+        found = finalize(found, alpha)
+        problem = renewed(found.problem, found.columns)
+        if problem is found.problem:
+            return found
+        selector = selector_at(problem, found.selector, limits)
+        found = replace(found, problem=problem, selector=selector, steps=found.stepped(problem, found.chosen))
+    return finalize(found, alpha)
