@@ -10,7 +10,7 @@ TESTERS ?= 2
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract licences rooms coverage bench bench-gap bench-peers bench-stream fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds frozen thesis silent-rows image fmt clean
+.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract licences rooms coverage bench bench-gap bench-peers bench-stream bench-beside fuzz-stream attack-stream soak-stream test-faults blind blind-pairs blind-thresholds frozen thesis silent-rows image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -98,6 +98,9 @@ bench-peers: .venv-peers/.ready .venv-peers-poe/.ready ## install the tools that
 
 bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run
 	$(BIN)/python -m benchmarks.stream
+
+bench-beside: $(KERNELS) ## measure the kernels beside those of another commit, in turns (BASE=HEAD~1 ROUNDS=5)
+	sh tools/bench_beside.sh $(or $(BASE),HEAD~1) $(or $(ROUNDS),5)
 
 fuzz-stream: $(KERNELS) ## send a million damaged frames through the corrector
 	$(BIN)/python -m pytest -m slow -q tests/corrector/test_stream.py

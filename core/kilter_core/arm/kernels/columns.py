@@ -15,7 +15,7 @@ def put_turn(out, column, JQ, joint, dq):
 
 @compiled()
 def put_twist(out, column, JX, slot, frame, xi):
-    """The same of twists ``xi (N, 6)``, turned by ``frame (3, 3)``, at a slot of ``JX (N, m, 6 S)``."""
+    """The same of twists ``xi (N, 6)``, rotated by ``frame (3, 3)``, at a slot of ``JX (N, m, 6 S)``."""
     for row in range(out.shape[0]):
         for half in range(2):
             for a in range(3):

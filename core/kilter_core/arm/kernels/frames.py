@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from kilter_core.arm.kernels.compiled import compiled
+from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
 
 
 @compiled(inline="always")
@@ -40,7 +40,7 @@ def move(axis, c, s, R, p):
             R[i, 1] = c * y - s * x
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def set_frame(T, R, p):
     """Copy the pose T (4, 4) into the frame (R, p)."""
     for i in range(3):
@@ -49,7 +49,7 @@ def set_frame(T, R, p):
             R[i, j] = T[i, j]
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def right_multiply(R, p, R2, p2):
     """Right-multiply the frame (R, p) by the frame (R2, p2), in place."""
     for i in range(3):
@@ -61,7 +61,7 @@ def right_multiply(R, p, R2, p2):
             R[i, j] = a * R2[0, j] + b * R2[1, j] + c * R2[2, j]
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def exponential(xi, R, p, J):
     """exp of a twist (v, w) as (R, p); J (3, 3) is the left Jacobian of SO(3) at w, which also carries v to p."""
     w0 = xi[3]
@@ -92,7 +92,7 @@ def exponential(xi, R, p, J):
         p[i] = J[i, 0] * xi[0] + J[i, 1] * xi[1] + J[i, 2] * xi[2]
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def left_jacobian(xi, J3, J6):
     """Left Jacobian of SE(3) at xi, 6x6; the coupling block by its series, 13 terms, 1e-16 below 1 rad.
 
@@ -144,7 +144,7 @@ def rotate(R, v, out):
         out[i] = R[i, 0] * v[0] + R[i, 1] * v[1] + R[i, 2] * v[2]
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def in_frame(frame, origin, force, moment, out, t):
     """Write a wrench about the base origin as one about ``origin`` in ``frame``. t is scratch."""
     t[:] = 0.0
@@ -156,7 +156,7 @@ def in_frame(frame, origin, force, moment, out, t):
         )
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def at_rest(R, p, w, dw, acc):
     """Set a frame to the base frame at rest."""
     for i in range(3):

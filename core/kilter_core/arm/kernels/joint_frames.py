@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from kilter_core.arm.kernels.compiled import compiled
+from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def next_joint(primary, i):
     """Joint whose element follows that of joint i, -1 for the last; mimic elements can make it another than i + 1."""
     found = -1
@@ -15,7 +15,7 @@ def next_joint(primary, i):
     return found
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def mark_starts(primary, e, p, starts):
     """Keep in ``starts (n, 3)`` the point p before element e where that is the element of a joint."""
     for i in range(primary.shape[0]):
@@ -24,7 +24,7 @@ def mark_starts(primary, e, p, starts):
                 starts[i, a] = p[a]
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def mark_frames(primary, joint_frame, e, R, p, frames, origins):
     """Keep origin and joint frame after element e where that is the element of a joint."""
     for i in range(primary.shape[0]):

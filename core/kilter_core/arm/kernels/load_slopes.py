@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kilter_core.arm.kernels.compiled import compiled
+from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
 from kilter_core.arm.kernels.frames import add_cross, amount_of, at_rest, move, right_multiply, set_frame
 from kilter_core.arm.kernels.joint_frames import mark_frames, mark_starts, next_joint
 
@@ -59,7 +59,7 @@ def load_slopes(
         _put_at_points(row, each, body_element, first, summed, parts, frames, points, force, moment, about, out)
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def _first_elements(primary, where, elements, first, frames):
     """First element whose bodies load each point: at the joint, at the end of its link, or all for the base."""
     for i in range(where.shape[0]):
@@ -70,7 +70,7 @@ def _first_elements(primary, where, elements, first, frames):
                 frames[i, a, a] = 1.0
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def _points(primary, where, all_frames, origins, starts, flange, frames, points):
     """Points that loads are asked of, and the frames they are written in; those of the base stay as they are."""
     for i in range(where.shape[0]):
@@ -83,7 +83,7 @@ def _points(primary, where, all_frames, origins, starts, flange, frames, points)
                 frames[i, a, b] = all_frames[i, a, b]
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def _put_at_points(row, each, body_element, first, summed, parts, frames, points, force, moment, about, out):
     """Write the components that are asked for. about is scratch."""
     bodies = body_element.shape[0]
@@ -106,7 +106,7 @@ def _put_at_points(row, each, body_element, first, summed, parts, frames, points
                 out[m, column, row, i] = total
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def _slopes_of(R, p, com, gravity, mass, shift, force, moment, r):
     """Force (4, 3), and moment about the base origin, of ``mass`` at a place and of ``shift`` along each axis from it."""
     force[:] = 0.0
@@ -121,12 +121,14 @@ def _slopes_of(R, p, com, gravity, mass, shift, force, moment, r):
         add_cross(r, gravity, moment[c + 1])
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def _put_slopes(own, change, at, force, moment, to):
     """Put the four columns of a body, or what its part of ``change`` makes of them, in their place."""
     if change.shape[0] == 0:
-        force[to : to + 4] = own[0]
-        moment[to : to + 4] = own[1]
+        for c in range(4):
+            for i in range(3):
+                force[to + c, i] = own[0, c, i]
+                moment[to + c, i] = own[1, c, i]
         return
     for i in range(3):
         force[to, i] = 0.0

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from kilter_core.arm.kernels.compiled import compiled
+from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
 from kilter_core.arm.kernels.frames import add_cross, amount_of, at_rest, in_frame, move, right_multiply, rotate
 from kilter_core.arm.kernels.joint_frames import mark_frames, mark_starts, next_joint
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def _carry(r, w, dw, acc, t):
     """Carry an acceleration from a point of a turning body to the point r further: acc += dw x r + w x (w x r)."""
     add_cross(dw, r, acc)
@@ -23,11 +23,12 @@ def _carry(r, w, dw, acc, t):
     add_cross(w, t, acc)
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def _add_body(mass, com, R, p, w, dw, acc, gravity, force, moment, r, f, t):
     """Add the load of a point mass: its force, and the force's moment about the base origin. r, f, t are scratch."""
     rotate(R, com, r)
-    f[:] = acc
+    for i in range(3):
+        f[i] = acc[i]
     _carry(r, w, dw, f, t)
     for i in range(3):
         f[i] = mass * (gravity[i] - f[i])
@@ -36,7 +37,7 @@ def _add_body(mass, com, R, p, w, dw, acc, gravity, force, moment, r, f, t):
     add_cross(r, f, moment)
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def _add_inertia(inertia, R, w, dw, moment, a, b, h, t):
     """Subtract the rate of spin of a body, I dw + w x I w, from ``moment``. a, b, h, t are scratch."""
     for i in range(3):
@@ -52,7 +53,7 @@ def _add_inertia(inertia, R, w, dw, moment, a, b, h, t):
         moment[i] -= t[i]
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def _advance(axis, amount, speed, rate, moving, R, p, w, dw, acc, z, r, t):
     """Walk along one element: its frame and, where the arm is moving, velocity and acceleration. z, r, t are scratch."""
     for i in range(3):
@@ -76,7 +77,7 @@ def _advance(axis, amount, speed, rate, moving, R, p, w, dw, acc, z, r, t):
             w[i] += speed * z[i]
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def _add_at_tool(row, payload, payload_com, external, R, p, w, dw, acc, gravity, force, moment, r, f, t):
     """Add the loads that act in the tool frame: the payload's and the external wrench. r, f, t are scratch."""
     if payload[row] != 0.0:
@@ -90,7 +91,7 @@ def _add_at_tool(row, payload, payload_com, external, R, p, w, dw, acc, gravity,
         add_cross(p, f, moment)
 
 
-@compiled()
+@compiled(**UNCOUNTED)
 def _put_wrenches(row, primary, frames, origins, starts, flange, forces, moments, out, end, base, t):
     """Sum the loads inwards and write them: on the joints, on the ends of their links, on the base. t is scratch."""
     elements = forces.shape[0] - 1
@@ -115,7 +116,7 @@ def load_wrenches(
 ):  # fmt: skip
     """Load wrench (force N, moment N·m about the joint) on each joint in its joint frame.
 
-    ``primary (n,)`` is the element of each joint, ``joint_frame (n, 3, 3)`` turns the frame after it so that z is the
+    ``primary (n,)`` is the element of each joint, ``joint_frame (n, 3, 3)`` rotates the frame after it so that z is the
     joint axis. ``link_element (L,)`` is the element whose frame the link's ``com (L, 3)`` and ``inertia (L, 3, 3)`` are
     given in. ``payload (N,)`` kg at ``payload_com (N, 3)`` and ``external (N, 6)`` (force, moment about the tool point)
     are in the tool frame, which stands after the last element. ``qd, qdd`` may be empty: then the load is static.

@@ -68,7 +68,7 @@ SIGN_ROUNDS = 4
 
 @compiled(**FAST)
 def _jacobian(P, W, S, T, n, m, oj, rows):
-    """Weighted task rows of the identified Jacobian by joint, column r of the joint rows (turns in the tool frame)."""
+    """Weighted task rows of the identified Jacobian by joint, column r of the joint rows (rotations in the tool frame)."""
     for i in range(n):
         for r in range(6):
             W[oj + i, COLUMN + r] = 0.0

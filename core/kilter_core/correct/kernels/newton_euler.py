@@ -27,7 +27,7 @@ from kilter_core.correct.kernels.layout import (
 
 @compiled(**FAST)
 def load_moments(P, W, S, m, oj, dynamic):
-    """Load moments at the frames now in W; bending and pedestal need whole wrenches, which the general pass has."""
+    """Load moments at the frames now in W; bending rows and the base mount need whole wrenches, which the general pass has."""
     if dynamic or P[S, BENDINGS] != 0.0 or P[S, MOUNT] != 0.0:
         _dynamic_moments(P, W, S, m, oj)
     else:
@@ -65,7 +65,7 @@ def _point(W, k, x, y, z):
 
 @compiled(**FAST)
 def _to_joint(P, W, k, j, x, y, z, f0, f1, f2):
-    """Turn a load in base coordinates into frame k and keep it for joint row j: two moments across, one along the axis.
+    """Rotate a load in base coordinates into frame k and keep it for joint row j: two moments across, one along the axis.
 
     Along the axis a joint that turns feels a moment, one that slides a force.
     """
@@ -88,7 +88,7 @@ def _point_acceleration(w, dw, r0, r1, r2):
 
 @compiled(**FAST)
 def _inward(W, k, x, y, z):
-    """A vector in base coordinates turned into frame k."""
+    """A vector in base coordinates rotated into frame k."""
     return (
         W[k, 0] * x + W[k, 3] * y + W[k, 6] * z,
         W[k, 1] * x + W[k, 4] * y + W[k, 7] * z,
@@ -172,7 +172,7 @@ def _moving_bodies(P, W, S, m, oj):
 def _dynamic_moments(P, W, S, m, oj):
     """Load moments in the joint frames from gravity and motion (thesis eq. 5.14, with the sign of the load)."""
     _moving_bodies(P, W, S, m, oj)
-    beams = P[S, BENDINGS] != 0.0
+    bending = P[S, BENDINGS] != 0.0
     f = (W[m, LOAD], W[m, LOAD + 1], W[m, LOAD + 2])
     t = (W[m, LOAD + 3], W[m, LOAD + 4], W[m, LOAD + 5])
     beyond, turned = f, t
@@ -183,7 +183,7 @@ def _dynamic_moments(P, W, S, m, oj):
             j = oj + int(P[k, JOINT])
             s0, s1, s2 = cross(W[k, 9], W[k, 10], W[k, 11], f[0], f[1], f[2])
             _to_joint(P, W, k, j, t[0] - s0, t[1] - s1, t[2] - s2, f[0], f[1], f[2])
-            if beams:
+            if bending:
                 _keep_wrench(W, k, j, ROOT, f, t)
                 _keep_wrench(W, k, j, END, beyond, turned)
                 beyond, turned = f, t
