@@ -312,10 +312,13 @@ COLUMNS: list[dict[str, str]] = [
         "columns": "bar_id, bar_mm",
         "meaning": "or the ball bar (its centre mount, 1, 2, …, 0 for none) and the length it read, centre to centre",
     },
-    {"columns": "link1_deg … linkn_deg", "meaning": "or the angle behind gear and backlash, from link-side encoders"},
+    {
+        "columns": "link1_deg … linkn_deg",
+        "meaning": "or the angle behind gear and backlash, from link-side encoders, also beside the tool",
+    },
     {
         "columns": "tilt1x_deg …",
-        "meaning": "or the rotation of joint 1 about axis x (y, z) of its frame beyond its command, from inclinometers: only the columns that were read, empty cells where nothing was read. session counts the mountings. Jobs of kind joint_parameters read them alone, identify beside the tool",
+        "meaning": "or the rotation of joint 1 about axis x (y, z) of its frame beyond its command, from inclinometers: only the columns that were read, empty cells where nothing was read. session counts the mountings. Jobs of kind joint_parameters read them alone, identify and gap beside the tool",
     },
     {"columns": "t_s", "meaning": "time"},
     {"columns": "qd1_deg_s …, qdd1_deg_s2 …", "meaning": "joint velocities and accelerations"},
