@@ -1,4 +1,4 @@
-"""What the processes of the corrector are told when they are spawned, and where each of them begins.
+"""What the processes of the corrector get when they are spawned, and where each of them begins.
 
 Light on purpose: the supervisor of both starts them before it imports anything heavy itself.
 """
@@ -38,7 +38,7 @@ class Rules:
 
 @dataclass(frozen=True)
 class StreamSpec:
-    """What the stream process is told when it is spawned; at ``private_endpoint`` it meets the query process."""
+    """What the stream process gets when it is spawned; at ``private_endpoint`` it meets the query process."""
 
     site: str
     instance: str
@@ -50,7 +50,7 @@ class StreamSpec:
 
 @dataclass(frozen=True)
 class QuerySpec:
-    """What the query process is told when it is spawned."""
+    """What the query process gets when it is spawned."""
 
     site: str
     private_endpoint: str

@@ -173,7 +173,7 @@ def _tree(links: dict[str, Element], joints: list[Element]) -> UrdfTree:
 
 
 def _check_no_loop(tree: UrdfTree) -> None:
-    """Whatever cannot be reached from a root hangs on itself."""
+    """Links that cannot be reached from a root form a loop."""
     waiting = [link for link in tree.bodies if link not in tree.above]
     rooted = set(waiting)
     while waiting:

@@ -18,7 +18,7 @@ ALL_OTHERS = 0
 
 @dataclass
 class Setups:
-    """Numbers set-ups as the rows need them; remembers what each number stands for: campaign, session, device."""
+    """Numbers set-ups as the rows need them; remembers what each number means: campaign, session, device."""
 
     own: tuple[str, ...] | None
     devices: dict[str, str]
@@ -68,5 +68,5 @@ class Setups:
 def _said(frame: dict[str, Any]) -> str:
     name = frame["campaign"] or "the campaigns of other devices"
     session = "" if frame["session"] is None else f" session {frame['session']}"
-    moved = f"moved {frame['moved_mm']:.3g} mm, turned {frame['turned_deg']:.3g} deg"
+    moved = f"moved {frame['moved_mm']:.3g} mm, rotated {frame['turned_deg']:.3g} deg"
     return f"{name}{session} ({frame['use']}, {moved})"

@@ -48,7 +48,7 @@ from kilter_service.jobs.registry import kind_of
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.gap.check import GapCheck as Hunt
+    from kilter_core.gap.check import GapCheck as FoundByCheck
     from kilter_core.identify.check import IdentificationCheck
 
 ANSWERS: dict[str, tuple[type[Job], type[BaseModel]]] = {
@@ -112,7 +112,7 @@ def check(
     if kind == "identify":
         own = {"identifiability": None if found.identification is None else _identifiability(found.identification)}
     elif kind == "gap":
-        own = {"testability": None if found.hunt is None else _testability(found.hunt)}
+        own = {"testability": None if found.search is None else _testability(found.search)}
     return CHECKS[kind](
         kind=kind,
         robot=robot,
@@ -149,7 +149,7 @@ def _identifiability(found: IdentificationCheck) -> Identifiability:
     )
 
 
-def _testability(found: Hunt) -> Testability:
+def _testability(found: FoundByCheck) -> Testability:
     from kilter_core.identify.report import WIRE  # imports scipy: not at the start of the API process
 
     testable = []

@@ -42,7 +42,7 @@ class RefusedError(Exception):
 
 
 def joint_columns(names: Sequence[str], joints: Sequence[str]) -> list[int]:
-    """Where in the message each joint of the robot stands.
+    """Where in the message each joint of the robot is.
 
     Raises:
         RefusedError: a joint is missing or named twice.

@@ -38,7 +38,7 @@ class Row:
 
 
 def worst_rows(found: Identification, job: JobInput, aside: Sequence[Mapping[str, Any]]) -> dict[str, Document]:
-    """Draw the worst rows; ``aside`` are those that a robust loss let go. Nothing where rows measure no point."""
+    """Draw the worst rows; ``aside`` are those that a robust loss set aside. Nothing where rows measure no point."""
     worst = sorted(_candidates(found, job, aside), key=lambda row: -row.size)[:WORST]
     if not worst:
         return {}
@@ -86,7 +86,7 @@ def _place_of(row: int, campaigns: Mapping[str, int]) -> tuple[str, int]:
 
 
 def _names(job: JobInput) -> dict[str, str]:
-    """Campaigns by their names, by their ids where two names look alike."""
+    """Campaigns by their names, by their ids where two names look the same."""
     every = [*job.campaigns, *(job.validation if isinstance(job.validation, dict) else ())]
     names = {campaign: shortened(job.names.get(campaign) or campaign) for campaign in every}
     count = Counter(names.values())

@@ -48,7 +48,7 @@ class HeldOut(Record):
     """What a job would not fit, but judge by."""
 
     how: str
-    """`campaigns` named; a `fraction` of the poses; `folds`, every pose once; `unasked`: the quarter that a gap hunt holds out by itself; `none`."""
+    """`campaigns` named; a `fraction` of the poses; `folds`, every pose once; `unasked`: the quarter that a gap search holds out by itself; `none`."""
     poses: int
     """Distinct poses among them."""
     rows: int
@@ -102,7 +102,7 @@ class Missing(Record):
     """What the job would run without, and what that costs."""
 
     reason: str
-    """Why it cannot be told."""
+    """Why it cannot be determined."""
     remedy: str
     """What to measure or to give."""
     what: str
@@ -136,14 +136,14 @@ class IdentifyCheck(Record):
     rows: int
     """Rows of the campaigns it would learn from, held-out rows among them."""
     version: str | None
-    """Id of the version it would start from; None: the robot as drawn."""
+    """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
-    """Whether the job would run through, as far as can be told."""
+    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Testability(Record):
-    """What a hunt could test, judged with the geometry fitted and nothing named."""
+    """What a gap search could test, judged with the geometry fitted and nothing named."""
 
     not_testable: Records[Untestable]
     """Effects that cannot be tested, with what would help."""
@@ -153,7 +153,7 @@ class Testability(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GapCheck(Record):
-    """What a gap hunt would do."""
+    """What a gap search would do."""
 
     campaigns: Records[CheckedCampaign]
     """Campaigns it would use, in the order given."""
@@ -178,9 +178,9 @@ class GapCheck(Record):
     testability: Testability | None
     """What could be tested; None: see `problems`."""
     version: str | None
-    """Id of the version it would start from; None: the robot as drawn."""
+    """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
-    """Whether the job would run through, as far as can be told."""
+    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -208,9 +208,9 @@ class EvaluateCheck(Record):
     rows: int
     """Rows of the campaigns it would learn from, held-out rows among them."""
     version: str | None
-    """Id of the version it would start from; None: the robot as drawn."""
+    """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
-    """Whether the job would run through, as far as can be told."""
+    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -238,9 +238,9 @@ class PlanCheck(Record):
     rows: int
     """Rows of the campaigns it would learn from, held-out rows among them."""
     version: str | None
-    """Id of the version it would start from; None: the robot as drawn."""
+    """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
-    """Whether the job would run through, as far as can be told."""
+    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -268,6 +268,6 @@ class JointParametersCheck(Record):
     rows: int
     """Rows of the campaigns it would learn from, held-out rows among them."""
     version: str | None
-    """Id of the version it would start from; None: the robot as drawn."""
+    """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
-    """Whether the job would run through, as far as can be told."""
+    """Whether the job would run through, as far as can be predicted."""

@@ -62,7 +62,7 @@ class Learned(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Method(Record):
-    """The method of a fit, and what it says of itself."""
+    """The method of a fit, and what it reports."""
 
     best_mm: float | None
     """Error at the best point of a global search, mm."""
@@ -139,7 +139,7 @@ class OwnBase(Record):
     session: int | None
     """Session of the campaign; None: all of it."""
     turned_deg: float | None
-    """How far it is turned, degrees."""
+    """How far it is rotated, degrees."""
     use: str | None
     """What the rows were used for."""
 
@@ -189,7 +189,7 @@ class IdentifyResult(ShownFit, Record):
     load_model: Records[LoadNumber]
     """Masses and centres as stated and as found."""
     method: Method | None
-    """The method, and what it says of itself."""
+    """The method, and what it reports."""
     metrics: Metrics | None
     """Errors on the rows fitted and on those held out."""
     noise: Noise | None
@@ -211,7 +211,7 @@ class IdentifyResult(ShownFit, Record):
     scale: Scale | None
     """The standard deviations that residuals were weighed by."""
     set_aside: Records[SetAside]
-    """Rows that a robust loss let go."""
+    """Rows that a robust loss set aside."""
     version_id: str | None
     """Id of the version it made; None: none."""
     warnings: Records[Remark]
