@@ -167,7 +167,7 @@ class Origin(Stored):
 
 
 class Layout(Stored):
-    """Layout of a figure; beside these fields more axes: `xaxis2`, `yaxis2` and so on."""
+    """Layout of a figure; further fields are more axes: `xaxis2`, `yaxis2` and so on."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Axis]
@@ -227,13 +227,13 @@ class IdentifyFigures(Stored):
     fitted_errors: PlaneFigure | None = Field(None, description="The same of fitted rows, where none were held out.")
     residual_arrows: PlaneFigure | None = Field(None, description="Residuals as arrows from three sides.")
     residual_arrows_3d: SpaceFigure | None = Field(None, description="Residuals as arrows in space.")
-    worst_rows: BarFigure | None = Field(None, description="Rows that are left with most, by campaign and number.")
+    worst_rows: BarFigure | None = Field(None, description="Rows with the largest errors, by campaign and number.")
     parameter_changes: BarFigure | None = Field(None, description="Changes of parameters with 95 % intervals.")
     predicted_error: PlaneFigure | None = Field(None, description="What the fit does not know, over the workspace.")
 
 
 class GapFigures(Stored):
-    """Figures of a gap search; beside these fields `residual_joint_1` and so on: the residual along what each joint moves."""
+    """Figures of a gap search; further fields are `residual_joint_1` and so on: the residual along what each joint moves."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Figure]

@@ -61,7 +61,9 @@ class Parameter(Stored):
     plausible: bool | None = Field(None, description="Whether the value is within what is usual.")
     readings: int | None = Field(None, description="Readings it rests on, in a job of kind `joint_parameters`.")
     reason: str | None = Field(None, description="Why it has no value, in words.")
-    stiffness_nm_deg: float | None = Field(None, description="Stiffness of the joint beside its compliance, N m/deg.")
+    stiffness_nm_deg: float | None = Field(
+        None, description="Stiffness of the joint, the inverse of its compliance, N m/deg."
+    )
 
 
 class Member(Stored):
@@ -254,7 +256,7 @@ class Method(Stored):
 
 
 class FitDetails(Stored):
-    """What an identification says beside its parameters and errors."""
+    """What an identification reports besides its parameters and errors."""
 
     noise_source: str | None = Field(None, description="What the noise was estimated from.")
     scale: Scale | None = Field(None, description="The standard deviations that residuals were weighed by.")

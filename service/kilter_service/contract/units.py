@@ -59,7 +59,7 @@ class Strict(BaseModel):
 
 
 class _Written(BaseModel):
-    """Shows what was written and leaves out what was not, where a default would say more than anybody has."""
+    """Shows what was written and leaves out the rest, because a default would say more than anybody has."""
 
     @model_serializer(mode="wrap")
     def _as_it_was_written(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

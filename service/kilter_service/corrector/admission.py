@@ -1,7 +1,7 @@
 """Which frame of a stream comes next, and how old it is; docs/reference/stream.md states these rules.
 
 Clocks of two machines are never compared. The smallest difference between arrival and sending seen so far counts
-as the transit time, and a frame is as old as it exceeds that. One frame never decides: one that does not fit is refused and
+as the transit time, and the age of a frame is what exceeds that. One frame never decides: one that does not fit is refused and
 leaves the stream as it is, until a second frame continues from it.
 """
 

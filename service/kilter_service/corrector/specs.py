@@ -18,7 +18,7 @@ class Rules:
     """Bounds that do not belong to a version.
 
     Clocks of two machines are never compared. The smallest difference between arrival and sending seen so far counts
-    as the transit time; a frame is as old as it exceeds that. ``clock_drift`` lets that smallest difference grow again.
+    as the transit time; the age of a frame is what exceeds that. ``clock_drift`` lets that smallest difference grow again.
     It grows at once when a clock is set back by more than ``set_back_ns``, or when late frames agree within
     ``agree_ns`` on a longer transit time for ``agree_for_ns``. Of ``slots`` streams, one that was good within
     ``idle_ns`` keeps its own.

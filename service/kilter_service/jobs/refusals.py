@@ -25,7 +25,7 @@ def read_options(kind: str, document: Mapping[str, Any]) -> Asked:
     """Read the options of a job.
 
     Raises:
-        OptionError: one that does not exist or cannot be.
+        OptionError: one that does not exist or is invalid.
 
     """
     try:

@@ -60,7 +60,7 @@ class Setups:
         return {
             "code": "base_refitted",
             "campaigns": [frame["campaign"] for frame in refitted if frame["campaign"] is not None],
-            "message": f"The base was refitted to {said}: {why}. Errors there say nothing of where the base lay; "
+            "message": f"The base was refitted to {said}: {why}. Errors there say nothing about where the base was; "
             'with "refit": [] all rows share one base.',
         }
 

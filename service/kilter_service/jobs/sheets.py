@@ -45,8 +45,8 @@ def bar_lengths(robot: Robot, campaigns: Iterable[tuple[str, Observations]]) -> 
         {
             "code": "bar_length_doubtful",
             "message": f"{campaign}: bar {bar} reads {to_mm(read):.3f} mm, but the joints put the tool {to_mm(found):.3f} mm "
-            f"from the ball at its fixed end ({found / read:.4g} times). Is the nominal length another than stated? Give it "
-            f"as it is (kilter ballbar-join --radius-mm, or the line above the log) and upload again.",
+            f"from the ball at its fixed end ({found / read:.4g} times). Is the stated nominal length wrong? Give the right "
+            f"one (kilter ballbar-join --radius-mm, or the line above the log) and upload again.",
         }
         for campaign, rows in campaigns
         for bar, read, found in other_lengths(robot, rows)

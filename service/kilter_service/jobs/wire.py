@@ -70,7 +70,7 @@ CHECKS: dict[str, type[JobCheck]] = {
 
 
 def job(record: JobRecord) -> Job:
-    """Say all of a job; what an earlier release wrote otherwise is left out."""
+    """Say all of a job; what an earlier release wrote in another form is left out."""
     answer, result = ANSWERS[record.kind]
     options: Asked = as_written(kind_of(record.kind).options, record.request.options)
     return answer(

@@ -80,7 +80,7 @@ POSES, BY_DISTANCE = "poses", "by distance"  # versions without it were split by
 
 
 def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
-    """Store the version of a job and return its id; the same job again changes nothing."""
+    """Store the version of a job and return its id; the same job a repeat changes nothing."""
     version_id = f"ver_{job_id.removeprefix('job_')}"
     if session.get(VersionRow, version_id) is not None:
         return version_id

@@ -37,7 +37,7 @@ class HeldOut(Strict):
 
 
 class JobProblem(Strict):
-    """What the job would fail of."""
+    """Why the job would fail."""
 
     code: str = Field(description="Stable name of the error that the job would end with.")
     message: str = Field(description="What is wrong, and what helps.")
@@ -52,7 +52,7 @@ class Missing(Strict):
 
 
 class Duration(Strict):
-    """How long the job would compute, in seconds; waiting for other jobs is not among it."""
+    """How long the job would compute, in seconds, without waiting for other jobs."""
 
     expected: Seconds = Field(description="Most likely, s.")
     low: Seconds = Field(description="Hardly less, s.")
@@ -78,7 +78,7 @@ class Identifiability(Strict):
     null_directions: list[NullDirection] = Field(description="Combinations that the poses cannot tell.")
     noise_mm: Mm = Field(description="Standard deviation of a coordinate this was judged with, mm.")
     noise_from: Literal["stated", "repeats", "assumed"] = Field(
-        description="Where it comes from: `noise_mm`, repeats of poses, or assumed for want of both."
+        description="Where it comes from: `noise_mm`, repeats of poses, or `assumed` without either."
     )
 
 
@@ -93,7 +93,7 @@ class _Check(Strict):
     robot: str = Field(description="Name of the robot.")
     version: str | None = Field(description="Id of the version it would start from; null: the nominal robot.")
     would_run: bool = Field(description="Whether the job would run through, as far as can be predicted.")
-    problems: list[JobProblem] = Field(description="What it would fail of; empty where it would run.")
+    problems: list[JobProblem] = Field(description="Why it would fail; empty if it would run.")
     campaigns: list[CheckedCampaign] = Field(description="Campaigns it would use, in the order given.")
     rows: int = Field(description="Rows of the campaigns it would learn from, held-out rows among them.")
     poses: int = Field(description="Distinct poses among those rows.")

@@ -1,4 +1,4 @@
-"""The rows that an identification leaves with most, by campaign and number."""
+"""The rows with the largest errors after an identification, by campaign and number."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def worst_rows(found: Identification, job: JobInput, aside: Sequence[Mapping[str
     names = _names(job)
     labels = [plain_text(f"{names[row.campaign]} row {row.number}") for row in worst]
     made = bar_layout(
-        f"The {len(worst)} rows that are left with most", "error of the identified model, mm", labels, barmode="overlay"
+        f"The {len(worst)} rows with the largest errors", "error of the identified model, mm", labels, barmode="overlay"
     )
     return {"worst_rows": {"data": list(_bars(worst, labels)), "layout": made}}
 

@@ -31,7 +31,7 @@ class CheckedCampaign(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Duration(Record):
-    """How long the job would compute, in seconds; waiting for other jobs is not among it."""
+    """How long the job would compute, in seconds, without waiting for other jobs."""
 
     basis: str
     """What this rests on: earlier jobs of this server, or a rule."""
@@ -74,7 +74,7 @@ class Identifiability(Record):
     identifiable: tuple[str, ...]
     """Names of the parameters that the poses tell."""
     noise_from: str
-    """Where it comes from: `noise_mm`, repeats of poses, or assumed for want of both."""
+    """Where it comes from: `noise_mm`, repeats of poses, or `assumed` without either."""
     noise_mm: float
     """Standard deviation of a coordinate this was judged with, mm."""
     not_identifiable: Records[UnknownParameter]
@@ -89,7 +89,7 @@ class Identifiability(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JobProblem(Record):
-    """What the job would fail of."""
+    """Why the job would fail."""
 
     code: str
     """Stable name of the error that the job would end with."""
@@ -130,7 +130,7 @@ class IdentifyCheck(Record):
     poses: int
     """Distinct poses among those rows."""
     problems: Records[JobProblem]
-    """What it would fail of; empty where it would run."""
+    """Why it would fail; empty if it would run."""
     robot: str
     """Name of the robot."""
     rows: int
@@ -170,7 +170,7 @@ class GapCheck(Record):
     poses: int
     """Distinct poses among those rows."""
     problems: Records[JobProblem]
-    """What it would fail of; empty where it would run."""
+    """Why it would fail; empty if it would run."""
     robot: str
     """Name of the robot."""
     rows: int
@@ -202,7 +202,7 @@ class EvaluateCheck(Record):
     poses: int
     """Distinct poses among those rows."""
     problems: Records[JobProblem]
-    """What it would fail of; empty where it would run."""
+    """Why it would fail; empty if it would run."""
     robot: str
     """Name of the robot."""
     rows: int
@@ -232,7 +232,7 @@ class PlanCheck(Record):
     poses: int
     """Distinct poses among those rows."""
     problems: Records[JobProblem]
-    """What it would fail of; empty where it would run."""
+    """Why it would fail; empty if it would run."""
     robot: str
     """Name of the robot."""
     rows: int
@@ -262,7 +262,7 @@ class JointParametersCheck(Record):
     poses: int
     """Distinct poses among those rows."""
     problems: Records[JobProblem]
-    """What it would fail of; empty where it would run."""
+    """Why it would fail; empty if it would run."""
     robot: str
     """Name of the robot."""
     rows: int

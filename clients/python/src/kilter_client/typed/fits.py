@@ -83,7 +83,7 @@ class Parameter(ShownParameter, Record):
     sigma: float | None
     """Standard deviation of the value."""
     stiffness_nm_deg: float | None
-    """Stiffness of the joint beside its compliance, N m/deg."""
+    """Stiffness of the joint, the inverse of its compliance, N m/deg."""
     unit: str | None
     """Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."""
     upper: float | None
@@ -270,7 +270,7 @@ class Scene(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Layout(Record):
-    """Layout of a figure; beside these fields more axes: `xaxis2`, `yaxis2` and so on."""
+    """Layout of a figure; further fields are more axes: `xaxis2`, `yaxis2` and so on."""
 
     barmode: str | None
     """`group`: bars side by side; `overlay`: one over the other."""
