@@ -93,7 +93,7 @@ def key_of(cursor: str) -> tuple[str, ...]:
     """Return the key that a cursor stands for.
 
     Raises:
-        ServiceError: it is no cursor.
+        ServiceError: it is not a cursor.
 
     """
     try:

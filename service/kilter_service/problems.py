@@ -71,13 +71,13 @@ def _headers(code: str, status: int) -> dict[str, str] | None:
 
 
 async def on_core_error(request: Request, error: Exception) -> Response:
-    """Turn an error of core or of the service into its problem document."""
+    """Convert an error of core or of the service to its problem document."""
     assert isinstance(error, CoreError)
     return problem(request, error.code, error.message, error.context)
 
 
 async def on_validation_error(request: Request, error: Exception) -> Response:
-    """Turn a payload of the wrong shape into a 422 that names every place."""
+    """Answer a payload of the wrong shape with a 422 that names every place."""
     assert isinstance(error, RequestValidationError)
     found = error.errors()
     places = [
@@ -95,7 +95,7 @@ async def on_validation_error(request: Request, error: Exception) -> Response:
 
 
 async def on_http_error(request: Request, error: Exception) -> Response:
-    """Turn what the framework refuses (unknown address, wrong method) into a problem document."""
+    """Convert what the framework refuses (unknown address, wrong method) to a problem document."""
     assert isinstance(error, HTTPException)
     if error.status_code == 404:
         return problem(request, "not_found", f"{request.url.path} does not exist: see /docs.", {})
@@ -105,7 +105,7 @@ async def on_http_error(request: Request, error: Exception) -> Response:
 
 
 class RequestNaming:
-    """Give every request its identifier, and turn an unexpected exception into a 500 that leaks nothing."""
+    """Give every request its identifier, and answer an unexpected exception with a 500 that leaks nothing."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app

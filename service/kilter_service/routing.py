@@ -21,7 +21,7 @@ class GuardedRoute(APIRoute):
     """A route of Kilter.
 
     Everything but a plain read needs the token, which is checked before the body is read. A JSON document is read up to the
-    size limit, parsed and validated in a thread, and answered in its turn. Endpoints receive files themselves.
+    size limit, parsed and validated in a thread, and answered when a slot is free. Endpoints receive files themselves.
     """
 
     def get_route_handler(self) -> Callable[[Request], Any]:

@@ -49,7 +49,7 @@ def _why(error: OSError) -> str:
         )
     reason = (
         os.strerror(error.errno) if error.errno and error.errno > 0 else error
-    )  # a name that is none has a code below 0
+    )  # an invalid host name has a code below 0
     return f"{reason}: set KILTER_HOST (or --host) to an address of this machine"
 
 

@@ -1,4 +1,4 @@
-"""How many requests may hold memory at once: more wait for their turn, and too many are refused."""
+"""How many requests may hold memory at once: more wait, and too many are refused."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Slots:
 
     def __init__(self, settings: Settings) -> None:
         self.documents = Room(settings.max_requests, settings.max_computing)
-        # Reads that compute are open to everybody on loopback: they must not take the others' turns.
+        # Reads that compute are open to everybody on loopback: they must not take the others' slots.
         self.reads = Room(settings.max_requests, settings.max_computing)
         self.files = Room(settings.max_requests, settings.max_computing)  # those that wait are on disk
 
@@ -62,13 +62,13 @@ def slots_of(request: Request) -> Slots:
 
 
 async def compute(request: Request, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-    """Work on a received file in a thread, when it is its turn."""
+    """Work on a received file in a thread, once a slot is free."""
     async with slots_of(request).files.turn:
         return await run_in_threadpool(work, *args, **kwargs)
 
 
 async def reading_turn(request: Request) -> AsyncIterator[None]:
-    """Let a read that computes (an export, a comparison) wait for its turn; a dependency of its route."""
+    """Let a read that computes (an export, a comparison) wait for a slot; a dependency of its route."""
     room = slots_of(request).reads
     with room.entered():
         async with room.turn:

@@ -50,7 +50,7 @@ class Child:
         self._again_at: float | None = None
 
     def start(self) -> None:
-        """Start the process; it ends by itself when this one does, for then its standard input closes."""
+        """Start the process; it ends by itself when this one does, because its standard input closes."""
         self._started, self._again_at = time.monotonic(), None
         self._process = subprocess.Popen(
             self._command,
@@ -204,7 +204,7 @@ def _answers(url: str) -> bool:
 
 
 def _zenoh(settings: Settings) -> str | None:
-    """Return the endpoint of the corrector that runs now; None while none has said that it listens."""
+    """Return the endpoint of the corrector that runs now; None until one has said that it listens."""
     try:
         document: dict[str, Any] = json.loads(settings.corrector_file.read_text(encoding="utf-8"))
         os.kill(document["pid"], 0)

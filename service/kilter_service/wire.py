@@ -48,10 +48,10 @@ def joint_units(robot: Robot) -> list[str]:
 
 
 def joint_scale(robot: Robot) -> list[float]:
-    """Return what turns each joint's reading (rad or m) into that unit."""
+    """Return what converts each joint's reading (rad or m) to that unit."""
     return [MM if unit == "mm" else DEG for unit in joint_units(robot)]
 
 
 def joint_scale_back(robot: Robot) -> list[float]:
-    """Return what turns each joint's reading in its unit into rad or m."""
+    """Return what converts each joint's reading in its unit to rad or m."""
     return [METRE if unit == "mm" else RAD for unit in joint_units(robot)]

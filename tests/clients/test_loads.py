@@ -161,7 +161,7 @@ def test_a_path_without_any_load_is_told_what_that_means(
     assert_there(tmp_path / "out.csv", poses(20, 9), 0.0, NO_LOAD)
     assert document(capsys, "correct", robot, path, "-o", tmp_path / "out.csv", "--payload-kg", 0)["notes"] == []
     place = document(capsys, "correct", robot, path, "-o", tmp_path / "x.csv", "--payload-com-mm", "0,0,60", code=1)
-    assert "give payload_kg beside it" in place["detail"]
+    assert "give payload_kg too" in place["detail"]
 
 
 def test_a_place_without_a_mass_is_refused(kilter: Kilter, tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """The words of the documentation, the help, the errors and the docstrings: standard terms, plain English, short lines.
 
 ``RULES`` is the one table: what is refused, the term that stands for it, and the areas in which it is refused so far.
-``python -m tests.contract.test_words core service`` lists what would be refused in areas that have not joined yet.
+``python -m tests.contract.test_words core`` lists what would be refused in an area that has not joined yet.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ GENERATED = (
     "clients/python/src/kilter_client/typed/",
     "clients/python/src/kilter_client/cli/option_texts.py",
     "clients/python/src/kilter_client/cli/listed_texts.py",
+    "service/kilter_service/contract/effects.py",
     *(f"clients/matlab/+kilter/{kind}.m" for kind in ("identify", "gap", "evaluate", "plan")),
 )
-# Where words are looked for. `core` and `service` join by being named in MENDED.
+# Where words are looked for. `core` joins by being named in MENDED.
 AREAS = {
     "docs": ("README.md", "CONTRIBUTING.md", "SECURITY.md", "docs", "clients", "core/README.md"),
     "clients": ("clients", "examples"),
     "core": ("core",),
     "service": ("service",),
 }
-MENDED = ("docs", "clients")
+MENDED = ("docs", "clients", "service")
 
 
 @dataclass(frozen=True)

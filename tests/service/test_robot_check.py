@@ -48,7 +48,7 @@ def test_what_looks_wrong_is_said(shared_client: httpx.Client) -> None:
     assert "look like radians" in suspicious(shared_client, joints=joints)
     assert "No limits for j0, j1" in suspicious(shared_client, joints=[{"name": f"j{k}"} for k in range(6)])
     same = [row | {"a_mm": 0.0} if k == 1 else row for k, row in enumerate(rows)]
-    assert "shoulder_lift and elbow turn about the same axis" in suspicious(shared_client, rows=same)
+    assert "shoulder_lift and elbow rotate about the same axis" in suspicious(shared_client, rows=same)
     tilted = [row | {"alpha_deg": 0.2} if k == 1 else row for k, row in enumerate(rows)]
     assert "shoulder_lift and elbow are 0.2000 deg from parallel" in suspicious(shared_client, rows=tilted)
     assert "No link has a mass" in suspicious(shared_client, links=None)

@@ -94,8 +94,8 @@ def test_many_links_in_a_row_weigh_what_they_weigh() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (urdf(joint("a", "l0", "l1"), joint("b", "l1", "l2"), joint("c", "l2", "l1"), links=3), "hangs on joints"),
-        (urdf(joint("a", "l0", "l1"), joint("b", "l2", "l3"), joint("c", "l3", "l2"), links=4), "hangs on itself"),
+        (urdf(joint("a", "l0", "l1"), joint("b", "l1", "l2"), joint("c", "l2", "l1"), links=3), "is below joints"),
+        (urdf(joint("a", "l0", "l1"), joint("b", "l2", "l3"), joint("c", "l3", "l2"), links=4), "is below itself"),
         (urdf(joint("a", "l0", "l1"), joint("b", "l1", "ghost"), links=2), "'ghost', which the URDF does not have"),
         (urdf(joint("a", "l0", "l1"), joint("a", "l1", "l2"), links=3), "two joints 'a'"),
         (urdf('<link name="l0"/>', joint("a", "l0", "l1"), links=2), "two links 'l0'"),

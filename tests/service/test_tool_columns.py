@@ -47,7 +47,7 @@ def test_taken(shared_client: httpx.Client, columns: dict[str, Any]) -> None:
         ({"socket_id": [1, -1]}, "is negative"),
         ({"bar_id": [1, 1]}, "'bar' is missing"),
         ({"bar_id": [1, 1], "bar_mm": [250, 0]}, "Row 2, column 'bar_mm' is not the length"),
-        ({"socket_id": [1, 1], "x_mm": [1, 2], "y_mm": [1, 2], "z_mm": [1, 2]}, "beside a measured tool"),
+        ({"socket_id": [1, 1], "x_mm": [1, 2], "y_mm": [1, 2], "z_mm": [1, 2]}, "cannot go with a measured tool"),
         ({"x_mm": [1, 2], "y_mm": [1, 2], "z_mm": [1, 2], "tipx_mm": [1, 2], "tipy_mm": [1, 2], "tipz_mm": [1, 2]},
          "missing its markers"),
         ({**MARKERS, "tipx_mm": [1.0, None], "tipy_mm": [1.0, 2.0], "tipz_mm": [1.0, None]}, "Row 2, column 'tipx_mm'"),

@@ -2,8 +2,8 @@ function job = gap(robot, campaigns, varargin)
 % GAP  Find and name what the model is missing; waits for the end.
 %   job = kilter.gap('arm', {train, more}, 'alpha', 0.01)
 %   Further pairs are the job's options. JOB.result holds the result; a job that fails is an error kilter:CODE.
-%     start                Id of the version to continue from; left out: the robot as drawn.
-%     alpha                Chance of any false name in the whole hunt, between 0 and 0.5.
+%     start                Id of the version to continue from; left out: the nominal robot.
+%     alpha                Chance of any false name in the whole search, between 0 and 0.5.
 %     effects              Look for these effects only, by id or at some joints; left out: for all.
 %     noise_mm             Standard deviation of a coordinate, mm, above 0, where no pose was measured twice.
 %     free                 Parameters to identify, by name or pattern (alpha_*); left out: those of the level.

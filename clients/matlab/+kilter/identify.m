@@ -12,7 +12,7 @@ function job = identify(robot, campaigns, varargin)
 %     fix                  Parameters to hold, by name or pattern (alpha_*).
 %     base                 Whether the base is fitted; removed: only distances between poses count.
 %     tool                 Whether the tool is fitted.
-%     loss                 huber bounds what a wrong row can pull, tukey lets it go and names it.
+%     loss                 huber bounds what a wrong row can pull, tukey sets it aside and names it.
 %     noise_mm             Standard deviation of a coordinate, mm, above 0; left out: estimated from the rows.
 %     reference            Frames that corrections work in: the robot's own, those of the registration, or auto: the
 %                          robot's own for a frame that is fixed or found within 10 mm and 1 degree of it.
@@ -21,7 +21,7 @@ function job = identify(robot, campaigns, varargin)
 %     sheet_order          given: the quarter points of drawn sheets are in the right order, do not check; left out:
 %                          checked.
 %     seed                 Seed of everything that is drawn by chance, 0 or more.
-%     start                Id of the version to start from; left out: the robot as drawn.
+%     start                Id of the version to start from; left out: the nominal robot.
 %     limits               The largest correction the version may make; left out: 1 degree and 5 mm.
 %     search_mm            Half the width of a global search in lengths, mm, above 0.
 %     search_deg           Half the width of a global search in angles, degrees, above 0.

@@ -8,10 +8,10 @@ function job = plan(robot, campaigns, varargin)
 %                          its cycles.
 %     count                Poses, 1 to 2000, or cycles; left out: 118, 60 or 12 poses by purpose, 30 cycles.
 %     effects              Of identify: effects to see; of separate: the two, or one to tell from geometry; left out:
-%                          what the hunt that made the version left undecided.
+%                          what the gap search that made the version left undecided.
 %     seed                 Seed of the choice, 0 or more.
 %     noise_mm             Standard deviation of a coordinate, mm, above 0; left out: that of the repeats, else 0.05.
-%     version              Id of the version to plan with; left out: the robot as drawn.
+%     version              Id of the version to plan with; left out: the nominal robot.
 %     box_mm               Lowest and highest corner, mm, of a box the tool stays in, in the frame of the
 %                          measurements.
 %     floor_mm             Height in the robot's base frame, mm, that no joint and no tool point goes below.

@@ -155,7 +155,7 @@ def _whole(group: Sequence[str], there: Sequence[str]) -> None:
 def _conflicts(present: set[str], markers: set[int]) -> None:
     if (held := present & set(CONTACTS)) and (seen := present & {"x", "marker_x"}):
         raise refuse(
-            f"Column {sorted(held)[0]!r} stands beside a measured tool ({'x' if 'x' in seen else 'm1x'}): give what held the "
+            f"Column {sorted(held)[0]!r} cannot go with a measured tool ({'x' if 'x' in seen else 'm1x'}): give what held the "
             "tool or where an instrument saw it, in two campaigns.",
             sorted(held)[0],
         )
@@ -169,7 +169,7 @@ def _conflicts(present: set[str], markers: set[int]) -> None:
     if {"qw", "phi"} <= present:
         raise refuse("Column 'phi' says the same as 'qw': give the orientation once.", "phi")
     if markers and "x" in present:
-        raise refuse("Column 'x' stands beside markers: give the tool's position or the markers, in two uploads.", "x")
+        raise refuse("Column 'x' cannot go with markers: give the tool's position or the markers, in two uploads.", "x")
     if "qw" in present | ({"qw"} if "phi" in present else set()) and "x" not in present:
         raise refuse("Column 'x' is missing: an orientation needs its position.", "x")
     if markers and max(markers) + 1 != len(markers):

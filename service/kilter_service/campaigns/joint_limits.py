@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-# Limits stand rounded to two decimals of a radian in many a URDF, 2.09 for 120 deg, and to a mm for a slide.
+# Many URDFs round limits to two decimals of a radian (2.09 for 120 deg), and to a mm for a prismatic joint.
 TOLERANCE = {"deg": math.radians(0.3), "mm": 0.5e-3}
 MOST_ROWS = 1000  # that are named one by one in the error's context
 SHOWN = 8

@@ -22,7 +22,7 @@ def change(database: Database, campaign_id: str, wanted: Change) -> Campaign:
     """Name a campaign, or note something on it.
 
     Raises:
-        ServiceError: no such campaign, or a name that is taken or cannot be.
+        ServiceError: no such campaign, or a name that is taken or invalid.
 
     """
     with database.transaction() as session:

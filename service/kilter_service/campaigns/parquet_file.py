@@ -24,7 +24,7 @@ def parquet_names(path: Path) -> list[str]:
     """Return the names of the columns.
 
     Raises:
-        ObservationError: no Parquet file, too many columns, or names that cannot be.
+        ObservationError: not a Parquet file, too many columns, or invalid names.
 
     """
     with _opened(path) as file:

@@ -49,8 +49,8 @@ def check_pages(path: Path) -> None:
     """Refuse a file that would fill the memory by its footer or by the pages that are unpacked together.
 
     Raises:
-        ObservationError: too large or too many, other values than stated, or damaged. What is no Parquet file at all the
-            reader says.
+        ObservationError: too large or too many, other values than stated, or damaged. The reader refuses what is not a
+            Parquet file.
 
     """
     with path.open("rb") as file:

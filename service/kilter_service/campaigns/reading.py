@@ -211,7 +211,7 @@ def _check_json(path: Path) -> None:
             limit_mb=MAX_JSON_BYTES >> 20,
         )
     text = path.read_bytes()
-    # Lists, objects and texts are counted by what begins them; some may stand where a refusal can name their place.
+    # Lists, objects and texts are counted by what begins them; a few may be there, so that a refusal can name their place.
     if max(text.count(b"["), text.count(b"{"), text.count(b'"') // 2) > 2 * MAX_COLUMNS:
         _not_columns()
 

@@ -54,7 +54,7 @@ def get(campaign: str, database: DatabaseOfApp) -> Campaign:
 
 @router.post("/campaigns/{campaign}/commit")
 def commit(campaign: str, parts: Parts, database: DatabaseOfApp, _: Admin) -> Campaign:
-    """Make a staged campaign visible, if it holds exactly the parts that are named; again changes nothing."""
+    """Make a staged campaign visible, if it holds exactly the parts that are named; a repeat changes nothing."""
     return service.commit(database, campaign, parts)
 
 

@@ -46,7 +46,7 @@ class RowRules:
         """Check the next rows.
 
         Raises:
-            ObservationError: a cell that cannot be; row and column are named.
+            ObservationError: an invalid cell; row and column are named.
 
         """
         cells = {c.name: table.column(c.name).to_numpy(zero_copy_only=False) for c in self.columns}

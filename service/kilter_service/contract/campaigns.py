@@ -16,7 +16,7 @@ SHA256 = "SHA-256 of the bytes that were sent, 64 hexadecimal digits."
 
 
 class Conditions(Strict):
-    """What held during the whole campaign; a column of the rows goes before it."""
+    """What held during the whole campaign; a column of the rows takes precedence over it."""
 
     payload_kg: Load | None = Field(None, description="Mass at the tool point, kg, 0 or more; null: not known.")
     payload_com_mm: PointMm | None = Field(

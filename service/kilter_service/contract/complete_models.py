@@ -8,8 +8,8 @@ from pydantic import Field
 
 from kilter_service.contract.units import Deg, Direction, JointType, Mm, PointMm, Strict
 
-TYPE = "Whether the joint turns or slides."
-ZERO = "Added to the joint reading, degrees; mm where the joint slides."
+TYPE = "Whether the joint is revolute or prismatic."
+ZERO = "Added to the joint reading, degrees; mm for a prismatic joint."
 
 
 class PoeAxis(Strict):
@@ -40,7 +40,7 @@ class CpcFlange(Strict):
     """R(b) Rz(beta) Tx Ty Tz after the last joint."""
 
     b: Direction = Field((0.0, 0.0, 1.0), description="Direction of the flange's z axis in the last joint's frame.")
-    beta_deg: Deg = Field(0.0, description="Turn about that direction, degrees.")
+    beta_deg: Deg = Field(0.0, description="Rotation about that direction, degrees.")
     x_mm: Mm = Field(0.0, description="Shift along x, mm.")
     y_mm: Mm = Field(0.0, description="Shift along y, mm.")
     z_mm: Mm = Field(0.0, description="Shift along z, mm.")
@@ -49,8 +49,8 @@ class CpcFlange(Strict):
 class McpcRow(Strict):
     """Rx(alpha) Ry(beta) Tx(x) Ty(y), then the joint."""
 
-    alpha_deg: Deg = Field(0.0, description="Turn about x, degrees.")
-    beta_deg: Deg = Field(0.0, description="Turn about y, degrees.")
+    alpha_deg: Deg = Field(0.0, description="Rotation about x, degrees.")
+    beta_deg: Deg = Field(0.0, description="Rotation about y, degrees.")
     x_mm: Mm = Field(0.0, description="Shift along x, mm.")
     y_mm: Mm = Field(0.0, description="Shift along y, mm.")
     theta_offset_deg: Deg = Field(0.0, description=ZERO)
@@ -60,9 +60,9 @@ class McpcRow(Strict):
 class McpcFlange(Strict):
     """Rx(alpha) Ry(beta) Rz(gamma) Tx Ty Tz after the last joint."""
 
-    alpha_deg: Deg = Field(0.0, description="Turn about x, degrees.")
-    beta_deg: Deg = Field(0.0, description="Turn about y, degrees.")
-    gamma_deg: Deg = Field(0.0, description="Turn about z, degrees.")
+    alpha_deg: Deg = Field(0.0, description="Rotation about x, degrees.")
+    beta_deg: Deg = Field(0.0, description="Rotation about y, degrees.")
+    gamma_deg: Deg = Field(0.0, description="Rotation about z, degrees.")
     x_mm: Mm = Field(0.0, description="Shift along x, mm.")
     y_mm: Mm = Field(0.0, description="Shift along y, mm.")
     z_mm: Mm = Field(0.0, description="Shift along z, mm.")
@@ -75,6 +75,6 @@ class SModelRow(Strict):
     d_mm: Mm = Field(0.0, description="Shift along the joint's axis, mm.")
     a_mm: Mm = Field(0.0, description="Length of the link, mm.")
     alpha_deg: Deg = Field(0.0, description="Twist of the link, degrees.")
-    gamma_deg: Deg = Field(0.0, description="Turn of the link's frame about the next axis, degrees.")
+    gamma_deg: Deg = Field(0.0, description="Rotation of the link's frame about the next axis, degrees.")
     b_mm: Mm = Field(0.0, description="Shift of the link's frame along the next axis, mm.")
     type: JointType = Field("revolute", description=TYPE)

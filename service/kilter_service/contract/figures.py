@@ -13,7 +13,7 @@ Places = list[float | str | None]
 Share = tuple[float, float]
 
 X, Y = "Values along x; null: a gap.", "Values along y; null: a gap."
-SHORT_X, SHORT_Y = "Along x: values, or labels of bars that stand.", "Along y: labels of bars, or values."
+SHORT_X, SHORT_Y = "Along x: values, or labels of vertical bars.", "Along y: values, or labels of horizontal bars."
 
 
 class Text(Stored):
@@ -56,7 +56,7 @@ class ErrorBars(Stored):
     type: Literal["data"] = Field(description="Lengths are given for each bar.")
     array: Numbers = Field(description="Length above each value, or on both sides.")
     arrayminus: Numbers | None = Field(None, description="Length below each value; null: as above.")
-    symmetric: bool | None = Field(None, description="Whether both sides are alike; null: they are.")
+    symmetric: bool | None = Field(None, description="Whether both sides are the same; null: they are.")
     thickness: float | None = Field(None, description="Width of the line, pixels.")
     color: str | None = Field(None, description="Colour.")
 
@@ -74,7 +74,7 @@ class Bars(_Trace):
     """Bars, with their intervals."""
 
     type: Literal["bar"] = Field(description="Kind of the trace.")
-    orientation: str | None = Field(None, description="`h`: bars that lie; null: bars that stand.")
+    orientation: str | None = Field(None, description="`h`: horizontal bars; null: vertical bars.")
     x: Places = Field(description=SHORT_X)
     y: Places = Field(description=SHORT_Y)
     error_x: ErrorBars | None = Field(None, description="Intervals along x.")
@@ -126,9 +126,9 @@ class Axis(Stored):
     type: str | None = Field(None, description="`log` or `category`; null: plain numbers.")
     autorange: bool | str | None = Field(None, description="`reversed`: the first on top.")
     automargin: bool | None = Field(None, description="Whether the margin grows with the labels.")
-    tickangle: float | None = Field(None, description="Turn of the labels, degrees.")
+    tickangle: float | None = Field(None, description="Rotation of the labels, degrees.")
     domain: Share | None = Field(None, description="Share of the figure it takes, 0 to 1.")
-    anchor: str | None = Field(None, description="The axis it stands at.")
+    anchor: str | None = Field(None, description="The axis it belongs to.")
     scaleanchor: str | None = Field(None, description="The axis whose scale it shares.")
     scaleratio: float | None = Field(None, description="Its scale as a multiple of that one's.")
     zeroline: bool | None = Field(None, description="Whether zero has a line.")
@@ -150,7 +150,7 @@ class Margin(Stored):
 
 
 class Legend(Stored):
-    """Where the legend stands."""
+    """Where the legend is."""
 
     orientation: str | None = Field(None, description="`h`: side by side.")
     yanchor: str | None = Field(None, description="Which edge of it `y` is of.")
@@ -167,7 +167,7 @@ class Origin(Stored):
 
 
 class Layout(Stored):
-    """Layout of a figure; beside these fields more axes: `xaxis2`, `yaxis2` and so on."""
+    """Layout of a figure; further fields are more axes: `xaxis2`, `yaxis2` and so on."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Axis]
@@ -179,7 +179,7 @@ class Layout(Stored):
     width: float | None = Field(None, description="Width, pixels; null: as wide as there is room.")
     height: float | None = Field(None, description="Height, pixels.")
     margin: Margin | None = Field(None, description="Room round the axes.")
-    legend: Legend | None = Field(None, description="Where the legend stands.")
+    legend: Legend | None = Field(None, description="Where the legend is.")
     barmode: str | None = Field(None, description="`group`: bars side by side; `overlay`: one over the other.")
     meta: Origin | None = Field(None, description="Whose figure it is; null: no version was made.")
 
@@ -227,13 +227,13 @@ class IdentifyFigures(Stored):
     fitted_errors: PlaneFigure | None = Field(None, description="The same of fitted rows, where none were held out.")
     residual_arrows: PlaneFigure | None = Field(None, description="Residuals as arrows from three sides.")
     residual_arrows_3d: SpaceFigure | None = Field(None, description="Residuals as arrows in space.")
-    worst_rows: BarFigure | None = Field(None, description="Rows that are left with most, by campaign and number.")
+    worst_rows: BarFigure | None = Field(None, description="Rows with the largest errors, by campaign and number.")
     parameter_changes: BarFigure | None = Field(None, description="Changes of parameters with 95 % intervals.")
     predicted_error: PlaneFigure | None = Field(None, description="What the fit does not know, over the workspace.")
 
 
 class GapFigures(Stored):
-    """Figures of a hunt; beside these fields `residual_joint_1` and so on: the residual along what each joint moves."""
+    """Figures of a gap search; further fields are `residual_joint_1` and so on: the residual along what each joint moves."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Figure]
@@ -242,4 +242,4 @@ class GapFigures(Stored):
     residual_by_direction: BarFigure | None = Field(None, description="Residual by the direction of the last motion.")
     residual_by_load: BarFigure | None = Field(None, description="Residual by payload.")
     contribution: BarFigure | None = Field(None, description="How far each named effect moves the tool.")
-    alias_matrix: TableFigure | None = Field(None, description="How alike signatures are after the geometry.")
+    alias_matrix: TableFigure | None = Field(None, description="How well signatures correlate after the geometry.")

@@ -1,4 +1,4 @@
-"""What a fit says of itself: errors, parameters, what it could not tell, warnings, and how uncertain it is."""
+"""What a fit reports: errors, parameters, what it could not determine, warnings, and how uncertain it is."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class StageErrors(Stored):
     """Errors of several models on the same rows."""
 
     n: int | None = Field(None, description="Points the errors are taken over.")
-    nominal: Errors | None = Field(None, description="The robot as drawn, in its own base and tool.")
-    registration_only: Errors | None = Field(None, description="The robot as drawn, base and tool fitted.")
+    nominal: Errors | None = Field(None, description="The nominal robot, in its own base and tool.")
+    registration_only: Errors | None = Field(None, description="The nominal robot, base and tool fitted.")
     geometry_only: Errors | None = Field(None, description="The fitted geometry without effects.")
     identified: Errors | None = Field(None, description="The model that was identified.")
 
@@ -47,9 +47,9 @@ class Parameter(Stored):
     name: str = Field(description="Name of the parameter.")
     unit: str | None = Field(None, description=UNIT)
     value: float | None = Field(None, description="Its value; null: it could not be measured.")
-    nominal: float | None = Field(None, description="What the robot as drawn has for it; 0 for what it does not have.")
+    nominal: float | None = Field(None, description="Its nominal value; 0 if the nominal robot does not have it.")
     change: float | None = Field(
-        None, description="Value minus nominal; rotations of base and tool by the shorter turn."
+        None, description="Value minus nominal; rotations of base and tool by the smaller angle."
     )
     sigma: float | None = Field(None, description="Standard deviation of the value.")
     lower: float | None = Field(None, description="Lower end of the 95 % interval, where `intervals` were asked for.")
@@ -61,7 +61,9 @@ class Parameter(Stored):
     plausible: bool | None = Field(None, description="Whether the value is within what is usual.")
     readings: int | None = Field(None, description="Readings it rests on, in a job of kind `joint_parameters`.")
     reason: str | None = Field(None, description="Why it has no value, in words.")
-    stiffness_nm_deg: float | None = Field(None, description="Stiffness of the joint beside its compliance, N m/deg.")
+    stiffness_nm_deg: float | None = Field(
+        None, description="Stiffness of the joint, the inverse of its compliance, N m/deg."
+    )
 
 
 class Member(Stored):
@@ -143,7 +145,7 @@ class Reference(Stored):
     """Where the frames that a correction works in come from."""
 
     base: str | None = Field(
-        None, description="`robot`: the robot's own base; `registration`: where the drawing fits best."
+        None, description="`robot`: the robot's own base; `registration`: where the nominal robot fits best."
     )
     tool: str | None = Field(None, description="The same of the tool.")
 
@@ -228,11 +230,11 @@ class OwnBase(Stored):
     session: int | None = Field(None, description="Session of the campaign; null: all of it.")
     use: str | None = Field(None, description="What the rows were used for.")
     moved_mm: Mm | None = Field(None, description="How far the base lies from the others', mm.")
-    turned_deg: Deg | None = Field(None, description="How far it is turned, degrees.")
+    turned_deg: Deg | None = Field(None, description="How far it is rotated, degrees.")
 
 
 class Method(Stored):
-    """The method of a fit, and what it says of itself."""
+    """The method of a fit, and what it reports."""
 
     name: str | None = Field(None, description="Name of the method.")
     effects: str | None = Field(None, description="With `tilt_first`: whether effects were `held` or `fitted first`.")
@@ -283,14 +285,14 @@ class KindOfMeasurement(Stored):
 
 
 class FitDetails(Stored):
-    """What an identification says beside its parameters and errors."""
+    """What an identification reports besides its parameters and errors."""
 
     noise_source: str | None = Field(None, description="What the noise was estimated from.")
     scale: Scale | None = Field(None, description="The standard deviations that residuals were weighed by.")
     noise: Noise | None = Field(None, description="What the rows scatter by.")
-    set_aside: list[SetAside] | None = Field(None, description="Rows that a robust loss let go.")
+    set_aside: list[SetAside] | None = Field(None, description="Rows that a robust loss set aside.")
     iterations: int | None = Field(None, description="Iterations of the fit.")
-    method: Method | None = Field(None, description="The method, and what it says of itself.")
+    method: Method | None = Field(None, description="The method, and what it reports.")
     influence: list[Influence] | None = Field(
         None, description="How far each parameter moves the tool; method `influence`."
     )

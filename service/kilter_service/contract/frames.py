@@ -33,9 +33,9 @@ class NewFrame(Strict):
     """Known points, or features: one of them."""
 
     points: Annotated[list[KnownPoint], Field(min_length=1, max_length=10_000)] | None = Field(
-        None, description="Points that are known in the frame; not beside `features`."
+        None, description="Points that are known in the frame; not with `features`."
     )
-    features: Features | None = Field(None, description="Plane, line and origin; not beside `points`.")
+    features: Features | None = Field(None, description="Plane, line and origin; not with `points`.")
 
 
 class OffPoint(Strict):

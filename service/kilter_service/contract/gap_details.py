@@ -1,4 +1,4 @@
-"""The parts of a gap hunt's result. Joint data have degrees where rows of a tool have mm."""
+"""The parts of a gap search's result. Joint data have degrees where rows of a tool have mm."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Alias(AtJoints):
     """A rival that does as well."""
 
     behind: float | None = Field(None, description="Points of the criterion it is behind.")
-    correlation: float | None = Field(None, description="How alike the two look, 0 to 1.")
+    correlation: float | None = Field(None, description="Correlation of the two signatures, 0 to 1.")
     p_wrong: float | None = Field(None, description="Chance that the rival is the right one.")
 
 
@@ -43,7 +43,7 @@ class HeldOutGain(Stored):
 
     gain: float | None = Field(None, description="Gain in the log-likelihood of the held-out poses.")
     standard_error: float | None = Field(None, description="Standard error of the gain.")
-    deviations: float | None = Field(None, description="Standard deviations by which they err as foretold.")
+    deviations: float | None = Field(None, description="Standard deviations by which errors follow the prediction.")
 
 
 class Gates(Stored):
@@ -66,7 +66,9 @@ class Evidence(Stored):
 
     physical: float | None = Field(None, description="1 for a cause, 0 for a shape.")
     adequate: float | None = Field(None, description="p-value of the model with it.")
-    held_out: float | None = Field(None, description="Standard deviations by which held-out poses err as foretold.")
+    held_out: float | None = Field(
+        None, description="Standard deviations by which held-out errors follow the prediction."
+    )
     unseen_poses: float | None = Field(None, description="Poses that took no part in choosing.")
     no_empirical_alias: float | None = Field(None, description="Points that the best shape is behind it.")
     bumped: float | None = Field(None, description="1 when a local bump of its joint does as well.")
@@ -107,7 +109,7 @@ class NamedEffect(AtJoints):
         None, description="`replicated`, `confirmed`, `class_confirmed` or `provisional`, the surest first."
     )
     empirical: bool | None = Field(None, description="Whether it is a shape without a cause.")
-    class_: str | None = Field(None, alias="class", description="The class that cannot be told apart; null: none.")
+    class_: str | None = Field(None, alias="class", description="The class that cannot be distinguished; null: none.")
     alias_set: list[Alias] | None = Field(None, description="Rivals that do as well.")
     parameters: list[Amplitude] | None = Field(None, description="Its amplitudes.")
     seen_joints: list[int] | None = Field(None, description="Joints at which the rows show it, from 1.")
@@ -217,7 +219,7 @@ class GapNoise(Stored):
         None, description="Covariance of one row: mm, of poses the last three degrees."
     )
     correlated_samples: float | None = Field(None, description="Rows in a row that count as one.")
-    drift: RepeatDrift | None = Field(None, description="How far the repeats drifted; null: it cannot be told.")
+    drift: RepeatDrift | None = Field(None, description="How far the repeats drifted; null: it cannot be determined.")
 
 
 class Untestable(AtJoints):
@@ -271,16 +273,16 @@ class NegativeControl(Stored):
 
 
 class AliasPair(Stored):
-    """Two effects that look alike in these rows."""
+    """Two effects whose signatures correlate in these rows."""
 
     first: AtJoints = Field(description="The one.")
     second: AtJoints = Field(description="The other.")
-    correlation: float | None = Field(None, description="How alike they look, 0 to 1.")
+    correlation: float | None = Field(None, description="Correlation of their signatures, 0 to 1.")
 
 
 class AliasMatrix(Stored):
-    """How alike effects look in these rows after the geometry is fitted."""
+    """How well the signatures of effects correlate in these rows after the geometry is fitted."""
 
     labels: list[str] | None = Field(None, description="Effects of the matrix: those named and their nearest.")
-    values: list[list[float]] | None = Field(None, description="How alike each two look, 0 to 1.")
+    values: list[list[float]] | None = Field(None, description="Correlation of each two signatures, 0 to 1.")
     pairs: list[AliasPair] | None = Field(None, description="Every close pair of the library.")

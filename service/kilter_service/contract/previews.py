@@ -14,9 +14,9 @@ class JointPreview(Strict):
 
     joint: str = Field(description="Name of the joint.")
     largest_deg: Deg | None = Field(
-        None, description="Largest correction, degrees; null: it slides, or nothing was corrected."
+        None, description="Largest correction, degrees; null: prismatic, or nothing was corrected."
     )
-    largest_mm: Mm | None = Field(None, description="Largest correction, mm; null: it turns, or nothing was corrected.")
+    largest_mm: Mm | None = Field(None, description="Largest correction, mm; null: revolute, or nothing was corrected.")
 
 
 class VersionPreview(Strict):

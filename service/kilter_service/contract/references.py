@@ -1,4 +1,4 @@
-"""What stands for an id, what people call and note of things, and what is left of what was purged."""
+"""References to things by id or name, the names and notes that people give them, and what remains of purged things."""
 
 from __future__ import annotations
 

@@ -19,10 +19,10 @@ class ResidualRows(Strict):
     dz_mm: Lengths = Field(description="Error along z, mm.")
     turn_deg: list[Deg | None] = Field(description="Error of the orientation, degrees; null: it was not measured.")
     residual_sigma: list[float | None] = Field(
-        description="Length of what is left in standard deviations of a coordinate; turns count with it."
+        description="Length of what is left in standard deviations of a coordinate; rotations count too."
     )
     u95_x_mm: Lengths = Field(description="Half width of the 95 % interval that expects the error along x, mm.")
     u95_y_mm: Lengths = Field(description="Half width of the 95 % interval along y, mm.")
     u95_z_mm: Lengths = Field(description="Half width of the 95 % interval along z, mm.")
-    set_aside: list[bool] = Field(description="Whether the identification let go of the row.")
+    set_aside: list[bool] = Field(description="Whether the identification set the row aside.")
     held_out: list[bool] = Field(description="Whether the row was held out of the fit.")

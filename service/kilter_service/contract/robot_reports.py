@@ -10,7 +10,7 @@ from kilter_service.contract.references import RETIRED_AT
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.contract.units import Deg, Direction, JointType, Listed, Mm, PointMm, Pose, Strict
 
-KIND = "Whether the joint turns or slides."
+KIND = "Whether the joint is revolute or prismatic."
 
 
 class JointSummary(Strict):
@@ -67,7 +67,7 @@ class RobotList(Listed):
 
 
 class AxisReport(Strict):
-    """An axis at zero, in the frame the base stands in; a joint that drives several axes has several."""
+    """An axis at zero, in the frame in which the pose of the base is given; a joint that drives several axes has several."""
 
     joint: str = Field(description="Name of the joint that drives it.")
     kind: JointType = Field(description=KIND)
@@ -107,9 +107,9 @@ class CircleAxis(Strict):
     joint: str = Field(description="Name of the joint.")
     kind: JointType = Field(description=KIND)
     rows: int = Field(description="Rows in which only this joint moved.")
-    arc_deg: Deg | None = Field(description="Arc the joint moved over, degrees; null where it slides.")
-    stroke_mm: Mm | None = Field(description="Stroke the joint moved over, mm; null where it turns.")
-    radius_mm: Mm | None = Field(description="Radius of the widest circle, mm; null where it slides.")
+    arc_deg: Deg | None = Field(description="Arc the joint moved over, degrees; null for a prismatic joint.")
+    stroke_mm: Mm | None = Field(description="Stroke the joint moved over, mm; null for a revolute joint.")
+    radius_mm: Mm | None = Field(description="Radius of the widest circle, mm; null for a prismatic joint.")
     rms_mm: Mm = Field(description="Rms distance of the points from the circle or line, mm.")
     sigma_deg: Deg = Field(description="Standard deviation of the direction, degrees.")
     sigma_mm: Mm = Field(description="Standard deviation of the place, mm.")

@@ -72,14 +72,14 @@ class Link(Strict):
 class Element(Strict):
     """An elementary transform: a constant (mm or degrees), or a joint with ratio and zero offset."""
 
-    axis: Axis = Field(description="Turn (R) about or shift (T) along an axis of the frame reached so far.")
+    axis: Axis = Field(description="Rotation (R) about or shift (T) along an axis of the frame reached so far.")
     name: Annotated[str, Field(min_length=1, max_length=128)] | None = Field(
         None, description="Name of the constant, or of the joint's zero offset, as a parameter."
     )
-    value: float | None = Field(None, description="Value: degrees for a turn, mm for a shift.")
+    value: float | None = Field(None, description="Value: degrees for a rotation, mm for a shift.")
     joint: Annotated[str, Field(max_length=128)] | None = Field(None, description="Name of the joint that moves it.")
     ratio: float | None = Field(
-        None, description="Motion of the element per motion of the joint, no unit; -1 turns the axis round. Null: 1."
+        None, description="Motion of the element per motion of the joint, no unit; -1 reverses the axis. Null: 1."
     )
     fixed: bool | None = Field(None, description="Whether the element is never identified.")
     spare: bool | None = Field(None, description="Whether it is identified only at level 1 or when `free` names it.")
@@ -92,7 +92,7 @@ class DhRow(Strict):
     d_mm: Mm = Field(0.0, description="Shift along the joint's axis, mm.")
     a_mm: Mm = Field(0.0, description="Length of the link, mm.")
     alpha_deg: Deg = Field(0.0, description="Twist of the link, degrees.")
-    type: JointType = Field("revolute", description="Whether the joint turns or slides.")
+    type: JointType = Field("revolute", description="Whether the joint is revolute or prismatic.")
 
 
 class MdhRow(Strict):
@@ -101,11 +101,12 @@ class MdhRow(Strict):
     alpha_deg: Deg = Field(0.0, description="Twist of the link before, degrees.")
     a_mm: Mm = Field(0.0, description="Length of the link before, mm.")
     beta_deg: Deg | None = Field(
-        None, description="Hayati's turn about y, degrees, for an axis parallel to the one before; null: Craig's row."
+        None,
+        description="Hayati's rotation about y, degrees, for an axis parallel to the one before; null: Craig's row.",
     )
     theta_offset_deg: Deg = Field(0.0, description="Added to the reading of a revolute joint, degrees.")
     d_mm: Mm | None = Field(0.0, description="Shift along the joint's axis, mm; null in a row of Hayati's.")
-    type: JointType = Field("revolute", description="Whether the joint turns or slides.")
+    type: JointType = Field("revolute", description="Whether the joint is revolute or prismatic.")
 
 
 class PayloadSigma(Strict):
@@ -134,13 +135,13 @@ class _Robot(Strict):
         None, description="Where the numbers come from, in words."
     )
     gravity_m_s2: tuple[MPerS2, MPerS2, MPerS2] | None = Field(
-        None, description="Gravity in the robot's base frame, m/s2; null: [0, 0, -9.80665], an arm that stands upright."
+        None, description="Gravity in the robot's base frame, m/s2; null: [0, 0, -9.80665], an arm mounted upright."
     )
     links: Annotated[list[Link], Field(max_length=MAX_JOINTS)] | None = Field(
         None, description="Masses of the links, one for each joint; effects that follow the load need them."
     )
     tool: Pose | None = Field(None, description="The tool point in the flange's frame; null: the flange.")
-    base: Pose | None = Field(None, description="The robot's base in the world of the measurements; null: that world.")
+    base: Pose | None = Field(None, description="Pose of the robot's base in the world; null: they coincide.")
     load: DefaultLoad | None = Field(
         None, description="What it carries where a campaign or a path states no payload; null: nothing is known."
     )
@@ -216,7 +217,7 @@ class UrdfRobot(_Robot):
     convention: Literal["urdf"] = Field(description="A URDF and the two links between which the arm is.")
     joints: Joints | None = Field(None, description="Gear ratios and limits to add to joints of the URDF, by name.")
     urdf: Annotated[str, Field(min_length=1)] = Field(description="Text of the URDF.")
-    base_link: Annotated[str, Field(max_length=128)] = Field(description="Link that the arm stands on.")
+    base_link: Annotated[str, Field(max_length=128)] = Field(description="Link that carries the arm.")
     tip_link: Annotated[str, Field(max_length=128)] = Field(description="Link that is the flange.")
 
 

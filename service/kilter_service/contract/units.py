@@ -59,7 +59,7 @@ class Strict(BaseModel):
 
 
 class _Written(BaseModel):
-    """Shows what was written and leaves out what was not, where a default would say more than anybody has."""
+    """Shows what was written and leaves out the rest, because a default would say more than anybody has."""
 
     @model_serializer(mode="wrap")
     def _as_it_was_written(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -97,6 +97,6 @@ class Pose(Strict):
     x_mm: Mm = Field(0.0, description="Position along x, mm.")
     y_mm: Mm = Field(0.0, description="Position along y, mm.")
     z_mm: Mm = Field(0.0, description="Position along z, mm.")
-    rx_deg: Deg = Field(0.0, description="Turn about x, degrees: the first of Rz Ry Rx to act.")
-    ry_deg: Deg = Field(0.0, description="Turn about y, degrees.")
-    rz_deg: Deg = Field(0.0, description="Turn about z, degrees: the last to act.")
+    rx_deg: Deg = Field(0.0, description="Rotation about x, degrees: the first of Rz Ry Rx to act.")
+    ry_deg: Deg = Field(0.0, description="Rotation about y, degrees.")
+    rz_deg: Deg = Field(0.0, description="Rotation about z, degrees: the last to act.")

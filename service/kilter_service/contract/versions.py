@@ -41,7 +41,7 @@ class VersionSummary(Strict):
     id: str = Field(description="Id of the version, `ver_` and 16 hexadecimal digits.")
     robot: str = Field(description="Name of its robot.")
     active: bool = Field(description="Whether the robot is corrected with it.")
-    parent_id: str | None = Field(description="The version it was started from; null: the robot as drawn.")
+    parent_id: str | None = Field(description="The version it was started from; null: the nominal robot.")
     job_id: str = Field(description="The job that made it.")
     created_at: datetime = Field(description="When it was made.")
     code_version: str = Field(description="Release of Kilter that made it.")
@@ -85,7 +85,7 @@ class Comparison(Strict):
     poses: int = Field(description="Poses they are at.")
     campaigns: list[str] = Field(description="Ids of the campaigns they are from.")
     mean_mm: Mm = Field(description="Mean error of the version, mm.")
-    registration_only: Rival = Field(description="The robot as drawn, base and tool fitted.")
+    registration_only: Rival = Field(description="The nominal robot, base and tool fitted.")
     active_version: str | None = Field(description="The version that was active.")
     active: Rival | None = Field(description="The version that was active, on the rows it can be compared on.")
 
@@ -107,7 +107,7 @@ class ActivatedVersion(VersionSummary):
 class Details(FitDetails):
     """What else the job of a version said. Which of it there is depends on the kind of job."""
 
-    held_out_fraction: float | None = Field(None, description="Share of the poses that a hunt held out unasked.")
+    held_out_fraction: float | None = Field(None, description="Share of the poses a gap search held out by itself.")
     measured_by: str | None = Field(
         None, description="What joints were measured by: `inclinometer` or `link-side encoder`."
     )
@@ -176,7 +176,7 @@ class ParameterChange(Strict):
 
 
 class VersionDiff(Strict):
-    """What differs from version a to version b; either may be `nominal`, the robot as drawn."""
+    """What differs from version a to version b; either may be `nominal`, the nominal robot."""
 
     a: str = Field(description="Id of version a, or `nominal`.")
     b: str = Field(description="Id of version b, or `nominal`.")

@@ -43,7 +43,7 @@ def as_written(kind: type[T], document: object) -> T:
 
 
 def _leave_out(document: Any, place: Sequence[str | int]) -> bool:
-    """Take out what stands at a place, or what lacks something there; returns whether there was anything to take out."""
+    """Take out what is at a place, or what lacks something there; returns whether there was anything to take out."""
     path: list[tuple[Any, Any]] = []
     node = document
     for key in place:

@@ -27,7 +27,7 @@ def read_trajectory(
     """Read a trajectory for joints of these ``kinds``.
 
     Raises:
-        ObservationError: as for an upload; or a column that is no part of a trajectory, or an empty cell.
+        ObservationError: as for an upload; or a column that does not belong to a trajectory, or an empty cell.
 
     """
     columns = read_columns(reading.column_names(path, media), kinds)

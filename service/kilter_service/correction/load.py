@@ -36,7 +36,7 @@ def under(rows: Observations, carried: Carried, robot: Robot) -> Observations:
     if carried.payload_kg is None:
         if carried.payload_com_mm is not None:
             raise OptionError(
-                "payload_com_mm says where the payload has its centre, not how heavy it is: give payload_kg beside it.",
+                "payload_com_mm says where the payload has its centre, not how heavy it is: give payload_kg too.",
                 option="payload_com_mm",
             )
         return with_default_load(rows, robot)

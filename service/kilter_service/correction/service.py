@@ -47,10 +47,10 @@ def correct(
 ) -> Answer:
     """Correct a trajectory with a version, by default the active one; ``form`` "ros2-yaml" asks for another format back.
 
-    ``temperature_c`` is that of the arm where the trajectory does not say, and ``carried`` what hangs on its tool.
+    ``temperature_c`` is that of the arm where the trajectory does not say, and ``carried`` is the load on its tool.
 
     Raises:
-        ObservationError: the file is no trajectory of this robot.
+        ObservationError: the file is not a trajectory of this robot.
         OptionError: the load is stated twice, or half.
         ServiceError: no such robot or version, or none is active.
 

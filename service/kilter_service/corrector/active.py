@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Active:
-    """A robot's active version, compiled. ``epoch`` grows with every activation; ``number`` stands in the frames."""
+    """A robot's active version, compiled. ``epoch`` grows with every activation; every message carries ``number``."""
 
     robot: str
     version_id: str
@@ -51,7 +51,7 @@ def nothing_active(robot: str) -> bytes:
 
 
 def version_number(sha256: str) -> int:
-    """Version id of the frames: the first 8 bytes of the version's SHA-256."""
+    """Version id of the messages: the first 8 bytes of the version's SHA-256."""
     return int(sha256[:16], 16)
 
 

@@ -1,8 +1,8 @@
 """Which frame of a stream comes next, and how old it is; docs/reference/stream.md states these rules.
 
 Clocks of two machines are never compared. The smallest difference between arrival and sending seen so far counts
-as the transit time, and a frame is as old as it exceeds that. One frame never decides: one that does not fit is refused and
-leaves the stream where it stands, until a second frame goes on from it.
+as the transit time, and the age of a frame is what exceeds that. One frame never decides: one that does not fit is refused and
+leaves the stream as it is, until a second frame continues from it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Late:
 
 @dataclass
 class Clock:
-    """Where a stream stands: its last sequence number, and times in ns; ``transit_ns`` is the shortest transit time seen."""
+    """State of a stream: its last sequence number, and times in ns; ``transit_ns`` is the shortest transit time seen."""
 
     seq: int = -1
     transit_ns: int | None = None

@@ -72,17 +72,17 @@ def check_free(endpoint: str) -> None:
     family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
     try:
         with socket.socket(family) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what a program left behind is no listener
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a closed connection does not occupy the port
             probe.bind((host.strip("[]"), int(port)))
     except OSError as error:
-        if error.errno == errno.EADDRINUSE:  # all else zenoh says itself
+        if error.errno == errno.EADDRINUSE:  # zenoh reports all other errors
             raise cannot_listen(endpoint, "Address already in use") from error
 
 
 class PrivateSocket:
     """Where the query process meets the stream process: a socket in a folder that nobody else may enter.
 
-    So the corrector has one port, and queries come through it; their work is done in the other process all the same.
+    So the corrector has one port, and queries come through it; still, the other process does their work.
     """
 
     def __init__(self) -> None:

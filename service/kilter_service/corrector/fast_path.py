@@ -38,7 +38,7 @@ OUT_WORDS = 7 + wire.MAX_JOINTS
 IN = OUT + OUT_WORDS
 HEADER = wire.HEADER.size
 WORDS = IN + 4 + 3 * wire.MAX_JOINTS
-MOST = 2**63 - 1  # what is larger than this takes the full path, where integers have no end
+MOST = 2**63 - 1  # what is larger than this takes the full path, where integers are unbounded
 MOST_NS = 0xFFFFFFFF  # of the time that fits into an answer
 IS_LIMITED, IS_DAMPED = int(Flag.LIMITED), int(Flag.DAMPED)
 FLAGS = {1: 0, 2: int(Flag.QD), 3: Flag.QD | Flag.QDD}
@@ -81,7 +81,8 @@ def _compiled() -> Any:
             numbers[IN + 4 : IN + 4 + width * n], width, dt, numbers[OUT + 7 : OUT + 7 + n], info,
         )  # fmt: skip
         if status != 0:
-            return status  # a refused setpoint leaves no trace in the track: it is refused once more, and told so
+            # A refused setpoint leaves no trace in the track: it is refused again, and the answer says so.
+            return status
         words[PACE] = min(max(0, sent - words[SENT]), max(0, arrival - words[SEEN]))
         words[SEQ], words[TRANSIT], words[SEEN], words[SENT] = seq, least, arrival, sent
         words[APPLIED], words[ANSWERED] = at, arrival
@@ -113,7 +114,7 @@ def _entry() -> Callable[[Any, Any, bytes, int], int]:
 
 
 class Counters:
-    """What a stream has done, for its status document; the numbers stand in the memory of its fast path."""
+    """What a stream has done, for its status document; the numbers are in the memory of its fast path."""
 
     def __init__(self, words: Any) -> None:
         self._words = words
@@ -220,7 +221,7 @@ class FastPath:
         return int(self._words[SEEN])
 
     def give(self, clock: Clock) -> None:
-        """Write into ``clock`` where the stream stands now."""
+        """Write into ``clock`` the present state of the stream."""
         (
             clock.seq,
             clock.transit_ns,

@@ -107,7 +107,7 @@ class StreamLoop:
         return served
 
     def _start(self, key: str, data: bytes, arrival_ns: int) -> Served | None:
-        """A slot for the first setpoint of a stream. Whatever gets none is answered all the same, if it has a header."""
+        """A slot for the first setpoint of a stream. A setpoint that gets none is still answered if it has a header."""
         names = names_of(key)
         if names is None:
             return None
@@ -130,7 +130,7 @@ class StreamLoop:
 
 
 class HousekeepingThread(threading.Thread):
-    """Takes versions from the supervisor, announces them, reports status; closes the session when told to stop."""
+    """Takes versions from the supervisor, announces them, reports status; closes the session when the supervisor says stop."""
 
     def __init__(self, loop: StreamLoop, wake_up: WakeUp, pipe: Connection) -> None:
         super().__init__(name="housekeeping")

@@ -38,7 +38,7 @@ STOP_S = 5.0
 
 
 class StoppedError(Exception):
-    """The corrector was told to stop before its processes listened."""
+    """The corrector was stopped before its processes listened."""
 
 
 class Child:
@@ -66,7 +66,7 @@ class Child:
         """Wait until the process listens; returns its endpoint, if it has one, and whether it runs in real time.
 
         Raises:
-            ServiceError: it may not listen where it was told to.
+            ServiceError: it may not listen on its endpoint.
             RuntimeError: it ended or did not listen in time.
             StoppedError: ``stopped`` said so first.
 
@@ -182,7 +182,7 @@ class Corrector:
         }
         for child in self._children.values():
             child.launch()
-        self._look()  # while they import; what it finds they are told when they listen
+        self._look()  # while they import; they get what it finds when they listen
         for name in self._children:
             self._take_child(name)
 
@@ -227,7 +227,7 @@ class Corrector:
                 self._take_over(self._source.load())
                 self._stamp = stamp
             self._reading = True
-        except Exception:  # whatever the database says, the stream goes on with what it has
+        except Exception:  # whatever the database says, the stream continues with what it has
             if self._reading:  # said once, not four times a second
                 log.exception("the active versions cannot be read; the versions in use stay")
             self._reading = False

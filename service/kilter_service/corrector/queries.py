@@ -37,7 +37,7 @@ class Trajectory:
 
 
 class QueryError(Exception):
-    """A refusal, told to the caller as JSON: code, message, first_bad_index, joints (from 1)."""
+    """A refusal, sent to the caller as JSON: code, message, first_bad_index, joints (from 1)."""
 
     def __init__(self, code: str, message: str, index: int | None = None, mask: int = 0) -> None:
         super().__init__(message)

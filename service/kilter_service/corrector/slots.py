@@ -1,7 +1,7 @@
 """The streams that are served: who gets a slot, and who gives it back.
 
 Anybody who reaches the corrector can make up names. So a robot without a version has no slots, a stream in good use keeps
-its own whatever else comes in, and of all others the one whose last good setpoint is the oldest gives way.
+its own whatever else comes in; of all others, the one whose last good setpoint is the oldest loses its slot.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Served:
 
 
 class Slots:
-    """Streams by the key of their setpoints; a new dictionary with every change, for the housekeeping reads it too."""
+    """Streams by the key of their setpoints; a new dictionary with every change, because the housekeeping reads it too."""
 
     def __init__(self, session: zenoh.Session, rules: Rules) -> None:
         self.served: dict[str, Served] = {}
@@ -54,10 +54,10 @@ class Slots:
             congestion_control=zenoh.CongestionControl.DROP,
             express=False,  # express with DROP loses samples in bursts and is no faster
         )
-        # Told to the peers, the key travels as a number. Else every setpoint carries its text, and a subscription with
-        # wildcards is looked up again: 10 to 25 µs a round trip.
-        told = self._session.declare_keyexpr(key)
-        served = Served(robot, Stream(self._rules), publisher, status, told)
+        # Once declared to the peers, the key travels as a number. Otherwise every setpoint carries its text, and a
+        # subscription with wildcards is looked up again: 10 to 25 µs a round trip.
+        declared = self._session.declare_keyexpr(key)
+        served = Served(robot, Stream(self._rules), publisher, status, declared)
         self.served = {**self.served, key: served}
         return served
 

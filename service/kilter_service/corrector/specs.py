@@ -1,4 +1,4 @@
-"""What the processes of the corrector are told when they are spawned, and where each of them begins.
+"""What the processes of the corrector get when they are spawned, and where each of them begins.
 
 Light on purpose: the supervisor of both starts them before it imports anything heavy itself.
 """
@@ -18,7 +18,7 @@ class Rules:
     """Bounds that do not belong to a version.
 
     Clocks of two machines are never compared. The smallest difference between arrival and sending seen so far counts
-    as the transit time; a frame is as old as it exceeds that. ``clock_drift`` lets that smallest difference grow again.
+    as the transit time; the age of a frame is what exceeds that. ``clock_drift`` lets that smallest difference grow again.
     It grows at once when a clock is set back by more than ``set_back_ns``, or when late frames agree within
     ``agree_ns`` on a longer transit time for ``agree_for_ns``. Of ``slots`` streams, one that was good within
     ``idle_ns`` keeps its own.
@@ -38,7 +38,7 @@ class Rules:
 
 @dataclass(frozen=True)
 class StreamSpec:
-    """What the stream process is told when it is spawned; at ``private_endpoint`` it meets the query process."""
+    """What the stream process gets when it is spawned; at ``private_endpoint`` it meets the query process."""
 
     site: str
     instance: str
@@ -50,7 +50,7 @@ class StreamSpec:
 
 @dataclass(frozen=True)
 class QuerySpec:
-    """What the query process is told when it is spawned."""
+    """What the query process gets when it is spawned."""
 
     site: str
     private_endpoint: str

@@ -1,4 +1,4 @@
-"""One stream: bytes in, bytes out, and the memory between. No zenoh in here, so every rule can be tested alone."""
+"""One stream: bytes in, bytes out, and the memory between them. It uses no zenoh, so every rule can be tested alone."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kilter_service.corrector.wire import Flag, Kind, Setpoints, Status
 
 @dataclass
 class FrameSequence:
-    """One sequence of frames, from its start: where it stands, and the memory of its correction."""
+    """One sequence of frames, from its start: its state, and the memory of its correction."""
 
     clock: Clock = field(default_factory=Clock)
     settled: bool = False

@@ -39,7 +39,7 @@ class Flag(IntEnum):  # not IntFlag: its operators are Python, and nine of them 
 
     QD = 0x0001  # n velocities follow the positions
     QDD = 0x0002  # n accelerations follow the velocities
-    VERSION = 0x0004  # the 8-byte id of the version the sender expects stands before the positions
+    VERSION = 0x0004  # the 8-byte id of the version the sender expects comes before the positions
     RESET = 0x0008  # the sequence starts again here; the correction ramps in from zero
     SETTLED = 0x0010  # with RESET: the arm rests at this setpoint, so give the whole correction at once
     DYNAMIC = 0x0100  # the moments include motion
@@ -70,7 +70,7 @@ class Status(IntEnum):
 
 
 class FrameError(ValueError):
-    """Bytes that are not a frame. ``header`` is what could still be read, for the answer."""
+    """Bytes that are not a message. ``header`` is what could still be read, for the answer."""
 
     def __init__(self, message: str, header: Header | None = None) -> None:
         super().__init__(message)
@@ -131,10 +131,10 @@ def decode_header(data: bytes) -> Header:
 
 
 def decode_setpoints(data: bytes) -> Setpoints:
-    """Read a point or a chunk. The numbers are writable, for numba compiles read-only arrays apart.
+    """Read a point or a chunk. The numbers are writable, because numba compiles read-only arrays separately.
 
     Raises:
-        FrameError: anything that is not exactly such a frame.
+        FrameError: anything that is not exactly such a message.
 
     """
     header = decode_header(data)
@@ -220,7 +220,7 @@ def decode_answer(data: bytes) -> Answer:
     """Read an answer.
 
     Raises:
-        FrameError: anything that is not exactly such a frame.
+        FrameError: anything that is not exactly such a message.
 
     """
     header = decode_header(data)

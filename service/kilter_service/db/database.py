@@ -77,7 +77,7 @@ def _prepare_sqlite(connection: Any, _record: Any) -> None:
 def _begin_sqlite(connection: Connection) -> None:
     reads = connection.get_execution_options().get(READS, False)
     connection.exec_driver_sql(f"PRAGMA query_only={'ON' if reads else 'OFF'}")  # the pool hands out both kinds
-    # IMMEDIATE: whoever changes something waits for its turn here, before it reads.
+    # IMMEDIATE: whoever changes something waits here, before it reads.
     connection.exec_driver_sql("BEGIN" if reads else "BEGIN IMMEDIATE")
 
 

@@ -50,7 +50,7 @@ class Row(DeclarativeBase):
 class RobotRow(Row):
     """A robot: the document it was posted as, and the chain (SI) that this was resolved to, which is what counts.
 
-    ``left_out`` is what of the document the chain does not have. A robot of before the chains that no longer resolves
+    ``left_out`` is what of the document the chain does not have. A robot from before the chains that no longer resolves
     has none.
     """
 
@@ -111,7 +111,7 @@ class ChunkRow(Row):
 
 
 class JobRow(Row):
-    """A job: what was asked, where it stands, how it ended."""
+    """A job: its request, its state, and how it ended."""
 
     __tablename__ = "jobs"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -161,7 +161,7 @@ class VersionRow(Row):
 class ActivationRow(Row):
     """An entry of the log of which version was made active, when and by whom; the last one of a robot holds.
 
-    ``objections`` are what spoke against it; ``forced`` says that it was to be made active all the same.
+    ``objections`` are what spoke against it; ``forced`` says that it was made active in spite of them.
     """
 
     __tablename__ = "activations"

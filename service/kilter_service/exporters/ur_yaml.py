@@ -24,13 +24,13 @@ def ur_yaml(version: Exportable) -> Written:
     """Write the YAML.
 
     Raises:
-        RobotError: the robot is not six turning joints.
+        RobotError: the robot does not have exactly six revolute joints.
 
     """
     calibration = version.calibration
     flange = flange_screws(calibration).one_axis_per_joint()
     if len(flange) != 6 or flange.prismatic.any():
-        raise RobotError("The YAML of Universal Robots is for six turning joints: take urdf or mdh-csv.")
+        raise RobotError("The YAML of Universal Robots is for six revolute joints: take urdf or mdh-csv.")
     before = _first_parent(version)
     frames = _with_the_flange(joint_frames(_level_with_the_flange(flange.moved(inverse(before), np.eye(4)))))
     tool = frames.end @ wanted_tool(calibration)
@@ -54,16 +54,16 @@ def _level_with_the_flange(flange: Screws) -> Screws:
 
 
 def _with_the_flange(frames: JointFrames) -> JointFrames:
-    """Turn the last joint's frame about its axis to the flange's x."""
+    """Rotate the last joint's frame about its axis until its x is the flange's."""
     angle = np.arctan2(frames.end[1, 0], frames.end[0, 0])
-    turn, origin = np.eye(4), frames.origin.copy()
-    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    origin[-1] = origin[-1] @ turn
-    return JointFrames(origin, inverse(turn) @ frames.end)
+    rotation, origin = np.eye(4), frames.origin.copy()
+    rotation[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    origin[-1] = origin[-1] @ rotation
+    return JointFrames(origin, inverse(rotation) @ frames.end)
 
 
 def _first_parent(version: Exportable) -> Floats:
-    """Pose (4, 4) in the robot's base frame of what the shoulder stands on: a URDF has fixed joints before it."""
+    """Pose (4, 4) in the robot's base frame of the body that carries the shoulder: a URDF has fixed joints before it."""
     robot = version.robot
     if robot["convention"] != "urdf":
         return np.eye(4)

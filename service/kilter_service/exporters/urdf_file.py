@@ -23,7 +23,7 @@ SAME = 1e-12
 
 
 def urdf_file(version: Exportable) -> Written:
-    """Write the URDF; what geometry cannot say stands in a comment at its head."""
+    """Write the URDF; a comment at its head has what geometry cannot say."""
     notes = omissions(version.calibration)
     if version.robot["convention"] == "urdf":
         root = _corrected(version.robot, flange_frames(version.calibration))

@@ -30,12 +30,12 @@ def new_urdf(name: str, calibration: Calibration) -> Element:
     """Build the tree base_link - joints - flange - tool.
 
     Raises:
-        RobotError: a joint drives its axes by ratios of which none is 1 or -1.
+        RobotError: no axis of a joint has ratio 1 or -1.
 
     """
     robot, screws = calibration.robot, flange_screws(calibration)
     leader = _leaders(robot, screws)
-    turned = _turned(screws, leader)
+    turned = _reversed(screws, leader)
     frames = joint_frames(turned)
     root = Element("robot", name=name)
     SubElement(root, "link", name="base_link")
@@ -64,14 +64,14 @@ def _leaders(robot: Robot, screws: Screws) -> dict[int, int]:
         own = [k for k in range(len(screws)) if screws.joint[k] == j and abs(screws.ratio[k]) == 1.0]
         if not own:
             raise RobotError(
-                f"Joint {joint.name!r} moves its axes by ratios only, URDF needs one axis that turns with it."
+                f"Joint {joint.name!r} moves its axes by ratios only; URDF needs one axis that moves with it one to one."
             )
         leaders[j] = own[0]
     return leaders
 
 
-def _turned(screws: Screws, leader: dict[int, int]) -> Screws:
-    """Axes turned round so that the leading axis of each joint has ratio 1."""
+def _reversed(screws: Screws, leader: dict[int, int]) -> Screws:
+    """Axes reversed where needed, so that the leading axis of each joint has ratio 1."""
     direction, ratio = screws.direction.copy(), screws.ratio.copy()
     for k in leader.values():
         direction[k] *= ratio[k]
@@ -114,7 +114,7 @@ def _fixed(root: Element, parent: str, child: str, T: Floats) -> None:
 def _add_masses(
     root: Element, robot: Robot, calibration: Calibration, frames: JointFrames, leader: dict[int, int]
 ) -> None:
-    """Give the links of the leading axes their masses, turned from the chain's frames into the links'."""
+    """Give the links of the leading axes their masses, rotated from the chain's frames into the links'."""
     elements = flange_frames(calibration).elements
     at, T = [], np.eye(4)
     for origin in frames.origin:

@@ -49,10 +49,10 @@ class _Chain:
 
 
 def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfImport:
-    """Turn URDF text into a ``chain`` document (mm, degrees) of the arm from ``base_link`` to ``tip_link``.
+    """Convert URDF text to a ``chain`` document (mm, degrees) of the arm from ``base_link`` to ``tip_link``.
 
     Each moving joint's origin becomes six named elements ``<joint>_x, _y, _z, _yaw, _pitch, _roll``; fixed joints
-    become fixed elements. An axis not along x, y or z is turned there by fixed rotations, and back after the joint.
+    become fixed elements. Fixed rotations bring an axis not along x, y or z there, and back after the joint.
 
     Raises:
         RobotError: the text is not URDF, the links do not exist, or nothing moves between them.
@@ -144,7 +144,7 @@ def _along(axis: Floats) -> tuple[str, float, list[tuple[str, float]]]:
 
 
 def _back(turns: list[tuple[str, float]]) -> Floats:
-    """Pose (4, 4) of the link in the frame right after the joint's element: the turns undone."""
+    """Pose (4, 4) of the link in the frame right after the joint's element: the rotations undone."""
     T = np.eye(4)
     for axis, degrees in reversed(turns):
         k = "xyz".index(axis[1])

@@ -164,7 +164,7 @@ def _tree(links: dict[str, Element], joints: list[Element]) -> UrdfTree:
         other = tree.above[joint.child]
         if other is not joint:
             raise RobotError(
-                f"Link {joint.child!r} hangs on joints {joint.name!r} and {other.name!r}: a URDF is a tree, leave one out.",
+                f"Link {joint.child!r} is below joints {joint.name!r} and {other.name!r}: a URDF is a tree, leave one out.",
                 field="urdf",
                 place=joint.child,
             )
@@ -173,7 +173,7 @@ def _tree(links: dict[str, Element], joints: list[Element]) -> UrdfTree:
 
 
 def _check_no_loop(tree: UrdfTree) -> None:
-    """Whatever cannot be reached from a root hangs on itself."""
+    """Links that cannot be reached from a root form a loop."""
     waiting = [link for link in tree.bodies if link not in tree.above]
     rooted = set(waiting)
     while waiting:
@@ -183,7 +183,7 @@ def _check_no_loop(tree: UrdfTree) -> None:
     for link in tree.bodies:
         if link not in rooted:
             raise RobotError(
-                f"Link {link!r} hangs on itself by way of its joints: a URDF is a tree, leave one joint out.",
+                f"Link {link!r} is below itself in a loop of joints: a URDF is a tree, leave one joint out.",
                 field="urdf",
                 place=link,
             )

@@ -1,4 +1,4 @@
-"""Long computations that stop being waited for at once: a hunt's longest step takes far longer than a person waits."""
+"""Long computations that a cancel leaves at once: the longest step of a gap search takes longer than a person waits."""
 
 from __future__ import annotations
 

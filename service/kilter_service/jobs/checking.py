@@ -93,8 +93,8 @@ def _foreseen(kind: JobKind, loaded: _Loaded) -> Foresight:
     found = Foresight()
     if loaded.every > 1:
         found.limited.append(
-            f"One row in {loaded.every} was read, for there are more than {MOST_ROWS}: rows and poses are counted among "
-            "those, and with all of them more can be told."
+            f"One row in {loaded.every} was read, because there are more than {MOST_ROWS}: rows and poses are counted among "
+            "those, and all of them together show more."
         )
     if loaded.why is not None:
         found.problems.append(loaded.why)

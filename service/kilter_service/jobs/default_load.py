@@ -1,4 +1,4 @@
-"""What a job says when the robot's default load stood in for a payload that its campaigns do not state."""
+"""What a job says when the robot's default load replaced a payload that its campaigns do not state."""
 
 from __future__ import annotations
 

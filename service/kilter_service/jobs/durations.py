@@ -36,14 +36,14 @@ class PastRun:
 
 def duration(kind: str, rows: int, request: JobRequest, past: Sequence[PastRun]) -> Duration:
     """Estimate how long a job would compute, from earlier jobs with the same options, else from all of the kind."""
-    alike = [run for run in past if _asked(run.request) == _asked(request)]
-    chosen = alike or list(past)
+    same = [run for run in past if _asked(run.request) == _asked(request)]
+    chosen = same or list(past)
     if not chosen:
         return _by_rule(kind, rows, request)
     took = [run.seconds * _work(rows, request) / _work(run.rows, run.request) for run in chosen]
     wide = 1.0 + (WIDEST - 1.0) / len(took) ** 0.5
-    wide *= 1.0 if alike else WIDEST
-    which = "with the same options" if alike else "with other options"
+    wide *= 1.0 if same else WIDEST
+    which = "with the same options" if same else "with other options"
     jobs = f"{len(took)} earlier {kind} {'job' if len(took) == 1 else 'jobs'} {which}, by the number of rows"
     return _told(median(took), min(took) / wide, max(took) * wide, jobs)
 

@@ -1,4 +1,4 @@
-"""What may stand in the job engine's database: JSON, never a pickle.
+"""What may be in the job engine's database: JSON, never a pickle.
 
 DBOS writes pickles by default and, whatever serializer it is given, loads one wherever a row says ``py_pickle``. Loading a
 pickle runs the commands it names, so whoever can write to the jobs database could run commands as the worker.

@@ -39,7 +39,7 @@ class Foresight:
     missing: list[Lack] = field(default_factory=list)
     limited: list[str] = field(default_factory=list)
     identification: IdentificationCheck | None = None
-    hunt: GapCheck | None = None
+    search: GapCheck | None = None
 
     @contextmanager
     def foreseen(self) -> Iterator[None]:

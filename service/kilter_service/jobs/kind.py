@@ -82,11 +82,11 @@ class JobKind:
     ``options`` is the contract's model of them. ``check`` refuses at once, before the job is queued, what that model
     cannot say (which options go together); it raises a CoreError. ``run`` computes: it gets
     ``progress(fraction, stage)``, which raises ``CancelledError`` when the job was cancelled, and must call it at
-    least once a second. Both import core inside, for the API process lists the kinds without it. ``version_option``
+    least once a second. Both import core inside, because the API process lists the kinds without it. ``version_option``
     names the option that holds a version; ``needs_campaigns``, ``takes_folds`` and ``takes_confirmation`` say what a
     request must and may have,
-    ``instead_of_campaigns`` which options stand in for campaigns. ``long`` kinds have a queue of their own: whoever
-    identifies does not wait for somebody's hunt. ``history`` kinds want to know where the arm was driven before.
+    ``instead_of_campaigns`` which options replace campaigns. ``long`` kinds have a queue of their own: whoever
+    identifies does not wait for somebody's gap search. ``history`` kinds want to know where the arm was driven before.
     ``foresee`` fills in what such a job would do, at once, from the same input; without it only its rows are counted.
     """
 

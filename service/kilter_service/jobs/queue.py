@@ -40,7 +40,7 @@ class JobQueue:
         self._client: DBOSClient | None = None
 
     def enqueue(self, job_id: str, *, long: bool = False) -> None:
-        """Queue a job, a ``long`` one beside the others; queueing it again changes nothing."""
+        """Queue a job, a ``long`` one beside the others; queueing it a repeat changes nothing."""
         self._open().enqueue(
             {
                 "workflow_name": WORKFLOW,

@@ -17,7 +17,7 @@ from kilter_service.jobs.registry import KINDS, kind_of
 OptionsT = TypeVar("OptionsT", bound=Asked)
 Problem = Mapping[str, Any]
 
-EFFECT_TAGS = ("id", "effect")  # of the two ways to tell an effect, in the place of an error
+EFFECT_TAGS = ("id", "effect")  # of the two ways to name an effect, in the location of an error
 MOST_SHOWN = 60
 
 
@@ -25,7 +25,7 @@ def read_options(kind: str, document: Mapping[str, Any]) -> Asked:
     """Read the options of a job.
 
     Raises:
-        OptionError: one that does not exist or cannot be.
+        OptionError: one that does not exist or is invalid.
 
     """
     try:
@@ -169,7 +169,7 @@ def _described(kind: str, loc: tuple[Any, ...]) -> str:
 
 
 def _schema_at(kind: str, loc: tuple[Any, ...]) -> dict[str, Any] | None:
-    """The schema of an option; None deeper inside, where pydantic's own words stand."""
+    """The schema of an option; None deeper inside, where pydantic's own words are kept."""
     found: dict[str, Any] | None = _schema(kind)["properties"].get(loc[0]) if len(loc) == 1 else None
     return found
 

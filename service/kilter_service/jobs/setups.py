@@ -18,7 +18,7 @@ ALL_OTHERS = 0
 
 @dataclass
 class Setups:
-    """Numbers set-ups as the rows need them; remembers what each number stands for: campaign, session, device."""
+    """Numbers set-ups as the rows need them; remembers what each number means: campaign, session, device."""
 
     own: tuple[str, ...] | None
     devices: dict[str, str]
@@ -60,7 +60,7 @@ class Setups:
         return {
             "code": "base_refitted",
             "campaigns": [frame["campaign"] for frame in refitted if frame["campaign"] is not None],
-            "message": f"The base was refitted to {said}: {why}. Errors there say nothing of where the base lay; "
+            "message": f"The base was refitted to {said}: {why}. Errors there say nothing about where the base was; "
             'with "refit": [] all rows share one base.',
         }
 
@@ -68,5 +68,5 @@ class Setups:
 def _said(frame: dict[str, Any]) -> str:
     name = frame["campaign"] or "the campaigns of other devices"
     session = "" if frame["session"] is None else f" session {frame['session']}"
-    moved = f"moved {frame['moved_mm']:.3g} mm, turned {frame['turned_deg']:.3g} deg"
+    moved = f"moved {frame['moved_mm']:.3g} mm, rotated {frame['turned_deg']:.3g} deg"
     return f"{name}{session} ({frame['use']}, {moved})"

@@ -45,8 +45,8 @@ def bar_lengths(robot: Robot, campaigns: Iterable[tuple[str, Observations]]) -> 
         {
             "code": "bar_length_doubtful",
             "message": f"{campaign}: bar {bar} reads {to_mm(read):.3f} mm, but the joints put the tool {to_mm(found):.3f} mm "
-            f"from its foot ({found / read:.4g} times). Is the nominal length another than stated? Give it as it is "
-            f"(kilter ballbar-join --radius-mm, or the line above the log) and upload again.",
+            f"from the ball at its fixed end ({found / read:.4g} times). Is the stated nominal length wrong? Give the right "
+            f"one (kilter ballbar-join --radius-mm, or the line above the log) and upload again.",
         }
         for campaign, rows in campaigns
         for bar, read, found in other_lengths(robot, rows)
@@ -88,6 +88,6 @@ def _doubt(name: str, found: SheetOrder) -> str:
             f"({to_mm(found.left):.3f} mm are left, {to_mm(found.as_given):.3f} mm as given). Check which point was the first."
         )
     return (
-        f"{name}: its line fits this robot in several orders of the quarter points alike, so the order was not checked. "
+        f"{name}: its line fits this robot in several orders of the quarter points equally well, so the order was not checked. "
         "Make sure that row 1 of the points file is point 1; strokes across the line and a larger circle tell more."
     )

@@ -48,7 +48,7 @@ from kilter_service.jobs.registry import kind_of
 from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.gap.check import GapCheck as Hunt
+    from kilter_core.gap.check import GapCheck as FoundByCheck
     from kilter_core.identify.check import IdentificationCheck
 
 ANSWERS: dict[str, tuple[type[Job], type[BaseModel]]] = {
@@ -70,7 +70,7 @@ CHECKS: dict[str, type[JobCheck]] = {
 
 
 def job(record: JobRecord) -> Job:
-    """Say all of a job; what an earlier release wrote otherwise is left out."""
+    """Say all of a job; what an earlier release wrote in another form is left out."""
     answer, result = ANSWERS[record.kind]
     options: Asked = as_written(kind_of(record.kind).options, record.request.options)
     return answer(
@@ -112,7 +112,7 @@ def check(
     if kind == "identify":
         own = {"identifiability": None if found.identification is None else _identifiability(found.identification)}
     elif kind == "gap":
-        own = {"testability": None if found.hunt is None else _testability(found.hunt)}
+        own = {"testability": None if found.search is None else _testability(found.search)}
     return CHECKS[kind](
         kind=kind,
         robot=robot,
@@ -149,7 +149,7 @@ def _identifiability(found: IdentificationCheck) -> Identifiability:
     )
 
 
-def _testability(found: Hunt) -> Testability:
+def _testability(found: FoundByCheck) -> Testability:
     from kilter_core.identify.report import WIRE  # imports scipy: not at the start of the API process
 
     testable = []

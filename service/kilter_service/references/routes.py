@@ -24,7 +24,7 @@ def resolve(
     database: DatabaseOfApp,
     robot: Annotated[str | None, Query(max_length=64, description="Look among those of this robot only.")] = None,
 ) -> ResolvedReference:
-    """Find the one campaign, version or job that a beginning of its id, its name, or `latest` stands for."""
+    """Find the one campaign, version or job that a beginning of its id, its name, or `latest` refers to."""
     return service.resolve(database, kind, reference, robot)
 
 

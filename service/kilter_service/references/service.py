@@ -1,4 +1,4 @@
-"""A prefix, a name or `latest` into the one thing that it stands for."""
+"""From a prefix, a name or `latest` to the one thing that it refers to."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from kilter_service.references.store import LATEST, PREFIXES, Found
 from kilter_service.robots import store as robots
 
 HEXADECIMAL = re.compile("[0-9a-f]+")
-LEAST = 4  # digits of an id without what it begins with: of one letter a mistyped name would find something by chance
+LEAST = 4  # digits of an id without what it begins with: a mistyped name of one letter would find something by chance
 MOST_NAMED = 10
 
 
 def resolve(database: Database, kind: Kind, reference: str, robot: str | None) -> ResolvedReference:
-    """Find what a reference stands for, among those of one robot or of all.
+    """Find what a reference refers to, among those of one robot or of all.
 
-    A name goes before the prefix of an id, for somebody chose it; what is in use goes before what is retired.
+    A name takes precedence over the prefix of an id, because somebody chose it. What is in use takes precedence over
+    what is retired.
 
     Raises:
         ServiceError: nothing, or more than one thing.
@@ -37,8 +38,8 @@ def resolve(database: Database, kind: Kind, reference: str, robot: str | None) -
             newest_job = named[:1] if kind == "job" else named
             return _one(session, kind, reference, robot, robot_id, _preferred(newest_job), "name")
         text = reference.removeprefix(PREFIXES[kind])
-        told = HEXADECIMAL.fullmatch(text) and (text != reference or len(text) >= LEAST)
-        found = store.beginning_with(session, kind, robot_id, reference) if told else []
+        is_prefix = HEXADECIMAL.fullmatch(text) and (text != reference or len(text) >= LEAST)
+        found = store.beginning_with(session, kind, robot_id, reference) if is_prefix else []
         exact = [one for one in found if one.id == reference]
         by: By = "id" if exact else "prefix"
         return _one(session, kind, reference, robot, robot_id, exact or found, by)

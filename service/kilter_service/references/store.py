@@ -21,7 +21,7 @@ TABLES: Mapping[Kind, Table] = {"campaign": CampaignRow, "version": VersionRow, 
 PREFIXES: Mapping[Kind, str] = {"campaign": "cmp_", "version": "ver_", "job": "job_"}
 KEPT: Mapping[Whose, type[Any]] = {"campaign": CampaignRow, "version": VersionRow, "robot": RobotRow}
 LATEST = "latest"
-NOMINAL = "nominal"  # of versions: the robot as drawn, which a comparison may name
+NOMINAL = "nominal"  # of versions: the nominal robot, which a comparison may name
 
 
 class Found(NamedTuple):

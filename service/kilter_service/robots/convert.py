@@ -1,4 +1,4 @@
-"""A robot document in another convention: the same arm, for a fit or a program that wants it so."""
+"""A robot document in another convention: the same arm, for a fit or a program that needs that convention."""
 
 from __future__ import annotations
 

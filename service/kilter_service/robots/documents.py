@@ -17,7 +17,7 @@ class CoreDocument(NamedTuple):
 
 
 def core_document(posted: dict[str, Any]) -> CoreDocument:
-    """Turn a posted document (as stored, without nulls) into core's.
+    """Convert a posted document (as stored, without nulls) to core's.
 
     Raises:
         RobotError: the URDF cannot be an arm.

@@ -65,7 +65,7 @@ def _limits(robot: Robot) -> Iterator[str]:
         yield "All limits are within 7 degrees: they look like radians."
     for j in turning:
         if max(abs(j.lower), abs(j.upper)) > TWO_TURNS:
-            yield f"Joint {j.name} turns to {to_deg(max(abs(j.lower), abs(j.upper))):.0f} deg: is that meant?"
+            yield f"Joint {j.name} rotates to {to_deg(max(abs(j.lower), abs(j.upper))):.0f} deg: is that meant?"
     for j in robot.joints:
         if not j.lower <= 0.0 <= j.upper:
             yield f"Zero lies outside the limits of {j.name}: the zero pose is one that the arm cannot take."
@@ -81,7 +81,7 @@ def _axes(robot: Robot, screws: Screws) -> Iterator[str]:
         aside = float(np.linalg.norm(np.cross(gap, screws.direction[k])))
         coupled = screws.joint[k] in screws.joint[:k] or screws.joint[k - 1] in screws.joint[k + 1 :]
         if sine < 1e-9 and aside < 1e-9 and not coupled:
-            yield f"{names} turn about the same axis: their offsets cannot be told apart, and one of them looks missing."
+            yield f"{names} rotate about the same axis: their offsets cannot be told apart, and one of them looks missing."
         elif 1e-6 < sine < math.sin(PARALLEL_RAD):
             yield f"The axes of {names} are {to_deg(math.asin(sine)):.4f} deg from parallel: nominal axes are exact."
 

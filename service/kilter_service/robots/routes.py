@@ -112,7 +112,7 @@ def remark(robot: str, wanted: RobotChange, database: DatabaseOfApp, _: Admin) -
 
 @router.post("/{robot}/retire")
 def retire(robot: str, database: DatabaseOfApp, actor: Admin) -> RobotReport:
-    """Take a robot out of use; the version that is active goes on correcting."""
+    """Take a robot out of use; the active version keeps correcting."""
     return service.retire(database, robot, actor)
 
 
@@ -124,11 +124,11 @@ def restore(robot: str, database: DatabaseOfApp, _: Admin) -> RobotReport:
 
 @router.post("/{robot}/purge")
 def purge(robot: str, database: DatabaseOfApp, actor: Admin) -> Tombstone:
-    """Delete a robot nothing was measured on, for good; its hash is kept."""
+    """Delete a robot on which nothing was measured, for good; its hash is kept."""
     return service.purge(database, robot, actor)
 
 
 @router.delete("/{robot}", status_code=204)
 def remove(robot: str, database: DatabaseOfApp, actor: Admin) -> None:
-    """Delete a robot nothing was measured on, as purge does."""
+    """Delete a robot on which nothing was measured, as purge does."""
     service.purge(database, robot, actor)

@@ -62,7 +62,7 @@ def remark(database: Database, name: str, remarks: str) -> RobotReport:
 
 
 def retire(database: Database, name: str, actor: str) -> RobotReport:
-    """Take a robot out of use: no list shows it, nothing new is made of it. What is active goes on correcting."""
+    """Take a robot out of use: no list shows it, nothing new is made of it. The active version keeps correcting."""
     with database.transaction() as session:
         references.retire(session, "robot", store.get(session, name).id, actor)
     return get(database, name)

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 class StoredRobot(NamedTuple):
-    """A robot's key in the database, its name, the document it was posted as, and the chain that stands for it.
+    """A robot's key in the database, its name, the document it was posted as, and the chain that represents it.
 
-    ``chain`` is None for a robot of before the chains that no longer resolves.
+    ``chain`` is None for a robot from before the chains that no longer resolves.
     """
 
     id: int
@@ -129,7 +129,7 @@ def refuse_retired_robot(session: Session, robot_id: int) -> None:
 
 
 def remark(session: Session, name: str, remarks: str) -> None:
-    """Note something on a robot, in the place of what was noted before."""
+    """Note something on a robot, replacing what was noted before."""
     _row(session, name).remarks = remarks
 
 

@@ -71,7 +71,7 @@ def topic_token(domain: int, zid: str, entity: int, kind: str, topic: str, messa
 
 
 def gid_of(token: str) -> bytes:
-    """16 bytes that stand for a publisher; any will do that stay the same."""
+    """16 bytes that identify a publisher; any constant ones will do."""
     return hashlib.blake2b(token.encode(), digest_size=16).digest()
 
 

@@ -42,7 +42,7 @@ class RefusedError(Exception):
 
 
 def joint_columns(names: Sequence[str], joints: Sequence[str]) -> list[int]:
-    """Where in the message each joint of the robot stands.
+    """Where in the message each joint of the robot is.
 
     Raises:
         RefusedError: a joint is missing or named twice.
@@ -54,7 +54,7 @@ def joint_columns(names: Sequence[str], joints: Sequence[str]) -> list[int]:
 
 
 class StateRelay:
-    """Setpoints as ``JointState``, one by one; other joints in the message, a gripper's say, pass unchanged."""
+    """Setpoints as ``JointState``, one by one; other joints in the message, such as a gripper's, pass unchanged."""
 
     def __init__(self, joints: Sequence[str] = ()) -> None:
         self.counts: Counter[str] = Counter()

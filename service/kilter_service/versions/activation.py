@@ -16,7 +16,7 @@ ATTEMPTS = 5
 def activate(
     database: Database, version_id: str, actor: str, wish: ActivationWish, temperature_c: float | None = None
 ) -> ActivatedVersion:
-    """Make a version the one its robot is corrected with; the active one again changes nothing.
+    """Make a version the one its robot is corrected with; the active one a repeat changes nothing.
 
     ``temperature_c`` is that of the arm as the corrector knows it: without it thermal growth stays uncorrected.
 

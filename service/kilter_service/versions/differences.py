@@ -1,4 +1,4 @@
-"""How two versions differ, or a version and the robot as drawn."""
+"""How two versions differ, or a version and the nominal robot."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class _Side(NamedTuple):
 
 
 def diff(database: Database, a: str, b: str) -> VersionDiff:
-    """Compare two versions of one robot; either may be ``nominal``, the robot as drawn with the other's effects at zero.
+    """Compare two versions of one robot; either may be ``nominal``: the nominal robot with the other's effects at zero.
 
     Raises:
         ServiceError: they are of different robots, or both are nominal.
@@ -50,16 +50,16 @@ def diff(database: Database, a: str, b: str) -> VersionDiff:
 
 def _of_version(session: Session, version: str) -> _Side:
     record = store.get(session, version)
-    told = summary(record)
+    about = summary(record)
     rows = record.report.get("parameters") or []
     sigma = {row["name"]: float(row["sigma"]) for row in rows if row.get("sigma") is not None}
     return _Side(
-        version, told.robot, told.effects, wire_values(store.calibration(session, version)), sigma, told.metrics
+        version, about.robot, about.effects, wire_values(store.calibration(session, version)), sigma, about.metrics
     )
 
 
 def _drawn(session: Session, version: str) -> dict[str, Value]:
-    """Values of the robot as drawn for everything that a version has a number for."""
+    """Values of the nominal robot for everything that a version has a number for."""
     calibration: Calibration = store.calibration(session, version)
     robot, model = calibration.robot, calibration.model
     nominal = replace(model, T_base=robot.T_base, T_tool=robot.T_tool)

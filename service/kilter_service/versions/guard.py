@@ -1,6 +1,6 @@
 """What speaks against activating a version: its own identification, and measurements that it was not fitted to.
 
-It is compared with the drawing in frames of its own (registration only) and with the version that is active. Worse is
+It is compared with the nominal robot in frames of its own (registration only) and with the version that is active. Worse is
 what `kilter_core.identify.compare` calls so. Where there is nothing to compare on, a warning says so and nothing is
 refused for it.
 """
@@ -169,7 +169,8 @@ class Case:
 
         if poses_of(rows) < FEWEST_POSES:
             message = (
-                f"{poses_of(rows)} poses of campaign {campaign} stand alone: fewer than {FEWEST_POSES} tell nothing."
+                f"{poses_of(rows)} poses of campaign {campaign} have a set-up of their own: "
+                f"fewer than {FEWEST_POSES} tell nothing."
             )
             self.warn("campaign_not_compared", message)
             return None
@@ -180,7 +181,7 @@ class Case:
         new = self._errors(self.new, rows)
         if isinstance(new, str):
             message = (
-                f"No base and tool are found in which it predicts campaign {campaign} ({new}), but for the drawing."
+                f"No base and tool are found in which it predicts campaign {campaign} ({new}); the nominal robot does."
             )
             self.unpredictable.append(Objection(code="worse_than_registration", message=message))
             return None

@@ -18,7 +18,7 @@ def change(database: Database, version_id: str, wanted: Change) -> Version:
     """Name a version (an empty name takes it away), or note something on it; what it holds stays.
 
     Raises:
-        ServiceError: no such version, or a name that is taken or cannot be.
+        ServiceError: no such version, or a name that is taken or invalid.
 
     """
     with database.transaction() as session:

@@ -13,7 +13,11 @@ ERRORS_OF_DOUBT, SHARE_OF_DOUBT = (
     2.0,
     0.01,
 )  # as in kilter_core.identify.worse: standard errors, and of the simpler model's error
-SIMPLER = {"registration_only": "base and tool alone", "geometry_only": "the geometry alone", "nominal": "the drawing"}
+SIMPLER = {
+    "registration_only": "base and tool alone",
+    "geometry_only": "the geometry alone",
+    "nominal": "the nominal robot",
+}
 
 
 def objections_of(report: Mapping[str, Any], limits: CorrectionLimits) -> list[Objection]:

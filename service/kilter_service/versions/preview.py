@@ -56,7 +56,7 @@ def drawn(robot: Robot) -> Floats:
     """Poses (N, n), rad or m, all over the limits; the same every time."""
     free = np.array([FREE_SHIFT_M if joint.kind == "prismatic" else FREE_TURN_RAD for joint in robot.joints])
     low, high = np.maximum(robot.limits[:, 0], -free), np.minimum(robot.limits[:, 1], free)
-    outside = low > high  # limits that lie beyond a turn
+    outside = low > high  # limits that lie beyond a full turn
     low, high = np.where(outside, robot.limits[:, 0], low), np.where(outside, robot.limits[:, 1], high)
     return np.random.default_rng(0).uniform(low, high, (DRAWN_POSES, len(free)))
 

@@ -105,7 +105,7 @@ def _left(part: Part, calibration: Calibration, known: Predictive | None, report
 
 
 def _frames(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple[str, ...]]]:
-    """Rows told in one frame, and the frames that were fitted to them alone: a sheet lies elsewhere every time."""
+    """Rows given in one frame, and the frames that were fitted to them alone: a sheet lies in another place every time."""
     own = [one for one in report.get("base_refitted") or [] if one["campaign"] == part.campaign]
     session = np.zeros(len(part.rows)) if part.rows.session is None else part.rows.session
     rest = np.ones(len(part.rows), dtype=bool)

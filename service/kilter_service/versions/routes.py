@@ -87,7 +87,7 @@ def activate(
     actor: Admin,
     wish: ActivationWish | None = None,
 ) -> ActivatedVersion:
-    """Correct the robot with this version from now on, unless it predicts worse than what it takes the place of.
+    """Correct the robot with this version from now on, unless it predicts worse than what it replaces.
 
     It is compared on poses that neither it nor the active version was fitted to. `force` activates it all the same. Says
     which of its effects are not corrected at run time.
@@ -106,7 +106,7 @@ def preview(version: str, database: DatabaseOfApp, settings: SettingsOfApp) -> V
 
 @router.get("/versions/{a}/diff/{b}", dependencies=[Depends(reading_turn)])
 def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
-    """Compare two versions of one robot, or one with `nominal`: the robot as drawn, the effects at zero."""
+    """Compare two versions of one robot, or one with `nominal`: the nominal robot, the effects at zero."""
     return differences.diff(database, a, b)
 
 

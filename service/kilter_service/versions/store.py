@@ -80,7 +80,7 @@ POSES, BY_DISTANCE = "poses", "by distance"  # versions without it were split by
 
 
 def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
-    """Store the version of a job and return its id; the same job again changes nothing."""
+    """Store the version of a job and return its id; the same job a repeat changes nothing."""
     version_id = f"ver_{job_id.removeprefix('job_')}"
     if session.get(VersionRow, version_id) is not None:
         return version_id
@@ -132,11 +132,11 @@ def _row(session: Session, version_id: str) -> VersionRow:
 
 def _record(session: Session, row: VersionRow) -> VersionRecord:
     last = active_entry(session, row.robot_id)
-    told = {
+    facts = {
         field.name: getattr(row, field.name) for field in fields(VersionRecord) if field.name not in ("robot", "active")
     }
     active = last is not None and last.version_id == row.id
-    return VersionRecord(robot=robots.by_id(session, row.robot_id).name, active=active, **told)
+    return VersionRecord(robot=robots.by_id(session, row.robot_id).name, active=active, **facts)
 
 
 def usable(session: Session, version_id: str) -> VersionRecord:

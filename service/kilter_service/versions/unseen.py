@@ -1,4 +1,4 @@
-"""The rows of a robot that versions were not fitted to: always whole poses, for a repeat of a pose tells its errors."""
+"""The rows of a robot that versions were not fitted to: always whole poses, because a repeat of a pose reveals its errors."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class _Trained:
         return np.concatenate([np.zeros((0, self.archive.robot.n_joints)), *fitted])
 
     def _split(self, training: Training, fraction: float) -> dict[str, Bools] | None:
-        """Rows fitted of each campaign's named uploads, as the job drew them; None when that cannot be told any more."""
+        """Rows fitted of each campaign's named uploads, as the job drew them; None when that is no longer known."""
         from kilter_core.observations import Observations
         from kilter_core.observations.repeats import rounded_poses
 

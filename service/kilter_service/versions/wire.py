@@ -121,13 +121,13 @@ def preview(found: Foreseen, within: Literal["campaigns", "limits"], temperature
 
 
 def noise_of(report: dict[str, Any]) -> tuple[float, float]:
-    """Read what a stored report says of the scatter of a point (m) and of a turn (rad); nan where it says nothing."""
+    """Read what a stored report says of the scatter of a point (m) and of a rotation (rad); nan where it says nothing."""
     scale = report.get("scale") or {"point_mm": report.get("noise_mm") or float("nan"), "turn_deg": float("nan")}
     return to_metres(float(scale["point_mm"])), to_rad(float(scale["turn_deg"]))
 
 
 def residual_columns(error: Floats, u95: Floats, turn: Floats, size: Floats) -> dict[str, Any]:
-    """Say what is left of rows: errors and half intervals (N, 3) m, turns (N,) rad, and their length (N,) in sigma."""
+    """Say what is left of rows: errors and half intervals (N, 3) m, rotations (N,) rad, and their length (N,) in sigma."""
     import numpy as np
     import pyarrow as pa
 

@@ -270,7 +270,7 @@ def test_ur_yaml_is_the_drivers_for_the_nominal_arm_and_true_for_the_calibrated(
             T = T @ pose(found[name]) @ pose_from_xyz_rpy(np.zeros(3), np.array([0, 0, value]))
         assert np.abs(T - wanted).max() < 1e-9
     assert "tool frame" in " ".join(export("ur-yaml", calibrated(ERRORS)[0]).notes)
-    with pytest.raises(RobotError, match="six turning joints"):
+    with pytest.raises(RobotError, match="six revolute joints"):
         export("ur-yaml", exportable(preset_document("katana450-chapter4"), thesis_katana("katana450-chapter4").truth))
 
 

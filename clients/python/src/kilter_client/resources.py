@@ -63,7 +63,7 @@ class Robots:
         return self._run(robots.note(name, remarks))
 
     def retire(self, name: str) -> Document:
-        """Take a robot out of use; the version that is active goes on correcting."""
+        """Take a robot out of use; the active version keeps correcting."""
         return self._run(robots.do(name, "retire"))
 
     def restore(self, name: str) -> Document:

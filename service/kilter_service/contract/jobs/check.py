@@ -30,14 +30,14 @@ class HeldOut(Strict):
 
     how: Literal["campaigns", "fraction", "folds", "unasked", "none"] = Field(
         description="`campaigns` named; a `fraction` of the poses; `folds`, every pose once; `unasked`: the quarter that a "
-        "gap hunt holds out by itself; `none`."
+        "gap search holds out by itself; `none`."
     )
     rows: int = Field(description="Rows held out.")
     poses: int = Field(description="Distinct poses among them.")
 
 
 class JobProblem(Strict):
-    """What the job would fail of."""
+    """Why the job would fail."""
 
     code: str = Field(description="Stable name of the error that the job would end with.")
     message: str = Field(description="What is wrong, and what helps.")
@@ -47,12 +47,12 @@ class Missing(Strict):
     """What the job would run without, and what that costs."""
 
     what: str = Field(description="What is missing, or not seen.")
-    reason: str = Field(description="Why it cannot be told.")
+    reason: str = Field(description="Why it cannot be determined.")
     remedy: str = Field(description="What to measure or to give.")
 
 
 class Duration(Strict):
-    """How long the job would compute, in seconds; waiting for other jobs is not among it."""
+    """How long the job would compute, in seconds, without waiting for other jobs."""
 
     expected: Seconds = Field(description="Most likely, s.")
     low: Seconds = Field(description="Hardly less, s.")
@@ -78,12 +78,12 @@ class Identifiability(Strict):
     null_directions: list[NullDirection] = Field(description="Combinations that the poses cannot tell.")
     noise_mm: Mm = Field(description="Standard deviation of a coordinate this was judged with, mm.")
     noise_from: Literal["stated", "repeats", "assumed"] = Field(
-        description="Where it comes from: `noise_mm`, repeats of poses, or assumed for want of both."
+        description="Where it comes from: `noise_mm`, repeats of poses, or `assumed` without either."
     )
 
 
 class Testability(Strict):
-    """What a hunt could test, judged with the geometry fitted and nothing named."""
+    """What a gap search could test, judged with the geometry fitted and nothing named."""
 
     testable: list[Detectable] = Field(description="Parameters that can be tested, with the smallest amplitude seen.")
     not_testable: list[Untestable] = Field(description="Effects that cannot be tested, with what would help.")
@@ -91,9 +91,9 @@ class Testability(Strict):
 
 class _Check(Strict):
     robot: str = Field(description="Name of the robot.")
-    version: str | None = Field(description="Id of the version it would start from; null: the robot as drawn.")
-    would_run: bool = Field(description="Whether the job would run through, as far as can be told.")
-    problems: list[JobProblem] = Field(description="What it would fail of; empty where it would run.")
+    version: str | None = Field(description="Id of the version it would start from; null: the nominal robot.")
+    would_run: bool = Field(description="Whether the job would run through, as far as can be predicted.")
+    problems: list[JobProblem] = Field(description="Why it would fail; empty if it would run.")
     campaigns: list[CheckedCampaign] = Field(description="Campaigns it would use, in the order given.")
     rows: int = Field(description="Rows of the campaigns it would learn from, held-out rows among them.")
     poses: int = Field(description="Distinct poses among those rows.")
@@ -113,7 +113,7 @@ class IdentifyCheck(_Check):
 
 
 class GapCheck(_Check):
-    """What a gap hunt would do."""
+    """What a gap search would do."""
 
     kind: Literal["gap"] = Field(description=KIND)
     testability: Testability | None = Field(description="What could be tested; null: see `problems`.")

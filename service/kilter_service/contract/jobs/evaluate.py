@@ -16,7 +16,7 @@ Symbol = Literal["AP", "RP", "vAP", "AD", "RD", "AT", "RT", "dAP", "dRP"]
 class EvaluateOptions(Asked):
     """What can be asked of an evaluation."""
 
-    version: Version = Field(None, description="Id of the version; null: the active one, else the robot as drawn.")
+    version: Version = Field(None, description="Id of the version; null: the active one, else the nominal robot.")
     refit: Annotated[list[Literal["base", "tool"]], Field(max_length=2)] = Field(
         [],
         description='Frames refitted to these rows: [], ["base"] or ["base", "tool"] (the tracker was set up again).',
@@ -89,7 +89,7 @@ class Iso9283(Stored):
 class EvaluateResult(Stored):
     """How well a version predicts campaigns: errors, or criteria of ISO 9283."""
 
-    version_id: str | None = Field(None, description="The version that was evaluated; null: the robot as drawn.")
+    version_id: str | None = Field(None, description="The version that was evaluated; null: the nominal robot.")
     refit: list[str] | None = Field(None, description="Frames that were refitted.")
     metrics: dict[str, CampaignErrors] | None = Field(None, description="Errors, by campaign.")
     rows: dict[str, RowErrors] | None = Field(None, description="Errors of the rows, by campaign.")

@@ -41,11 +41,11 @@ from kilter_service.contract.units import Asked, Micrometres
 
 
 class GapOptions(Asked):
-    """What can be asked of a gap hunt."""
+    """What can be asked of a gap search."""
 
-    start: Version = Field(None, description="Id of the version to continue from; null: the robot as drawn.")
+    start: Version = Field(None, description="Id of the version to continue from; null: the nominal robot.")
     alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
-        0.01, description="Chance of any false name in the whole hunt, between 0 and 0.5."
+        0.01, description="Chance of any false name in the whole search, between 0 and 0.5."
     )
     effects: Effects = Field([], description="Look for these effects only, by id or at some joints; empty: for all.")
     noise_mm: NoiseMm | None = Field(
@@ -75,7 +75,7 @@ class GapOptions(Asked):
 
 
 class GapResult(MadeVersion):
-    """What a hunt found. The version holds the named effects and the geometry fitted with them."""
+    """What a gap search found. The version holds the named effects and the geometry fitted with them."""
 
     verdict: str | None = Field(None, description="`no_gap`, `closed`, `provisional` or `unexplained`.")
     sentence: str | None = Field(None, description="The verdict in words.")
@@ -90,8 +90,8 @@ class GapResult(MadeVersion):
     next_poses: list[NextPose] | None = Field(None, description="Poses to measure next.")
     next_poses_csv: str | None = Field(None, description="The same as a CSV file of columns of a measurement.")
     negative_control: NegativeControl | None = Field(None, description="What shuffled rows would name.")
-    alias_matrix: AliasMatrix | None = Field(None, description="How alike effects look in these rows.")
+    alias_matrix: AliasMatrix | None = Field(None, description="How well signatures correlate in these rows.")
     figures: GapFigures | None = Field(None, description="Figures by name.")
     load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
-    start: str | None = Field(None, description="The version it continued from; null: the robot as drawn.")
+    start: str | None = Field(None, description="The version it continued from; null: the nominal robot.")

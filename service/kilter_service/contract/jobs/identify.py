@@ -52,7 +52,7 @@ class IdentifyOptions(Asked):
     )
     tool: Free = Field("free", description="Whether the tool is fitted.")
     loss: Literal["linear", "huber", "tukey"] = Field(
-        "linear", description="`huber` bounds what a wrong row can pull, `tukey` lets it go and names it."
+        "linear", description="`huber` bounds what a wrong row can pull, `tukey` sets it aside and names it."
     )
     noise_mm: NoiseMm | None = Field(None, description=NOISE)
     reference: ReferenceFrames = Field("auto", description=REFERENCE)

@@ -141,7 +141,7 @@ class IdentifyJob(_Job):
 
 
 class GapJob(_Job):
-    """A gap hunt with what was asked and what came out."""
+    """A gap search with its options and its result."""
 
     kind: Literal["gap"] = Field(description=KIND)
     options: GapOptions = Field(description="Options, as asked.")

@@ -17,10 +17,10 @@ JointName = Annotated[str, Field(min_length=1, max_length=128)]
 
 
 class Reading(Asked):
-    """One reading: what the joint turned about an axis of its frame beyond the command, up to a constant per series."""
+    """One reading: how far the joint rotated about an axis of its frame beyond the command, up to a constant per series."""
 
     joint: JointName = Field(description="Name of the joint that the inclinometer sits behind.")
-    axis: Literal["x", "y", "z"] = Field(description="Axis of the joint's frame it turns about; z is the joint's own.")
+    axis: Literal["x", "y", "z"] = Field(description="Axis of rotation in the joint's frame; z is the joint's own.")
     q_deg: Annotated[list[Deg], Field(max_length=32)] = Field(
         description="Readings of all joints, degrees; mm for prismatic ones."
     )

@@ -35,13 +35,13 @@ class PlanOptions(Asked):
     effects: Effects = Field(
         [],
         description="Of `identify`: effects to see; of `separate`: the two, or one to tell from geometry; empty: what the "
-        "hunt that made the version left undecided.",
+        "gap search that made the version left undecided.",
     )
     seed: Seed = Field(0, description="Seed of the choice, 0 or more.")
     noise_mm: NoiseMm | None = Field(
         None, description="Standard deviation of a coordinate, mm, above 0; null: that of the repeats, else 0.05."
     )
-    version: Version = Field(None, description="Id of the version to plan with; null: the robot as drawn.")
+    version: Version = Field(None, description="Id of the version to plan with; null: the nominal robot.")
     box_mm: Annotated[tuple[Corner, Corner], Field(strict=False)] | None = Field(
         None, description="Lowest and highest corner, mm, of a box the tool stays in, in the frame of the measurements."
     )
@@ -60,7 +60,7 @@ class PlanOptions(Asked):
 
 
 class PlannedPose(Stored):
-    """A pose to measure; beside these fields the joints, as columns of a measurement: `q1_deg` ..., `q3_mm` of a slide."""
+    """A pose to measure; further fields are the joints, as in a measurement: `q1_deg` ..., `q3_mm` of a prismatic joint."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, float]
@@ -88,14 +88,14 @@ class PlanResult(Stored):
     """Poses to measure. Collisions are not checked."""
 
     purpose: str | None = Field(None, description="What the poses are for.")
-    start: str | None = Field(None, description="The version it was planned with; null: the robot as drawn.")
+    start: str | None = Field(None, description="The version it was planned with; null: the nominal robot.")
     count: int | None = Field(None, description="How many poses.")
     poses: list[PlannedPose] | None = Field(None, description="The poses, in the order of a short path.")
     csv: str | None = Field(None, description="The poses as a CSV file of columns of a measurement.")
     cycles: int | None = Field(None, description="Cycles of the standard's poses.")
     cycles_demanded: int | None = Field(None, description="Cycles that the standard demands.")
     separates: list[str] | None = Field(None, description="The two that the poses tell apart.")
-    correlation: float | None = Field(None, description="How alike they are so far, 0 to 1.")
+    correlation: float | None = Field(None, description="Correlation of their signatures so far, 0 to 1.")
     proposals: list[Proposal] | None = Field(None, description="The poses, by what to change before them.")
     within: str | None = Field(None, description="Where poses were looked for.")
     warnings: list[Remark] | None = Field(None, description="What to know before driving them.")

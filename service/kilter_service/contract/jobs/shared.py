@@ -29,7 +29,7 @@ REFERENCE = (
     "Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame "
     "that is fixed or found within 10 mm and 1 degree of it."
 )
-START = "Id of the version to start from; null: the robot as drawn."
+START = "Id of the version to start from; null: the nominal robot."
 LIMITS = "The largest correction the version may make; null: 1 degree and 5 mm."
 SEED = "Seed of everything that is drawn by chance, 0 or more."
 

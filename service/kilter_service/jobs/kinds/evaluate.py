@@ -34,7 +34,7 @@ def check(options: EvaluateOptions) -> None:
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
-    """Compare the version named (else the active one, else the robot as drawn) with the rows of every campaign."""
+    """Compare the version named (else the active one, else the nominal robot) with the rows of every campaign."""
     from kilter_core.evaluate import evaluate  # compiled kernels: only the worker needs them
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration

@@ -30,7 +30,7 @@ def check(options: GapOptions) -> None:
     """Refuse what the core would.
 
     Raises:
-        OptionError: an effect that is not searched for, or an option of one that a hunt chooses itself.
+        OptionError: an effect that is not searched for, or an option of one that the gap search chooses itself.
 
     """
     from kilter_core.gap.search.wanted import wanted
@@ -39,12 +39,12 @@ def check(options: GapOptions) -> None:
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
-    """Hunt through the campaigns; a cancelled hunt is left at once."""
-    return cancellable(lambda report: _hunt(job, report), progress)
+    """Search for the gap in the campaigns; a cancelled search is left at once."""
+    return cancellable(lambda report: _search(job, report), progress)
 
 
-def _hunt(job: JobInput, progress: Progress) -> JobOutput:
-    """Hunt through all campaigns together; the version made holds the named effects and the geometry fitted with them."""
+def _search(job: JobInput, progress: Progress) -> JobOutput:
+    """Search all campaigns together; the version made holds the named effects and the geometry fitted with them."""
     from kilter_core.gap import find_gap  # compiled kernels: only the worker needs them
     from kilter_core.gap.evidence.holding_out import parted, share_of
 
@@ -83,13 +83,13 @@ def foresee(job: JobInput, found: Foresight) -> None:
             found.hold("campaigns", validation)
         elif held is not None:
             found.hold("unasked" if validation is None else "fraction", held)
-        found.hunt = check_gap(job.robot, rows, options, job.calibration, validation, confirmation)
-        if found.hunt.poses < found.hunt.of:
+        found.search = check_gap(job.robot, rows, options, job.calibration, validation, confirmation)
+        if found.search.poses < found.search.of:
             found.limited.append(
-                f"What can be tested was judged on {found.hunt.poses} of {found.hunt.of} poses, evenly chosen; amplitudes "
+                f"What can be tested was judged on {found.search.poses} of {found.search.of} poses, evenly chosen; amplitudes "
                 "are those that all of them would show."
             )
-        found.missing += [Lack(_label(u.id, u.joints), u.reason, u.remedy) for u in found.hunt.not_testable]
+        found.missing += [Lack(_label(u.id, u.joints), u.reason, u.remedy) for u in found.search.not_testable]
 
 
 def _label(effect: str, joints: tuple[int, ...] | None) -> str:
@@ -138,7 +138,7 @@ def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Obs
 def _version(
     job: JobInput, report: GapReport, train: Observations, held: Observations | None, share: float | None
 ) -> VersionContent:
-    """What an identification stores of its fit, of the hunt's last one; ``share`` of the poses was held out unasked."""
+    """What an identification stores of its fit, of the search's last one; ``share`` of the poses was held out by itself."""
     stored = report.stored
     document = {
         "metrics": stored.metrics(train, held),

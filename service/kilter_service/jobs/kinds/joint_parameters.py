@@ -57,7 +57,7 @@ def _measured(job: JobInput) -> JobOutput:
 
 
 def foresee(job: JobInput, found: Foresight) -> None:
-    """Measure the joints, which takes no time, and say what could not be told."""
+    """Measure the joints, which takes no time, and say what could not be determined."""
     options: Options = job.options
     found.learn_from(*job.campaigns.values())
     if isinstance(job.validation, dict):
@@ -158,7 +158,7 @@ def _at_the_tool(name: str) -> dict[str, str]:
     return {
         "code": "joint_without_gravity",
         "joint": name,
-        "message": f"Gravity never turns about joint {name}, so no inclinometer can measure its backlash and stiffness: "
+        "message": f"Gravity exerts no moment about joint {name}, so no inclinometer can measure its backlash and stiffness: "
         "measure tool positions reached from both sides, and under a sideways force, and identify them (thesis 4.4.1).",
     }
 
@@ -214,13 +214,13 @@ def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
 
 
 def _row(p: JointParameter) -> dict[str, Any]:
-    """A parameter in degrees; the stiffness of a joint stands beside its compliance."""
+    """A parameter in degrees; the stiffness of a joint is given with its compliance."""
     scale = 1.0 if p.unit == "s" else to_deg(1.0)
     row: dict[str, Any] = {
         "name": p.name, "unit": p.unit.replace("rad", "deg"), "readings": p.readings, "identifiable": p.value is not None,
         "value": None if p.value is None else p.value * scale, "sigma": None if p.sigma is None else p.sigma * scale,
     }  # fmt: skip
-    row |= {"nominal": 0.0, "change": row["value"]}  # a joint as drawn has neither play nor compliance
+    row |= {"nominal": 0.0, "change": row["value"]}  # a nominal joint has neither backlash nor compliance
     if p.reason is not None:
         row["reason"] = p.reason
     if p.name.startswith("compliance") and p.value:

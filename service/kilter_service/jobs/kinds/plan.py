@@ -66,7 +66,7 @@ def check(options: PlanOptions) -> None:
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
-    """Plan with the version named, else the robot as drawn."""
+    """Plan with the version named, else the nominal robot."""
     progress(0.0, "choosing poses")
     plans: dict[str, Callable[[JobInput, Progress], dict[str, Any]]]
     plans = {"iso9283": _iso, "identify": _identify, "separate": _separate}
@@ -199,7 +199,7 @@ def _made(job: JobInput) -> list[Effect]:
 
 
 def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
-    """Poses that tell the two effects named apart, or what the hunt that made the version left undecided."""
+    """Poses that tell the two effects named apart, or what the gap search that made the version left undecided."""
     from kilter_core.gap import GapOptions, plan_separation
     from kilter_core.gap.report.separation import undecided
     from kilter_core.observations import Observations
@@ -210,7 +210,7 @@ def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
         open_ = undecided(job.origin or {})
         if open_ is None:
             raise OptionError(
-                "There is nothing to tell apart: name two effects, or a version of a hunt that left something undecided.",
+                "There is nothing to tell apart: name two effects, or a version of a gap search that left something undecided.",
                 option="effects",
             )
         wanted = [named for named in open_ if named is not None]

@@ -1,4 +1,4 @@
-"""The figures of a gap hunt as Plotly documents: {"data": [...], "layout": {...}}."""
+"""The figures of a gap search as Plotly documents: {"data": [...], "layout": {...}}."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def gap_figures(report: Mapping[str, Any]) -> dict[str, Document]:
 
 
 def _gap_bar(bars: Sequence[Mapping[str, Any]], unit: str) -> Document:
-    """Error after each step; rows that took no part in the fit beside those that did."""
+    """Error after each step; held-out rows beside fitted ones."""
     labels = distinct_labels([bar["label"] for bar in bars])
 
     def trace(name: str, key: str, colour: str) -> Document:
@@ -106,7 +106,7 @@ def _aliases(matrix: Mapping[str, Any]) -> Document:
         "type": "heatmap", "x": labels, "y": labels, "z": matrix["values"], "zmin": 0, "zmax": 1, "colorscale": "Blues",
     }  # fmt: skip
     side = FRAME_PX + 120 + ROW_PX * max(8, len(labels))
-    made = layout("How alike signatures are after the geometry is fitted", "", "", width=side + 80, height=side)
+    made = layout("How well signatures correlate after the geometry is fitted", "", "", width=side + 80, height=side)
     made["xaxis"] |= {"automargin": True, "tickangle": -60}
     made["yaxis"] |= {"autorange": "reversed"}
     return {"data": [trace], "layout": made}

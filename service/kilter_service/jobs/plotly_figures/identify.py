@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from kilter_core.observations import Observations
     from kilter_service.jobs.kind import JobInput
 
-STAGES = (("nominal", "before, as drawn", GREY), ("registration_only", "registration only", ORANGE),
+STAGES = (("nominal", "before, nominal", GREY), ("registration_only", "registration only", ORANGE),
           ("identified", "identified", BLUE))  # fmt: skip
 PER_DECADE, MOST_BINS = 8, 60
 SMALLEST_MM = 1e-6

@@ -17,7 +17,7 @@ Row = Mapping[str, Any]
 
 
 def changes(parameters: Sequence[Row]) -> Document | None:
-    """Draw the changes of parameters; base and tool say where the instrument stands and are left out beside others."""
+    """Draw the changes of parameters; base and tool say where the instrument is: they are drawn only alone."""
     rows = [p for p in parameters if p["value"] is not None and not str(p["name"]).startswith(LEARNED)]
     own = [p for p in rows if not str(p["name"]).startswith(FRAMES)]
     rows = own or rows

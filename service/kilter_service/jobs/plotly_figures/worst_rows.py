@@ -1,4 +1,4 @@
-"""The rows that an identification leaves with most, by campaign and number."""
+"""The rows with the largest errors after an identification, by campaign and number."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class Row:
 
 
 def worst_rows(found: Identification, job: JobInput, aside: Sequence[Mapping[str, Any]]) -> dict[str, Document]:
-    """Draw the worst rows; ``aside`` are those that a robust loss let go. Nothing where rows measure no point."""
+    """Draw the worst rows; ``aside`` are those that a robust loss set aside. Nothing where rows measure no point."""
     worst = sorted(_candidates(found, job, aside), key=lambda row: -row.size)[:WORST]
     if not worst:
         return {}
     names = _names(job)
     labels = [plain_text(f"{names[row.campaign]} row {row.number}") for row in worst]
     made = bar_layout(
-        f"The {len(worst)} rows that are left with most", "error of the identified model, mm", labels, barmode="overlay"
+        f"The {len(worst)} rows with the largest errors", "error of the identified model, mm", labels, barmode="overlay"
     )
     return {"worst_rows": {"data": list(_bars(worst, labels)), "layout": made}}
 
@@ -86,7 +86,7 @@ def _place_of(row: int, campaigns: Mapping[str, int]) -> tuple[str, int]:
 
 
 def _names(job: JobInput) -> dict[str, str]:
-    """Campaigns by their names, by their ids where two names look alike."""
+    """Campaigns by their names, by their ids where two names look the same."""
     every = [*job.campaigns, *(job.validation if isinstance(job.validation, dict) else ())]
     names = {campaign: shortened(job.names.get(campaign) or campaign) for campaign in every}
     count = Counter(names.values())

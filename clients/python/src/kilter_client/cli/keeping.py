@@ -100,7 +100,7 @@ def register_robot(group: typer.Typer) -> None:
 
     @group.command(epilog="Example: kilter robot retire ur10")
     def retire(robot: Robot, as_json: Json = False) -> None:
-        """Take a robot out of use: lists leave it out, nothing new is made of it. What is active goes on correcting."""
+        """Take a robot out of use: lists leave it out, nothing new is made of it. An active version keeps correcting."""
         with Kilter() as kilter:
             emit(kilter.robots.retire(robot), as_json, lambda _: say(f"robot {robot} is retired"))
 

@@ -10,7 +10,7 @@ from kilter_client.results.shown_jobs import ShownCampaign, ShownUpload
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Conditions(Record):
-    """What held during the whole campaign; a column of the rows goes before it."""
+    """What held during the whole campaign; a column of the rows takes precedence over it."""
 
     payload_com_mm: tuple[float, ...]
     """Centre of the payload in the tool frame, mm; None: the tool point."""

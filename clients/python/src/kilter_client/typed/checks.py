@@ -31,7 +31,7 @@ class CheckedCampaign(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Duration(Record):
-    """How long the job would compute, in seconds; waiting for other jobs is not among it."""
+    """How long the job would compute, in seconds, without waiting for other jobs."""
 
     basis: str
     """What this rests on: earlier jobs of this server, or a rule."""
@@ -48,7 +48,7 @@ class HeldOut(Record):
     """What a job would not fit, but judge by."""
 
     how: str
-    """`campaigns` named; a `fraction` of the poses; `folds`, every pose once; `unasked`: the quarter that a gap hunt holds out by itself; `none`."""
+    """`campaigns` named; a `fraction` of the poses; `folds`, every pose once; `unasked`: the quarter that a gap search holds out by itself; `none`."""
     poses: int
     """Distinct poses among them."""
     rows: int
@@ -74,7 +74,7 @@ class Identifiability(Record):
     identifiable: tuple[str, ...]
     """Names of the parameters that the poses tell."""
     noise_from: str
-    """Where it comes from: `noise_mm`, repeats of poses, or assumed for want of both."""
+    """Where it comes from: `noise_mm`, repeats of poses, or `assumed` without either."""
     noise_mm: float
     """Standard deviation of a coordinate this was judged with, mm."""
     not_identifiable: Records[UnknownParameter]
@@ -89,7 +89,7 @@ class Identifiability(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JobProblem(Record):
-    """What the job would fail of."""
+    """Why the job would fail."""
 
     code: str
     """Stable name of the error that the job would end with."""
@@ -102,7 +102,7 @@ class Missing(Record):
     """What the job would run without, and what that costs."""
 
     reason: str
-    """Why it cannot be told."""
+    """Why it cannot be determined."""
     remedy: str
     """What to measure or to give."""
     what: str
@@ -130,20 +130,20 @@ class IdentifyCheck(Record):
     poses: int
     """Distinct poses among those rows."""
     problems: Records[JobProblem]
-    """What it would fail of; empty where it would run."""
+    """Why it would fail; empty if it would run."""
     robot: str
     """Name of the robot."""
     rows: int
     """Rows of the campaigns it would learn from, held-out rows among them."""
     version: str | None
-    """Id of the version it would start from; None: the robot as drawn."""
+    """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
-    """Whether the job would run through, as far as can be told."""
+    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Testability(Record):
-    """What a hunt could test, judged with the geometry fitted and nothing named."""
+    """What a gap search could test, judged with the geometry fitted and nothing named."""
 
     not_testable: Records[Untestable]
     """Effects that cannot be tested, with what would help."""
@@ -153,7 +153,7 @@ class Testability(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GapCheck(Record):
-    """What a gap hunt would do."""
+    """What a gap search would do."""
 
     campaigns: Records[CheckedCampaign]
     """Campaigns it would use, in the order given."""
@@ -170,7 +170,7 @@ class GapCheck(Record):
     poses: int
     """Distinct poses among those rows."""
     problems: Records[JobProblem]
-    """What it would fail of; empty where it would run."""
+    """Why it would fail; empty if it would run."""
     robot: str
     """Name of the robot."""
     rows: int
@@ -178,9 +178,9 @@ class GapCheck(Record):
     testability: Testability | None
     """What could be tested; None: see `problems`."""
     version: str | None
-    """Id of the version it would start from; None: the robot as drawn."""
+    """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
-    """Whether the job would run through, as far as can be told."""
+    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -202,15 +202,15 @@ class EvaluateCheck(Record):
     poses: int
     """Distinct poses among those rows."""
     problems: Records[JobProblem]
-    """What it would fail of; empty where it would run."""
+    """Why it would fail; empty if it would run."""
     robot: str
     """Name of the robot."""
     rows: int
     """Rows of the campaigns it would learn from, held-out rows among them."""
     version: str | None
-    """Id of the version it would start from; None: the robot as drawn."""
+    """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
-    """Whether the job would run through, as far as can be told."""
+    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -232,15 +232,15 @@ class PlanCheck(Record):
     poses: int
     """Distinct poses among those rows."""
     problems: Records[JobProblem]
-    """What it would fail of; empty where it would run."""
+    """Why it would fail; empty if it would run."""
     robot: str
     """Name of the robot."""
     rows: int
     """Rows of the campaigns it would learn from, held-out rows among them."""
     version: str | None
-    """Id of the version it would start from; None: the robot as drawn."""
+    """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
-    """Whether the job would run through, as far as can be told."""
+    """Whether the job would run through, as far as can be predicted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -262,12 +262,12 @@ class JointParametersCheck(Record):
     poses: int
     """Distinct poses among those rows."""
     problems: Records[JobProblem]
-    """What it would fail of; empty where it would run."""
+    """Why it would fail; empty if it would run."""
     robot: str
     """Name of the robot."""
     rows: int
     """Rows of the campaigns it would learn from, held-out rows among them."""
     version: str | None
-    """Id of the version it would start from; None: the robot as drawn."""
+    """Id of the version it would start from; None: the nominal robot."""
     would_run: bool
-    """Whether the job would run through, as far as can be told."""
+    """Whether the job would run through, as far as can be predicted."""

@@ -32,7 +32,7 @@ class ParameterChange(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class VersionDiff(ShownDiff, Record):
-    """What differs from version a to version b; either may be `nominal`, the robot as drawn."""
+    """What differs from version a to version b; either may be `nominal`, the nominal robot."""
 
     a: str
     """Id of version a, or `nominal`."""
@@ -57,9 +57,9 @@ class JointPreview(Record):
     joint: str
     """Name of the joint."""
     largest_deg: float | None
-    """Largest correction, degrees; None: it slides, or nothing was corrected."""
+    """Largest correction, degrees; None: prismatic, or nothing was corrected."""
     largest_mm: float | None
-    """Largest correction, mm; None: it turns, or nothing was corrected."""
+    """Largest correction, mm; None: revolute, or nothing was corrected."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

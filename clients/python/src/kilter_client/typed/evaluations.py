@@ -21,9 +21,9 @@ class CampaignErrors(Record):
     n: int | None
     """Points the errors are taken over."""
     nominal: Errors | None
-    """The robot as drawn, in its own base and tool."""
+    """The nominal robot, in its own base and tool."""
     registration_only: Errors | None
-    """The robot as drawn, base and tool fitted."""
+    """The nominal robot, base and tool fitted."""
     within_u95: float | None
     """Share of the coordinates whose error is within its 95 % interval; None: nothing is known."""
 
@@ -125,6 +125,6 @@ class EvaluateResult(ShownEvaluation, Record):
     standard: str | None
     """The standard, with its year."""
     version_id: str | None
-    """The version that was evaluated; None: the robot as drawn."""
+    """The version that was evaluated; None: the nominal robot."""
     warnings: Records[Remark]
     """What to know before trusting the result."""

@@ -43,9 +43,9 @@ class StageErrors(Record):
     n: int | None
     """Points the errors are taken over."""
     nominal: Errors | None
-    """The robot as drawn, in its own base and tool."""
+    """The nominal robot, in its own base and tool."""
     registration_only: Errors | None
-    """The robot as drawn, base and tool fitted."""
+    """The nominal robot, base and tool fitted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -63,7 +63,7 @@ class Parameter(ShownParameter, Record):
     """A parameter that was identified, in the unit it is read in."""
 
     change: float | None
-    """Value minus nominal; rotations of base and tool by the shorter turn."""
+    """Value minus nominal; rotations of base and tool by the smaller angle."""
     identifiable: bool | None
     """Whether the data could see it."""
     interval_from: str | None
@@ -73,7 +73,7 @@ class Parameter(ShownParameter, Record):
     name: str
     """Name of the parameter."""
     nominal: float | None
-    """What the robot as drawn has for it; 0 for what it does not have."""
+    """Its nominal value; 0 if the nominal robot does not have it."""
     plausible: bool | None
     """Whether the value is within what is usual."""
     readings: int | None
@@ -83,7 +83,7 @@ class Parameter(ShownParameter, Record):
     sigma: float | None
     """Standard deviation of the value."""
     stiffness_nm_deg: float | None
-    """Stiffness of the joint beside its compliance, N m/deg."""
+    """Stiffness of the joint, the inverse of its compliance, N m/deg."""
     unit: str | None
     """Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."""
     upper: float | None
@@ -199,7 +199,7 @@ class Axis(Record):
     """An axis."""
 
     anchor: str | None
-    """The axis it stands at."""
+    """The axis it belongs to."""
     automargin: bool | None
     """Whether the margin grows with the labels."""
     autorange: bool | str | None
@@ -211,7 +211,7 @@ class Axis(Record):
     scaleratio: float | None
     """Its scale as a multiple of that one's."""
     tickangle: float | None
-    """Turn of the labels, degrees."""
+    """Rotation of the labels, degrees."""
     title: Text | None
     """What it shows, with its unit."""
     type: str | None
@@ -222,7 +222,7 @@ class Axis(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Legend(Record):
-    """Where the legend stands."""
+    """Where the legend is."""
 
     itemsizing: str | None
     """`constant`: marks of one size."""
@@ -270,14 +270,14 @@ class Scene(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Layout(Record):
-    """Layout of a figure; beside these fields more axes: `xaxis2`, `yaxis2` and so on."""
+    """Layout of a figure; further fields are more axes: `xaxis2`, `yaxis2` and so on."""
 
     barmode: str | None
     """`group`: bars side by side; `overlay`: one over the other."""
     height: float | None
     """Height, pixels."""
     legend: Legend | None
-    """Where the legend stands."""
+    """Where the legend is."""
     margin: Margin | None
     """Room round the axes."""
     meta: Origin | None
@@ -309,7 +309,7 @@ class Reference(Record):
     """Where the frames that a correction works in come from."""
 
     base: str | None
-    """`robot`: the robot's own base; `registration`: where the drawing fits best."""
+    """`robot`: the robot's own base; `registration`: where the nominal robot fits best."""
     tool: str | None
     """The same of the tool."""
 

@@ -45,10 +45,10 @@ class AtJoints(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AliasPair(Record):
-    """Two effects that look alike in these rows."""
+    """Two effects whose signatures correlate in these rows."""
 
     correlation: float | None
-    """How alike they look, 0 to 1."""
+    """Correlation of their signatures, 0 to 1."""
     first: AtJoints
     """The one."""
     second: AtJoints
@@ -57,14 +57,14 @@ class AliasPair(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AliasMatrix(Record):
-    """How alike effects look in these rows after the geometry is fitted."""
+    """How well the signatures of effects correlate in these rows after the geometry is fitted."""
 
     labels: tuple[str, ...]
     """Effects of the matrix: those named and their nearest."""
     pairs: Records[AliasPair]
     """Every close pair of the library."""
     values: tuple[tuple[float, ...], ...]
-    """How alike each two look, 0 to 1."""
+    """Correlation of each two signatures, 0 to 1."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -98,7 +98,7 @@ class GapNoise(Record):
     covariance: tuple[tuple[float, ...], ...]
     """Covariance of one row: mm, of poses the last three degrees."""
     drift: RepeatDrift | None
-    """How far the repeats drifted; None: it cannot be told."""
+    """How far the repeats drifted; None: it cannot be determined."""
     freedom: float | None
     """Degrees of freedom it rests on; None: it was stated."""
     re_approach_deg: float | None
@@ -224,7 +224,7 @@ class Evidence(Record):
     confirmation_p: float | None
     """p-value of no amplitude in the confirmation."""
     held_out: float | None
-    """Standard deviations by which held-out poses err as foretold."""
+    """Standard deviations by which held-out errors follow the prediction."""
     inclusion: float | None
     """Share of resamples on which it returns, 0 to 1."""
     negative_control: float | None

@@ -45,7 +45,7 @@ class Alias(Record):
     behind: float | None
     """Points of the criterion it is behind."""
     correlation: float | None
-    """How alike the two look, 0 to 1."""
+    """Correlation of the two signatures, 0 to 1."""
     id: str
     """Id of the effect."""
     joints: tuple[int, ...]
@@ -59,7 +59,7 @@ class HeldOutGain(Record):
     """What held-out poses gain by an effect."""
 
     deviations: float | None
-    """Standard deviations by which they err as foretold."""
+    """Standard deviations by which errors follow the prediction."""
     gain: float | None
     """Gain in the log-likelihood of the held-out poses."""
     standard_error: float | None
@@ -104,7 +104,7 @@ class NamedEffect(Record):
     alias_set: Records[Alias]
     """Rivals that do as well."""
     class_: str | None
-    """The class that cannot be told apart; None: none."""
+    """The class that cannot be distinguished; None: none."""
     empirical: bool | None
     """Whether it is a shape without a cause."""
     evidence: Evidence | None
@@ -193,12 +193,12 @@ class Untestable(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GapResult(ShownHunt, Record):
-    """What a hunt found. The version holds the named effects and the geometry fitted with them."""
+    """What a gap search found. The version holds the named effects and the geometry fitted with them."""
 
     adequacy: Adequacy | None
     """Whether the model now agrees with the rows."""
     alias_matrix: AliasMatrix | None
-    """How alike effects look in these rows."""
+    """How well signatures correlate in these rows."""
     effects: Records[NamedEffect]
     """Effects that were named."""
     figures: Mapping[str, Figure]
@@ -228,7 +228,7 @@ class GapResult(ShownHunt, Record):
     smallest_detectable: Records[Detectable]
     """Smallest amplitude that would be seen."""
     start: str | None
-    """The version it continued from; None: the robot as drawn."""
+    """The version it continued from; None: the nominal robot."""
     verdict: str | None
     """`no_gap`, `closed`, `provisional` or `unexplained`."""
     version_id: str | None

@@ -100,7 +100,7 @@ class Learned(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Method(Record):
-    """The method of a fit, and what it says of itself."""
+    """The method of a fit, and what it reports."""
 
     best_mm: float | None
     """Error at the best point of a global search, mm."""
@@ -177,7 +177,7 @@ class OwnBase(Record):
     session: int | None
     """Session of the campaign; None: all of it."""
     turned_deg: float | None
-    """How far it is turned, degrees."""
+    """How far it is rotated, degrees."""
     use: str | None
     """What the rows were used for."""
 
@@ -231,7 +231,7 @@ class IdentifyResult(ShownFit, Record):
     measurements: Records[KindOfMeasurement]
     """What each kind of measurement says."""
     method: Method | None
-    """The method, and what it says of itself."""
+    """The method, and what it reports."""
     metrics: Metrics | None
     """Errors on the rows fitted and on those held out."""
     noise: Noise | None
@@ -253,7 +253,7 @@ class IdentifyResult(ShownFit, Record):
     scale: Scale | None
     """The standard deviations that residuals were weighed by."""
     set_aside: Records[SetAside]
-    """Rows that a robust loss let go."""
+    """Rows that a robust loss set aside."""
     version_id: str | None
     """Id of the version it made; None: none."""
     warnings: Records[Remark]

@@ -54,7 +54,7 @@ class EvaluateJob(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GapJob(Record):
-    """A gap hunt with what was asked and what came out."""
+    """A gap search with its options and its result."""
 
     attempts: int
     """How often a worker began it."""

@@ -16,14 +16,14 @@ class EvaluateOptions(TypedDict, total=False):
     refit: Sequence[Literal["base", "tool"]]
     """Frames refitted to these rows: [], ["base"] or ["base", "tool"] (the tracker was set up again)."""
     version: str | None
-    """Id of the version; None: the active one, else the robot as drawn."""
+    """Id of the version; None: the active one, else the nominal robot."""
 
 
 class GapOptions(TypedDict, total=False):
-    """What can be asked of a gap hunt."""
+    """What can be asked of a gap search."""
 
     alpha: float
-    """Chance of any false name in the whole hunt, between 0 and 0.5."""
+    """Chance of any false name in the whole search, between 0 and 0.5."""
     base: Literal["free", "fixed"]
     """Whether the base is fitted."""
     bootstraps: int
@@ -53,7 +53,7 @@ class GapOptions(TypedDict, total=False):
     seed: int
     """Seed of everything that is drawn by chance, 0 or more."""
     start: str | None
-    """Id of the version to continue from; None: the robot as drawn."""
+    """Id of the version to continue from; None: the nominal robot."""
     tool: Literal["free", "fixed"]
     """Whether the tool is fitted."""
 
@@ -76,7 +76,7 @@ class IdentifyOptions(TypedDict, total=False):
     limits: Mapping[str, Any] | None
     """The largest correction the version may make; None: 1 degree and 5 mm."""
     loss: Literal["linear", "huber", "tukey"]
-    """`huber` bounds what a wrong row can pull, `tukey` lets it go and names it."""
+    """`huber` bounds what a wrong row can pull, `tukey` sets it aside and names it."""
     method: Literal[
         "least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search", "linear_least_squares"
     ]
@@ -98,7 +98,7 @@ class IdentifyOptions(TypedDict, total=False):
     socket_distances_mm: Mapping[str, Any]
     """Known distances between ball sockets, mm, above 0: {"1-2": 400.0}."""
     start: str | None
-    """Id of the version to start from; None: the robot as drawn."""
+    """Id of the version to start from; None: the nominal robot."""
     tilt_first: bool
     """Hold the effects while the geometry is identified: those of the start, else as fitted before it."""
     tool: Literal["free", "fixed"]
@@ -132,7 +132,7 @@ class PlanOptions(TypedDict, total=False):
     count: int | None
     """Poses, 1 to 2000, or cycles; None: 118, 60 or 12 poses by purpose, 30 cycles."""
     effects: Sequence[str | Mapping[str, Any]]
-    """Of `identify`: effects to see; of `separate`: the two, or one to tell from geometry; empty: what the hunt that made the version left undecided."""
+    """Of `identify`: effects to see; of `separate`: the two, or one to tell from geometry; empty: what the gap search that made the version left undecided."""
     floor_mm: float | None
     """Height in the robot's base frame, mm, that no joint and no tool point goes below."""
     method: Literal["d_optimal", "iso9283", "five_poses", "two_poses"]
@@ -148,6 +148,6 @@ class PlanOptions(TypedDict, total=False):
     seed: int
     """Seed of the choice, 0 or more."""
     version: str | None
-    """Id of the version to plan with; None: the robot as drawn."""
+    """Id of the version to plan with; None: the nominal robot."""
     within: Literal["campaigns", "limits"]
     """Where poses may be: where the robot was driven before, or anywhere in its limits."""

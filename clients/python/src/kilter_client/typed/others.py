@@ -22,11 +22,11 @@ class ResidualRows(Record):
     held_out: tuple[bool, ...]
     """Whether the row was held out of the fit."""
     residual_sigma: tuple[float | None, ...]
-    """Length of what is left in standard deviations of a coordinate; turns count with it."""
+    """Length of what is left in standard deviations of a coordinate; rotations count too."""
     row: tuple[int, ...]
     """Number of the row in its campaign, from 1."""
     set_aside: tuple[bool, ...]
-    """Whether the identification let go of the row."""
+    """Whether the identification set the row aside."""
     turn_deg: tuple[float | None, ...]
     """Error of the orientation, degrees; None: it was not measured."""
     u95_x_mm: tuple[float | None, ...]

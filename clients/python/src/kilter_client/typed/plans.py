@@ -11,7 +11,7 @@ from kilter_client.typed.fits import Remark
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PlannedPose(Record):
-    """A pose to measure; beside these fields the joints, as columns of a measurement: `q1_deg` ..., `q3_mm` of a slide."""
+    """A pose to measure; further fields are the joints, as in a measurement: `q1_deg` ..., `q3_mm` of a prismatic joint."""
 
     change: str | None
     """What to change before it, in words; None: nothing."""
@@ -50,7 +50,7 @@ class PlanResult(ShownPlan, Record):
     """Poses to measure. Collisions are not checked."""
 
     correlation: float | None
-    """How alike they are so far, 0 to 1."""
+    """Correlation of their signatures so far, 0 to 1."""
     count: int | None
     """How many poses."""
     csv: str | None
@@ -68,7 +68,7 @@ class PlanResult(ShownPlan, Record):
     separates: tuple[str, ...]
     """The two that the poses tell apart."""
     start: str | None
-    """The version it was planned with; None: the robot as drawn."""
+    """The version it was planned with; None: the nominal robot."""
     warnings: Records[Remark]
     """What to know before driving them."""
     within: str | None

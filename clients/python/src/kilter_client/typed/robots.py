@@ -16,7 +16,7 @@ class JointSummary(Record):
     gear_ratio: float | None
     """Turns of the motor per turn of the joint, where it is known."""
     kind: str
-    """Whether the joint turns or slides."""
+    """Whether the joint is revolute or prismatic."""
     limits_deg: tuple[float | None, ...]
     """Lowest and highest reading of a revolute joint, degrees; None at an end that is open."""
     limits_mm: tuple[float | None, ...]
@@ -84,7 +84,7 @@ class RobotSummary(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AxisReport(Record):
-    """An axis at zero, in the frame the base stands in; a joint that drives several axes has several."""
+    """An axis at zero, in the frame in which the pose of the base is given; a joint that drives several axes has several."""
 
     angle_to_previous_deg: float | None
     """Angle to the axis before, 0 to 180 degrees; None for the first."""
@@ -95,7 +95,7 @@ class AxisReport(Record):
     joint: str
     """Name of the joint that drives it."""
     kind: str
-    """Whether the joint turns or slides."""
+    """Whether the joint is revolute or prismatic."""
     point_mm: tuple[float, ...]
     """A point on the axis, mm."""
     ratio: float
@@ -107,11 +107,11 @@ class Pose(Record):
     """A frame: position, then Rz Ry Rx (the convention of URDF)."""
 
     rx_deg: float
-    """Turn about x, degrees: the first of Rz Ry Rx to act."""
+    """Rotation about x, degrees: the first of Rz Ry Rx to act."""
     ry_deg: float
-    """Turn about y, degrees."""
+    """Rotation about y, degrees."""
     rz_deg: float
-    """Turn about z, degrees: the last to act."""
+    """Rotation about z, degrees: the last to act."""
     x_mm: float
     """Position along x, mm."""
     y_mm: float
@@ -155,13 +155,13 @@ class CircleAxis(Record):
     """What an axis rests on: its rows, its arc (or stroke), the widest radius, and how well direction and place are known."""
 
     arc_deg: float | None
-    """Arc the joint moved over, degrees; None where it slides."""
+    """Arc the joint moved over, degrees; None for a prismatic joint."""
     joint: str
     """Name of the joint."""
     kind: str
-    """Whether the joint turns or slides."""
+    """Whether the joint is revolute or prismatic."""
     radius_mm: float | None
-    """Radius of the widest circle, mm; None where it slides."""
+    """Radius of the widest circle, mm; None for a prismatic joint."""
     rms_mm: float
     """Rms distance of the points from the circle or line, mm."""
     rows: int
@@ -171,7 +171,7 @@ class CircleAxis(Record):
     sigma_mm: float
     """Standard deviation of the place, mm."""
     stroke_mm: float | None
-    """Stroke the joint moved over, mm; None where it turns."""
+    """Stroke the joint moved over, mm; None for a revolute joint."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -57,7 +57,7 @@ class Details(Record):
     correlated_groups: Records[CorrelatedGroup]
     """Parameters that go together."""
     held_out_fraction: float | None
-    """Share of the poses that a hunt held out unasked."""
+    """Share of the poses a gap search held out by itself."""
     influence: Records[Influence]
     """How far each parameter moves the tool; method `influence`."""
     intervals: str | None
@@ -77,7 +77,7 @@ class Details(Record):
     measurements: Records[KindOfMeasurement]
     """What each kind of measurement says."""
     method: Method | None
-    """The method, and what it says of itself."""
+    """The method, and what it reports."""
     noise: Noise | None
     """What the rows scatter by."""
     noise_source: str | None
@@ -89,7 +89,7 @@ class Details(Record):
     scale: Scale | None
     """The standard deviations that residuals were weighed by."""
     set_aside: Records[SetAside]
-    """Rows that a robust loss let go."""
+    """Rows that a robust loss set aside."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -154,7 +154,7 @@ class Version(ShownVersion, Record):
     parameters: Records[Parameter]
     """Parameters that were identified."""
     parent_id: str | None
-    """The version it was started from; None: the robot as drawn."""
+    """The version it was started from; None: the nominal robot."""
     retired_at: str | None
     """Since when it is out of use; None: it is in use."""
     robot: str
@@ -190,7 +190,7 @@ class VersionSummary(Record):
     notes: str
     """What people noted on it."""
     parent_id: str | None
-    """The version it was started from; None: the robot as drawn."""
+    """The version it was started from; None: the nominal robot."""
     retired_at: str | None
     """Since when it is out of use; None: it is in use."""
     robot: str
@@ -228,7 +228,7 @@ class Comparison(Record):
     poses: int
     """Poses they are at."""
     registration_only: Rival
-    """The robot as drawn, base and tool fitted."""
+    """The nominal robot, base and tool fitted."""
     rows: int
     """Rows compared."""
 
@@ -265,7 +265,7 @@ class ActivatedVersion(ShownActivated, Record):
     objections: Records[Objection]
     """What would have refused it without `force`."""
     parent_id: str | None
-    """The version it was started from; None: the robot as drawn."""
+    """The version it was started from; None: the nominal robot."""
     retired_at: str | None
     """Since when it is out of use; None: it is in use."""
     robot: str
