@@ -48,7 +48,7 @@ def _is_curve(candidate: Candidate) -> bool:
 
 
 def _columns(search: SearchResult, source: ToolSource, joint: int, q: Floats) -> Floats:
-    """Whitened effect (R, B) of turning the joint by a bump of one radian, for all bumps."""
+    """Whitened effect (R, B) of rotating the joint by a bump of one radian, for all bumps."""
     prediction, JQ = source.model.joint_jacobian(source.batch, search.problem.values)
     residual = source.measurement.residual(prediction, JQ[:, :, [joint]])
     assert residual.d_points is not None
