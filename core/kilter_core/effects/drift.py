@@ -19,7 +19,7 @@ from kilter_core.types import Floats
 class Drift(Effect):
     """The base frame moves at constant rates: a twist of six rates times t − t0, in its own axes.
 
-    ``t0_s`` is when the base stands where the geometry says; without it the first row's time, once rows are known.
+    ``t0_s`` is when the base is where the geometry says; without it the first row's time, once rows are known.
     """
 
     id = "drift"
