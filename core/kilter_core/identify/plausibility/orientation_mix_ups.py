@@ -1,4 +1,4 @@
-"""Orientation that is told in another convention than it is read in, where the positions fit."""
+"""Orientation that is given in another convention than it is read in, where the positions fit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kilter_core.identify.plausibility.placed import Sample
 from kilter_core.transforms import nearest_rotation, rotation_log
 from kilter_core.types import Floats
 
-NEAR_RAD = np.radians(5.0)  # scatter of the tool's turn on the flange that real arms stay below
+NEAR_RAD = np.radians(5.0)  # scatter of the tool's rotation on the flange that real arms stay below
 FACTOR = 5.0
 RIGHT_RAD = np.radians(3.0)
 POSITION = 1.5  # times the residual of the positions that another reading of the joints may leave
@@ -31,16 +31,16 @@ Accusation = tuple[tuple[str, ...], tuple[str, ...], float, float]
 
 @dataclass(frozen=True)
 class Reading:
-    """Another way to read the turns: one or two variants (V, K, 3, 3) per row, of which each row may take either."""
+    """Another way to read the rotations: one or two variants (V, K, 3, 3) per row, of which each row may take either."""
 
     sentence: str
     remedy: str
-    flange: Floats  # turns (K, 3, 3) of the flange in the frame of the measurements
+    flange: Floats  # rotations (K, 3, 3) of the flange in the frame of the measurements
     variants: Floats
 
 
-def turn_faults(sample: Sample, told: bool) -> tuple[Accusation | None, tuple[dict[str, Any], ...]]:
-    """What is wrong with the turns where positions fit; ``told``: by angles or quaternions, not seen by markers.
+def rotation_faults(sample: Sample, stated: bool) -> tuple[Accusation | None, tuple[dict[str, Any], ...]]:
+    """What is wrong with the rotations where positions fit; ``stated``: by angles or quaternions, not seen by markers.
 
     Returns an accusation (sentences, remedies, degrees left before and after) or None, and warnings.
     """
@@ -48,8 +48,8 @@ def turn_faults(sample: Sample, told: bool) -> tuple[Accusation | None, tuple[di
     flange = sample.placed.turn @ sample.flange[:, :3, :3]
     before, tool = scatter(flange, sample.turns[None])
     if before <= NEAR_RAD:
-        return None, _right_angle(sample, tool) if told else ()
-    readings = [*_of_joints(sample), *(_of_turns(sample, flange) if told else ())]
+        return None, _right_angle(sample, tool) if stated else ()
+    readings = [*_of_joints(sample), *(_of_turns(sample, flange) if stated else ())]
     if not readings:
         return None, ()
     sizes = [scatter(r.flange, r.variants)[0] for r in readings]
@@ -64,7 +64,7 @@ def turn_faults(sample: Sample, told: bool) -> tuple[Accusation | None, tuple[di
 
 
 def scatter(flange: Floats, variants: Floats) -> tuple[float, Floats]:
-    """Scatter (rad, the median of rows) of the tool's turn on the flange, and that turn (3, 3)."""
+    """Scatter (rad, the median of rows) of the tool's rotation on the flange, and that rotation (3, 3)."""
     turns = flange.transpose(0, 2, 1) @ variants
     best, tool = np.inf, np.eye(3)
     for row in range(0, turns.shape[1], max(1, turns.shape[1] // 8)):
@@ -79,7 +79,7 @@ def scatter(flange: Floats, variants: Floats) -> tuple[float, Floats]:
 
 
 def _angles(reference: Floats, turns: Floats) -> Floats:
-    """Angle of each turn (..., 3, 3) against one."""
+    """Angle of each rotation (..., 3, 3) against one."""
     trace = np.einsum("ij,...ij->...", reference, turns)
     return np.asarray(np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0)))
 
@@ -99,7 +99,7 @@ def _of_turns(sample: Sample, flange: Floats) -> Iterator[Reading]:
     assert sample.turns is not None
     turns = sample.turns
     what = "name the columns, or the convention in the column map, as they are, and upload again"
-    yield Reading("The orientation looks transposed (tool to base told as base to tool)",
+    yield Reading("The orientation looks transposed (tool to base given as base to tool)",
                   "invert the rotations", flange, turns.transpose(0, 2, 1)[None])  # fmt: skip
     wxyz = Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]]
     for order in permutations(range(4)):
@@ -127,7 +127,7 @@ def _of_angles(turns: Floats) -> Iterator[tuple[Angles, Angles, Floats]]:
 
 
 def _other_axes(turns: Floats, flange: Floats) -> Iterator[Reading]:
-    """Turns told about other axes than the positions: the turn between both, from pairs of rows (Procrustes)."""
+    """Rotations given about other axes than the positions: the rotation between both, from pairs of rows (Procrustes)."""
     step = np.roll(np.arange(len(turns)), -max(1, len(turns) // 3))
     seen = rotation_log(turns[step] @ turns.transpose(0, 2, 1))
     moved = rotation_log(flange[step] @ flange.transpose(0, 2, 1))
@@ -138,14 +138,14 @@ def _other_axes(turns: Floats, flange: Floats) -> Iterator[Reading]:
         axis = np.round(about / angle, 2) + 0.0
         named = _axis(about)
         yield Reading(
-            f"The orientation looks to be told about other axes than the positions, turned by {np.degrees(angle):.0f} degrees "
-            f"about {named or axis.tolist()}",
-            "tell positions and orientations in one frame", flange, (axes.T @ turns)[None],
+            f"The orientation looks to be given about other axes than the positions, rotated by "
+            f"{np.degrees(angle):.0f} degrees about {named or axis.tolist()}",
+            "give positions and orientations in one frame", flange, (axes.T @ turns)[None],
         )  # fmt: skip
 
 
 def _right_angle(sample: Sample, tool: Floats) -> tuple[dict[str, Any], ...]:
-    """Warn of a tool that is turned against the robot's by a right angle about one of its axes."""
+    """Warn of a tool that is rotated against the robot's by a right angle about one of its axes."""
     about = rotation_log((sample.begin.robot.T_tool[:3, :3].T @ tool)[None])[0]
     angle = float(np.linalg.norm(about))
     nearest = round(angle / (np.pi / 2.0))
@@ -154,14 +154,14 @@ def _right_angle(sample: Sample, tool: Floats) -> tuple[dict[str, Any], ...]:
         return ()
     return ({
         "code": "orientation_right_angle", "axis": axis, "angle_deg": 90 * nearest,
-        "message": f"Positions fit, and the measured orientation is turned by {90 * nearest} degrees about the tool's {axis} "
+        "message": f"Positions fit, and the measured orientation is rotated by {90 * nearest} degrees about the tool's {axis} "
         "axis against the robot's tool. If that is not how the target sits, correct the tool of the robot or the axes of "
         "the orientation; a free tool takes it up.",
     },)  # fmt: skip
 
 
 def _axis(about: Floats) -> str:
-    """Name of the axis, with its sign, that a turn is about; empty when it is about none."""
+    """Name of the axis, with its sign, that a rotation is about; empty when it is about none."""
     size = float(np.linalg.norm(about))
     k = int(np.argmax(np.abs(about)))
     off = float(np.linalg.norm(np.delete(about, k))) / max(size, 1e-12)

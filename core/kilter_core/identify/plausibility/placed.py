@@ -18,13 +18,13 @@ from kilter_core.types import Bools, Floats, Ints
 
 ROWS = 100
 STEPS = 3
-KEPT = 0.95  # share of the rows, the nearest, that counts: a broken beam must not hide a mix-up
+KEPT = 0.95  # share of the rows, the nearest, that counts: an interrupted laser beam must not hide a mix-up
 FRAMES = 9  # numbers of a base pose and a tool point
 
 
 @dataclass(frozen=True)
 class Placed:
-    """Flange poses placed at points: ``miss (K,)`` m, base turn and place, tool point, the rms ``size`` m of what is left."""
+    """Flange poses placed at points: ``miss (K,)`` m, base rotation and place, tool point, rms ``size`` m of what is left."""
 
     turn: Floats
     place: Floats
@@ -55,7 +55,7 @@ def place(flange: Floats, points: Floats, limit: float = np.inf) -> Placed:
 
 
 def _step(placed: Placed, flange: Floats, points: Floats) -> Placed:
-    """One Gauss-Newton step in the nine numbers; a faint ridge holds what the poses do not tell."""
+    """One Gauss-Newton step in the nine numbers; a faint ridge holds what the poses do not determine."""
     arm = placed.at(flange) - placed.place
     J = np.concatenate([-skew(arm), np.tile(np.eye(3), (len(arm), 1, 1)), placed.turn @ flange[:, :3, :3]], axis=2)
     J = J.reshape(-1, FRAMES)

@@ -1,7 +1,7 @@
 """Whether observations belong to the robot: a mix-up is named when it explains them far better than any physics could.
 
-The size of a residual accuses nobody. A compliant arm, a home-made one or a fit that did not end leave a lot, and yet no
-exchange of columns makes it small. A mix-up is certain when undoing it takes the residual of the registration (base and
+The size of a residual alone proves no mix-up. A compliant arm, a home-made one or a fit that did not end leave a lot, and yet
+no exchange of columns makes it small. A mix-up is certain when undoing it takes the residual of the registration (base and
 tool alone) down by ``FACTOR`` and to less than ``GOOD`` of the workspace: geometry and loads leave that in the right
 reading too, and in a wrong one nothing but chance takes a fifth.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.identify.plausibility.mix_ups import LENGTHS, MixUp, mix_ups
-from kilter_core.identify.plausibility.orientation_mix_ups import turn_faults
+from kilter_core.identify.plausibility.orientation_mix_ups import rotation_faults
 from kilter_core.identify.plausibility.placed import ROWS, Placed, Sample, place
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.marker_checks import equal_markers
@@ -67,7 +67,7 @@ def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[s
         _refuse(found.sentences, found.remedies, found.before * 1e3, found.after * 1e3, "mm")
     if sample.turns is None or _far(sample):
         return copied
-    accused, warnings = turn_faults(sample, o.rotation is not None)
+    accused, warnings = rotation_faults(sample, o.rotation is not None)
     if accused is not None:
         _refuse(*accused, "deg")
     return (*copied, *warnings)

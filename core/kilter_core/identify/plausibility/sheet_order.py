@@ -1,10 +1,10 @@
-"""Whether a drawn circle is told from the right quarter point. The robot's model decides: the paper looks alike from all.
+"""Whether a drawn circle starts at the right quarter point. The robot's model decides: the paper looks the same from all.
 
-A circle with four marked points does not change when it is turned by quarters, so the points fit in four orders. What
+A circle with four marked points does not change when it is rotated by quarters, so the points fit in four orders. What
 was drawn fits in one: errors that belong to one place of the circle fit the robot there and nowhere else. For each
 order the errors in the paper's plane are carried to where they would belong and explained by the base, the joint
 offsets and small errors of the geometry; the logarithms of the likelihoods say which order it was. (The points the
-other way round would turn the paper's face down, which the client refuses.)
+other way round would put the paper face down, which the client refuses.)
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class SheetOrder:
 
     @property
     def unseen(self) -> bool:
-        """Whether what was drawn fits several orders alike."""
+        """Whether what was drawn fits several orders equally."""
         return self.clear <= LIKELY and not self.wrong and not self.doubtful
 
     def sentence(self) -> str:
@@ -70,7 +70,7 @@ class SheetOrder:
 
 
 def sheet_order(robot: Robot, rows: Observations) -> SheetOrder | None:
-    """Find the order of the quarter points that fits the robot best; None where the rows are no circle all around."""
+    """Find the order of the quarter points that fits the robot best; None where the rows do not make a whole circle."""
     circle = _around(robot, rows)
     if circle is None:
         return None
@@ -111,7 +111,7 @@ def _basis(turn: Floats) -> Floats:
 
 
 def _around(robot: Robot, rows: Observations) -> _Circle | None:
-    """The circle the rows were drawn along; angles are those of the robot as drawn, which a sheet does not move."""
+    """The circle the rows were drawn along; angles are those of the nominal robot, which a sheet does not move."""
     if rows.position is None or len(rows) < FEWEST:
         return None
     p = rows.position
@@ -143,7 +143,7 @@ def _clockwise(wanted: Floats) -> bool:
 
 
 def _smoothed(turn: Floats, error: Floats) -> tuple[Floats, Floats]:
-    """Harmonics (2 HARMONICS + 1, 3) of the errors, and the sigma (3,) of one row that stands for noise and model."""
+    """Harmonics (2 HARMONICS + 1, 3) of the errors, and the sigma (3,) of one row that covers noise and model."""
     B = _basis(turn)
     harmonics = np.linalg.lstsq(B, error, rcond=None)[0]
     noise = np.sum((error - B @ harmonics) ** 2, axis=0) / max(len(B) - B.shape[1], 1)
@@ -184,7 +184,7 @@ def _free(model: RobotModel) -> tuple[Ints, Floats]:
 
 
 def _in_place(robot: Robot, rows: Observations) -> tuple[RobotModel, Floats]:
-    """The robot as drawn with its base where it fits the rows best, and where it then puts the tool (n, 3)."""
+    """The nominal robot with its base where it fits the rows best, and where it then puts the tool (n, 3)."""
     assert rows.position is not None
     nominal = Calibration.nominal(robot)
     found = nominal.predict(rows).position

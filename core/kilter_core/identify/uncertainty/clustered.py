@@ -41,7 +41,7 @@ def clustered(fit: Fit) -> Fit:
         return fit
     A, r = by_row(fit)
     if len(fit.J) > A.shape[0] * A.shape[1]:
-        return fit  # a filter goes on from what it knew, and takes what it is told of the noise
+        return fit  # a filter goes on from what it knew, and takes the noise it is given
     total = _products(A, A)
     eye = np.eye(len(total))
     held = eye[:0] if problem.held is None else problem.held
@@ -69,7 +69,7 @@ def bend_of(fit: Fit) -> float:
 
 
 def by_row(fit: Fit) -> tuple[Floats, Floats]:
-    """Jacobian (N, R, F) in prior sigmas and residuals (N, R), whitened, of each row's points and turns."""
+    """Jacobian (N, R, F) in prior sigmas and residuals (N, R), whitened, of each row's points and rotations."""
     here = fit.problem.linearised(fit.values, fit.residual)
     rows, columns = len(fit.problem.measurement.observations), len(fit.names)
     scaled, points = here.J * fit.problem.prior_sigma, here.residual.points.size
@@ -81,7 +81,7 @@ def by_row(fit: Fit) -> tuple[Floats, Floats]:
 
 
 def _shared(A: Floats, r: Floats, L: Floats, groups: Ints, lost: float) -> Floats:
-    """Covariance (F, F) of the scores, had all poses scatter alike: shared by the rows of a pose, and each row's own.
+    """Covariance (F, F) of the scores, had all poses the same scatter: shared by the rows of a pose, and each row's own.
 
     ``L (N, R, n)`` are the levers of the joints; ``lost`` makes up for what the parameters took from the poses.
     """
@@ -113,9 +113,9 @@ def _by_pose(A: Floats, r: Floats, groups: Ints, bread: Floats) -> tuple[Floats,
         shown, V = np.linalg.eigh(np.eye(J.shape[1]) - J @ bread @ J.transpose(0, 2, 1))
         seen = shown > FOLLOWED
         root = np.where(seen, 1.0 / np.sqrt(np.where(seen, shown, 1.0)), 0.0)
-        turned = V.transpose(0, 2, 1) @ J
-        scores.append(np.einsum("gn,gnp->gp", root * np.einsum("gmn,gm->gn", V, e), turned))
-        hidden = (turned * ~seen[:, :, None]).reshape(-1, J.shape[2])
+        rotated = V.transpose(0, 2, 1) @ J
+        scores.append(np.einsum("gn,gnp->gp", root * np.einsum("gmn,gm->gn", V, e), rotated))
+        hidden = (rotated * ~seen[:, :, None]).reshape(-1, J.shape[2])
         unseen += hidden.T @ hidden
     return np.concatenate(scores), unseen
 
@@ -153,7 +153,7 @@ def _bounded(common: Floats, own: Floats, most: int) -> Floats:
 def _batches(A: Floats, r: Floats, groups: Ints) -> Iterator[tuple[Floats, Floats]]:
     """Jacobians (K, n, F) and residuals (K, n) of the poses, those of as many rows together.
 
-    A pose of more numbers than parameters is turned into as many numbers as parameters, which say the same of them.
+    A pose of more numbers than parameters is reduced to as many numbers as parameters, which say the same of them.
     """
     order = np.argsort(groups, kind="stable")
     count = np.bincount(groups)
