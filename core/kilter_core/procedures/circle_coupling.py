@@ -37,7 +37,7 @@ def checked_follows(follows: Mapping[int, int], prismatic: Bools) -> dict[int, i
 
 
 def keeps_direction(points: Floats) -> bool:
-    """Tell whether points (N, m, 3) move without rotation."""
+    """Return whether points (N, m, 3) move without rotation."""
     if points.shape[1] < 2:
         return False
     body = points - points.mean(axis=1, keepdims=True)

@@ -135,7 +135,7 @@ def _led(q: Floats, middle: Floats, fit: AxisFit, follower: AxisFit, pair: tuple
     before = [k for k in range(last) if k != leader]
     apart = float(np.abs(fit.others[before] - follower.others[before]).max(initial=0.0))
     if apart > STILL or abs(fit.direction @ follower.direction) < COUPLED:
-        what = "the axes are not parallel" if apart <= STILL else "the joints before stood elsewhere for their circles"
+        what = "the axes are not parallel" if apart <= STILL else "the joints before were elsewhere for their circles"
         raise ObservationError(
             f"Joint {last + 1} cannot follow joint {leader + 1}: {what}. Leave it out of follows, or measure both circles with "
             "the joints before at the same readings.",
@@ -285,7 +285,7 @@ def _prismatic_fit(shift: Floats, points: Floats, others: Floats, j: int) -> Axi
 
 
 def _at_zero(fits: Sequence[AxisFit], pairs: Mapping[int, int]) -> Screws:
-    """Axes with all joints at zero: each was seen with the joints before it wherever they stood.
+    """Axes with all joints at zero: each was seen with the joints before it wherever they were.
 
     The axis of a follower comes twice: its leader rotates it back, then it rotates itself.
     """

@@ -168,7 +168,7 @@ class DriftEffect(_Whole):
     id: Literal["drift"] = Field(description="Id of the effect.")
     t0_s: Annotated[float, unit("s")] | None = Field(
         None,
-        description="When the base stood as the geometry says, s on the clock of the rows; null: the earliest row.",
+        description="When the base was where the geometry says, s on the clock of the rows; null: the earliest row.",
     )
 
 

@@ -24,7 +24,7 @@ SOON = 0.1  # of the campaign: repeats no further apart see little of a drift fi
 class Drift:
     """How far repeats drifted beyond noise: rms difference of a coordinate over the campaign, and per K.
 
-    ``p_value`` is the chance that stable repeats seem to. Without a clock ``timed`` is False: the order of rows stood in.
+    ``p_value`` is the chance that stable repeats seem to. Without a clock ``timed`` is False: the order of rows was used.
     """
 
     over_campaign: float

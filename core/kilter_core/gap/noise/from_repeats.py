@@ -52,7 +52,7 @@ class Noise:
     ``freedom`` is the number of independent scalars behind it; ``absolute`` says it does not come from the fit.
     ``within`` and ``between`` are standard deviations of a coordinate (m, or rad for joint data), None when unknown;
     of poses ``lengths`` says how many of the m scalars are lengths, None for all of them. ``drift`` is what repeats showed
-    of drift; ``most`` says that they cannot tell it from noise, so that noise is this at most. ``repeats`` are the rows it
+    of drift; ``most`` says that it may hold drift, so that noise is this at most. ``repeats`` are the rows it
     was read from, where repeated approaches showed it.
     """
 

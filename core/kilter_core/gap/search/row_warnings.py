@@ -70,7 +70,7 @@ def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
     if noise.most:
         yield {
             "code": "drift_not_separated",
-            "message": "The repeats are too few, or all far apart in time, so noise and drift cannot be told apart: noise is "
+            "message": "The repeats are too few, or all far apart in time, so noise and drift cannot be separated: noise is "
             "this at most, and no claim is confirmed by it. Repeat ten poses with only one other pose in between.",
         }
 

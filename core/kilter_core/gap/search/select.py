@@ -86,7 +86,7 @@ class Selector:
     def entry(
         self, gram: Gram, chosen: Sequence[int], critical: float, banned: Sequence[int] = ()
     ) -> tuple[int | None, Scores]:
-        """Best candidate to add, None when the best is no better than noise; ``banned`` ones were tried in vain."""
+        """Best candidate to add, None when the best is no better than noise; ``banned`` ones were tried without success."""
         given = gram.given(self.columns(chosen))
         scores = self.scorer.scores(given)
         if not len(scores.p):

@@ -35,20 +35,20 @@ def refuse_feigned_turns(begin: Calibration, measurement: Measurement) -> None:
         return
     if np.count_nonzero(~np.isnan(o.markers).any(axis=(1, 2))) < LEAST_ROWS:
         return
-    orders = [(order, turn) for order, turn in alike_orders(shape) if _angle(turn[None])[0] > LARGE_RAD]
+    orders = [(order, rotation) for order, rotation in alike_orders(shape) if _angle(rotation[None])[0] > LARGE_RAD]
     if not orders:
         return
-    turns, usable = _tool_rotations(begin, measurement, shape, o.markers)
-    reference = turns[_most_common(turns)]
-    off = _angle(reference.T @ turns)
-    feigned = [np.flatnonzero(_angle((reference @ turn).T @ turns) < NEAR_RAD) for _, turn in orders]
+    rotations, usable = _tool_rotations(begin, measurement, shape, o.markers)
+    reference = rotations[_most_common(rotations)]
+    off = _angle(reference.T @ rotations)
+    feigned = [np.flatnonzero(_angle((reference @ rotation).T @ rotations) < NEAR_RAD) for _, rotation in orders]
     rows, order = max(
         ((rows, order) for rows, (order, _) in zip(feigned, orders, strict=True)), key=lambda pair: len(pair[0])
     )
-    if len(rows) and np.count_nonzero(off < NEAR_RAD) + len(rows) > 0.9 * len(turns):
+    if len(rows) and np.count_nonzero(off < NEAR_RAD) + len(rows) > 0.9 * len(rotations):
         place = np.flatnonzero(usable)[rows]
         raise ObservationError(
-            f"In {len(rows)} of {len(turns)} rows, the first is row {place[0] + 1}, the markers show the tool rotated by "
+            f"In {len(rows)} of {len(rotations)} rows, the first is row {place[0] + 1}, the markers show the tool rotated by "
             f"{np.degrees(off[rows[0]]):.0f} degrees against the robot, as if markers {exchanged(order)} had changed places: "
             "number them the same in all rows, and space them unevenly so that it is noticed at once.",
             code="markers_swapped",
@@ -76,11 +76,11 @@ def _without_rotations(measurement: Measurement, markers: Floats) -> Observation
     return replace(o, markers=None, tip=None, rotation=None, position=markers[seen].mean(axis=1))
 
 
-def _most_common(turns: Floats) -> int:
+def _most_common(rotations: Floats) -> int:
     """The row whose rotation most others share."""
-    some = np.arange(len(turns))[:: max(1, len(turns) // 200)]
-    return int(some[int(np.argmax([np.count_nonzero(_angle(turns[k].T @ turns) < NEAR_RAD) for k in some]))])
+    some = np.arange(len(rotations))[:: max(1, len(rotations) // 200)]
+    return int(some[int(np.argmax([np.count_nonzero(_angle(rotations[k].T @ rotations) < NEAR_RAD) for k in some]))])
 
 
-def _angle(turns: Floats) -> Floats:
-    return np.asarray(np.linalg.norm(rotation_log(turns), axis=1))
+def _angle(rotations: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(rotation_log(rotations), axis=1))

@@ -53,10 +53,10 @@ class MixUp:
         """Points (N, 3) as they were meant."""
         return points * (self.length * (np.array([1.0, 1.0, -1.0]) if self.mirror else 1.0))
 
-    def turns(self, turns: Floats) -> Floats:
+    def rotations(self, rotations: Floats) -> Floats:
         """Rotations (N, 3, 3) that go with those points."""
         hand = np.diag([1.0, 1.0, -1.0])
-        return np.asarray(hand @ turns @ hand) if self.mirror else turns
+        return np.asarray(hand @ rotations @ hand) if self.mirror else rotations
 
 
 def wire_units(robot: Robot) -> Floats:

@@ -65,7 +65,7 @@ def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[s
     found = _diagnosed(sample) or _changed(sample) or _in_part(sample)
     if found is not None:
         _refuse(found.sentences, found.remedies, found.before * 1e3, found.after * 1e3, "mm")
-    if sample.turns is None or _far(sample):
+    if sample.rotations is None or _far(sample):
         return copied
     accused, warnings = rotation_faults(sample, o.rotation is not None)
     if accused is not None:
@@ -200,7 +200,7 @@ def _apart(sample: Sample, cut: int) -> tuple[float, Placed, Placed]:
 
 def _what_moved(late: Sample, head: Placed, tail: Placed, size: float) -> str:
     """Whether another tool point explains the later rows with the base of the earlier ones, or the other way round."""
-    local = (late.points - head.place) @ head.turn - late.flange[:, :3, 3]
+    local = (late.points - head.place) @ head.rotation - late.flange[:, :3, 3]
     held = np.einsum("nji,nj->ni", late.flange[:, :3, :3], local)
     tool = float(np.sqrt(np.mean(np.sum((held - np.median(held, axis=0)) ** 2, axis=1))))
     return (

@@ -93,21 +93,21 @@ class _Circle:
 
     centre: Floats
     radius: float
-    turn: Floats
+    angle: Floats
     ways: Floats
     harmonics: Floats
     sigma: Floats
 
     def carried(self, quarters: int) -> Floats:
         """Positions (n, 3) if the points were given ``quarters`` too late; heights were logged, and stay."""
-        there, here = (_basis(turn) @ self.harmonics for turn in (self.turn - quarters * np.pi / 2, self.turn))
+        there, here = (_basis(angle) @ self.harmonics for angle in (self.angle - quarters * np.pi / 2, self.angle))
         error = np.column_stack([there[:, 0] + self.radius, there[:, 1], here[:, 2]])
         return np.asarray(self.centre + np.einsum("nk,nkj->nj", error, self.ways))
 
 
-def _basis(turn: Floats) -> Floats:
-    waves = [wave(k * turn) for k in range(1, HARMONICS + 1) for wave in (np.cos, np.sin)]
-    return np.stack([np.ones_like(turn), *waves], axis=1)
+def _basis(angle: Floats) -> Floats:
+    waves = [wave(k * angle) for k in range(1, HARMONICS + 1) for wave in (np.cos, np.sin)]
+    return np.stack([np.ones_like(angle), *waves], axis=1)
 
 
 def _around(robot: Robot, rows: Observations) -> _Circle | None:
@@ -125,15 +125,15 @@ def _around(robot: Robot, rows: Observations) -> _Circle | None:
     if _clockwise(wanted):
         axes = axes * [1.0, -1.0, -1.0]
         local, wanted = local * [1.0, -1.0, -1.0], wanted * [1.0, -1.0, -1.0]
-    turn = np.arctan2(wanted[:, 1], wanted[:, 0])
-    ahead = (np.arctan2(local[:, 1], local[:, 0]) - turn + np.pi) % (2 * np.pi) - np.pi
+    angle = np.arctan2(wanted[:, 1], wanted[:, 0])
+    ahead = (np.arctan2(local[:, 1], local[:, 0]) - angle + np.pi) % (2 * np.pi) - np.pi
     error = np.stack([np.hypot(local[:, 0], local[:, 1]) - radius, radius * ahead, local[:, 2]], axis=1)
-    gaps = np.diff(np.sort(turn), append=np.min(turn) + 2 * np.pi)
+    gaps = np.diff(np.sort(angle), append=np.min(angle) + 2 * np.pi)
     if np.abs(error).max() > ROUND * radius or gaps.max() > WIDEST:
         return None
-    c, s, zero, one = np.cos(turn), np.sin(turn), np.zeros(len(p)), np.ones(len(p))
+    c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros(len(p)), np.ones(len(p))
     ways = np.stack([np.stack(way, axis=1) for way in ((c, s, zero), (-s, c, zero), (zero, zero, one))], axis=1)
-    return _Circle(centre, radius, turn, ways @ axes.T, *_smoothed(turn, error))
+    return _Circle(centre, radius, angle, ways @ axes.T, *_smoothed(angle, error))
 
 
 def _clockwise(wanted: Floats) -> bool:
@@ -142,9 +142,9 @@ def _clockwise(wanted: Floats) -> bool:
     return float(np.median(x[:-1] * y[1:] - x[1:] * y[:-1])) < 0
 
 
-def _smoothed(turn: Floats, error: Floats) -> tuple[Floats, Floats]:
+def _smoothed(angle: Floats, error: Floats) -> tuple[Floats, Floats]:
     """Harmonics (2 HARMONICS + 1, 3) of the errors, and the sigma (3,) of one row that covers noise and model."""
-    B = _basis(turn)
+    B = _basis(angle)
     harmonics = np.linalg.lstsq(B, error, rcond=None)[0]
     noise = np.sum((error - B @ harmonics) ** 2, axis=0) / max(len(B) - B.shape[1], 1)
     size = float(np.sqrt(np.mean((B @ harmonics)[:, :2] ** 2)))

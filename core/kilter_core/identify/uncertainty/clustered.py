@@ -4,7 +4,7 @@ Three shots of one stop share the way the arm settled, and repeats of a pose sha
 are one piece of evidence, not three. The covariance is a sandwich clustered by pose. Its middle is what the scatter of
 all poses together says, one covariance of what rows of a pose share and one of what they do not; and, as far as poses
 differ by more than chance, what each pose itself says (Liang and Zeger 1986, corrected as CR2 of Bell and McCaffrey
-2002; mixed as Ledoit and Wolf 2004). By the poses alone, combinations of parameters would look certain, for there are
+2002; mixed as Ledoit and Wolf 2004). By the poses alone, combinations of parameters would look certain, because there are
 fewer poses than it takes to see them scatter.
 """
 
@@ -145,8 +145,8 @@ def _bounded(common: Floats, own: Floats, most: int) -> Floats:
     w, V = np.linalg.eigh(own)
     root = V * np.sqrt(np.maximum(w, SMALL * max(float(w[-1]), SMALL)))
     relative = np.linalg.solve(root, np.linalg.solve(root, common).T)
-    size, turn = np.linalg.eigh(0.5 * (relative + relative.T))
-    sides = root @ turn
+    size, rotation = np.linalg.eigh(0.5 * (relative + relative.T))
+    sides = root @ rotation
     return np.asarray((sides * np.maximum(size, -0.9 / most)) @ sides.T)
 
 
