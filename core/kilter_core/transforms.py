@@ -28,12 +28,12 @@ def xyz_rpy_from_pose(T: Floats) -> tuple[Floats, Floats]:
     rest = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
     roll = float(np.arctan2(-rest[1, 2], rest[1, 1]))
     rpy = np.array([roll, float(np.arctan2(-rest[2, 0], rest[0, 0])), yaw])
-    return T[:3, 3] + 0.0, rpy + 0.0  # no zero has a sign, which people would be shown
+    return T[:3, 3] + 0.0, rpy + 0.0  # no zero has a sign, which tables would show
 
 
 def aligned(R: Floats, z: Floats) -> Floats:
-    """Rotation (3, 3) with this z axis, turned as little as possible from ``R``."""
-    # A rotation by half a turn has no nearest: then the frame is turned about its own x.
+    """Rotation (3, 3) with this z axis, rotated as little as possible from ``R``."""
+    # A rotation by 180 degrees has no nearest: then the frame is rotated about its own x.
     x = R[:, 0] - z * (R[:, 0] @ z)
     if np.linalg.norm(x) < 0.5:
         y = R[:, 1] - z * (R[:, 1] @ z)
@@ -79,7 +79,7 @@ def rotation_log(R: Floats) -> Floats:
 
 
 def rotation_exp(w: Floats) -> Floats:
-    """Turn (3, 3) by a rotation vector."""
+    """Rotation (3, 3) by a rotation vector."""
     return np.asarray(Rotation.from_rotvec(w).as_matrix())
 
 

@@ -16,4 +16,4 @@ Progress = Callable[[float, str], None]
 
 
 def unheard(fraction: float, stage: str) -> None:
-    """Nobody hears of progress."""
+    """Ignore the progress."""

@@ -193,7 +193,7 @@ def test_uncoupled_joints_give_the_arm(ratio: float, see: str) -> None:
 
 @pytest.mark.parametrize(
     ("follows", "words"),
-    [({1: 2}, "both must turn"), ({6: 1}, "the rows have 6 joints"), ({1: 0}, "the axes are not parallel")],
+    [({1: 2}, "both must be revolute"), ({6: 1}, "the rows have 6 joints"), ({1: 0}, "the axes are not parallel")],
 )
 def test_followers_that_cannot_be_are_refused(follows: dict[int, int], words: str) -> None:
     q, points = circles(ur10(), HOME)

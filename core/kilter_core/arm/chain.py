@@ -44,8 +44,8 @@ class Element:
     """One elementary transform.
 
     ``value`` (m or rad) is the constant, for a joint element its zero offset. A joint element moves by
-    ``ratio * q[joint] + value``; a ratio of -1 turns the axis round, others couple joints (mimic, FANUC J2/J3).
-    ``name`` makes the constant a parameter; without a name it is part of the structure. A ``spare`` parameter says what
+    ``ratio * q[joint] + value``; a ratio of -1 reverses the axis, others couple joints (mimic, FANUC J2/J3).
+    ``name`` makes the constant a parameter; without a name it is part of the structure. A ``dependent`` parameter says what
     others of a complete model say together: it is identified at level 1 or when it is asked for, not beside them.
     """
 
@@ -142,7 +142,7 @@ class Chain:
 
 
 def _joint_frame(element: Element) -> Floats:
-    """Turn (3, 3) from the frame after a joint's element to the joint frame, whose z is the positive joint axis."""
+    """Rotation (3, 3) from the frame after a joint's element to the joint frame, whose z is the positive joint axis."""
     z = element.axis % 3
     frame = np.zeros((3, 3))
     for column, row in enumerate(((z + 1) % 3, (z + 2) % 3, z)):

@@ -1,8 +1,8 @@
 """Complete models without redundancy: product of exponentials, CPC and MCPC, as chains of elementary transforms.
 
-Two tilts and two shifts place a turning axis after the one before, two tilts a sliding axis, six numbers the flange: any
-arm of R turning and P sliding joints is near 4 R + 2 P + 6 of them (Mooring, Roth and Driels 1991), and no pose is
-described twice. Zero offsets of the joints say what later axes say together, so they are spare.
+Two tilts and two shifts place a revolute axis after the one before, two tilts a prismatic axis, six numbers the flange: any
+arm of R revolute and P prismatic joints is near 4 R + 2 P + 6 of them (Mooring, Roth and Driels 1991), and no pose is
+described twice. Zero offsets of the joints say what later axes say together, so they are dependent parameters.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class MovingAxis:
 
 @dataclass(frozen=True)
 class Place:
-    """Where an axis stands after the one before: a structural pose, then Rx(alpha) Ry(beta) Tx(x) Ty(y); its joint's zero."""
+    """Where an axis is after the one before: a structural pose, then Rx(alpha) Ry(beta) Tx(x) Ty(y); its joint's zero."""
 
     alpha: float
     beta: float
@@ -74,8 +74,8 @@ def mcpc_elements(places: Sequence[Place], flange: Floats) -> tuple[Element, ...
     return _by_places(places, flange, ("alpha", "beta", "x", "y"))
 
 
-def direction_turn(b: Floats) -> Floats:
-    """Pose (4, 4) that turns z to the unit vector ``b (3,)`` the shortest way; to -z about y."""
+def rotation_to(b: Floats) -> Floats:
+    """Pose (4, 4) that rotates z to the unit vector ``b (3,)`` by the smallest angle; to -z about y."""
     across = float(np.hypot(b[0], b[1]))
     c, s = (b[0] / across, b[1] / across) if across > 0.0 else (1.0, 0.0)
     # Rz(phi) Ry(theta) Rz(-phi): the usual closed form loses half the digits near -z.
@@ -96,7 +96,7 @@ def _by_places(places: Sequence[Place], flange: Floats, names: tuple[str, str, s
 
 
 def _placed(k: int, place: Place, names: tuple[str, str, str, str]) -> list[Element]:
-    """Elements up to a joint. A sliding axis has no place across itself: its shifts are structure."""
+    """Elements up to a joint. A prismatic axis has no place across itself: its shifts are structure."""
     four = zip((Axis.RX, Axis.RY, Axis.TX, Axis.TY), (place.alpha, place.beta, place.x, place.y), names, strict=True)
     made = _structure(place.before)
     for axis, value, name in four:

@@ -21,7 +21,7 @@ class Row:
     d: float | None = 0.0
     beta: float | None = None
     prismatic: bool = False
-    gamma: float = 0.0  # S-model only: turn and shift along the next axis
+    gamma: float = 0.0  # S-model only: rotation and shift along the next axis
     b: float = 0.0
 
 
@@ -50,7 +50,7 @@ def _parallel(alpha: float) -> bool:
 def dh_elements(rows: Sequence[Row]) -> tuple[tuple[Element, ...], tuple[int, ...]]:
     """Standard DH, thesis eq. 2.1: Tz(d) Rz(θ) Tx(a) Rx(α) per row.
 
-    Where row i and i+1 turn about almost parallel axes a rotation Ry(β) of value 0 is added after Rx(α): DH alone is
+    Where row i and i+1 rotate about almost parallel axes a rotation Ry(β) of value 0 is added after Rx(α): DH alone is
     singular there (Hayati and Mirmirani 1985). Returns the elements and, per row, the index of the row's frame.
     """
     elements: list[Element] = []
@@ -70,7 +70,7 @@ def _dh_row(i: int, row: Row, *, last: bool) -> list[Element]:
 
 
 def s_model_elements(rows: Sequence[Row]) -> tuple[tuple[Element, ...], tuple[int, ...]]:
-    """Stone's S-model: Tz(d) Rz(θ) Tx(a) Rx(α) Rz(γ) Tz(b) per row, so that a frame may stand anywhere on its axis.
+    """Stone's S-model: Tz(d) Rz(θ) Tx(a) Rx(α) Rz(γ) Tz(b) per row, so that a frame may be anywhere on its axis.
 
     γ and b say what θ and d of the next row say, so they are parameters in the last row only, which with them places the
     flange freely. Returns the elements and, per row, the index of the row's frame.

@@ -1,4 +1,4 @@
-"""The order in which planned poses are driven: a short way from one to the next."""
+"""The order in which planned poses are driven: with short moves from one to the next."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ ENOUGH = 1e-9
 
 
 def joint_ranges(robot: Robot) -> Floats:
-    """How far (n,) each joint may go, rad or m; a turn at most."""
+    """How far (n,) each joint may go, rad or m; one turn at most."""
     return np.asarray(np.ptp(np.clip(robot.limits, -np.pi, np.pi), axis=1))
 
 
-def short_way(q: Floats, ranges: Floats) -> Ints:
+def driving_order(q: Floats, ranges: Floats) -> Ints:
     """Order (N,) of joint vectors ``q (N, n)`` in which the arm moves little.
 
     A move costs what its slowest joint needs, as a share of that joint's ``ranges (n,)``. Nearest neighbour from the
-    first pose, then exchanges of two moves (2-opt; Croes 1958) until none shortens the way.
+    first pose, then exchanges of two moves (2-opt; Croes 1958) until none shortens the path.
     """
     if len(q) < 3:
         return np.arange(len(q))
@@ -33,8 +33,8 @@ def short_way(q: Floats, ranges: Floats) -> Ints:
     return order
 
 
-def way(q: Floats, ranges: Floats) -> float:
-    """Length of the way through ``q (N, n)`` as it stands, in joint ranges."""
+def path_length(q: Floats, ranges: Floats) -> float:
+    """Length of the path through ``q (N, n)`` in this order, in joint ranges."""
     return float(np.abs(np.diff(q / np.where(ranges > 0.0, ranges, 1.0), axis=0)).max(axis=1).sum())
 
 
@@ -50,7 +50,7 @@ def _nearest(cost: Floats) -> Ints:
 
 
 def _exchanged(cost: Floats, order: Ints) -> bool:
-    """Turn parts of the way round, in place, where that shortens it; the last part may end anywhere."""
+    """Reverse parts of the path, in place, where that shortens it; the last part may end anywhere."""
     better = False
     for i in range(len(order) - 2):
         a, b = order[i], order[i + 1 :]

@@ -9,7 +9,7 @@ from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
 FRAME_AXES = ((Axis.TX, "x"), (Axis.TY, "y"), (Axis.TZ, "z"), (Axis.RX, "rx"), (Axis.RY, "ry"), (Axis.RZ, "rz"))
-# Base and tool frames are found from scratch by the registration; these widths only keep a blind direction finite.
+# Base and tool frames are found from scratch by the registration; these widths only keep an unobservable direction finite.
 FRAME_LENGTH_PRIOR_M = 0.1
 FRAME_ANGLE_PRIOR_RAD = 0.3
 

@@ -11,7 +11,7 @@ from kilter_core.arm.chain import Chain
 from kilter_core.types import Floats
 
 STANDARD_GRAVITY = 9.80665  # m/s²
-# How well masses of drawings and data sheets hold when nobody says: they lack cables, grease and screws.
+# Uncertainty of masses from drawings and data sheets where none is stated: they lack cables, grease and screws.
 MASS_SHARE = 0.1
 CENTRE_M = 0.01
 
@@ -60,7 +60,7 @@ class Payload:
 class Robot:
     """Nominal description of a serial arm, SI. ``gravity (3,)`` m/s² is in the robot's base frame.
 
-    ``load`` is what it carries where nobody states a payload. ``payload_sigma`` is how well payloads are known: share of
+    ``load`` is what it carries where no payload is stated. ``payload_sigma`` is how well payloads are known: share of
     the mass, and m of the place.
     """
 

@@ -19,7 +19,7 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class Conditions:
-    """What is known at run time besides the joints; ``temperature_c`` None when nobody states it."""
+    """What is known at run time besides the joints; ``temperature_c`` None when it is not stated."""
 
     least_softening_nm: float = 0.0
     payload_kg: float = 0.0
@@ -159,7 +159,7 @@ class RunTimeForm:
         return [max(width, self.conditions.least_softening_nm) for _, width in zip(joints, widths, strict=True)]
 
     def warmer_than(self, reference_c: float) -> float | None:
-        """Kelvin above a reference; None when nobody states the temperature."""
+        """Kelvin above a reference; None when the temperature is not stated."""
         return None if self.conditions.temperature_c is None else self.conditions.temperature_c - reference_c
 
     def change_masses(self, values: Floats) -> None:

@@ -1,4 +1,4 @@
-"""Backlash seen from the direction of approach: the joint lags behind its motor by half the play."""
+"""Backlash seen from the direction of approach: the joint lags behind its motor by half the backlash."""
 
 from __future__ import annotations
 

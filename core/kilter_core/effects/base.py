@@ -156,7 +156,7 @@ class Effect(ABC):
 
     The class says what a search for missing effects must know: ``needs`` (columns), ``stage``, ``signs`` ("positive"
     when physics fixes the sign of the parameters), ``aliases`` (ids whose signatures come nearest), ``remedy`` (what
-    to measure so that it can be tested or told apart), ``empirical`` (a shape without a cause), ``at_joints`` (whether
+    to measure so that it can be tested or distinguished), ``empirical`` (a shape without a cause), ``at_joints`` (whether
     ``joints`` choose where it acts), ``learned`` (never searched; kept only if it predicts held-out poses better),
     ``supple`` (imitates many others, so that holding their shape says nothing), and ``nuisance`` (never searched; carried
     beside the others with its prior). One that ``changes_loads`` moves nothing of its own: the others read the loads that
@@ -274,19 +274,19 @@ class Effect(ABC):
         lower: float,
         upper: float,
         text: str,
-        turns: bool = False,
+        rotates: bool = False,
     ) -> tuple[Parameter, ...]:
         """One parameter per acting joint, named ``<stem>_<joint>``.
 
-        At a prismatic joint a unit of rad becomes one of m, unless the correction ``turns`` whatever the joint.
+        At a prismatic joint a unit of rad becomes one of m, unless the correction ``rotates`` whatever the joint.
         """
         joints = self.acting(robot.n_joints)
         self.refuse_unknown(robot, joints)
         made = []
         for j in joints:
-            slides = robot.joints[j].kind == "prismatic" and not turns and unit in _PRISMATIC_UNITS
-            scale = PRISMATIC_LEVER_M if slides else 1.0
-            unit_here = _PRISMATIC_UNITS[unit] if slides else unit
+            prismatic = robot.joints[j].kind == "prismatic" and not rotates and unit in _PRISMATIC_UNITS
+            scale = PRISMATIC_LEVER_M if prismatic else 1.0
+            unit_here = _PRISMATIC_UNITS[unit] if prismatic else unit
             made.append(Parameter(f"{stem}_{j + 1}", unit_here, 0.0, sigma * scale, lower * scale, upper * scale, text))
         return tuple(made)
 
@@ -316,8 +316,10 @@ class Effect(ABC):
 
     def revolute(self, robot: Robot) -> Self:
         """Act on revolute joints only: the effect is periodic in the angle."""
-        turning = [j for j, joint in enumerate(robot.joints) if joint.kind == "revolute"]
-        return self.limited(robot, turning, "it is periodic in an angle, and the joint slides. Name revolute joints.")
+        revolute = [j for j, joint in enumerate(robot.joints) if joint.kind == "revolute"]
+        return self.limited(
+            robot, revolute, "it is periodic in an angle, and the joint is prismatic. Name revolute joints."
+        )
 
     def column(self, batch: Batch, name: str) -> NDArray[Any]:
         """Return a measured column of the batch; a missing one raises :class:`ObservationError`."""
@@ -351,7 +353,7 @@ def width_of(softening_nm: float | tuple[float, ...], place: int, joint: int, ba
 
 
 def _plain(value: Any, shift: int) -> Any:
-    """Turn tuples into lists, and count joints from ``shift``."""
+    """Convert tuples to lists, and count joints from ``shift``."""
     if isinstance(value, tuple):
         return [_plain(v, shift) for v in value]
     return value + shift if shift and value is not None else value

@@ -1,4 +1,4 @@
-"""Tilt of the base or its pedestal under the moment of the whole arm."""
+"""Tilt of the base or its mount under the moment of the whole arm."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class BaseCompliance(Effect):
-    """The base frame turns by (cx mx, cy my, 0) about its origin, m the load moment on the base."""
+    """The base frame rotates by (cx mx, cy my, 0) about its origin, m the load moment on the base."""
 
     id = "base_compliance"
-    summary = "tilt of base or pedestal under the moment of the arm"
-    source = "base and pedestal compliance"
+    summary = "tilt of base or its mount under the moment of the arm"
+    source = "base and mount compliance"
     needs = frozenset({"moments"})
     reads = (("base_wrench", (3, 4)),)
     stage = "base"

@@ -18,12 +18,12 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class ClearanceTilt(Effect):
-    """The joint leans by its clearance angle C about x and y of its frame.
+    """The joint tilts by its clearance angle C about x and y of its frame.
 
     With t = tan C and γ the share of the load about x, δα = sign(ηx) t sin γ / √(1 + (t sin γ)²) and
     δβ = sign(ηy) t cos γ / √(1 + (t cos γ)²): L of eq. 5.17-5.18 drops out once 5.15 is corrected to r = (L/2) tan C.
     ``share`` "thesis" is eq. 5.16, γ = (π/2)|ηx| / (|ηx| + |ηy|); "vector" is atan2(|ηx|, |ηy|), invariant when the
-    joint frame is turned about its axis. ``softening_nm`` > 0 replaces the sign by a tanh of that half-width, one
+    joint frame is rotated about its axis. ``softening_nm`` > 0 replaces the sign by a tanh of that half-width, one
     for all joints or one for each joint the effect acts on.
     """
 
@@ -34,11 +34,13 @@ class ClearanceTilt(Effect):
     reads = (("wrench", (3, 4)),)
     signs = "positive"
     aliases = ("radial_compliance", "link_bending", "base_compliance")
-    remedy = "measure poses that turn the transverse load round the joint, or the same poses with another payload"
+    remedy = (
+        "measure poses in which the transverse load rotates about the joint, or the same poses with another payload"
+    )
 
     share: str = option(
         "thesis",
-        "How the load is shared among x and y: `thesis` (eq. 5.16) or `vector`, whichever way the joint frame is turned.",
+        "How the load is shared among x and y: `thesis` (eq. 5.16) or `vector`, independent of the joint frame's rotation.",
         choices=("thesis", "vector"),
     )
     softening_nm: float | tuple[float, ...] = option(0.0, SOFTENING, low=0.0)
@@ -51,7 +53,7 @@ class ClearanceTilt(Effect):
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Clearance angle C per joint, rad."""
         return self.per_joint(
-            robot, "clearance", "rad", math.radians(0.1), 0.0, math.radians(1.0), "clearance angle C", turns=True
+            robot, "clearance", "rad", math.radians(0.1), 0.0, math.radians(1.0), "clearance angle C", rotates=True
         )
 
     def local(self, batch: Batch, values: Floats) -> Local:
@@ -91,7 +93,7 @@ class ClearanceTilt(Effect):
         return replace(self, softening_nm=widths)
 
     def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
-        """Scatter of each sign s around its expectation, √(1 − s²), times the lean."""
+        """Scatter of each sign s around its expectation, √(1 − s²), times the tilt."""
         out = []
         for k, j in enumerate(self.acting(batch.q.shape[1])):
             if values[k] == 0.0:
@@ -107,7 +109,7 @@ class ClearanceTilt(Effect):
         mx, my = batch.moment[:, joint, 0], batch.moment[:, joint, 1]
         ax, ay = np.abs(mx), np.abs(my)
         total = ax + ay
-        # Rounding noise must not decide where a joint without transverse load leans.
+        # Rounding noise must not decide where a joint without transverse load tilts.
         loaded = total > 1e-9
         share = ax / np.where(loaded, total, 1.0)
         gamma = share * (math.pi / 2.0) if self.share == "thesis" else np.arctan2(ax, ay)

@@ -1,4 +1,4 @@
-"""A column or pedestal that bends with temperature: sun or a warm machine on one side of it."""
+"""A column or base mount that bends with temperature: sun or a warm machine on one side of it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class ColumnBending(Effect):
-    """The base frame turns by (kx, ky, 0) (T − T0) about its origin; ``reference_c`` is T0, at which the geometry holds."""
+    """The base frame rotates by (kx, ky, 0) (T − T0) about its origin; ``reference_c`` is T0, at which the geometry holds."""
 
     id = "column_bending"
     summary = "column under the arm bends with temperature"
@@ -31,7 +31,7 @@ class ColumnBending(Effect):
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rates kx, ky about x and y of the base frame, rad/K."""
         return tuple(
-            Parameter(f"column_bending_{k}", "rad/K", 0.0, 1e-5, -2e-4, 2e-4, f"turn of the base about its {k}")
+            Parameter(f"column_bending_{k}", "rad/K", 0.0, 1e-5, -2e-4, 2e-4, f"rotation of the base about its {k}")
             for k in "xy"
         )
 

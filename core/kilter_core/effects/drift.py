@@ -19,7 +19,7 @@ from kilter_core.types import Floats
 class Drift(Effect):
     """The base frame moves at constant rates: a twist of six rates times t − t0, in its own axes.
 
-    ``t0_s`` is when the base stands where the geometry says; without it the first row's time, once rows are known.
+    ``t0_s`` is when the base is where the geometry says; without it the first row's time, once rows are known.
     """
 
     id = "drift"
@@ -32,7 +32,7 @@ class Drift(Effect):
     at_joints = False
 
     t0_s: float | None = option(
-        None, "When the base stood as the geometry says, s on the clock of the rows; null: the earliest row."
+        None, "When the base was where the geometry says, s on the clock of the rows; null: the earliest row."
     )
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
@@ -54,6 +54,6 @@ class Drift(Effect):
         """Twist of the base and its derivatives by the rates."""
         t = np.asarray(self.column(batch, "t"), dtype=np.float64)
         if self.t0_s is None:
-            raise OptionError("drift needs t0_s: give the time in s at which the base stood still.", effect=self.id)
+            raise OptionError("drift needs t0_s: give the time in s at which the geometry holds.", effect=self.id)
         moved = np.eye(6)[:, None, :] * (t - self.t0_s)[:, None]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])

@@ -18,13 +18,13 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class Eccentricity(Effect):
-    """dq = a sin q + b cos q, once per turn of the joint.
+    """dq = a sin q + b cos q, once per revolution of the joint.
 
     The cosine is b at q = 0 and so partly an encoder offset: separating them is the geometric fit's business.
     """
 
     id = "eccentricity"
-    summary = "once-per-turn error of a joint: encoder disc or output gear off centre"
+    summary = "once-per-revolution error of a joint: encoder disc or output gear off centre"
     source = "Whitney, Lozinski and Rourke 1986; Hu 2020, harmonic model of joint modules"
     aliases = ("encoder_scale", "gravity_spring", "second_harmonic", "axial_compliance")
     remedy = "move the joint over more than 180 degrees; repeat poses with a second payload, which it ignores"

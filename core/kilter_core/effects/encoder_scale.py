@@ -13,7 +13,7 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class EncoderScale(Effect):
-    """dq = k q: the joint turns (1 + k) times what it reads."""
+    """dq = k q: the joint moves (1 + k) times what it reads."""
 
     id = "encoder_scale"
     summary = "scale error of a joint reading: gear ratio or encoder pitch"

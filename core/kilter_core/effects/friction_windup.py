@@ -16,7 +16,7 @@ from kilter_core.types import Floats
 class FrictionWindup(Effect):
     """dq = k s with s the direction of the joint's last motion and |k| = friction torque over stiffness.
 
-    In position data this is the same as ``backlash`` with b = 2k: only torque can tell them apart.
+    In position data this is the same as ``backlash`` with b = 2k: only torque can distinguish them.
     """
 
     id = "friction_windup"

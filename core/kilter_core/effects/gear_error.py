@@ -1,4 +1,4 @@
-"""Transmission error of a gear: cyclic in the turns of the motor, not of the joint."""
+"""Transmission error of a gear: cyclic in the revolutions of the motor, not of the joint."""
 
 from __future__ import annotations
 

@@ -35,7 +35,8 @@ class GravitySpring(Effect):
     remedy = "give the spring's pins and free length, move the joint over its whole range, add a second payload"
 
     arms_m: tuple[float, float] | None = option(
-        None, "Distances of the spring's two pins from the axis, m; null: the effect cannot be told from eccentricity."
+        None,
+        "Distances of the spring's two pins from the axis, m; null: the effect cannot be distinguished from eccentricity.",
     )
     angle_rad: float = option(0.0, "Angle between the pins at q = 0, rad.")
     free_length_m: float = option(0.0, "Length of the spring without load, m, 0 or more.", low=0.0)
@@ -46,7 +47,7 @@ class GravitySpring(Effect):
             raise OptionError("gravity_spring needs arms_m of two different distances above 0.", effect=self.id)
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
-        """Act on joint 2, where balancers are, unless told otherwise."""
+        """Act on joint 2, where balancers are, unless joints are named."""
         usual = (min(1, robot.n_joints - 1),)
         return (self if self.joints is not None else replace(self, joints=usual)).revolute(robot)
 

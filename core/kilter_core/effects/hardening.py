@@ -17,7 +17,7 @@ from kilter_core.types import Floats
 class Hardening(Effect):
     """dq = −h ηz |ηz| with h >= 0, beside the c ηz of ``axial_compliance``: what large loads twist less than small ones.
 
-    It has no meaning alone, and none beyond the load at which c ηz − h ηz |ηz| turns round.
+    It has no meaning alone, and none beyond the load at which c ηz − h ηz |ηz| has its extremum.
     """
 
     id = "hardening"

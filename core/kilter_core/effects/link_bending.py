@@ -22,19 +22,19 @@ SHORTEST_M = 1e-6
 
 @dataclass(frozen=True)
 class LinkBending(Effect):
-    """A slender beam of length L along u from the joint to where the next one stands, alike in all directions across u.
+    """A slender cantilever of length L along u from the joint to the next one, equally stiff in all directions across u.
 
-    With m(s) the moment across u at s along the beam, its end turns by θ = ∫ m ds /(EI) and moves by
+    With m(s) the moment across u at s along the link, its end rotates by θ = ∫ m ds /(EI) and moves by
     δ = ∫ m × u (L − s) ds /(EI) (Euler and Bernoulli). A force F and a moment M at the end make m = M + (L − s) u × F:
     θ = M L + u × F L²/2, δ = F L³/3 + M × u L²/2. The link's own load (W, moment N at the joint) bends it up to its
     centre of mass a = ``centres_m``: m = N − s u × W for s < a. As a twist at the joint, before the link: w = θ and
-    v = δ − θ × L u. One 1/(EI) per link is all there is to identify. Torsion, stretch and the travel of a slide are
+    v = δ − θ × L u. One 1/(EI) per link is all there is to identify. Torsion, stretch and the travel of a prismatic joint are
     left out.
     """
 
     id = "link_bending"
     summary = "bending of a link under its own weight and the load at its end"
-    source = "Euler-Bernoulli cantilever; Klimchik et al. 2014 on which link stiffnesses can be told apart"
+    source = "Euler-Bernoulli cantilever; Klimchik et al. 2014 on which link stiffnesses can be distinguished"
     needs = frozenset({"moments"})
     reads = (("wrench", (0, 1, 2, 3, 4, 5)), ("end_wrench", (0, 1, 2, 3, 4, 5)))
     signs = "positive"
@@ -91,7 +91,7 @@ class LinkBending(Effect):
 
 @lru_cache(maxsize=256)
 def _flexed(link: tuple[float, ...], a: float) -> tuple[Floats, Floats]:
-    """Matrices (6, 6) that turn the wrench on a link's joint, and the one on its end, into its twist: it is linear."""
+    """Matrices (6, 6) that map the wrench on a link's joint, and the one on its end, to its twist: it is linear."""
     one, none = np.eye(6), np.zeros((6, 6))
     return bent(np.array(link), a, one, none), bent(np.array(link), a, none, one)
 

@@ -21,7 +21,7 @@ SHORTEST_M = 1e-6
 class LinkGrowth(Effect):
     """The link after joint i grows by α (T − T0) of its length, the others do not; ``reference_c`` is T0.
 
-    All links alike are ``thermal_growth``, which also takes the column under the first joint with it.
+    All links together are ``thermal_growth``, which also takes the column under the first joint with it.
     """
 
     id = "link_growth"
@@ -30,7 +30,7 @@ class LinkGrowth(Effect):
     needs = frozenset({"temperature_c"})
     signs = "positive"
     aliases = ("thermal_growth", "zero_thermal", "drift")
-    remedy = "revisit the same poses cold and warm, with the link stretched out and turned back"
+    remedy = "revisit the same poses cold and warm, with the link stretched out and folded back"
 
     reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
 

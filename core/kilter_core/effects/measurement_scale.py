@@ -14,14 +14,14 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class MeasurementScale(Effect):
-    """The measured position is (1 + s) times the true one, seen from the origin of the measurements."""
+    """The measured position is (1 + s) times the real one, seen from the origin of the measurements."""
 
     id = "measurement_scale"
     summary = "scale error of the instrument"
     source = "measurement scale: absorbed exactly by the link lengths"
     stage = "measurement"
     aliases = ("thermal_growth", "encoder_scale")
-    remedy = "measure an artefact of known length: from robot data it cannot be told from the link lengths"
+    remedy = "measure an artefact of known length: from robot data it cannot be distinguished from the link lengths"
     at_joints = False
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:

@@ -22,8 +22,8 @@ class PayloadError(Effect):
     """Mass dm and shift dcom of the payload beyond what was stated, in the rows that carry one of stated mass m > 0.
 
     The effects beside it that follow loads read the changed load; without any it does nothing. Or, with ``compliances``
-    c_j of an earlier identification, one per joint, rad/(N m) (m/N at a slide), dq_j = c_j (A_j dm + m B_j · dcom). A_j
-    is the load of one kilogram at the stated place, B_j that of one kg·m of first moment along the tool axes, so the
+    c_j of an earlier identification, one per joint, rad/(N m) (m/N at a prismatic joint), dq_j = c_j (A_j dm + m B_j · dcom).
+    A_j is the load of one kilogram at the stated place, B_j that of one kg·m of first moment along the tool axes, so the
     load is linear in dm and m dcom; the product dm dcom is left out. dm is the same in all loaded rows (a forgotten
     adapter), dcom the same shift in the tool frame.
     """

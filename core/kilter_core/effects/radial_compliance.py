@@ -15,7 +15,7 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class RadialCompliance(Effect):
-    """The joint leans by c (ηx, ηy) about x and y of its frame, c >= 0: a bearing alike in all directions."""
+    """The joint tilts by c (ηx, ηy) about x and y of its frame, c >= 0: a bearing equally stiff in all directions."""
 
     id = "radial_compliance"
     summary = "tilt of the bearing in proportion to the transverse load moment"
@@ -29,7 +29,7 @@ class RadialCompliance(Effect):
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Compliance c per joint, rad/(N m)."""
         text = "radial compliance c of the bearing"
-        return self.per_joint(robot, "radial_compliance", "rad/(N m)", 1e-4, 0.0, 1e-2, text, turns=True)
+        return self.per_joint(robot, "radial_compliance", "rad/(N m)", 1e-4, 0.0, 1e-2, text, rotates=True)
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist (0, 0, 0, c ηx, c ηy, 0) per joint and its derivative by c."""

@@ -1,4 +1,4 @@
-"""Random walk of the base or of the instrument: it stands somewhere else at every hour, for no reason that is measured."""
+"""Random walk of the base or of the instrument: it moves by itself, for no reason that is measured."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ SPREAD = 2e-6  # m per root of a second: 0.12 mm in an hour
 
 @dataclass(frozen=True)
 class RandomWalk(Effect):
-    """The base frame moves along its axes, straight on between the times ``knots_s``; it stands at the first of them.
+    """The base frame moves along its axes, straight on between the times ``knots_s``; it is at rest at the first of them.
 
     The steps from knot to knot are the parameters, independent of one another, each with a prior whose variance grows
     with the time it takes, as of a Wiener process. Without ``knots_s`` there are ``pieces`` that hold as many rows each;
-    a gap job tries few and many, for a slow walk shows in few, and each piece costs what three parameters cost.
+    a gap job tries few and many, because a slow walk shows in few, and each piece costs what three parameters cost.
     """
 
     id = "random_walk"

@@ -1,4 +1,4 @@
-"""A joint reading that changes when the joint tilts: an encoder whose head and disc lean towards each other."""
+"""A joint reading that changes when the joint tilts: an encoder whose head and disc tilt towards each other."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class ReadingTilt(Effect):
-    """dq = kx ηx + ky ηy: the joint leans in proportion to the load across it, and its encoder reads part of that as turn.
+    """dq = kx ηx + ky ηy: the joint tilts in proportion to the load across it, and its encoder reads part of that as rotation.
 
     The thesis leaves open how tilting changes the readings; to first order a head at a fixed place of the joint sees
-    one component of the lean, whose direction kx and ky give.
+    one component of the tilt, whose direction kx and ky give.
     """
 
     id = "reading_tilt"

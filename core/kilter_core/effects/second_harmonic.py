@@ -18,10 +18,10 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class SecondHarmonic(Effect):
-    """dq = a sin 2q + b cos 2q, twice per turn of the joint."""
+    """dq = a sin 2q + b cos 2q, twice per revolution of the joint."""
 
     id = "second_harmonic"
-    summary = "twice-per-turn error of a joint: coupling or ovality"
+    summary = "twice-per-revolution error of a joint: coupling or ovality"
     source = "Whitney, Lozinski and Rourke 1986; Hu 2020, harmonic model of joint modules"
     aliases = ("eccentricity", "encoder_scale", "gravity_spring")
     remedy = "move the joint over more than 180 degrees: on a short range it looks like the first harmonic"

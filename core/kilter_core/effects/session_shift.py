@@ -1,4 +1,4 @@
-"""Tool point that sits elsewhere in every session: markers or reflector put on anew."""
+"""Tool point that sits elsewhere in every session: markers or reflector mounted again."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
 USUAL = 0.2  # of the campaign, when no time constant is given
-SHARES = (0.07, 0.14, 0.27, 0.52)  # of the campaign: nearer ones look alike
+SHARES = (0.07, 0.14, 0.27, 0.52)  # of the campaign: nearer ones look the same
 TWIST = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))
 
 
@@ -23,7 +23,7 @@ TWIST = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz"
 class Settling(Effect):
     """The base frame moves by a twist times 1 − exp(−(t − t0)/τ), in its own axes.
 
-    ``tau_s`` is τ, a fifth of the rows' time when not given; a gap job tries several. ``t0_s`` is when the base stands
+    ``tau_s`` is τ, a fifth of the rows' time when not given; a gap job tries several. ``t0_s`` is when the base is
     where the geometry says; without it the first row's time, once rows are known.
     """
 

@@ -16,7 +16,7 @@ from kilter_core.types import Floats
 class ThermalDrift(Effect):
     """The base frame moves with temperature: a twist of six rates times T − T0, in its own axes.
 
-    ``reference_c`` is T0, at which the geometry holds. Whatever turns a vertical first joint with temperature does the
+    ``reference_c`` is T0, at which the geometry holds. Whatever rotates a vertical first joint with temperature does the
     same to every measurement, and so does a bending column: where one of them fits, this belongs to its class.
     """
 

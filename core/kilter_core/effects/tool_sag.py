@@ -19,7 +19,7 @@ from kilter_core.types import Floats
 
 @dataclass(frozen=True)
 class ToolSag(Effect):
-    """The tool moves, without turning, by s F/g across its axis: F is the weight of the payload, g standard gravity.
+    """The tool moves, without rotation, by s F/g across its axis: F is the weight of the payload, g standard gravity.
 
     ``axis`` is the tool's z in the frame of the last joint, from the robot: along it the adapter is stiff. The force is
     the one on the end of the last link, so it holds inertia and measured forces where the rows have them.

@@ -20,7 +20,7 @@ from kilter_core.types import Floats
 class UnknownField(Effect):
     """The tool is shifted, along the base axes, by a polynomial of its nominal place p up to ``degree``.
 
-    Of the linear part only the strain: its turns belong to the base frame, as does the constant. p is divided by
+    Of the linear part only the strain: its rotations belong to the base frame, as does the constant. p is divided by
     ``reach_m`` (the robot's own length when not given), so an amplitude is the shift in m at full reach.
     """
 

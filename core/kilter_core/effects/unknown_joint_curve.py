@@ -32,7 +32,7 @@ class UnknownJointCurve(Effect):
     empirical = True
     counted = ("joints", "partner")
 
-    orders: tuple[int, ...] = option((3, 4, 5, 6), "Waves per turn; empty: only the product with the partner.")
+    orders: tuple[int, ...] = option((3, 4, 5, 6), "Waves per revolution; empty: only the product with the partner.")
     partner: int | None = option(None, "Joint whose angle multiplies the curve, from 1; null: none.")
 
     def __post_init__(self) -> None:
@@ -46,7 +46,7 @@ class UnknownJointCurve(Effect):
         """Act on revolute joints, the partner aside."""
         if self.partner is None:
             return self.revolute(robot)
-        UnknownJointCurve(joints=(self.partner,)).revolute(robot)  # the partner must exist, and turn
+        UnknownJointCurve(joints=(self.partner,)).revolute(robot)  # the partner must exist, and be revolute
         chosen = UnknownJointCurve(joints=self.joints).revolute(robot).acting(robot.n_joints)
         return replace(self, joints=tuple(j for j in chosen if j != self.partner))
 

@@ -18,16 +18,16 @@ from kilter_core.types import Floats
 MOST_CENTRES = 60
 POSES_PER_CENTRE = 4
 LEFT = 1e-4  # share of the variance at a pose below which another centre there teaches nothing
-SLIDE_M = 0.3  # of a slide that moves freely: as far as a radian; else a third of its range
+SLIDE_M = 0.3  # of a prismatic joint that moves freely: as far as a radian; else a third of its range
 
 
 @dataclass(frozen=True)
 class UnknownResidual(Effect):
     """The tool is shifted, along the base axes, by a Gaussian process on the joints the effect ``inputs``.
 
-    Its kernel is exp(-d² / 2 length²), where d² sums 4 sin²(Δ/2) over turning joints and (Δ/slide)² over slides. Carried
-    by ``centres`` M of the poses (greedily those it is least sure of), it is a network of M radial basis functions whose
-    weights are independent with the deviation ``amplitude_m``: the fit's priors make it the process's posterior mean.
+    Its kernel is exp(-d² / 2 length²), where d² sums 4 sin²(Δ/2) over revolute joints and (Δ/travel)² over prismatic joints.
+    Carried by ``centres`` M of the poses (greedily those it is least sure of), it is a network of M radial basis functions
+    whose weights are independent with the deviation ``amplitude_m``: the fit's priors make it the process's posterior mean.
     Far from all centres the shift returns to zero.
     """
 
@@ -45,16 +45,18 @@ class UnknownResidual(Effect):
     inputs: tuple[int, ...] | None = option(None, "Joints it depends on, from 1; null: all.")
     length: float | None = option(
         None,
-        "Distance over which poses are alike, rad (slides: thirds of their travel), above 0; null: half the median distance.",
+        "Distance over which poses are similar, rad (prismatic joints: thirds of their travel), above 0; null: half the "
+        "median distance.",
         above=0.0,
     )
     amplitude_m: float = option(3e-4, "Standard deviation of the shift, m, above 0.", above=0.0)
     most_centres: int = option(MOST_CENTRES, "Most centres of the basis.", low=1)
     centres: tuple[tuple[float, ...], ...] = option(
         (),
-        "Centres of the basis, a row of joint values (rad; slides in thirds of their travel) for each; empty: from the rows.",
+        "Centres of the basis, a row of joint values (rad; prismatic joints in thirds of their travel) for each; empty: "
+        "from the rows.",
     )
-    slides_m: tuple[float, ...] = option((), "Travel that scales each joint that slides, m; empty: from the rows.")
+    slides_m: tuple[float, ...] = option((), "Travel that scales each prismatic joint, m; empty: from the rows.")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -140,7 +142,7 @@ class UnknownResidual(Effect):
 
 
 def _slide(robot: Robot, j: int) -> float:
-    """Travel (m) of a slide that counts as a radian; 0 for a joint that turns."""
+    """Travel (m) of a prismatic joint that counts as a radian; 0 for a revolute joint."""
     if robot.joints[j].kind != "prismatic":
         return 0.0
     travel = float(np.ptp(robot.limits[j]))

@@ -25,9 +25,9 @@ FULL_RANGE = math.pi  # half of what a joint without limits counts as, when ther
 class UnknownSmoothCurve(Effect):
     """dq = Σ a_m P_m(u) over the ``orders`` m: Legendre polynomials of u = (q − centre)/half, −1 to 1 over the range.
 
-    ``centres`` and ``halves`` (rad, or m at a slide) hold the range of each of the ``joints``, from the rows; outside it
-    the curve stays as it is at its end. Over less than a turn q, sin q and cos q span every smooth curve, so that the
-    torque of a hose or an error of a belt would pass for a scale error and an eccentricity.
+    ``centres`` and ``halves`` (rad, or m at a prismatic joint) hold the range of each of the ``joints``, from the rows;
+    outside it the curve stays as it is at its end. Over less than one turn q, sin q and cos q span every smooth curve, so
+    that the torque of a hose or an error of a belt would pass for a scale error and an eccentricity.
     """
 
     id = "unknown_smooth_curve"

@@ -20,7 +20,7 @@ class ZeroDrift(Effect):
     """dq = r (t − t0) per joint.
 
     ``t0_s`` is when the zero is that of the geometry; without it the first row's time, once rows are known. At a joint
-    whose axis stands still in the base, as the first one's does, it is one of the motions of ``drift``.
+    whose axis is fixed in the base, as the first one's does, it is one of the motions of ``drift``.
     """
 
     id = "zero_drift"

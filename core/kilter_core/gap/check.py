@@ -27,7 +27,7 @@ MOST_POSES = 500  # looked at: half a second
 class GapCheck:
     """What can be tested at the geometry-only fit, and what not; a search that names effects may see more by the end.
 
-    ``poses`` were looked at ``of`` those to search: what fewer poses show is told as all of them would show it.
+    ``poses`` were looked at ``of`` those to search: what fewer poses show is scaled to what all of them would show.
     """
 
     testable: tuple[Visible, ...]

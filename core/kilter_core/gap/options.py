@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.errors import OptionError
 
-# The best laser trackers promise 15 um near by, and arms return to a pose within 20 to 100 um: 5 um matters to nobody.
+# The best laser trackers promise 15 um near by, and arms return to a pose within 20 to 100 um: 5 um does not matter.
 MATTERS_UM = 5.0
 FRAME = ("free", "fixed")
 # The most that is computed on request; a search with these takes minutes, and its levels change no more.
@@ -63,12 +63,12 @@ class GapOptions:
             if not least <= getattr(self, name) <= most:
                 raise OptionError(
                     f"{name} is {getattr(self, name)}: give a number from {least} to {most}. More would keep the worker "
-                    "for hours and tell nothing more.",
+                    "for hours and show nothing more.",
                     option=name,
                 )
 
     def _numbers(self) -> None:
-        """Refuse what is no number where one is needed: 1.5 shuffles, or true."""
+        """Refuse what is not a number where one is needed: 1.5 shuffles, or true."""
         for name in ("alpha", "noise_mm", "matters_um", "seed", *MOST):
             value = getattr(self, name)
             whole = name in MOST or name == "seed"

@@ -20,7 +20,7 @@ UNTURNED = np.eye(3)  # base and tool have twists in their own axes
 class ToolColumns:
     """Derivatives of N tool poses by the joints, ``JQ (N, 6, n)``, and by the twists behind them, ``JX (N, 6, 6 n + 12)``.
 
-    ``frames (n, 3, 3)`` turn the frame after each joint's element into the joint frame.
+    ``frames (n, 3, 3)`` rotate the frame after each joint's element into the joint frame.
     """
 
     frames: Floats
@@ -119,7 +119,7 @@ class Total:
 
 
 def _in_element_frames(xi: Floats, frames: Floats) -> Floats:
-    """Turn twists (N, n, 6) from the joint frames into the frames after the joints' elements."""
+    """Rotate twists (N, n, 6) from the joint frames into the frames after the joints' elements."""
     if np.array_equal(frames, np.broadcast_to(np.eye(3), frames.shape)):
         return xi
     split = xi.reshape(len(xi), len(frames), 2, 3)

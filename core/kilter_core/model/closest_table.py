@@ -118,7 +118,7 @@ def closest_table(calibration: Calibration, convention: str) -> ClosestTable:
 
 
 def _links(robot: Robot, frames: Floats, rows: tuple[Row, ...], convention: str, base: Floats) -> tuple[Link, ...]:
-    """Bodies of the arm, as it stands with all joints at zero, in the frames of the table's rows."""
+    """Bodies of the arm, with all joints at zero, in the frames of the table's rows."""
     elements, at = (dh_elements if convention == "dh" else mdh_elements)(rows)
     table = base @ chain_frames(Chain(elements, len(rows)))
     return tuple(
@@ -133,7 +133,7 @@ def _model(robot: Robot, rows: Sequence[Row], convention: str, base: Floats, too
 
 
 def _fitted(model: RobotModel, rows: Observations, wanted: Prediction, values: Floats) -> Floats:
-    """Gauss-Newton from the exact geometry; the priors keep what the poses cannot tell where it is."""
+    """Gauss-Newton from the exact geometry; the priors keep unobservable parameters at their values."""
     # A table without β must not get one.
     fixed = {f"beta_{k + 1}" for k in range(model.robot.n_joints)} - {p.name for p in model.parameters if p.value}
     free = np.array([k for k, name in enumerate(model.names) if name not in fixed])

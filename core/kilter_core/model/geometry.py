@@ -32,7 +32,7 @@ def arm_screws(calibration: Calibration) -> Screws:
 
 
 def flange_screws(calibration: Calibration) -> Screws:
-    """Base to flange: a drop-in for the nominal chain; with the controller's tool frame behind it, the tool is true."""
+    """Base to flange: a drop-in for the nominal chain; with the controller's tool frame behind it, the tool is right."""
     return arm_screws(calibration).moved(np.eye(4), inverse(wanted_tool(calibration)))
 
 

@@ -28,8 +28,8 @@ LEFT = "collisions are not checked"
 class Region:
     """Poses that may be proposed.
 
-    ``low`` and ``high (n,)`` bound the joints. ``hulls`` hold, for each joint's origin and the tool point of the robot as
-    drawn, where it was in earlier campaigns; none when those do not bound it. ``floor`` is a height m, along the vertical
+    ``low`` and ``high (n,)`` bound the joints. ``hulls`` hold, for each joint's origin and the tool point of the nominal
+    robot, where it was in earlier campaigns; none when those do not bound it. ``floor`` is a height m, along the vertical
     in the robot's base frame, that none of these points goes below, those aside that
     no joint raises. ``box (2, 3)`` m in the frame of the measurements
     holds the tool of ``start``.
@@ -115,7 +115,7 @@ class Region:
 
     @cached_property
     def _rising(self) -> Bools:
-        """Points (n + 1,) that the joints raise and lower: no pose lifts the shoulder off its pedestal."""
+        """Points (n + 1,) that the joints raise and lower: no pose lifts the shoulder off its mount."""
         q = np.random.default_rng(0).uniform(self.low, self.high, (100, len(self.low)))
         return np.asarray(np.ptp(self._heights(q), axis=0) > STILL_M)
 
@@ -165,7 +165,7 @@ class Hull:
 
 
 def arm_points(robot: Robot, q: Floats) -> Floats:
-    """Origins of the joints, then the tool point, (N, n + 1, 3) m in the base frame of the robot as drawn."""
+    """Origins of the joints, then the tool point, (N, n + 1, 3) m in the base frame of the nominal robot."""
     program = robot.chain.program
     out = np.empty((len(q), robot.n_joints + 1, 3))
     still, rotation = np.zeros_like(q), np.empty((len(q), 3, 3))

@@ -37,7 +37,7 @@ class RobotModel:
 
     ``T_base`` and ``T_tool`` (4, 4) are the frames about which the six increments of each are taken, in their own axes;
     an identification folds the increments back into them, so there is no gimbal lock. Loads are taken on ``load_chain``,
-    the chain as drawn when None.
+    the nominal chain when None.
     """
 
     robot: Robot
@@ -78,16 +78,16 @@ class RobotModel:
         return len(self.robot.chain.named) + 12
 
     def values0(self) -> Floats:
-        """Nominal values (P,): the robot as drawn, without any effect."""
+        """Nominal values (P,): the nominal robot, without any effect."""
         return np.array([p.value for p in self.parameters], dtype=np.float64)
 
     def effect_slices(self) -> dict[str, slice]:
-        """Where the parameters of each effect stand, keyed by ``id`` or ``id#k`` for the k-th of a kind."""
+        """Where the parameters of each effect are, keyed by ``id`` or ``id#k`` for the k-th of a kind."""
         return dict(self._slices)
 
     @property
     def placed(self) -> tuple[tuple[Effect, slice], ...]:
-        """Each effect and where its parameters stand."""
+        """Each effect and where its parameters are."""
         return tuple(zip(self.effects, self._slices.values(), strict=True))
 
     @cached_property
@@ -227,7 +227,7 @@ class RobotModel:
         return out
 
     def link_angles(self, observations: Observations | Batch, values: Floats) -> Floats:
-        """Joint angles (N, n) behind gear and play: reading plus zero offset error plus the effects' corrections."""
+        """Joint angles (N, n) behind gear and backlash: reading plus zero offset error plus the effects' corrections."""
         batch = self._as_batch(observations)
         return batch.q + self._local(batch, values)[0].dq
 
@@ -323,7 +323,7 @@ class Calibration:
 
     ``wanted_base`` and ``wanted_tool`` (4, 4) are the frames in which the nominal chain says where the tool should be:
     the robot's own where the measurements were taken in them, else those of the registration. The difference to the
-    identified frames is part of the arm's error, for base and first joint, tool and last joint share what they share.
+    identified frames is part of the arm's error, because base and first joint, tool and last joint share what they share.
     """
 
     model: RobotModel
@@ -334,7 +334,7 @@ class Calibration:
 
     @staticmethod
     def nominal(robot: Robot, effects: tuple[Effect, ...] = ()) -> Calibration:
-        """The robot as drawn."""
+        """The nominal robot."""
         model = RobotModel(robot, effects)
         return Calibration(model, model.values0())
 

@@ -1,4 +1,4 @@
-"""Which joint vectors are repeats of one pose: told by their distance, never by rounding.
+"""Which joint vectors are repeats of one pose: recognised by their distance, never by rounding.
 
 Rounded readings fall apart where a pose lies near the edge between two steps: 20 poses measured three times with noise of
 a ten-thousandth of a degree became 47, and repeats of a pose sat on both sides of a split.
@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.types import Floats, Ints
 
 NEAR = 1e-4  # rad or m (6 thousandths of a degree): readings of a pose come back nearer than that in every joint
-WIDE = 3.0  # times that: rows that hang together over a wider span are a motion, whose rows are no repeats
+WIDE = 3.0  # times that: rows that hang together over a wider span are a motion, whose rows are not repeats
 STEP = 1e-5  # of the readings of a motion: rows within one are the same place
 
 
@@ -21,7 +21,7 @@ def readings(q: Floats) -> Ints:
 
 
 def numbered_rows(keys: Ints) -> Ints:
-    """Number the rows (N, n) in ascending order, equal ones alike.
+    """Number the rows (N, n) in ascending order, equal ones with the same number.
 
     As ``np.unique`` along axis 0, which sorts whole rows without letting any other thread run: a second for 200 000 rows.
     """
@@ -86,7 +86,7 @@ def _linked(q: Floats) -> Ints:
 
 
 def _hashed(keys: Ints) -> Ints:
-    """Number the rows (N, n), equal ones alike, in no order: one sort of a hash instead of a sort of rows."""
+    """Number the rows (N, n), equal ones with the same number, in no order: one sort of a hash instead of a sort of rows."""
     odd = np.random.default_rng(1).integers(0, 2**62, keys.shape[1]) * 2 + 1
     with np.errstate(over="ignore"):
         return np.asarray(np.unique((keys * odd).sum(axis=1), return_inverse=True)[1].reshape(-1).astype(np.int64))

@@ -49,11 +49,11 @@ class Observations(Conditions):
 
     Shapes: ``q (N, n)``; ``position (N, 3)`` m; ``rotation (N, 3, 3)``; ``markers (N, m, 3)`` m with NaN where a marker
     was not seen; ``tip (N, 3)`` m a point of the tool digitised while the markers were seen, NaN elsewhere; ``link_q
-    (N, n)`` the joint angle behind gear and play; ``sigma (N, 3)`` m, the standard deviation of each position coordinate;
+    (N, n)`` the joint angle behind gear and backlash; ``sigma (N, 3)`` m, the standard deviation of each position coordinate;
     ``wrench (N, 6)`` force N and moment N·m on the tool point in the tool frame; ``payload_com (N, 3)`` m, where the
     payload has its centre in the tool frame, the tool point when None. Without an instrument: ``socket``, ``plane`` and
     ``bar (N,)`` the number of the ball socket, plane or ball bar that the tool's ball is held by in a row, 0 for none;
-    ``bar_length (N,)`` m that the bar reads. ``tilt (N, n, 3)`` what each joint turned about x, y and z of its frame
+    ``bar_length (N,)`` m that the bar reads. ``tilt (N, n, 3)`` what each joint rotated about x, y and z of its frame
     beyond its command, up to a constant, as inclinometers read it, NaN where none did.
     """
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.arm.driving_order import joint_ranges, short_way
+from kilter_core.arm.driving_order import driving_order, joint_ranges
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
 from kilter_core.identify.options import IdentifyOptions
@@ -33,7 +33,7 @@ def d_optimal_poses(
     """Rows (count) that maximise the determinant of the information, within the priors, of position measurements.
 
     ``effects`` are looked for beside those of ``start``; ``noise`` is the standard deviation of a coordinate in m. Poses
-    are in ``region`` (within the limits when None), in the order of a short way. A row has ``direction`` where an effect
+    are in ``region`` (within the limits when None), in an order with short moves. A row has ``direction`` where an effect
     needs it, from either side, and ``payload_kg`` where loads matter and ``payloads_kg`` are at hand, at
     ``payload_com`` m in the tool frame; else the robot's default load where loads matter.
 
@@ -61,7 +61,7 @@ def d_optimal_poses(
         if progress is not None:
             progress((k + 1) / count)
     chosen = pool.select(np.array(picked))
-    return chosen.select(short_way(chosen.q, joint_ranges(start.robot)))
+    return chosen.select(driving_order(chosen.q, joint_ranges(start.robot)))
 
 
 def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Floats:

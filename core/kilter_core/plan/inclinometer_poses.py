@@ -1,4 +1,4 @@
-"""Configurations that tell a joint's clearance, backlash and compliance apart by inclinometer (thesis 4.4.1, 5.3)."""
+"""Configurations that separate a joint's clearance, backlash and compliance by inclinometer (thesis 4.4.1, 5.3)."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def inclinometer_poses(
     Payloads hang at ``payload_com`` m in the tool frame.
 
     Raises:
-        RobotError: limits are missing, or gravity never turns about the joint: it must be measured at the end effector.
+        RobotError: limits are missing, or gravity has no moment about the joint: it must be measured at the end effector.
 
     """
     rng = np.random.default_rng(seed)
@@ -52,7 +52,7 @@ def inclinometer_poses(
     whole, upright = regressors(robot, Observations(q, payload_kg=payload, payload_com=com))
     if np.max(np.abs(whole[:, joint, 2, 2])) < LEAST_MOMENT_NM:
         raise RobotError(
-            f"Gravity never turns about joint {robot.joints[joint].name}: an inclinometer cannot measure it. Take tool "
+            f"Gravity has no moment about joint {robot.joints[joint].name}: an inclinometer cannot measure it. Take tool "
             "positions with a payload or a sideways force instead (thesis 4.4.1).",
             field="joints",
         )

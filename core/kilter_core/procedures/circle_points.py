@@ -1,7 +1,7 @@
-"""Circle point analysis: axes from rows in which one joint moved at a time, and with them a robot nobody had drawn.
+"""Circle point analysis: axes from rows in which one joint moved at a time, and with them a robot without a description.
 
-What one joint carries goes round its axis. All points of a joint are fitted together as one rigid body that turns by the
-joint's readings, so that an arc does as well as a circle; short arcs are refused, for they say little about the middle.
+What one joint carries goes round its axis. All points of a joint are fitted together as one rigid body that rotates by the
+joint's readings, so that an arc does as well as a circle; short arcs are refused, because they say little about the middle.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from kilter_core.types import Bools, Floats, Ints
 LEAST_ROWS = 5
 LEAST_ARC = math.radians(30.0)
 LEAST_STROKE_M = 0.01
-STILL = 2e-4  # rad or m: others that move less are taken to stand
+STILL = 2e-4  # rad or m: others that move less count as at rest
 ROUND = 0.005  # share of the radius by which points may be off the circle, beside three times their noise
-SCALE = 0.05  # share by which a slide's readings and way may disagree
+SCALE = 0.05  # share by which a prismatic joint's readings and travel may disagree
 PARALLEL = 1e-3
 
 
@@ -36,8 +36,8 @@ PARALLEL = 1e-3
 class AxisFit:
     """An axis as its circle shows it, in the device's frame with the other joints at ``others (n,)``.
 
-    ``arc`` rad (m for a slide), ``radius`` m of the widest circle, ``rms`` m of the fit, and standard deviations of the
-    direction (rad) and of the place across it (m).
+    ``arc`` rad (m for a prismatic joint), ``radius`` m of the widest circle, ``rms`` m of the fit, and standard deviations of
+    the direction (rad) and of the place across it (m).
     """
 
     direction: Floats
@@ -74,9 +74,9 @@ def robot_from_circles(
 ) -> CircleRobot:
     """Find the axes of a robot from readings ``q (N, n)`` and measured ``points (N, m, 3)`` m (one point, or markers).
 
-    The base frame stands on the first axis, its z along it (``frame`` "axis"), or is the device's ("device"). The flange is
-    the measured point (the markers' middle, or the digitised ``tip (N, 3)``), turned as the markers are, or as the base.
-    ``follows`` are joints (from 0) read against the horizontal, follower -> leader: their links do not turn with the leader.
+    The base frame is on the first axis, its z along it (``frame`` "axis"), or is the device's ("device"). The flange is
+    the measured point (the markers' middle, or the digitised ``tip (N, 3)``), oriented as the markers or the base.
+    ``follows`` are joints (from 0) read against the horizontal, follower -> leader: their links do not rotate with the leader.
 
     Raises:
         ObservationError: ``joint_constant``, ``arc_too_short`` or ``circle_not_round``, naming the joint.
@@ -135,7 +135,7 @@ def _led(q: Floats, middle: Floats, fit: AxisFit, follower: AxisFit, pair: tuple
     before = [k for k in range(last) if k != leader]
     apart = float(np.abs(fit.others[before] - follower.others[before]).max(initial=0.0))
     if apart > STILL or abs(fit.direction @ follower.direction) < COUPLED:
-        what = "the axes are not parallel" if apart <= STILL else "the joints before stood elsewhere for their circles"
+        what = "the axes are not parallel" if apart <= STILL else "the joints before were elsewhere for their circles"
         raise ObservationError(
             f"Joint {last + 1} cannot follow joint {leader + 1}: {what}. Leave it out of follows, or measure both circles with "
             "the joints before at the same readings.",
@@ -155,7 +155,7 @@ def _axis(q: Floats, points: Floats, j: int, prismatic: bool) -> AxisFit:
     span = float(np.ptp(q[rows, j])) if len(rows) else 0.0
     if span < 10 * STILL:
         raise ObservationError(
-            f"{name} never moves alone: measure rows in which it moves and all others stand.",
+            f"{name} never moves alone: measure rows in which it moves and all others are at rest.",
             code="joint_constant",
             joint=j + 1,
         )
@@ -177,15 +177,15 @@ def _axis(q: Floats, points: Floats, j: int, prismatic: bool) -> AxisFit:
             joint=j + 1,
             arc=arc,
         )
-    fit = _slide if prismatic else _turn
+    fit = _prismatic_fit if prismatic else _revolute_fit
     return fit(q[seen, j], points[seen], q[seen[0]], j)
 
 
 def _alone(q: Floats, j: int) -> Ints:
-    """Rows (K,) in which the other joints stand in one place: of all such places the one with the widest arc."""
+    """Rows (K,) in which the other joints are in one place: of all such places the one with the widest arc."""
     others = np.delete(q, j, axis=1)
     # Rows in one place are near in any one direction: looking there only, many places cost no more than their number.
-    # The direction is drawn anew each time, so that no table can be made whose rows all agree along it.
+    # The direction is drawn again each time, so that no table can be made whose rows all agree along it.
     weight: Floats = np.random.default_rng().uniform(0.5, 1.0, (others.shape[1],))
     along = others @ weight
     order = np.argsort(along, kind="stable")
@@ -204,7 +204,7 @@ def _alone(q: Floats, j: int) -> Ints:
     return best
 
 
-def _turn(angle: Floats, points: Floats, others: Floats, j: int) -> AxisFit:
+def _revolute_fit(angle: Floats, points: Floats, others: Floats, j: int) -> AxisFit:
     """Fit p = P + Rot(n, angle) X for all points: n and P by least squares, every X eliminated."""
     A = np.column_stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)])
     flat = points.reshape(len(angle), -1)
@@ -241,7 +241,7 @@ def _turn(angle: Floats, points: Floats, others: Floats, j: int) -> AxisFit:
 
 
 def _circle_start(centre: Floats, cosine: Floats, sine: Floats) -> tuple[Floats, Floats]:
-    """Direction and point to start from; ellipses of short arcs still lean the right way."""
+    """Direction and point to start from; ellipses of short arcs still tilt the right way."""
     normal = np.cross(cosine, sine).sum(axis=0)
     size = float(np.linalg.norm(normal))
     z = normal / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
@@ -268,7 +268,7 @@ def _refuse_not_round(j: int, radius: float, rms: float) -> None:
     )
 
 
-def _slide(shift: Floats, points: Floats, others: Floats, j: int) -> AxisFit:
+def _prismatic_fit(shift: Floats, points: Floats, others: Floats, j: int) -> AxisFit:
     A = np.column_stack([np.ones(len(shift)), shift])
     flat = points.reshape(len(shift), -1)
     start, slope = np.linalg.lstsq(A, flat, rcond=None)[0]
@@ -285,9 +285,9 @@ def _slide(shift: Floats, points: Floats, others: Floats, j: int) -> AxisFit:
 
 
 def _at_zero(fits: Sequence[AxisFit], pairs: Mapping[int, int]) -> Screws:
-    """Axes with all joints at zero: each was seen with the joints before it wherever they stood.
+    """Axes with all joints at zero: each was seen with the joints before it wherever they were.
 
-    The axis of a follower stands twice: its leader turns it back, then it turns itself.
+    The axis of a follower comes twice: its leader rotates it back, then it rotates itself.
     """
     out = Screws(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, bool), np.zeros(0, np.int64), np.zeros(0), np.eye(4))
     for i, fit in enumerate(fits):
@@ -326,7 +326,7 @@ def _home(screws: Screws, q: Floats, points: Floats, tip: Floats | None) -> tupl
 
 
 def _on_first_axis(screws: Screws) -> Floats:
-    """Frame on the first axis where the second comes nearest; the device's own where the first joint slides."""
+    """Frame on the first axis where the second comes nearest; the device's own where the first joint is prismatic."""
     base = np.eye(4)
     if screws.prismatic[0]:
         return base

@@ -25,7 +25,7 @@ class ClearanceTiltEffect(_AtJoints):
     id: Literal["clearance_tilt"] = Field(description="Id of the effect.")
     share: Literal["thesis", "vector"] = Field(
         "thesis",
-        description="How the load is shared among x and y: `thesis` (eq. 5.16) or `vector`, whichever way the joint frame is turned.",
+        description="How the load is shared among x and y: `thesis` (eq. 5.16) or `vector`, independent of the joint frame's rotation.",
     )
     softening_nm: Annotated[float, unit("N m", ge=0.0)] | list[Annotated[float, unit("N m", ge=0.0)]] = Field(
         0.0,
@@ -62,13 +62,13 @@ class RadialComplianceEffect(_AtJoints):
 
 
 class EccentricityEffect(_AtJoints):
-    """Once-per-turn error of a joint: encoder disc or output gear off centre."""
+    """Once-per-revolution error of a joint: encoder disc or output gear off centre."""
 
     id: Literal["eccentricity"] = Field(description="Id of the effect.")
 
 
 class SecondHarmonicEffect(_AtJoints):
-    """Twice-per-turn error of a joint: coupling or ovality."""
+    """Twice-per-revolution error of a joint: coupling or ovality."""
 
     id: Literal["second_harmonic"] = Field(description="Id of the effect.")
 
@@ -102,7 +102,7 @@ class GravitySpringEffect(_AtJoints):
     id: Literal["gravity_spring"] = Field(description="Id of the effect.")
     arms_m: list[Annotated[float, unit("m")]] | None = Field(
         None,
-        description="Distances of the spring's two pins from the axis, m; null: the effect cannot be told from eccentricity.",
+        description="Distances of the spring's two pins from the axis, m; null: the effect cannot be distinguished from eccentricity.",
     )
     angle_rad: Annotated[float, unit("rad")] = Field(0.0, description="Angle between the pins at q = 0, rad.")
     free_length_m: Annotated[float, unit("m", ge=0.0)] = Field(
@@ -120,7 +120,7 @@ class LinkBendingEffect(_AtJoints):
 
 
 class BaseComplianceEffect(_Whole):
-    """Tilt of base or pedestal under the moment of the arm."""
+    """Tilt of base or its mount under the moment of the arm."""
 
     id: Literal["base_compliance"] = Field(description="Id of the effect.")
 
@@ -168,7 +168,7 @@ class DriftEffect(_Whole):
     id: Literal["drift"] = Field(description="Id of the effect.")
     t0_s: Annotated[float, unit("s")] | None = Field(
         None,
-        description="When the base stood as the geometry says, s on the clock of the rows; null: the earliest row.",
+        description="When the base was where the geometry says, s on the clock of the rows; null: the earliest row.",
     )
 
 
@@ -297,7 +297,9 @@ class UnknownJointCurveEffect(_AtJoints):
     """Error curve of a joint without a known cause."""
 
     id: Literal["unknown_joint_curve"] = Field(description="Id of the effect.")
-    orders: list[int] = Field([3, 4, 5, 6], description="Waves per turn; empty: only the product with the partner.")
+    orders: list[int] = Field(
+        [3, 4, 5, 6], description="Waves per revolution; empty: only the product with the partner."
+    )
     partner: JointNumber | None = Field(None, description="Joint whose angle multiplies the curve, from 1; null: none.")
 
 
@@ -318,7 +320,7 @@ class UnknownResidualEffect(_Whole):
     inputs: list[JointNumber] | None = Field(None, description="Joints it depends on, from 1; null: all.")
     length: Annotated[float, Field(gt=0.0)] | None = Field(
         None,
-        description="Distance over which poses are alike, rad (slides: thirds of their travel), above 0; null: half the median distance.",
+        description="Distance over which poses are similar, rad (prismatic joints: thirds of their travel), above 0; null: half the median distance.",
     )
     amplitude_m: Annotated[float, unit("m", gt=0.0)] = Field(
         0.0003, description="Standard deviation of the shift, m, above 0."
@@ -326,10 +328,10 @@ class UnknownResidualEffect(_Whole):
     most_centres: Annotated[int, Field(ge=1)] = Field(60, description="Most centres of the basis.")
     centres: list[list[float]] = Field(
         [],
-        description="Centres of the basis, a row of joint values (rad; slides in thirds of their travel) for each; empty: from the rows.",
+        description="Centres of the basis, a row of joint values (rad; prismatic joints in thirds of their travel) for each; empty: from the rows.",
     )
     slides_m: list[Annotated[float, unit("m")]] = Field(
-        [], description="Travel that scales each joint that slides, m; empty: from the rows."
+        [], description="Travel that scales each prismatic joint, m; empty: from the rows."
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.driving_order import short_way, way
+from kilter_core.arm.driving_order import driving_order, path_length
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
 from kilter_core.model.region import BESIDE_M, Hull, Region, arm_points
@@ -65,17 +65,17 @@ def test_hulls_of_flat_clouds(rank: int) -> None:
         assert not hull.holds((inside.mean(axis=0) + (2.0 if k < rank else 0.1) * axes[:, k])[None]).any()
 
 
-def test_a_short_way_is_as_short_as_the_shortest() -> None:
+def test_a_driving_order_is_as_short_as_the_shortest() -> None:
     ranges = np.array([2.0, 1.0])
     shorter = 0
     for _ in range(10):
         q = RNG.uniform(-1.0, 1.0, (7, 2)) * ranges
-        best = min(way(q[[0, *p]], ranges) for p in itertools.permutations(range(1, 7)))
-        found = way(q[short_way(q, ranges)], ranges)
+        best = min(path_length(q[[0, *p]], ranges) for p in itertools.permutations(range(1, 7)))
+        found = path_length(q[driving_order(q, ranges)], ranges)
         assert best - 1e-12 <= found <= 1.3 * best
         shorter += found < 1.01 * best
     assert shorter >= 5
     q = RNG.uniform(-1.0, 1.0, (200, 6))
-    order = short_way(q, np.ones(6))
+    order = driving_order(q, np.ones(6))
     assert sorted(order) == list(range(200))
-    assert way(q[order], np.ones(6)) < 0.7 * way(q, np.ones(6))
+    assert path_length(q[order], np.ones(6)) < 0.7 * path_length(q, np.ones(6))

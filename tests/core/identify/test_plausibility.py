@@ -241,7 +241,7 @@ TURNS = Rotation.from_matrix
         (lambda R: Rotation.from_euler("ZXZ", TURNS(R).as_euler("xyz")).as_matrix(), "look to be roll, pitch, yaw"),
         (lambda R: Rotation.from_euler("XYZ", TURNS(R).as_euler("ZYX")).as_matrix(), "look to be ZYX, read as XYZ"),
         (lambda R: Rotation.from_euler("ZYX", TURNS(R).as_euler("ZXZ")).as_matrix(), "look to be ZXZ"),
-        (lambda R: Rotation.from_euler("x", 90, degrees=True).as_matrix() @ R, "turned by 90 degrees about x"),
+        (lambda R: Rotation.from_euler("x", 90, degrees=True).as_matrix() @ R, "rotated by 90 degrees about x"),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("arm", ["ur10", "seven axes"])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.complete_models import direction_turn
+from kilter_core.arm.complete_models import rotation_to
 from kilter_core.arm.conventions import PARALLEL_RAD, Row
 from kilter_core.arm.conversions.screws import Screws, chain_frames, screws_of_chain
 from kilter_core.arm.conversions.tables import link_table
@@ -102,13 +102,13 @@ def _cpc(robot: Robot) -> Document:
     frame, rows = np.eye(4), []
     for k in range(len(screws)):
         b = frame[:3, :3].T @ screws.direction[k]
-        frame = frame @ direction_turn(b)
+        frame = frame @ rotation_to(b)
         x, y = _shifts(frame, screws, k)
         frame = frame @ _shift(x, y)
         rows.append({"type": _kind(screws, k), "b": _plain(b), "x_mm": x * 1e3, "y_mm": y * 1e3})
     end = inverse(frame) @ screws.home
     b = end[:3, 2]
-    beta = direction_turn(b)[:3, :3].T @ end[:3, :3]
+    beta = rotation_to(b)[:3, :3].T @ end[:3, :3]
     shift = end[:3, :3].T @ end[:3, 3]
     flange = {"b": _plain(b), "beta_deg": math.degrees(math.atan2(beta[1, 0], beta[0, 0]))}
     return {"rows": rows, "flange": flange | dict(zip(("x_mm", "y_mm", "z_mm"), _plain(shift * 1e3), strict=True))}
@@ -116,8 +116,8 @@ def _cpc(robot: Robot) -> Document:
 
 def _mcpc(robot: Robot) -> Document:
     screws = screws_of_chain(robot.chain).one_axis_per_joint()
-    # A first axis along the base's x is where the model is singular: then the base frame is turned about its z.
-    base = _turn("z", _to_level(screws.direction[0])) if abs(screws.direction[0, 0]) > STEEP else np.eye(4)
+    # A first axis along the base's x is where the model is singular: then the base frame is rotated about its z.
+    base = _rotation("z", _to_level(screws.direction[0])) if abs(screws.direction[0, 0]) > STEEP else np.eye(4)
     frame, rows = base, list[Document]()
     for k in range(len(screws)):
         z = frame[:3, :3].T @ screws.direction[k]
@@ -125,11 +125,11 @@ def _mcpc(robot: Robot) -> Document:
             # The joint before is given a zero in which beta is 0: with beta near 90 degrees the model would be singular.
             zero = _to_level(z)
             rows[-1]["theta_offset_deg"] = math.degrees(zero)
-            frame = frame @ _turn("z", zero)
+            frame = frame @ _rotation("z", zero)
             z = frame[:3, :3].T @ screws.direction[k]
         alpha = math.atan2(-z[1], z[2])
         beta = 0.0 if rows else math.atan2(z[0], math.hypot(z[1], z[2]))
-        frame = frame @ _turn("x", alpha) @ _turn("y", beta)
+        frame = frame @ _rotation("x", alpha) @ _rotation("y", beta)
         x, y = _shifts(frame, screws, k)
         frame = frame @ _shift(x, y)
         rows.append({
@@ -140,12 +140,12 @@ def _mcpc(robot: Robot) -> Document:
     document: Document = {"rows": rows, "flange": _xyz_flange(end)}
     if np.array_equal(base, np.eye(4)):
         return document
-    turned = {"base": pose_document(robot.T_base @ base), "gravity_m_s2": _plain(base[:3, :3].T @ robot.gravity)}
-    return document | turned
+    rotated = {"base": pose_document(robot.T_base @ base), "gravity_m_s2": _plain(base[:3, :3].T @ robot.gravity)}
+    return document | rotated
 
 
 def _to_level(z: Floats) -> float:
-    """Turn about z, a quarter at most, after which the direction ``z (3,)`` has no x."""
+    """Angle about z, 90 degrees at most, after which the direction ``z (3,)`` has no x."""
     if math.hypot(z[0], z[1]) < LEVEL:
         return 0.0
     zero = math.atan2(z[0], -z[1])
@@ -248,7 +248,7 @@ def _kind(screws: Screws, k: int) -> str:
 
 
 def _shifts(frame: Floats, screws: Screws, k: int) -> tuple[float, float]:
-    """Shift across an axis, from the frame whose z is along it to the axis; none for a sliding axis."""
+    """Shift across an axis, from the frame whose z is along it to the axis; none for a prismatic axis."""
     if screws.prismatic[k]:
         return 0.0, 0.0
     across = frame[:3, :3].T @ (screws.point[k] - frame[:3, 3])
@@ -261,7 +261,7 @@ def _shift(x: float, y: float) -> Floats:
     return out
 
 
-def _turn(axis: str, angle: float) -> Floats:
+def _rotation(axis: str, angle: float) -> Floats:
     k = "xyz".index(axis)
     a, b, out = (k + 1) % 3, (k + 2) % 3, np.eye(4)
     out[a, a] = out[b, b] = math.cos(angle)

@@ -56,7 +56,7 @@ class Screws:
         return out
 
     def one_axis_per_joint(self) -> Screws:
-        """The same arm with ratios 1, axes turned round where a ratio is -1.
+        """The same arm with ratios 1, axes reversed where a ratio is -1.
 
         Raises:
             RobotError: a joint drives more than one axis, or one with a ratio; the message names it.
@@ -71,7 +71,7 @@ class Screws:
                     joint=j + 1,
                 )
         if np.any(np.diff(self.joint) < 0):
-            raise RobotError("The joints do not stand in their order along the chain: this format cannot say so.")
+            raise RobotError("The joints are not in their order along the chain: this format cannot say so.")
         return replace(self, direction=self.direction * self.ratio[:, None], ratio=np.ones(len(self)))
 
 

@@ -60,7 +60,7 @@ class Table:
         return np.asarray(self.links[-1].pose() @ self.tool)
 
     def _row(self, k: int, link: Link) -> Row:
-        # A Hayati row of a turning joint has no d of its own unless it needs one.
+        # A Hayati row of a revolute joint has no d of its own unless it needs one.
         no_d = link.beta is not None and self.d[k] == 0.0 and not self.prismatic[k]
         return Row(
             link.alpha, link.a, float(self.theta[k]), None if no_d else float(self.d[k]), link.beta,
@@ -84,11 +84,11 @@ def link_table(screws: Screws, hayati: bool) -> Table:
     start = _start(*lines[0])
     theta, d, links, frame = [], [], [], start
     for k, (z, p) in enumerate(lines[1:], 1):
-        turned, link = _to_axis(frame, z, p, hayati, arm.home if k == len(arm) else None)
-        theta.append(_angle(frame, turned[:3, 0]))
-        d.append(float((turned[:3, 3] - frame[:3, 3]) @ frame[:3, 2]))
+        rotated, link = _to_axis(frame, z, p, hayati, arm.home if k == len(arm) else None)
+        theta.append(_angle(frame, rotated[:3, 0]))
+        d.append(float((rotated[:3, 3] - frame[:3, 3]) @ frame[:3, 2]))
         links.append(link)
-        frame = turned @ link.pose()
+        frame = rotated @ link.pose()
     return Table(np.array(theta), np.array(d), arm.prismatic, tuple(links), start, inverse(frame) @ arm.home)
 
 
@@ -101,7 +101,7 @@ def _start(z: Floats, p: Floats) -> Floats:
 
 
 def _to_axis(frame: Floats, z: Floats, p: Floats, hayati: bool, tip: Floats | None) -> tuple[Floats, Link]:
-    """Frame turned and shifted along its axis so that a link leads to the axis (z, p), and that link.
+    """Frame rotated and shifted along its axis so that a link leads to the axis (z, p), and that link.
 
     ``tip`` is the pose the last link leads to: where the tables leave a choice, it ends there.
     """
@@ -119,12 +119,12 @@ def _skew(frame: Floats, z: Floats, p: Floats) -> tuple[Floats, Link]:
     z0, p0 = frame[:3, 2], frame[:3, 3]
     x = np.cross(z0, z)
     x /= np.linalg.norm(x)
-    x = -x if _far_turn(frame, x) else x
+    x = -x if _far_rotation(frame, x) else x
     # Where the axis comes nearest: p0 + s z0.
     across = np.cross(z, x)
     s = float((p - p0) @ across / (z0 @ across))
-    turned = _with(frame, x, p0 + s * z0)
-    return turned, Link(_about(x, z0, z), float((p - turned[:3, 3]) @ x))
+    rotated = _with(frame, x, p0 + s * z0)
+    return rotated, Link(_about(x, z0, z), float((p - rotated[:3, 3]) @ x))
 
 
 def _parallel(frame: Floats, z: Floats, p: Floats, hayati: bool, tip: Floats | None) -> tuple[Floats, Link]:
@@ -140,7 +140,7 @@ def _parallel(frame: Floats, z: Floats, p: Floats, hayati: bool, tip: Floats | N
         x = x / np.linalg.norm(x)
     else:
         x = v / length
-        x, length = (-x, -length) if _far_turn(frame, x) else (x, length)
+        x, length = (-x, -length) if _far_rotation(frame, x) else (x, length)
     alpha = 0.0 if z0 @ z > 0 else math.pi
     return _with(frame, x, p0), Link(alpha, length, 0.0 if hayati else None)
 
@@ -156,19 +156,19 @@ def _hayati(frame: Floats, z: Floats, p: Floats) -> tuple[Floats, Link]:
     towards = v / np.linalg.norm(v)
     x = np.cross(np.cross(z, towards), z0)
     x /= np.linalg.norm(x)
-    if _far_turn(frame, x):
+    if _far_rotation(frame, x):
         x, towards, length = -x, -towards, -length
-    turned = _with(frame, x, p0)
-    local, along = turned[:3, :3].T @ z, turned[:3, :3].T @ towards
+    rotated = _with(frame, x, p0)
+    local, along = rotated[:3, :3].T @ z, rotated[:3, :3].T @ towards
     alpha = math.atan2(-local[1], local[2])
     beta = math.atan2(local[0], math.hypot(local[1], local[2]))
-    if along[0] < 0:  # the next axis points the other way: the same tilt, reached through half a turn about x
+    if along[0] < 0:  # the next axis points the other way: the same tilt, reached by 180 degrees about x
         length = -length
-    return turned, Link(alpha, length, beta)
+    return rotated, Link(alpha, length, beta)
 
 
-def _far_turn(frame: Floats, x: Floats) -> bool:
-    """Whether x is more than a quarter turn from the frame's: then its opposite is nearer."""
+def _far_rotation(frame: Floats, x: Floats) -> bool:
+    """Whether x is more than 90 degrees from the frame's: then its opposite is nearer."""
     return bool(frame[:3, 0] @ x < -1e-12 or (abs(frame[:3, 0] @ x) <= 1e-12 and frame[:3, 1] @ x < 0))
 
 

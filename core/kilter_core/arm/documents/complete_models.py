@@ -12,9 +12,9 @@ from kilter_core.arm.complete_models import (
     MovingAxis,
     Place,
     cpc_elements,
-    direction_turn,
     mcpc_elements,
     poe_elements,
+    rotation_to,
 )
 from kilter_core.arm.documents.parts import MM, Document, joint_of, pose_of
 from kilter_core.arm.robot import Joint
@@ -92,24 +92,26 @@ def _place(k: int, row: Document) -> Place:
         y=row.get("y_mm", 0.0) * MM,
         offset=math.radians(row.get("theta_offset_deg", 0.0)),
         prismatic=row.get("type", "revolute") == "prismatic",
-        before=direction_turn(_direction(row["b"], f"rows[{k}].b")) if "b" in row else np.eye(4),
+        before=rotation_to(_direction(row["b"], f"rows[{k}].b")) if "b" in row else np.eye(4),
     )
 
 
 def _flange(flange: Document) -> Floats:
     """Flange pose: [direction b] Rx(alpha) Ry(beta) Rz(gamma) Tx Ty Tz; for ``cpc`` R(b) Rz(beta) Tx Ty Tz."""
     shift = np.array([flange.get(f"{axis}_mm", 0.0) for axis in "xyz"]) * MM
-    turns = {name: math.radians(flange.get(f"{name}_deg", 0.0)) for name in ("alpha", "beta", "gamma")}
+    angles = {name: math.radians(flange.get(f"{name}_deg", 0.0)) for name in ("alpha", "beta", "gamma")}
     if "b" in flange:
-        turned = direction_turn(_direction(flange["b"], "flange.b")) @ _turned(0.0, 0.0, turns["beta"])
+        rotated = rotation_to(_direction(flange["b"], "flange.b")) @ _rotation(0.0, 0.0, angles["beta"])
     else:
-        turned = (
-            _turned(turns["alpha"], 0.0, 0.0) @ _turned(0.0, turns["beta"], 0.0) @ _turned(0.0, 0.0, turns["gamma"])
+        rotated = (
+            _rotation(angles["alpha"], 0.0, 0.0)
+            @ _rotation(0.0, angles["beta"], 0.0)
+            @ _rotation(0.0, 0.0, angles["gamma"])
         )
-    return np.asarray(turned @ pose_from_xyz_rpy(shift, np.zeros(3)))
+    return np.asarray(rotated @ pose_from_xyz_rpy(shift, np.zeros(3)))
 
 
-def _turned(rx: float, ry: float, rz: float) -> Floats:
+def _rotation(rx: float, ry: float, rz: float) -> Floats:
     return pose_from_xyz_rpy(np.zeros(3), np.array([rx, ry, rz]))
 
 

@@ -19,7 +19,7 @@ from kilter_core.errors import RobotError
 def robot_from_document(document: Document) -> Robot:
     """Build a robot from a document: ``chain``, ``dh``, ``mdh``, ``s_model``, ``poe``, ``cpc``, ``mcpc`` or ``preset``.
 
-    URDF is turned into ``chain`` before.
+    URDF is converted to ``chain`` before.
 
     Fields of a ``preset`` document other than those in ``_OVERRIDABLE`` come from the preset.
 

@@ -80,7 +80,7 @@ def payload_sigma_of(document: Document | None) -> tuple[float, float]:
 
 
 def load_of(document: Document | None) -> Payload | None:
-    """What the robot carries where nobody states a payload.
+    """What the robot carries where no payload is stated.
 
     Raises:
         RobotError: no mass, or a negative one.

@@ -29,7 +29,7 @@ def resolved_document(robot: Robot) -> dict[str, Any]:
         "T_tool": robot.T_tool.tolist(),
         "payload_sigma": [float(sigma) for sigma in robot.payload_sigma],
     }
-    # Only where there is one: robots of before keep their hash.
+    # Only where there is one: robots stored earlier keep their hash.
     load = robot.load
     return document | ({} if load is None else {"load": {"mass_kg": load.mass, "com_m": list(load.com)}})
 

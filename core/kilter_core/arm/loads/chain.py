@@ -23,9 +23,9 @@ class LoadChain:
     """Chain constants ``values (K,)``, those with a name in their order, and ``T_tool (4, 4)`` at which loads are computed.
 
     They are constants of a model, not its parameters: a fit holds them still, so the model stays exact in its parameters,
-    and they are taken anew between fits. Gravity stays as the robot states it, in the axes of its base frame, the foot of
+    and they are updated between fits. Gravity stays as the robot states it, in the axes of its base frame, the origin of
     the chain: the frame of the measurements has no level, so what is fitted between the two says nothing of the vertical.
-    What a fitted base takes up of the first joint's zero turns no load about an upright first axis; of an arm on a wall it
+    What a fitted base takes up of the first joint's zero rotates no load about a vertical first axis; of an arm on a wall it
     stays out of the loads.
     """
 
@@ -54,7 +54,7 @@ class LoadChain:
 
     @staticmethod
     def from_document(robot: Robot, document: Mapping[str, Any] | None) -> LoadChain | None:
-        """Rebuild from :meth:`to_document`; None, the chain as drawn, where a version has none.
+        """Rebuild from :meth:`to_document`; None, the nominal chain, where a version has none.
 
         Raises:
             OptionError: a constant that the robot does not have.

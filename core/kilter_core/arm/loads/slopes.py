@@ -17,7 +17,7 @@ from kilter_core.types import Floats
 EACH = 4  # numbers of a body: mass, then three of its place
 LIGHTEST_KG = 1e-9
 NO_COLUMNS = (-1,) * EACH  # of a body that these rows do not have
-ALONG, ABOUT = 2, 5  # components of a wrench that work on a joint: of one that slides, of one that turns
+ALONG, ABOUT = 2, 5  # components of a wrench that work on a joint: of a prismatic one, of a revolute one
 POINTS = {"wrench": 0, "axial": 0, "end_wrench": 1, "base_wrench": 2}  # where a load works, as the kernel numbers it
 NONE = np.zeros(0)
 # Components of each load that effects read together.

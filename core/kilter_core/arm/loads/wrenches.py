@@ -2,7 +2,7 @@
 
 The sign is that of the *load*: what gravity and inertia of the outboard links do to the joint, so a positive
 compliance makes a horizontal arm droop. Moments are taken at the joint readings, on the chain of the robot that is given:
-the one drawn, or one with constants that an earlier fit found (:class:`~kilter_core.arm.loads.chain.LoadChain`).
+the nominal one, or one with constants that an earlier fit found (:class:`~kilter_core.arm.loads.chain.LoadChain`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Loads:
     """Loads of N rows, force N then moment N·m.
 
     ``joints (N, n, 6)`` on each joint in its joint frame (z is the axis); ``ends (N, n, 6)`` what follows does to the
-    end of each link, about where the next joint stands (the flange for the last; a slide before it moves) but in the
+    end of each link, about the place of the next joint (the flange for the last; a prismatic joint before it moves) but in the
     frame of the link's own joint; ``base (N, 6)`` on the base about its origin, in the base frame; ``tool_point (N, 3)``
     m, the tool point in the base frame.
     """

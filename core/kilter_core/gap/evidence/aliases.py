@@ -1,4 +1,4 @@
-"""Who else could it be (E6): every candidate that does as well in the place of a chosen one, and how sure that is."""
+"""Who else could it be (E6): every candidate that does as well as a chosen one, and how sure that is."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["SAME", "Alias", "aliases_of", "correlation"]
 def aliases_of(search: SearchResult, place: int) -> tuple[Alias, ...]:
     """Rivals of a chosen candidate within the margin when swapped in, best first; empirical ones included.
 
-    The others of a class that the name cannot be told from come last, with the class's name.
+    The others of a class that the name cannot be distinguished from come last, with the class's name.
     """
     selector, gram = search.selector, search.problem.gram
     rest = tuple(k for k in search.chosen if k != place)
@@ -69,9 +69,9 @@ def _with_members(found: list[Alias], members: tuple[Alias, ...]) -> tuple[Alias
 
 
 def _holds(A: Floats, rival: Candidate, chosen: Candidate) -> bool:
-    """Whether a cause holds the chosen signature: the base turns like a first joint whose zero drifts.
+    """Whether a cause holds the chosen signature: the base rotates like a first joint whose zero drifts.
 
-    No price counts then, for no data of this kind can ever tell the two apart. A cause that imitates anything is none.
+    No price counts then, because no data of this kind can distinguish the two. A cause that imitates anything is none.
     """
     cause = not rival.empirical and rival.level != FAMILY and not rival.effects[0].supple
     return cause and correlation(A, chosen.columns, rival.columns) > HELD

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.stats import binom
 
 from kilter_core.gap.evidence.adequacy import gain, left_out_errors, left_out_floor
-from kilter_core.gap.evidence.foretold import surely_foretold
 from kilter_core.gap.evidence.intervals import inflation, interval_width
 from kilter_core.gap.evidence.posterior import SMALLEST, Posterior
+from kilter_core.gap.evidence.predicted import surely_predicted
 from kilter_core.gap.noise.motion import blocks, is_trajectory, motion_blocks
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.in_space import fit_rms, noise_rms, root_of
@@ -23,16 +23,16 @@ from kilter_core.gap.search.source import Source
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
 
-SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is no measurement
+SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is not a measurement
 SPIKES = 0.02  # share of such rows, or that of the search, above which the model cannot predict them: all then count
-SPIKES_SURE = 0.99  # chance that so many broken beams at that share are no more than counted
+SPIKES_SURE = 0.99  # chance that so many interrupted laser beams at that share are no more than counted
 
 
 @dataclass(frozen=True)
 class HeldOut:
     """Whitened errors (V, m) by the fits before and after, and how they came about.
 
-    ``lower (m, m)`` turns them back into m or rad; ``floor`` is the variance a perfect model's would have, in units of
+    ``lower (m, m)`` converts them back to m or rad; ``floor`` is the variance a perfect model's would have, in units of
     noise: a little above 1, since the model was estimated. ``set_aside`` rows were left out as spikes. Whitening
     correlated samples took ``inflation`` off their variance too.
     """
@@ -125,10 +125,10 @@ class HoldoutEvaluator:
 
     @cached_property
     def kept(self) -> Bools:
-        """Held-out rows that are measurements: all but spikes, unless those are more than broken beams make by chance.
+        """Held-out rows that are measurements: all but spikes, unless those are more than interrupted laser beams explain.
 
-        A share alone would call one broken beam among thirty rows structure, and let it decide what the others cannot. Where
-        more of the rows of the search were wrong, as many are to be expected here.
+        A share alone would call one interrupted laser beam among thirty rows structure, and let it decide what the
+        others cannot. Where more of the rows of the search were wrong, as many are to be expected here.
         """
         before, after = self.errors([]), self.errors(self.search.columns)
         spike = np.minimum(np.abs(before).max(axis=1), np.abs(after).max(axis=1)) > SPIKE * max(1.0, _scale(after))
@@ -174,11 +174,11 @@ class HoldoutEvaluator:
         return before, after
 
     def gain_of(self, place: int) -> tuple[float, float, float]:
-        """Gain by one chosen candidate beyond the others, its standard error, and how surely it was foretold."""
+        """Gain by one chosen candidate beyond the others, its standard error, and how surely it was predicted."""
         rest = self.search.selector.columns([k for k in self.search.chosen if k != place])
         without, with_ = self.errors(rest)[self.kept], self.errors(self.search.columns)[self.kept]
         group = self._groups()[self.kept]
-        return (*gain(without, with_, group), surely_foretold(without, with_, group))
+        return (*gain(without, with_, group), surely_predicted(without, with_, group))
 
     def _groups(self) -> Ints:
         """Pose of each held-out row; of motions the block."""
@@ -234,7 +234,7 @@ def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dic
     """The gap before and after in mm (rms of the 3-D error), on training and held-out poses, beside the noise.
 
     ``noise_mm`` is the standard deviation of one coordinate of a row, as everywhere. ``noise_rms_mm`` and
-    ``validation_noise_rms_mm`` are what the noise alone would give where before and after stand: lengths in space.
+    ``validation_noise_rms_mm`` are what the noise alone would give for before and after: lengths in space.
     """
     problem = search.problem
     size = problem.settings.whitener.shape[-1]

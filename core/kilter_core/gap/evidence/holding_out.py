@@ -16,7 +16,7 @@ from kilter_core.types import Ints
 SHARE = 0.25  # of the poses, held out when nothing else is asked
 FEWEST = 60  # poses from which so many can be spared
 SAME_ROW = 1e-7  # m or rad: rows closer than this in all that was measured are one row, whatever unit they came in
-COINCIDENCE = 0.01  # share of the rows of a motion that may be alike: an arm at rest reads the same twice
+COINCIDENCE = 0.01  # share of the rows of a motion that may be the same: an arm at rest reads the same twice
 
 
 def share_of(rows: Observations, validation: float | None) -> float:
@@ -82,7 +82,7 @@ def refuse_shared(rows: Observations, others: Observations, use: str) -> None:
 
 
 def shared_rows(rows: Observations, others: Observations) -> Ints:
-    """Rows of ``others`` whose joints and measured values all stand in a row of ``rows`` too; each content once."""
+    """Rows of ``others`` whose joints and measured values are all in a row of ``rows`` too; each content once."""
     one, two = _contents(rows), _contents(others)
     if one.shape[1] != two.shape[1]:
         return np.zeros(0, dtype=np.int64)
@@ -94,7 +94,7 @@ def shared_rows(rows: Observations, others: Observations) -> Ints:
 
 
 def _contents(rows: Observations) -> Ints:
-    """Joints and measured values (N, c) in steps of ``SAME_ROW``; the time is no part of them, a copy may be shifted."""
+    """Joints and measured values (N, c) in steps of ``SAME_ROW``; the time is left out, because a copy may be shifted."""
     values = (rows.position, rows.markers, rows.link_q)
     parts = [rows.q, *(v.reshape(len(rows), -1) for v in values if v is not None)]
     whole = np.nan_to_num(np.hstack(parts), nan=1e3)
@@ -102,7 +102,7 @@ def _contents(rows: Observations) -> Ints:
 
 
 def _evenly(rows: Observations, share: float, seed: int) -> tuple[Ints, Ints]:
-    """Poses measured once and poses measured again held out in the same proportion: the repeats tell the noise."""
+    """Poses measured once and poses measured again held out in the same proportion: the repeats show the noise."""
     groups = rows.pose_groups()
     again = np.bincount(groups) > 1
     rng = np.random.default_rng(seed)

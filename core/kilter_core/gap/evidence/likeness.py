@@ -1,4 +1,4 @@
-"""How alike two candidates are after geometry and the rest, and a rival with what is known of it."""
+"""How similar two candidates are after geometry and the rest, and a rival with what is known of it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HELD = 0.999  # canonical correlation from which a rival holds a signature, what
 class Alias:
     """A rival: points behind the chosen, canonical correlation given geometry and the rest, P(the chosen is wrong).
 
-    ``member`` names the class where the rival is one of a class that the chosen cannot be told from.
+    ``member`` names the class where the rival is one of a class that the chosen cannot be distinguished from.
     """
 
     place: int

@@ -16,9 +16,10 @@ PASSES = 3  # narrower signs show the masses better, which narrows them again
 
 
 def narrowed(found: SearchResult) -> SearchResult:
-    """The search with the blur of its signs made anew from the posterior of the masses, and re-fitted; itself if alike.
+    """The search with the blur of its signs made again from the posterior of the masses, and re-fitted; itself if unchanged.
 
-    While it searches the blur is that of the priors, for what is not named yet would narrow nothing, or the wrong masses.
+    While it searches the blur is that of the priors, because what is not named yet would narrow
+    nothing, or the wrong masses.
     """
     for _ in range(PASSES):
         before, found = found, _once(found)

@@ -21,7 +21,7 @@ class Posterior:
     """Covariance ``(F, F)`` SI of the free parameters ``names``, in the order of the version that holds them.
 
     ``prior_sigma (F,)`` are the widths of their priors. ``J (R, F)`` is the whitened Jacobian, None for joint data, where
-    an offset of each motion stands behind every joint's zero.
+    an offset of each motion is added to every joint's zero.
     """
 
     names: tuple[str, ...]

@@ -1,7 +1,7 @@
 """Was it seen again: the named effects on a campaign of another day, set-up or payload, with nothing selected there.
 
 Base and tool are fitted to the confirmation; the chain and all other effects stay at what the search found, within their
-covariance; the amplitude of one effect at a time is fitted anew. Replicated is what differs from zero there at 1 % and
+covariance; the amplitude of one effect at a time is fitted again. Replicated is what differs from zero there at 1 % and
 agrees with the search within three combined standard deviations.
 """
 
@@ -32,7 +32,7 @@ from kilter_core.types import Floats, Progress
 
 NONZERO = 0.01  # chance of calling an effect seen again that is not there
 AGREES = 3.0  # combined standard deviations within which two amplitudes are one
-WIDE = 1e4  # prior sigmas: amplitudes are fitted anew, without a prior
+WIDE = 1e4  # prior sigmas: amplitudes are fitted again, without a prior
 FRAMES = 9  # numbers of base and tool that a set-up has of its own, with points; three more with orientations
 
 
@@ -142,7 +142,7 @@ class Confirmation:
         )  # fmt: skip
 
     def of_parameters(self, own: tuple[str, ...], widths: Floats, positive: bool) -> Replication:
-        """Fit the parameters ``own`` anew, everything else within its covariance; ``widths`` are their prior sigmas."""
+        """Fit the parameters ``own`` again, everything else within its covariance; ``widths`` are their prior sigmas."""
         k = [self.names.index(name) for name in own]
         rest = [m for m in range(len(self.names)) if m not in k]
         L = _root(self.covariance[np.ix_(rest, rest)])

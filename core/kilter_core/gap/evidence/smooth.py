@@ -1,8 +1,8 @@
-"""Smooth errors of one joint: names that are words for a shape, where the joint moved less than a turn (trap 11).
+"""Smooth errors of one joint: names that are words for a shape, where the joint moved less than one turn (trap 11).
 
 Over ±75° q, sin q and cos q span every smooth curve, so a hose's torque fits as a scale error and an eccentricity, and a
-belt's as an eccentricity. Such a name stands only where no smooth curve with as many parameters does as well, and where
-a curve added to it improves nothing; what is true otherwise is "smooth error of joint k", and the names are its members.
+belt's as an eccentricity. Such a name is kept only where no smooth curve with as many parameters does as well, and where
+a curve added to it improves nothing; otherwise the name is "smooth error of joint k", and the names are its members.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def own_curve(candidate: Candidate, joints: set[int]) -> bool:
 
 
 def smooth_members(search: SearchResult, place: int) -> tuple[Alias, ...]:
-    """The others of the class "smooth error of joint k" where a chosen curve cannot be told from it; else none."""
+    """The others of the class "smooth error of joint k" where a chosen curve cannot be distinguished from it; else none."""
     candidate = search.selector.scorer.candidates[place]
     if not is_curve(candidate):
         return ()
@@ -83,7 +83,7 @@ def _members(search: SearchResult, place: int, joints: Sequence[int], name: str)
     made = []
     for j in joints:
         known = [n for n, c in enumerate(candidates) if c.id == UnknownSmoothCurve.id and c.joints == (j,)]
-        # A library without it has the class all the same: the name's own place stands for it.
+        # A library without it has the class all the same: the name's own place is used for it.
         most = max(known, key=lambda n: len(candidates[n].columns), default=place)
         curve = candidates[most] if known else Candidate(UnknownSmoothCurve.id, (j,), (), JOINT, empirical=True)
         made.append(Alias(most, curve, 0.0, correlation(A, own, curve.columns) if known else 1.0, EVEN, name))
@@ -110,10 +110,10 @@ class _View:
         rest = search.selector.columns([k for k in search.chosen if k != place])
         problem, candidate = search.problem, search.selector.scorer.candidates[place]
         q = problem.settings.source.batch.q
-        return _View(search, candidate, q, problem.basis(rest), residual_given(problem, rest), _turning(search))
+        return _View(search, candidate, q, problem.basis(rest), residual_given(problem, rest), _rotating(search))
 
     def partial(self, joint: int) -> bool:
-        """Whether a joint moved less than a turn; a slide never turns."""
+        """Whether a joint moved less than one turn; a prismatic joint never makes one."""
         kind = _model(self.search).robot.joints[joint].kind
         return kind != "revolute" or float(np.ptp(self.q[:, joint])) < TURN
 
@@ -138,7 +138,7 @@ class _View:
         return np.asarray(left / np.where(norm > 0.0, norm, 1.0))
 
     def curves(self, joint: int, shapes: Floats) -> Floats:
-        """Whitened effect (R, K) of turning the joint by ``shapes (V, K)``, given the rest."""
+        """Whitened effect (R, K) of rotating the joint by ``shapes (V, K)``, given the rest."""
         along = self.along(joint)
         columns = along[:, :, None] * shapes[:, None, :]
         return self._given(columns.reshape(-1, shapes.shape[1]))
@@ -224,8 +224,8 @@ def _best(pool: Floats, r: Floats, own: Floats, variance: float, price: float) -
     return None if best is None else (best[0], Q @ best[1])
 
 
-def _turning(search: SearchResult) -> Callable[[int], Floats]:
-    """Whitened change (V, m) of what was measured, per radian that a joint turns."""
+def _rotating(search: SearchResult) -> Callable[[int], Floats]:
+    """Whitened change (V, m) of what was measured, per radian that a joint rotates."""
     source, settings = search.problem.settings.source, search.problem.settings
 
     def whitened(change: Floats) -> Floats:

@@ -1,7 +1,7 @@
 """Would other poses of the same kind give the same names: the whole selection repeated on resampled poses.
 
-Every pose gets a random weight (Bayesian bootstrap), and geometry and candidates are projected and scored anew with it. Signs
-of residuals around the fit would leave the poses as they are: a name that rests on two of them would always return.
+Every pose gets a random weight (Bayesian bootstrap), and geometry and candidates are projected and scored again with
+it. Signs of residuals around the fit would leave the poses as they are: a name that rests on two of them would always return.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def _found(search: SearchResult, place: int, names: set[tuple[str, tuple[int, ..
 
 
 def _resampled(search: SearchResult, rng: np.random.Generator) -> Callable[[], Gram]:
-    """What draws a resample: poses weighted anew, on thousands of scalars in the data alone; noise where poses are few."""
+    """What draws a resample: poses weighted again, on thousands of scalars in the data alone; noise where poses are few."""
     poses = int(search.problem.settings.group.max()) + 1
     if poses < FEWEST_FLIPS:
         return lambda: _noisy(search, rng)
@@ -91,7 +91,7 @@ def _weights(poses: int, rng: np.random.Generator) -> Floats:
 
 
 def reweighted(problem: LinearizedProblem, weight: Floats) -> Gram:
-    """The linearised problem with rows weighted (R,): geometry, candidates and data projected anew."""
+    """The linearised problem with rows weighted (R,): geometry, candidates and data projected again."""
     X = np.sqrt(weight)[:, None] * np.column_stack([problem.U, problem.W, problem.y])
     p, H = problem.U.shape[1], X.T @ X
     K = np.linalg.solve(H[:p, :p] + SMALLEST * np.eye(p), H[:p, p:])

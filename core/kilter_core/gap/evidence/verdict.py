@@ -16,7 +16,7 @@ from kilter_core.gap.evidence.stability import INCLUDED
 from kilter_core.gap.search.candidates import Candidate, Library
 from kilter_core.gap.search.forward_selection import SearchResult
 
-SURE_GAIN = 3.0  # standard deviations by which held-out poses must err as foretold
+SURE_GAIN = 3.0  # standard deviations by which held-out poses must err as predicted
 SHADOWED = 0.3  # correlation with an unknown curve above which a named effect may be part of it
 CONTRADICTS = 2.0  # standard deviations on the wrong side of zero, or beyond the plausible range
 
@@ -29,7 +29,7 @@ class Evidence:
     candidate: Candidate
     aliases: tuple[Alias, ...]
     inclusion: tuple[float, float]  # of its own name, of its class
-    held_out: tuple[float, float, float]  # gain, its standard error, and how surely it was foretold
+    held_out: tuple[float, float, float]  # gain, its standard error, and how surely it was predicted
     control: Control | None
     amplitudes: tuple[Amplitude, ...]
     p_value: float
@@ -57,12 +57,12 @@ def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, misfit: Misfi
     """Pass one candidate through the gates: replicated, confirmed, class_confirmed, or provisional."""
     rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
     numbers = _numbers(search, evidence, fit, library, bool(rivals))
-    told = evidence.replication
+    replication = evidence.replication
     gates = {
         "physical": not evidence.candidate.empirical,
         "adequate": bool(fit.adequate) or misfit.small_beside(evidence.moves_mm),
         "held_out": evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN,
-        "unseen_poses": evidence.unseen_poses > 0 or (told is not None and told.replicated),
+        "unseen_poses": evidence.unseen_poses > 0 or (replication is not None and replication.replicated),
         "no_empirical_alias": len(rivals) == len(evidence.aliases)
         and not evidence.local_bump
         and not _shadowed(search, evidence),
@@ -71,30 +71,30 @@ def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, misfit: Misfi
         "inclusion": evidence.inclusion[1 if rivals else 0] >= INCLUDED,
         "negative_control": evidence.control is None or evidence.control.passed,
     }
-    if told is not None:
-        gates["confirmation"] = not told.contradicted
-    return Judged(evidence, _level(gates, rivals, told), gates, numbers, rivals)
+    if replication is not None:
+        gates["confirmation"] = not replication.contradicted
+    return Judged(evidence, _level(gates, rivals, replication), gates, numbers, rivals)
 
 
-def _level(gates: dict[str, bool], rivals: tuple[Alias, ...], told: Replication | None) -> str:
-    """The highest level that the gates allow; a class stays one, for its members return in every campaign alike."""
+def _level(gates: dict[str, bool], rivals: tuple[Alias, ...], replication: Replication | None) -> str:
+    """The highest level that the gates allow; a class stays one, because its members return in every campaign."""
     if not all(gates.values()):
         return "provisional"
     if rivals:
         return "class_confirmed"
-    return "replicated" if told is not None and told.replicated else "confirmed"
+    return "replicated" if replication is not None and replication.replicated else "confirmed"
 
 
 def _numbers(
     search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, class_: bool
 ) -> dict[str, float | None]:
     """What each gate was decided by, to be decided again with other thresholds."""
-    gain, _, foretold = evidence.held_out
-    told = evidence.replication
+    gain, _, deviations = evidence.held_out
+    replication = evidence.replication
     numbers: dict[str, float | None] = {
         "physical": float(not evidence.candidate.empirical),
         "adequate": fit.p_value,
-        "held_out": foretold if gain > 0.0 else min(foretold, 0.0),
+        "held_out": deviations if gain > 0.0 else min(deviations, 0.0),
         "unseen_poses": float(evidence.unseen_poses),
         "no_empirical_alias": nearest_shape(search, evidence.place),
         "bumped": float(evidence.local_bump),
@@ -104,7 +104,11 @@ def _numbers(
         "inclusion": evidence.inclusion[1 if class_ else 0],
         "negative_control": None if evidence.control is None else evidence.control.survived,
     }
-    return numbers if told is None else numbers | {"confirmation": told.apart, "confirmation_p": told.p_value}
+    return (
+        numbers
+        if replication is None
+        else numbers | {"confirmation": replication.apart, "confirmation_p": replication.p_value}
+    )
 
 
 def nearest_shape(search: SearchResult, place: int) -> float | None:
@@ -137,7 +141,7 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
     )
     left = "within their noise" if not misfit.too_small else "but for a difference too small to matter"
     said = {
-        "no_gap": "Nothing in the library stands out of the noise.",
+        "no_gap": "Nothing in the library is significant above the noise.",
         "closed": f"{names}: confirmed among the causes of the library. With this the model agrees with the measurements "
         f"{left}.",
         "provisional": f"{names}: likely, but not every test was passed.",

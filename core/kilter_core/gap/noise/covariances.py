@@ -88,7 +88,7 @@ def shrunk(cov: Floats, vectors: float) -> Floats:
     """Covariance with equal variances within each triple, unless the repeats clearly say otherwise.
 
     A free 3x3 covariance from ten repeats has axes wrong by half; whitening with it makes names out of the worst axis.
-    Bartlett's test of sphericity decides, and even then the estimate is drawn towards equal variances.
+    Bartlett's test of sphericity decides, and even then the estimate is pulled towards equal variances.
     """
     size = len(cov)
     target = np.zeros_like(cov)
@@ -118,7 +118,7 @@ def approach(total: Floats, known: Floats, vectors: float) -> Floats:
 
 
 def even(cov: Floats) -> Floats:
-    """Covariances (..., m, m) with one variance for points, and of poses (m 6) another for the turns."""
+    """Covariances (..., m, m) with one variance for points, and of poses (m 6) another for the rotations."""
     size = cov.shape[-1]
     step = 3 if size == 6 else size
     out = np.zeros_like(cov)

@@ -1,7 +1,7 @@
 """What repeats say of drift: parts that all visits share, and those that only grow from visit to visit.
 
-A base or an instrument that moves steadily moves every repeat alike, so its motion can be taken out of the repeats even
-where they are all far apart in time. What grows without such a pattern is told from noise by a variogram.
+A base or an instrument that moves steadily moves every repeat by the same amount, so its motion can be taken out of the
+repeats even where they are all far apart in time. What grows without such a pattern is distinguished from noise by a variogram.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SOON = 0.1  # of the campaign: repeats no further apart see little of a drift fi
 class Drift:
     """How far repeats drifted beyond noise: rms difference of a coordinate over the campaign, and per K.
 
-    ``p_value`` is the chance that stable repeats seem to. Without a clock ``timed`` is False: the order of rows stood in.
+    ``p_value`` is the chance that stable repeats seem to. Without a clock ``timed`` is False: the order of rows was used.
     """
 
     over_campaign: float
@@ -49,7 +49,7 @@ class Drift:
 class Repeats:
     """Noise of visits from their repeats: deviations (P, m), each scaled to the noise, at ``index (P,)`` visits.
 
-    ``variance (B,)`` of the scalars of each block (lengths and turns of poses are two), resting on ``vectors``
+    ``variance (B,)`` of the scalars of each block (lengths and rotations of poses are two), resting on ``vectors``
     independent deviations. ``most`` says that it may hold drift: no more than this is noise.
     """
 
@@ -62,7 +62,7 @@ class Repeats:
 
 
 def blocks_of(size: int, lengths: int | None) -> tuple[slice, ...]:
-    """Scalars of one kind: of poses lengths and turns."""
+    """Scalars of one kind: of poses lengths and rotations."""
     return (slice(0, size),) if lengths is None else (slice(0, lengths), slice(lengths, size))
 
 
@@ -128,7 +128,7 @@ def _at_no_distance(
 
 
 def _typical(residual: Floats, pairs: Pairs, blocks: tuple[slice, ...]) -> Floats:
-    """A usual difference of each scalar's kind (m,): lengths and turns are compared in these."""
+    """A usual difference of each scalar's kind (m,): lengths and rotations are compared in these."""
     d = np.abs(residual[pairs.first] - residual[pairs.second])
     out = np.ones(residual.shape[1])
     for b in blocks:

@@ -52,9 +52,9 @@ class Noise:
 
     ``freedom`` is the number of independent scalars behind it; ``absolute`` says it does not come from the fit.
     ``within`` and ``between`` are standard deviations of a coordinate (m, or rad for joint data), None when unknown;
-    of poses ``lengths`` says how many of the m scalars are lengths, None for all of them. ``drift`` is what repeats told
-    of drift; ``most`` says that they cannot tell it from noise, so that noise is this at most. ``repeats`` are the rows it
-    was read from, where repeated approaches told it. The last scalars may be of ``kinds`` beside the tool, so many of each.
+    of poses ``lengths`` says how many of the m scalars are lengths, None for all of them. ``drift`` is what repeats showed
+    of drift; ``most`` says that it may hold drift, so that noise is this at most. ``repeats`` are the rows it
+    was read from, where repeated approaches showed it. The last scalars may be of ``kinds`` beside the tool, so many of each.
     """
 
     visit: Floats
@@ -76,7 +76,7 @@ class Noise:
         return _deviation(self.row, self.lengths)
 
     def even(self) -> Noise:
-        """Equal variances for the coordinates of all points, and for those of turns: what an identification weighs by.
+        """Equal variances for the coordinates of all points, and for those of rotations: what an identification weighs by.
 
         Where the noise is the model's own error, weights by its covariance would fit another geometry than identify does
         (UR10 series B: 0.47 mm left instead of 0.43), and a name would then be confirmed for filling the difference.
@@ -114,7 +114,7 @@ class Noise:
 
 
 def spikes(residual: Floats, visits: Visits) -> Bools:
-    """Rows (N,) that stand far from the mean of the other rows of their visit: three or more rows tell which.
+    """Rows (N,) that are far from the mean of the other rows of their visit: three or more rows show which.
 
     The worst row of a visit only, then again without it: a spike pulls the mean that its neighbours are held against.
     """
@@ -168,7 +168,8 @@ def repeat_noise(
     """Noise from repeats, None when there are too few.
 
     ``residual (N, m)`` of the rows and ``visit_residual (V, m)`` of the visit means at a fit: between repeats only
-    their differences count, so the model cancels; what drifted between them is told from noise by how far they are apart.
+    their differences count, so the model cancels; what drifted between them is distinguished from noise by how far they are
+    apart.
     ``points (V, 3)`` are the measured positions, from which a tracker's line of sight is tried against one covariance
     for the whole room. ``taken`` scalars of what repeats differ by were fitted away with what follows time or temperature.
     """
@@ -202,7 +203,7 @@ def repeat_noise(
     if np.trace(beyond) > 0.0:
         # The scale of the sum is that of the repeated approaches, however well the rows within a visit are known.
         extra = approach(second(total[0]), known, k_between)
-    else:  # the approach is exact as far as anyone can see: both tell the noise of a row
+    else:  # the approach is exact as far as anyone can see: both show the noise of a row
         rows_cov = (
             rows_cov * (k_within + k_between * (1.0 + np.trace(beyond) / np.trace(known))) / (k_within + k_between)
         )

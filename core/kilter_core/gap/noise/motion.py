@@ -1,7 +1,7 @@
 """Trajectories (E10): samples of a motion are not independent, and there are too many of them.
 
 With 5 ms correlation a naive test on 4600 Hz samples false-alarms 99 %. Residuals are averaged over windows, the
-window's middle row stands for it, what correlation is left inflates the noise, and blocks of ten correlation times are
+window's middle row represents it, what correlation is left inflates the noise, and blocks of ten correlation times are
 the poses of every permutation and fold.
 """
 
@@ -21,12 +21,12 @@ MOST_WINDOWS = 6000
 BLOCK = 10.0  # correlation times
 FEWEST_BLOCKS = 30
 SMOOTH = 0.02  # step from row to row over the whole spread, below which rows are one motion
-FORESEEN = 0.25  # share of the squared steps that speeds may leave unexplained
+UNEXPLAINED = 0.25  # share of the squared steps that speeds may leave unexplained
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of a motion: ``middle (V,)`` rows that stand for them and ``window (N,)`` of every row."""
+    """Windows of a motion: ``middle (V,)`` rows that represent them and ``window (N,)`` of every row."""
 
     middle: Ints
     window: Ints
@@ -45,7 +45,7 @@ def is_trajectory(rows: Observations) -> bool:
         on = np.diff(segments(rows)) == 0
         foreseen = 0.5 * (rows.qd[1:] + rows.qd[:-1]) * np.diff(rows.t)[:, None]
         size = float(np.sum(step[on] ** 2))
-        return size > 0.0 and float(np.sum((step - foreseen)[on] ** 2)) < FORESEEN * size
+        return size > 0.0 and float(np.sum((step - foreseen)[on] ** 2)) < UNEXPLAINED * size
     spread = float(np.linalg.norm(np.std(rows.q, axis=0)))
     return bool(np.median(np.linalg.norm(step, axis=1)) < SMOOTH * spread)
 

@@ -1,7 +1,7 @@
 """A drift without any course: what a random walk, shared by all visits, takes of their repeats.
 
 Steady courses and waves that pass a test leave the finer half of a walk, and it was called noise: 20 to 28 µm where 17 was
-true. Once a drift is certain, what is left of it is smoothed by as much as the repeats themselves ask for (restricted
+right. Once a drift is certain, what is left of it is smoothed by as much as the repeats themselves ask for (restricted
 maximum likelihood).
 """
 
@@ -28,7 +28,7 @@ def walked(
 
     It goes along the first ``m`` or along all of the motions ``motion (V, m, k)``, whichever is likelier, beside the steady
     ``course (V, m, c)`` that was found. ``away (V, m)`` are residuals less the mean of their condition; ``kept (V,)`` marks
-    the repeats that are no spikes.
+    the repeats that are not spikes.
     """
     size = away.shape[1]
     scalars = float(size * (kept.sum() - len(np.unique(condition[kept]))))

@@ -1,7 +1,7 @@
 """Drift that all visits share: a base or an instrument that moves while time passes or the temperature changes.
 
-It moves every repeat alike, so it can be taken out of repeats even where all of them are far apart in time, and what is left
-between them is noise.
+It moves every repeat by the same amount, so it can be taken out of repeats even where all of them are far apart in time.
+What is left between them is noise.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from kilter_core.gap.noise.random_walk import walked
 from kilter_core.gap.noise.variogram import DRIFTED, KELVIN, QUICK, SPIKE
 from kilter_core.types import Bools, Floats, Ints
 
-FEWEST = 9.0  # scalars that the noise must rest on beside a drift, for the two to count as told apart
+FEWEST = 9.0  # scalars that the noise must rest on beside a drift, for the two to count as distinguished
 LENGTHS = 3
 WAVES = 5  # half waves over the campaign: a random walk has nine tenths of its variance in them
 MOST = 4  # clocks of one drift
@@ -133,7 +133,7 @@ def _without_walk(
 
 
 def _near(size: Floats, many: Bools) -> Bools:
-    """Which sizes (V,) are no spikes among those of the repeats."""
+    """Which sizes (V,) are not spikes among those of the repeats."""
     return np.asarray(size <= SPIKE * np.median(size[many]) / 0.6745)
 
 
@@ -148,7 +148,7 @@ def _size(motion: Floats, amounts: Floats, each: Floats) -> float:
 
 
 def _motions(count: int, size: int, points: Floats | None) -> Floats:
-    """Motions (V, m, k) that visits may share: of points a shift, a turn and a scale; else each scalar for itself."""
+    """Motions (V, m, k) that visits may share: of points a shift, a rotation and a scale; else each scalar for itself."""
     if size % LENGTHS == 0 and size != 2 * LENGTHS:
         shift = np.tile(np.eye(LENGTHS), (size // LENGTHS, 1))[None].repeat(count, axis=0)
     else:

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from kilter_core.types import Bools, Floats, Ints
 
 MANY = 8  # visits of a condition from which pairs are taken at lags of powers of two
-SPIKE = 6.0  # standard deviations at which a difference is no noise
+SPIKE = 6.0  # standard deviations at which a difference is not noise
 QUICK = 0.1  # share of the campaign in which a drift that settles does so
 KELVIN = 0.1  # range of temperature below which it was constant
 DRIFTED = 0.005  # chance, in each of two tests, that stable repeats are said to drift
@@ -117,7 +117,7 @@ def fitted(residual: Floats, pairs: Pairs, drifting: bool) -> Variogram:
 
 
 def separable(pairs: Pairs, size: int) -> float:
-    """Scalars that the noise would rest on if any one growing term had to be told from it; 0 where none could be."""
+    """Scalars that the noise would rest on if any one growing term had to be distinguished from it; 0 where none could be."""
     every, flat = np.ones(len(pairs), dtype=bool), np.ones(len(pairs))
     terms = pairs.terms
     least = np.inf
@@ -169,7 +169,7 @@ class _Exchange:
         return _Exchange(tuple(np.stack([p for p in parts if len(p) == n]).astype(np.int64) for n in sizes))
 
     def draw(self, rng: np.random.Generator) -> Ints:
-        """Which visit (V,) stands in for each."""
+        """Which visit (V,) represents each."""
         out = np.zeros(sum(g.size for g in self.groups), dtype=np.int64)
         for group in self.groups:
             out[group] = rng.permuted(group[rng.permutation(len(group))], axis=1)

@@ -33,7 +33,7 @@ def visits_of(rows: Observations) -> Visits:
     """Group the rows of one pose that follow each other under the same conditions, and average each group.
 
     A visit ends only where the arm moved in between: where another pose or condition was measured, or joint readings show
-    that it left and came back. Shots after a pause are no new approach, however long it was.
+    that it left and came back. Shots after a pause do not count as a new approach, however long it was.
     """
     pose = rows.pose_groups()
     condition = rows.conditions()

@@ -1,1 +1,1 @@
-"""What a search tells: where the error is, the report, figures, what to measure next, what is stored."""
+"""What a search reports: where the error is, the report, figures, what to measure next, what is stored."""

@@ -19,7 +19,7 @@ MOST_POINTS = 1500
 
 
 def figures(search: SearchResult, rows: Observations, gap: dict[str, Any], held: HoldoutEvaluator) -> dict[str, Any]:
-    """Plain lists, ready to be drawn; lengths in mm (deg for joint data). ``held`` are the held-out rows, if any."""
+    """Plain lists, ready to be plotted; lengths in mm (deg for joint data). ``held`` are the held-out rows, if any."""
     return {
         "residual_by_angle": [_by_angle(search, rows, j) for j in _joints(search, rows)],
         "residual_by_direction": _by_label(search, rows, "direction"),

@@ -33,7 +33,7 @@ class Place:
 
 
 def localize(problem: LinearizedProblem, rows: Observations, seed: int = 0, moving: bool = False) -> tuple[Place, ...]:
-    """Levels by how far they stand out, most significant first; contrasts before bins at equal p.
+    """Levels by how clear they are, most significant first; contrasts before bins at equal p.
 
     Samples of a motion have no pose in common, so of motions (and of poses judged in blocks) there are no contrasts.
     """

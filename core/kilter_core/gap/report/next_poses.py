@@ -1,4 +1,4 @@
-"""What to measure next (E8): poses, loads and directions that tell two explanations apart, by greedy information.
+"""What to measure next (E8): poses, loads and directions that distinguish two explanations, by greedy information.
 
 For an effect with signature w and its rival, lambda (1 - rho²) is what is left of w after geometry, the other effects
 and the rival: the inverse of w's entry in the inverse information matrix. Poses are picked one by one for the largest
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.driving_order import joint_ranges, short_way
+from kilter_core.arm.driving_order import driving_order, joint_ranges
 from kilter_core.arm.robot import Robot
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linearized import LinearizedProblem
@@ -71,13 +71,13 @@ def separate(
 
 
 def rows_of(proposals: Sequence[Proposal], names: tuple[str, str], robot: Robot) -> list[dict[str, Any]]:
-    """Proposals as documents: joint angles in degrees (slides in mm), load, directions, how much more they would tell."""
+    """Proposals as documents: joint angles in degrees (prismatic joints in mm), load, directions and gain."""
     scale = wire_scale(robot)
     return [_row(p, k, names, scale) for p in proposals for k in range(len(p.rows))]
 
 
 def wire_scale(robot: Robot) -> Floats:
-    """What a joint value (n,) in SI is multiplied by for ``q_deg``: to degrees, a slide's to mm."""
+    """What a joint value (n,) in SI is multiplied by for ``q_deg``: to degrees, a prismatic joint's to mm."""
     return np.array([1e3 if joint.kind == "prismatic" else 180.0 / np.pi for joint in robot.joints])
 
 
@@ -148,10 +148,10 @@ def _greedy(question: _Question, pool: Observations, count: int, kind: str, chan
 
 
 def _ordered(question: _Question, proposal: Proposal, needs: frozenset[str]) -> Proposal:
-    """The same poses in the order of a short way, with what is known after each, and only the conditions that matter."""
+    """The same poses in an order with short moves, with what is known after each, and only the conditions that matter."""
     rows = proposal.rows
     robot = question.problem.settings.source.model.robot
-    rows = rows.select(short_way(rows.q, joint_ranges(robot)))
+    rows = rows.select(driving_order(rows.q, joint_ranges(robot)))
     H, after = question.information(), []
     for X in question.rows(rows):
         H = H + X.T @ X

@@ -76,8 +76,8 @@ class GapReport:
 def effect_row(judged: Judged, library: Library, misfit: Misfit) -> dict[str, Any]:
     """One named effect."""
     evidence = judged.evidence
-    gain, error, foretold = evidence.held_out
-    told = evidence.replication
+    gain, error, deviations = evidence.held_out
+    replication = evidence.replication
     units = {p.name: p.unit for p in library.parameters}
     return {
         **evidence.candidate.named(),
@@ -95,10 +95,10 @@ def effect_row(judged: Judged, library: Library, misfit: Misfit) -> dict[str, An
         "too_small_to_matter": not misfit.matters(evidence.moves_mm),
         "p_value": evidence.p_value,
         "inclusion": evidence.inclusion[1 if judged.alias_set else 0],
-        "held_out_gain": {"gain": gain, "standard_error": error, "deviations": foretold},
+        "held_out_gain": {"gain": gain, "standard_error": error, "deviations": deviations},
         "gates": judged.gates,
         "evidence": judged.numbers,
-        "replication": None if told is None else told.to_document(units),
+        "replication": None if replication is None else replication.to_document(units),
         "to_confirm": to_confirm(judged),
     }
 

@@ -1,4 +1,4 @@
-"""Poses that tell two named effects apart, without a search before: the planning job's purpose "separate A from B"."""
+"""Poses that distinguish two named effects, without a search before: the planning job's purpose "separate A from B"."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ Named = tuple[str, Sequence[int] | None]  # id, joints from 0 (None: as the effe
 IMAGINED_POSES = 60
 IMAGINED_NOISE_MM = 0.05
 IMAGINED_S = 3600.0
-BARELY_SEEN = 3.0  # times what the data could just show: the amount of an effect that nobody knows yet
+BARELY_SEEN = 3.0  # times what the data could just show: the amount of an effect that is not known yet
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Proposals, best first, for telling ``labels`` apart; ``alike`` is their correlation in what was measured."""
+    """Proposals, best first, for distinguishing ``labels``; ``alike`` is their correlation in what was measured."""
 
     proposals: tuple[Proposal, ...]
     labels: tuple[str, str]
@@ -53,7 +53,7 @@ def plan_separation(
     """Poses, loads and directions that separate two effects best, given what was measured already.
 
     An effect that ``start`` holds is taken as large as it is there, another as the data say or, if they say nothing, at
-    three times what they could just see. Without ``second`` the first is told from geometry: its amount becomes surer.
+    three times what they could just see. Without ``second`` the first is distinguished from geometry: its amount becomes surer.
     Without ``observations`` a first campaign of random poses is imagined. New poses stay in ``region``: where the
     observations were when None.
 
@@ -161,7 +161,7 @@ def _amounts(prepared: Prepared, target: Candidate, begin: Calibration, measured
 
 
 def undecided(report: dict[str, Any]) -> tuple[Named, Named | None] | None:
-    """What a search's report (its document) left open: an effect and its nearest look-alike, or a name to make surer."""
+    """What a search's report (its document) left open: an effect and its nearest alias, or a name to make surer."""
 
     def named(row: dict[str, Any]) -> Named:
         joints = row.get("joints")

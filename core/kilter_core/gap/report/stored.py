@@ -46,7 +46,7 @@ class Stored:
         return load_rows(self.calibration, found.names, found.sigma, found.prior_sigma)
 
     def null_directions(self) -> list[dict[str, Any]]:
-        """What the poses cannot tell apart, as an identification says it."""
+        """What the poses cannot distinguish, as an identification says it."""
         found = self.posterior
         return [] if found.J is None else null_rows(null_directions(found.J, found.names, found.prior_sigma))
 

@@ -1,7 +1,7 @@
 """Position against orientation: what moves a joint moves both, so an effect fitted to both must fit each.
 
-On a robot arm under a laser tracker with a probe, orientations showed what looked like play of the wrist; the positions,
-which the same play must move, said the opposite. Such a name is an artefact of the instrument, not of the arm.
+On a robot arm under a laser tracker with a probe, orientations showed what looked like backlash of the wrist; the positions,
+which the same backlash must move, said the opposite. Such a name is an artefact of the instrument, not of the arm.
 """
 
 from __future__ import annotations

@@ -160,7 +160,7 @@ class _Shelf:
         cut = len(single) < len(whole.acting(self.robot.n_joints))
         self._put(kind(**{**config, "joints": tuple(single)}).on(self.robot, self.rows) if cut else whole)
         if kind is UnknownSmoothCurve:
-            return  # one order alone is no smooth curve: the first is a scale error
+            return  # one order alone is not a smooth curve: the first is a scale error
         for j, effect in single.items():
             self.candidates.append(self._candidate((effect,), (j,), JOINT))
         if len(single) > 1 and not kind.empirical and "drivers" not in config:

@@ -1,7 +1,7 @@
 """After the search: no name that chance could have given, no shape without a cause where a cause does as well.
 
 The search judged each entry before the last re-fit. Here everything is judged again at the final fit, with the null
-distribution the report quotes; and an empirical term that a physical one could replace at the same price gives way.
+distribution the report quotes; and an empirical term that a physical one could replace at the same price is replaced.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from kilter_core.gap.search.select import MARGIN
 
 
 def finalize(found: SearchResult, alpha: float) -> SearchResult:
-    """Drop and replace until every member stands at the final fit; each change is followed by a re-fit."""
+    """Drop and replace until every member is significant at the final fit; each change is followed by a re-fit."""
     seen = {frozenset(found.chosen)}
     while found.chosen:
         wrong = [k for k in found.chosen if contradicted(found, k)][:1]
@@ -46,7 +46,7 @@ def chance(found: SearchResult, place: int, alpha: float) -> float:
     """Family-wise p-value of a chosen candidate given the others, at the final fit.
 
     Where the linear statistic does not reach ``alpha``, a re-fit without the candidate decides: what it leaves more is
-    the likelihood ratio. An amplitude times an uncertain load is no straight line, and an effect far from zero whose
+    the likelihood ratio. An amplitude times an uncertain load is not linear, and an effect far from zero whose
     uncertainty is that of the loads was called chance although nothing else explained the rows.
     """
     scorer = found.selector.scorer

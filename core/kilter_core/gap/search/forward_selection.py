@@ -82,7 +82,7 @@ def search(
 def _forward_selection(
     problem: LinearizedProblem, selector: Selector, limits: Floats, options: GapOptions, progress: Progress
 ) -> SearchResult:
-    """Climb from the geometry; after every re-fit noise and outliers are judged anew by what is named by then."""
+    """Climb from the geometry; after every re-fit noise and outliers are judged again by what is named by then."""
     chosen: tuple[int, ...] = ()
     begin = problem
     scorer = selector.scorer

@@ -41,7 +41,7 @@ class Gram:
     def firm(self) -> Gram:
         """With the loads held at their values: for sets without an effect through which the errors of loads act.
 
-        Errors of the loads imitate a compliance that is there, for they scale it; one that is taken out, they cannot.
+        Errors of the loads imitate a compliance that is there, because they scale it; one that is taken out, they cannot.
         """
         return self if self.held is None or self.taken else self.held()
 

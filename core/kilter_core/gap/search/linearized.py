@@ -28,7 +28,7 @@ Tick = Callable[[], None]
 PASSES = 3  # re-fits with the scatter of doubtful signs, which follows the size of the effects
 CHANGED = 0.05  # of the noise variance: less scatter more or less changes no weight that matters
 PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as many looks at thousands of poses
-UNMOVED = 0.01  # of what is left or of the noise, rms: loads taken anew that move less are not worth the time
+UNMOVED = 0.01  # of what is left or of the noise, rms: loads computed again that move less are not worth the time
 SAMPLED = 500  # rows at most on which that is looked at, more or less: loads of thousands take seconds
 STILL = 1e-1  # change of the fit, in sigmas over all data, that counts as converged
 
@@ -82,8 +82,8 @@ class ProblemSettings:
 class LinearizedProblem:
     """Whitened, projected data at ``values``. R = V m rows, Q library columns (unit raw norm), P geometric ones.
 
-    ``y (R,)`` is what the data say with every library effect taken out; ``scale (Q,)`` turns a unit-column coefficient
-    into a parameter. ``U (R, p)`` spans the geometry; ``nu`` is the freedom left after it. Projected columns are made
+    ``y (R,)`` is what the data say with every library effect taken out; ``scale (Q,)`` converts a unit-column coefficient
+    to a parameter. ``U (R, p)`` spans the geometry; ``nu`` is the freedom left after it. Projected columns are made
     where they are asked for: those of thousands of poses fill the memory.
     """
 
@@ -217,7 +217,7 @@ def _away(source: Source, values: Floats) -> Floats:
 
 
 def go_on() -> None:
-    """Nobody asks to be told of a step."""
+    """Ignore a step."""
 
 
 def refit(settings: ProblemSettings, values: Floats, columns: Sequence[int], tick: Tick = go_on) -> LinearizedProblem:
@@ -378,7 +378,7 @@ def fitted(problem: LinearizedProblem, columns: Sequence[int]) -> tuple[Floats, 
 
 
 def _white(settings: ProblemSettings, columns: Floats) -> Floats:
-    """Whiten columns (V, m, K) where they stand; (R, K) of them."""
+    """Whiten columns (V, m, K) in their place; (R, K) of them."""
     size = max(1, MOST_NUMBERS // max(1, columns.shape[2]))
     for k in range(0, len(columns), size):
         part = slice(k, k + size)

@@ -1,8 +1,8 @@
-"""Visits that nothing in the library could explain: broken beams, wrong poses.
+"""Visits that nothing in the library could explain: interrupted laser beams, wrong poses.
 
 No visit is masked because the model under test fails there. Each is predicted from all others by geometry and the whole
-library at once, every parameter within its prior; only what stands far from that prediction is set aside, and named. The
-prediction is a redescending fit: it is not bent by those it lets go of, though they be a third of all.
+library at once, every parameter within its prior; only what is far from that prediction is set aside, and named. The
+prediction is a redescending fit: it is not bent by those it lets go of, even if they are a third of all.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ def outliers(problem: LinearizedProblem, chosen: Sequence[int] = ()) -> Bools:
     """Visits (V,) to set aside. Leave-one-out residual against geometry and library, studentised, robust scale.
 
     Where the library has more parameters than the data could fix it explains anything, a wild reading too. Then geometry
-    and the ``chosen`` columns alone predict, and a visit must stand so far out of the scatter as no smooth effect ever does.
+    and the ``chosen`` columns alone predict, and a visit must be further outside the scatter than any smooth
+    effect.
     """
     settings = problem.settings
     size = settings.whitener.shape[-1]
@@ -53,9 +54,9 @@ def stands_out(settings: ProblemSettings, values: Floats) -> bool:
 
 
 def _limit(settings: ProblemSettings) -> tuple[float, int]:
-    """Size beyond which chance puts hardly any visit, and how many numbers of a visit move alike."""
+    """Size beyond which chance puts hardly any visit, and how many numbers of a visit move together."""
     size = settings.whitener.shape[-1]
-    # Errors of the model move all markers of a tool alike: as many numbers, but no more independent ones than a point has.
+    # Errors of the model move all markers of a tool together: as many numbers, but no more independent ones than a point has.
     of_tool = settings.source.tool_numbers
     alike = of_tool // 3 if of_tool > POSE and not settings.noise.absolute else 1
     return float(np.sqrt(chi2.isf(CHANCE / len(settings.used), size / alike))), alike

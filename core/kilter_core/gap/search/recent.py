@@ -22,7 +22,7 @@ class Recent:
         self._kept: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return what ``make`` gives, made anew only where it was forgotten."""
+        """Return what ``make`` gives, made again only where it was forgotten."""
         found = self._kept.get(key)
         if found is not None:
             self._kept.move_to_end(key)

@@ -1,7 +1,7 @@
-"""After every name: what is noise, and which readings are wrong, judged anew by the model with what it knows by now.
+"""After every name: what is noise, and which readings are wrong, judged again by the model with what it knows by now.
 
 Without repeats the noise is the scatter of the fit. Frozen at the first fit it holds the gap itself: wrong readings do not
-stand out of it, and the next effect hides under the first (an arm of 0.02 mm was said to have 0.08). With repeats a name
+show above it, and the next effect hides under the first (an arm of 0.02 mm was said to have 0.08). With repeats a name
 that follows the clock or the temperature takes its share out of what they differ by, and what is left of them is the noise.
 """
 
@@ -18,13 +18,13 @@ from kilter_core.gap.search.linearized import LinearizedProblem, ProblemSettings
 from kilter_core.gap.search.outliers import LARGE, outliers, stands_out
 from kilter_core.types import Bools
 
-CHANGED = 0.02  # of the noise, from which a fit is made anew
+CHANGED = 0.02  # of the noise, from which a fit is made again
 FREER = 0.1  # of its freedom, from which the same
 ROUNDS = 3  # more of noise read from repeats and amounts fitted under it
 
 
 def renewed(problem: LinearizedProblem, columns: Sequence[int]) -> LinearizedProblem:
-    """The world re-fitted with noise and outliers as the fit with these library columns shows them; itself if alike.
+    """The problem re-fitted with noise and outliers as the fit with these columns shows them; itself if unchanged.
 
     Every visit is judged, also those set aside before: one may come back. A drift in a noise that came from repeats keeps
     the amount of the name that explains it near its prior: the noise that is left of them lets it go, in some rounds.
@@ -40,7 +40,7 @@ def renewed(problem: LinearizedProblem, columns: Sequence[int]) -> LinearizedPro
 
 def _renewed(problem: LinearizedProblem, columns: Sequence[int]) -> LinearizedProblem:
     settings = problem.settings
-    if settings.inflation > 1.0:  # rows alike in time: a disturbance cannot be told from what they have in common
+    if settings.inflation > 1.0:  # rows correlated in time: a disturbance looks like what they share
         return problem
     every = replace(settings, used=np.ones(len(settings.used), dtype=bool))
     every = _with_noise(every, problem, columns, settings.used)
@@ -55,7 +55,7 @@ def _renewed(problem: LinearizedProblem, columns: Sequence[int]) -> LinearizedPr
 
 
 def under(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequence[int] = ()) -> LinearizedProblem:
-    """A world re-fitted under the noise and outliers of another, so that the two can be compared."""
+    """A problem re-fitted under the noise and outliers of another, so that the two can be compared."""
     return problem if settings is problem.settings else refit(settings, problem.values, columns)
 
 

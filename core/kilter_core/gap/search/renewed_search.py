@@ -1,4 +1,4 @@
-"""A search judged again under the noise that its own names leave: a drift that is named is no noise any more.
+"""A search judged again under the noise that its own names leave: a drift that is named is no longer noise.
 
 A name that follows the clock or the temperature explains a part of what repeats differ by. Judged by the noise from before
 it, everything seems too good to be true, or too small to be seen.

@@ -46,7 +46,7 @@ def clock_warnings(rows: Observations) -> Iterator[Warning_]:
     clock = clock_of(rows)
     if clock.fell is None:
         return
-    done = "times are counted backwards" if clock.trusted else "the order of the rows stands in for the time"
+    done = "times are counted backwards" if clock.trusted else "the order of the rows replaces the time"
     yield {
         "code": "clock_backwards", "row": clock.fell,
         "message": f"The clock runs backwards at row {clock.fell + 1}: {done}. Give every restart of the clock a session of "
@@ -55,13 +55,13 @@ def clock_warnings(rows: Observations) -> Iterator[Warning_]:
 
 
 def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
-    """Say how far repeats drifted, or that nobody can tell."""
+    """Say how far repeats drifted, or that the rows cannot show it."""
     drift = noise.drift
     unit, scale = ("deg", 180.0 / np.pi) if joint else ("µm", 1e6)
     if drift is not None and drift.seen:
         sizes = {"over the campaign": drift.over_campaign * scale, "per K": drift.per_kelvin * scale}
         said = " and ".join(f"{v:.3g} {unit} {k}" for k, v in sizes.items() if v > 0.0) or f"0 {unit}"
-        clock = "" if drift.timed else " (by the order of the rows, for want of a clock)"
+        clock = "" if drift.timed else " (by the order of the rows, because there is no clock)"
         yield {
             "code": "repeats_drift",
             "message": f"The repeats drifted by {said}{clock}, rms of a coordinate. The noise is what is left of them at no "
@@ -70,7 +70,7 @@ def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
     if noise.most:
         yield {
             "code": "drift_not_separated",
-            "message": "The repeats are too few, or all far apart in time, so noise and drift cannot be told apart: noise is "
+            "message": "The repeats are too few, or all far apart in time, so noise and drift cannot be separated: noise is "
             "this at most, and no claim is confirmed by it. Repeat ten poses with only one other pose in between.",
         }
 

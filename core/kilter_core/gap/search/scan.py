@@ -2,7 +2,7 @@
 
 BIC is not error control: with nothing hidden "BIC improves" fires 36-61 % of the time. A name therefore needs the best
 of all candidates to beat the best of all candidates on noise (max-statistic): by a parametric bootstrap that also draws
-the noise estimate anew, and by flipping the signs of whole poses, whichever is stricter.
+the noise estimate again, and by flipping the signs of whole poses, whichever is stricter.
 """
 
 from __future__ import annotations
@@ -220,7 +220,7 @@ def null_of(problem: LinearizedProblem, scorer: Scorer, chosen: Sequence[int], d
     Signs of whole poses are flipped in what the best candidate would leave (ter Braak's residuals of the full model).
     In what geometry alone leaves, an effect that is not named yet is flipped with the noise, makes it look wild, and
     hides itself; without any effect the best candidate takes so little that the two agree. Of a motion, whose rows are
-    alike in time, all is flipped: what a disturbance and an effect have in common must not make the limit lenient.
+    correlated in time, all is flipped: what a disturbance and an effect have in common must not make the limit lenient.
     """
     rng = np.random.default_rng(seed)
     gram = problem.gram.given(chosen)
@@ -235,7 +235,7 @@ def null_of(problem: LinearizedProblem, scorer: Scorer, chosen: Sequence[int], d
 
 
 def bootstrap(gram: Gram, scorer: Scorer, draws: int, rng: np.random.Generator) -> Floats:
-    """Smallest tail probability (draws,) on Gaussian noise whose own variance is estimated anew each time."""
+    """Smallest tail probability (draws,) on Gaussian noise whose own variance is estimated again each time."""
     w, V = np.linalg.eigh(gram.A)
     keep = w > VISIBLE
     z = rng.standard_normal((draws, int(keep.sum())))

@@ -1,6 +1,6 @@
 """Selection on the linearised problem: enter the best, swap, drop, and write a family as a family.
 
-Forward selection alone leaves wrong extra names: an effect that covered for two true ones stays. Hence after each entry
+Forward selection alone leaves wrong extra names: an effect that replaced two real ones stays. Hence after each entry
 a swap pass (one for one, and two for one) and a backward pass; and an effect that most joints share is named once.
 """
 
@@ -86,7 +86,7 @@ class Selector:
     def entry(
         self, gram: Gram, chosen: Sequence[int], critical: float, banned: Sequence[int] = ()
     ) -> tuple[int | None, Scores]:
-        """Best candidate to add, None when the best is no better than noise; ``banned`` ones were tried in vain."""
+        """Best candidate to add, None when the best is no better than noise; ``banned`` ones were tried without success."""
         given = gram.given(self.columns(chosen))
         scores = self.scorer.scores(given)
         if not len(scores.p):
@@ -182,7 +182,7 @@ class Selector:
         return chosen
 
     def merged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
-        """Name an effect of most joints as a family, one of few joints by its joints, each of which must stand alone."""
+        """Name an effect of most joints as a family, one of few joints by its joints, each significant alone."""
         for effect in sorted({self.scorer.candidates[k].id for k in chosen}):
             family = [k for k, c in enumerate(self.scorer.candidates) if c.id == effect and c.level == FAMILY]
             own = [k for k in chosen if self.scorer.candidates[k].id == effect]
@@ -284,10 +284,11 @@ class Selector:
         return after if failed or self.beats(gram, after, chosen) else chosen
 
     def pair(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, int] | None:
-        """Two candidates that hide each other: alone neither stands out, since the other's share counts as noise.
+        """Two candidates that hide each other: alone neither is significant, because the other's share counts as noise.
 
         Looked for only when what is left is clearly more than noise, where that is known; where it is not, the two
-        together must stand out of what they leave as one of all pairs. Each must stand out given the other.
+        together must be significant against what they leave, as one of all pairs. Each must be significant given the
+        other.
         """
         if not self.pairs:
             return None

@@ -1,4 +1,4 @@
-"""Wrong readings or an effect that nobody knows: far visits are wrong only where nothing about the pose foretells them."""
+"""Wrong readings or an unknown effect: far visits are wrong only where nothing about the pose predicts them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from scipy.stats import binom
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.types import Bools, Floats, Ints
 
-FORETOLD = 0.01  # chance of wrong readings that seem to follow from the pose
-MOST = 0.4  # share of visits above which nobody can say which part is wrong
+PREDICTED = 0.01  # chance of wrong readings that seem to follow from the pose
+MOST = 0.4  # share of visits above which it is not known which part is wrong
 FEW = 0.08  # share up to which far visits need no gap between them and the others
 GAP = 1.5  # times the size of nearly all others that nearly all far visits must have
 FEWEST = 3  # far visits from which a pattern can be seen
@@ -18,10 +18,10 @@ DRAWS = 999
 
 
 def are_wrong(problem: LinearizedProblem, far: Bools, size: Floats) -> bool:
-    """Whether the ``far (V,)`` visits, of these sizes (V,), are wrong readings and no structure of the model's error.
+    """Whether the ``far (V,)`` visits, of these sizes (V,), are wrong readings and not structure of the model's error.
 
-    An effect, however large, follows from pose, direction, load or temperature: it strikes neighbours alike, and the same
-    pose again. Wrong readings do neither. More than a few must also stand apart from the others by a clear gap.
+    An effect, however large, follows from pose, direction, load or temperature: it affects neighbours, and the same
+    pose again. Wrong readings do neither. More than a few must also be separated from the others by a clear gap.
     """
     used = problem.settings.used
     count = int(far.sum())
@@ -29,7 +29,7 @@ def are_wrong(problem: LinearizedProblem, far: Bools, size: Floats) -> bool:
         return False
     if count > max(2, FEW * used.sum()) and not _stand_apart(size[used & ~far], size[far]):
         return False
-    return count < FEWEST or not (_again(problem, far) or _foretold(problem, far))
+    return count < FEWEST or not (_again(problem, far) or _follows_from_pose(problem, far))
 
 
 def _stand_apart(others: Floats, far: Floats) -> bool:
@@ -45,11 +45,11 @@ def _again(problem: LinearizedProblem, far: Bools) -> bool:
         other = problem.settings.used & (group == group[k]) & (np.abs(place - k) > APART * len(far))
         partners, hits = partners + int(other.sum()), hits + int((other & far).sum())
     share = float(far.sum() - 1) / max(float(problem.settings.used.sum() - 1), 1.0)
-    return partners >= FEWEST and float(binom.sf(hits - 1, partners, share)) < FORETOLD
+    return partners >= FEWEST and float(binom.sf(hits - 1, partners, share)) < PREDICTED
 
 
-def _foretold(problem: LinearizedProblem, far: Bools) -> bool:
-    """Whether any condition of the poses tells the far ones from the others: by its rank, or neighbours in its order."""
+def _follows_from_pose(problem: LinearizedProblem, far: Bools) -> bool:
+    """Whether any condition of the poses distinguishes the far ones from the others: by rank, or neighbours in order."""
     pose = np.unique(problem.settings.group, return_inverse=True)[1]
     conditions = _conditions(problem)
     mean = np.stack([np.bincount(pose, c) for c in conditions.T], axis=1) / np.bincount(pose)[:, None]
@@ -62,7 +62,7 @@ def _foretold(problem: LinearizedProblem, far: Bools) -> bool:
     scores = np.concatenate([_patterns(labels, np.argsort(c, kind="stable")) for c in varied.T], axis=1)
     spread = scores.std(axis=0)
     worst = np.max((scores - scores.mean(axis=0)) / np.where(spread > 0.0, spread, np.inf), axis=1)
-    return float(np.mean(worst >= worst[0])) < FORETOLD
+    return float(np.mean(worst >= worst[0])) < PREDICTED
 
 
 def _patterns(labels: Floats, order: Ints) -> Floats:

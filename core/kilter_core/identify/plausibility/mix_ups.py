@@ -12,7 +12,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.types import Floats
 
 DEGREES = 180.0 / np.pi
-# What the values were, what they were declared as, and what turns them into what they were.
+# What the values were, what they were declared as, and what converts them to what they were.
 LENGTHS = (
     ("millimetres", "metres", 1e-3), ("metres", "millimetres", 1e3),
     ("inches", "metres", 0.0254), ("metres", "inches", 1.0 / 0.0254),
@@ -42,7 +42,7 @@ class MixUp:
     backwards: bool = False
 
     def joints(self, q: Floats, unit: Floats) -> Floats:
-        """Joint readings (N, n) as they were meant; ``unit (n,)`` turns rad and m into degrees and mm."""
+        """Joint readings (N, n) as they were meant; ``unit (n,)`` converts rad and m to degrees and mm."""
         if self.order is not None:
             q = (q * unit)[:, list(self.order)] / unit
         if self.factor is not None:
@@ -53,10 +53,10 @@ class MixUp:
         """Points (N, 3) as they were meant."""
         return points * (self.length * (np.array([1.0, 1.0, -1.0]) if self.mirror else 1.0))
 
-    def turns(self, turns: Floats) -> Floats:
-        """Turns (N, 3, 3) that go with those points."""
+    def rotations(self, rotations: Floats) -> Floats:
+        """Rotations (N, 3, 3) that go with those points."""
         hand = np.diag([1.0, 1.0, -1.0])
-        return np.asarray(hand @ turns @ hand) if self.mirror else turns
+        return np.asarray(hand @ rotations @ hand) if self.mirror else rotations
 
 
 def wire_units(robot: Robot) -> Floats:
@@ -85,7 +85,7 @@ def mix_ups(robot: Robot) -> Iterator[MixUp]:
     for shift in (-1, 1):
         yield MixUp(
             f"Each measurement looks to be of the joints one row {'above' if shift < 0 else 'below'}",
-            "join joints and measurements by row or time anew, and upload again",
+            "join joints and measurements by row or time again, and upload again",
             shift=shift,
         )
     yield MixUp("Joints and measurements look to be in opposite order of rows", "reverse one of them", backwards=True)
@@ -114,7 +114,7 @@ def _signs(n: int) -> Iterator[MixUp]:
     for j in range(n):
         yield MixUp(
             f"Joint {j + 1} looks to count the other way round",
-            f"change the sign of the column of joint {j + 1}, or turn its axis round in the robot (ratio -1)",
+            f"change the sign of the column of joint {j + 1}, or reverse its axis in the robot (ratio -1)",
             factor=_at(n, [j], -1.0),
         )
     yield MixUp(
@@ -124,9 +124,11 @@ def _signs(n: int) -> Iterator[MixUp]:
 
 def _units(robot: Robot) -> Iterator[MixUp]:
     n = robot.n_joints
-    turning = [j for j in range(n) if robot.joints[j].kind == "revolute"]
-    groups = [([j], f"Joint {j + 1} looks") for j in turning]
-    groups += [(turning, "Joints look" if len(turning) == n else "The turning joints look")] if len(turning) > 1 else []
+    revolute = [j for j in range(n) if robot.joints[j].kind == "revolute"]
+    groups = [([j], f"Joint {j + 1} looks") for j in revolute]
+    groups += (
+        [(revolute, "Joints look" if len(revolute) == n else "The revolute joints look")] if len(revolute) > 1 else []
+    )
     for which, who in groups:
         for was, declared, factor in (("radians", "degrees", DEGREES), ("degrees", "radians", 1.0 / DEGREES)):
             yield MixUp(
@@ -134,7 +136,7 @@ def _units(robot: Robot) -> Iterator[MixUp]:
                 f"give the columns, or the column map, the unit {was}",
                 factor=_at(n, which, factor),
             )
-    for j in set(range(n)) - set(turning):
+    for j in set(range(n)) - set(revolute):
         for was, declared, factor in LENGTHS[:2]:
             yield MixUp(
                 f"Joint {j + 1} looks like {was} declared as {declared}",

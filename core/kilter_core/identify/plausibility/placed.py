@@ -18,15 +18,15 @@ from kilter_core.types import Bools, Floats, Ints
 
 ROWS = 100
 STEPS = 3
-KEPT = 0.95  # share of the rows, the nearest, that counts: a broken beam must not hide a mix-up
+KEPT = 0.95  # share of the rows, the nearest, that counts: an interrupted laser beam must not hide a mix-up
 FRAMES = 9  # numbers of a base pose and a tool point
 
 
 @dataclass(frozen=True)
 class Placed:
-    """Flange poses placed at points: ``miss (K,)`` m, base turn and place, tool point, the rms ``size`` m of what is left."""
+    """Flange poses placed at points: ``miss (K,)`` m, base rotation and place, tool point, rms ``size`` m of what is left."""
 
-    turn: Floats
+    rotation: Floats
     place: Floats
     tool: Floats
     miss: Floats
@@ -34,7 +34,7 @@ class Placed:
 
     def at(self, flange: Floats) -> Floats:
         """Points (K, 3) of flange poses (K, 4, 4)."""
-        return (flange[:, :3, 3] + flange[:, :3, :3] @ self.tool) @ self.turn.T + self.place
+        return (flange[:, :3, 3] + flange[:, :3, :3] @ self.tool) @ self.rotation.T + self.place
 
 
 def place(flange: Floats, points: Floats, limit: float = np.inf) -> Placed:
@@ -55,15 +55,15 @@ def place(flange: Floats, points: Floats, limit: float = np.inf) -> Placed:
 
 
 def _step(placed: Placed, flange: Floats, points: Floats) -> Placed:
-    """One Gauss-Newton step in the nine numbers; a faint ridge holds what the poses do not tell."""
+    """One Gauss-Newton step in the nine numbers; a faint ridge holds what the poses do not determine."""
     arm = placed.at(flange) - placed.place
-    J = np.concatenate([-skew(arm), np.tile(np.eye(3), (len(arm), 1, 1)), placed.turn @ flange[:, :3, :3]], axis=2)
+    J = np.concatenate([-skew(arm), np.tile(np.eye(3), (len(arm), 1, 1)), placed.rotation @ flange[:, :3, :3]], axis=2)
     J = J.reshape(-1, FRAMES)
     r = (points - placed.place - arm).reshape(-1)
     H = J.T @ J
     x = np.linalg.solve(H + 1e-8 * np.trace(H) * np.eye(FRAMES), J.T @ r)
-    turn = nearest_rotation((np.eye(3) + skew(x[None, :3])[0]) @ placed.turn)
-    return replace(placed, turn=turn, place=placed.place + x[3:6], tool=placed.tool + x[6:])
+    rotation = nearest_rotation((np.eye(3) + skew(x[None, :3])[0]) @ placed.rotation)
+    return replace(placed, rotation=rotation, place=placed.place + x[3:6], tool=placed.tool + x[6:])
 
 
 def _measured(placed: Placed, flange: Floats, points: Floats) -> Placed:
@@ -82,14 +82,14 @@ def _near(miss: Floats) -> Bools:
 class Sample:
     """Up to ``ROWS`` rows of a campaign, in the order they were measured; ``row`` are their numbers from 0.
 
-    ``points (K, 3)`` and, where measured, ``turns (K, 3, 3)`` are of the tool; ``beside`` are the joints of rows a step away,
-    ``opposite`` those of the row as far from the end.
+    ``points (K, 3)`` and, where measured, ``rotations (K, 3, 3)`` are of the tool. ``beside`` are the joints of rows a
+    step away, ``opposite`` those of the row as far from the end.
     """
 
     begin: Calibration
     q: Floats
     points: Floats
-    turns: Floats | None
+    rotations: Floats | None
     row: Ints
     session: Ints
     beside: dict[int, Floats]
@@ -102,17 +102,17 @@ class Sample:
         o = measurement.observations
         first = np.unique(o.pose_groups(), return_index=True)[1]
         row = np.sort(first)[np.unique(np.linspace(0, len(first) - 1, min(ROWS, len(first))).astype(np.int64))]
-        points, turns, use = _seen(measurement, o.select(row))
+        points, rotations, use = _seen(measurement, o.select(row))
         row, q, last = row[use], o.q, len(o) - 1
         session = np.zeros(len(row), dtype=np.int64) if o.session is None else o.session[row]
         # The rows of a session stay together, those of one in time.
         order = np.lexsort((row if o.t is None else o.t[row], session))
         row, session = row[order], session[order]
         beside = {k: q[(row + k) % len(q)] for k in (-1, 1)}
-        turns = None if turns is None else turns[use][order]
+        rotations = None if rotations is None else rotations[use][order]
         bare = begin.with_effects(())
         bare = replace(bare, model=bare.model.in_frames(np.eye(4), np.eye(4)))
-        return Sample(bare, q[row], points[use][order], turns, row, session, beside, q[last - row])
+        return Sample(bare, q[row], points[use][order], rotations, row, session, beside, q[last - row])
 
     def __len__(self) -> int:
         return len(self.q)
@@ -121,7 +121,7 @@ class Sample:
         """Some of the rows."""
         return replace(
             self, q=self.q[index], points=self.points[index], row=self.row[index], session=self.session[index],
-            turns=None if self.turns is None else self.turns[index], opposite=self.opposite[index],
+            rotations=None if self.rotations is None else self.rotations[index], opposite=self.opposite[index],
             beside={k: q[index] for k, q in self.beside.items()},
         )  # fmt: skip
 
@@ -131,7 +131,7 @@ class Sample:
         q = self.opposite if mix_up.backwards else self.beside[mix_up.shift] if mix_up.shift else self.q
         return replace(
             self, q=mix_up.joints(q, unit), limit=self.limit * max(1.0, mix_up.length), points=mix_up.points(self.points),
-            turns=None if self.turns is None else mix_up.turns(self.turns),
+            rotations=None if self.rotations is None else mix_up.rotations(self.rotations),
             beside={k: mix_up.joints(v, unit) for k, v in self.beside.items()},
             opposite=mix_up.joints(self.opposite, unit),
         )  # fmt: skip

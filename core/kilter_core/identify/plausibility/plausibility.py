@@ -1,7 +1,7 @@
 """Whether observations belong to the robot: a mix-up is named when it explains them far better than any physics could.
 
-The size of a residual accuses nobody. A compliant arm, a home-made one or a fit that did not end leave a lot, and yet no
-exchange of columns makes it small. A mix-up is certain when undoing it takes the residual of the registration (base and
+The size of a residual alone proves no mix-up. A compliant arm, a home-made one or a fit that did not end leave a lot, and yet
+no exchange of columns makes it small. A mix-up is certain when undoing it takes the residual of the registration (base and
 tool alone) down by ``FACTOR`` and to less than ``GOOD`` of the workspace: geometry and loads leave that in the right
 reading too, and in a wrong one nothing but chance takes a fifth.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.identify.plausibility.mix_ups import LENGTHS, MixUp, mix_ups
-from kilter_core.identify.plausibility.orientation_mix_ups import turn_faults
+from kilter_core.identify.plausibility.orientation_mix_ups import rotation_faults
 from kilter_core.identify.plausibility.placed import ROWS, Placed, Sample, place
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.marker_checks import equal_markers
@@ -65,9 +65,9 @@ def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[s
     found = _diagnosed(sample) or _changed(sample) or _in_part(sample)
     if found is not None:
         _refuse(found.sentences, found.remedies, found.before * 1e3, found.after * 1e3, "mm")
-    if sample.turns is None or _far(sample):
+    if sample.rotations is None or _far(sample):
         return copied
-    accused, warnings = turn_faults(sample, o.rotation is not None)
+    accused, warnings = rotation_faults(sample, o.rotation is not None)
     if accused is not None:
         _refuse(*accused, "deg")
     return (*copied, *warnings)
@@ -200,7 +200,7 @@ def _apart(sample: Sample, cut: int) -> tuple[float, Placed, Placed]:
 
 def _what_moved(late: Sample, head: Placed, tail: Placed, size: float) -> str:
     """Whether another tool point explains the later rows with the base of the earlier ones, or the other way round."""
-    local = (late.points - head.place) @ head.turn - late.flange[:, :3, 3]
+    local = (late.points - head.place) @ head.rotation - late.flange[:, :3, 3]
     held = np.einsum("nji,nj->ni", late.flange[:, :3, :3], local)
     tool = float(np.sqrt(np.mean(np.sum((held - np.median(held, axis=0)) ** 2, axis=1))))
     return (

@@ -1,10 +1,10 @@
-"""Whether a drawn circle is told from the right quarter point. The robot's model decides: the paper looks alike from all.
+"""Whether a drawn circle starts at the right quarter point. The robot's model decides: the paper looks the same from all.
 
-A circle with four marked points does not change when it is turned by quarters, so the points fit in four orders. What
+A circle with four marked points does not change when it is rotated by quarters, so the points fit in four orders. What
 was drawn fits in one: errors that belong to one place of the circle fit the robot there and nowhere else. For each
 order the errors in the paper's plane are carried to where they would belong and explained by the base, the joint
 offsets and small errors of the geometry; the logarithms of the likelihoods say which order it was. (The points the
-other way round would turn the paper's face down, which the client refuses.)
+other way round would put the paper face down, which the client refuses.)
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class SheetOrder:
 
     @property
     def unseen(self) -> bool:
-        """Whether what was drawn fits several orders alike."""
+        """Whether what was drawn fits several orders equally."""
         return self.clear <= LIKELY and not self.wrong and not self.doubtful
 
     def sentence(self) -> str:
@@ -70,7 +70,7 @@ class SheetOrder:
 
 
 def sheet_order(robot: Robot, rows: Observations) -> SheetOrder | None:
-    """Find the order of the quarter points that fits the robot best; None where the rows are no circle all around."""
+    """Find the order of the quarter points that fits the robot best; None where the rows do not make a whole circle."""
     circle = _around(robot, rows)
     if circle is None:
         return None
@@ -93,25 +93,25 @@ class _Circle:
 
     centre: Floats
     radius: float
-    turn: Floats
+    angle: Floats
     ways: Floats
     harmonics: Floats
     sigma: Floats
 
     def carried(self, quarters: int) -> Floats:
         """Positions (n, 3) if the points were given ``quarters`` too late; heights were logged, and stay."""
-        there, here = (_basis(turn) @ self.harmonics for turn in (self.turn - quarters * np.pi / 2, self.turn))
+        there, here = (_basis(angle) @ self.harmonics for angle in (self.angle - quarters * np.pi / 2, self.angle))
         error = np.column_stack([there[:, 0] + self.radius, there[:, 1], here[:, 2]])
         return np.asarray(self.centre + np.einsum("nk,nkj->nj", error, self.ways))
 
 
-def _basis(turn: Floats) -> Floats:
-    waves = [wave(k * turn) for k in range(1, HARMONICS + 1) for wave in (np.cos, np.sin)]
-    return np.stack([np.ones_like(turn), *waves], axis=1)
+def _basis(angle: Floats) -> Floats:
+    waves = [wave(k * angle) for k in range(1, HARMONICS + 1) for wave in (np.cos, np.sin)]
+    return np.stack([np.ones_like(angle), *waves], axis=1)
 
 
 def _around(robot: Robot, rows: Observations) -> _Circle | None:
-    """The circle the rows were drawn along; angles are those of the robot as drawn, which a sheet does not move."""
+    """The circle the rows were drawn along; angles are those of the nominal robot, which a sheet does not move."""
     if rows.position is None or len(rows) < FEWEST:
         return None
     p = rows.position
@@ -125,15 +125,15 @@ def _around(robot: Robot, rows: Observations) -> _Circle | None:
     if _clockwise(wanted):
         axes = axes * [1.0, -1.0, -1.0]
         local, wanted = local * [1.0, -1.0, -1.0], wanted * [1.0, -1.0, -1.0]
-    turn = np.arctan2(wanted[:, 1], wanted[:, 0])
-    ahead = (np.arctan2(local[:, 1], local[:, 0]) - turn + np.pi) % (2 * np.pi) - np.pi
+    angle = np.arctan2(wanted[:, 1], wanted[:, 0])
+    ahead = (np.arctan2(local[:, 1], local[:, 0]) - angle + np.pi) % (2 * np.pi) - np.pi
     error = np.stack([np.hypot(local[:, 0], local[:, 1]) - radius, radius * ahead, local[:, 2]], axis=1)
-    gaps = np.diff(np.sort(turn), append=np.min(turn) + 2 * np.pi)
+    gaps = np.diff(np.sort(angle), append=np.min(angle) + 2 * np.pi)
     if np.abs(error).max() > ROUND * radius or gaps.max() > WIDEST:
         return None
-    c, s, zero, one = np.cos(turn), np.sin(turn), np.zeros(len(p)), np.ones(len(p))
+    c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros(len(p)), np.ones(len(p))
     ways = np.stack([np.stack(way, axis=1) for way in ((c, s, zero), (-s, c, zero), (zero, zero, one))], axis=1)
-    return _Circle(centre, radius, turn, ways @ axes.T, *_smoothed(turn, error))
+    return _Circle(centre, radius, angle, ways @ axes.T, *_smoothed(angle, error))
 
 
 def _clockwise(wanted: Floats) -> bool:
@@ -142,9 +142,9 @@ def _clockwise(wanted: Floats) -> bool:
     return float(np.median(x[:-1] * y[1:] - x[1:] * y[:-1])) < 0
 
 
-def _smoothed(turn: Floats, error: Floats) -> tuple[Floats, Floats]:
-    """Harmonics (2 HARMONICS + 1, 3) of the errors, and the sigma (3,) of one row that stands for noise and model."""
-    B = _basis(turn)
+def _smoothed(angle: Floats, error: Floats) -> tuple[Floats, Floats]:
+    """Harmonics (2 HARMONICS + 1, 3) of the errors, and the sigma (3,) of one row that covers noise and model."""
+    B = _basis(angle)
     harmonics = np.linalg.lstsq(B, error, rcond=None)[0]
     noise = np.sum((error - B @ harmonics) ** 2, axis=0) / max(len(B) - B.shape[1], 1)
     size = float(np.sqrt(np.mean((B @ harmonics)[:, :2] ** 2)))
@@ -184,7 +184,7 @@ def _free(model: RobotModel) -> tuple[Ints, Floats]:
 
 
 def _in_place(robot: Robot, rows: Observations) -> tuple[RobotModel, Floats]:
-    """The robot as drawn with its base where it fits the rows best, and where it then puts the tool (n, 3)."""
+    """The nominal robot with its base where it fits the rows best, and where it then puts the tool (n, 3)."""
     assert rows.position is not None
     nominal = Calibration.nominal(robot)
     found = nominal.predict(rows).position

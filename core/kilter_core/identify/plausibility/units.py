@@ -10,7 +10,7 @@ from kilter_core.observations import Observations
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Floats
 
-# true size over stated size -> what was called what, for values said to be in mm
+# real size over stated size -> what was called what, for values said to be in mm
 FACTORS = (1e-3, 1 / 25.4, 1e-2, 0.1, 10.0, 25.4, 100.0, 1e3)
 LEAST_MOTION_M = 0.02
 GOOD, BAD = 0.05, 0.25  # of the motion is left when the points fit the robot, and when they do not
@@ -20,7 +20,7 @@ ROUNDS = 30
 def unit_factor(robot: Robot, q: Floats, points: Floats) -> float | None:
     """By how much ``points (N, 3)`` m must be multiplied to fit the robot at joints ``q (N, n)``; None where they may fit.
 
-    The point may sit anywhere on the tool and the instrument stand anywhere: both are fitted for every factor.
+    The point may sit anywhere on the tool and the instrument may be anywhere: both are fitted for every factor.
     """
     seen = ~np.isnan(points).any(axis=1)
     model = Calibration.nominal(robot).model

@@ -4,7 +4,7 @@ Three shots of one stop share the way the arm settled, and repeats of a pose sha
 are one piece of evidence, not three. The covariance is a sandwich clustered by pose. Its middle is what the scatter of
 all poses together says, one covariance of what rows of a pose share and one of what they do not; and, as far as poses
 differ by more than chance, what each pose itself says (Liang and Zeger 1986, corrected as CR2 of Bell and McCaffrey
-2002; mixed as Ledoit and Wolf 2004). By the poses alone, combinations of parameters would look certain, for there are
+2002; mixed as Ledoit and Wolf 2004). By the poses alone, combinations of parameters would look certain, because there are
 fewer poses than it takes to see them scatter.
 """
 
@@ -41,7 +41,7 @@ def clustered(fit: Fit) -> Fit:
         return fit
     A, r = by_row(fit)
     if len(fit.J) > A.shape[0] * A.shape[1]:
-        return fit  # a filter goes on from what it knew, and takes what it is told of the noise
+        return fit  # a filter goes on from what it knew, and takes the noise it is given
     total = _products(A, A)
     eye = np.eye(len(total))
     held = eye[:0] if problem.held is None else problem.held
@@ -86,7 +86,7 @@ def _seen(fit: Fit) -> Floats | None:
 
 
 def _shared(A: Floats, r: Floats, L: Floats, groups: Ints, lost: float, seen: Floats | None = None) -> Floats:
-    """Covariance (F, F) of the scores, had all poses scatter alike: shared by the rows of a pose, and each row's own.
+    """Covariance (F, F) of the scores, had all poses the same scatter: shared by the rows of a pose, and each row's own.
 
     ``L (N, R, n)`` are the levers of the joints; ``lost`` makes up for what the parameters took from the poses. Residuals
     that are zero for want of a reading say nothing of the scatter: ``seen (R,)`` makes up for those.
@@ -121,9 +121,9 @@ def _by_pose(A: Floats, r: Floats, groups: Ints, bread: Floats) -> tuple[Floats,
         shown, V = np.linalg.eigh(np.eye(J.shape[1]) - J @ bread @ J.transpose(0, 2, 1))
         seen = shown > FOLLOWED
         root = np.where(seen, 1.0 / np.sqrt(np.where(seen, shown, 1.0)), 0.0)
-        turned = V.transpose(0, 2, 1) @ J
-        scores.append(np.einsum("gn,gnp->gp", root * np.einsum("gmn,gm->gn", V, e), turned))
-        hidden = (turned * ~seen[:, :, None]).reshape(-1, J.shape[2])
+        rotated = V.transpose(0, 2, 1) @ J
+        scores.append(np.einsum("gn,gnp->gp", root * np.einsum("gmn,gm->gn", V, e), rotated))
+        hidden = (rotated * ~seen[:, :, None]).reshape(-1, J.shape[2])
         unseen += hidden.T @ hidden
     return np.concatenate(scores), unseen
 
@@ -153,15 +153,15 @@ def _bounded(common: Floats, own: Floats, most: int) -> Floats:
     w, V = np.linalg.eigh(own)
     root = V * np.sqrt(np.maximum(w, SMALL * max(float(w[-1]), SMALL)))
     relative = np.linalg.solve(root, np.linalg.solve(root, common).T)
-    size, turn = np.linalg.eigh(0.5 * (relative + relative.T))
-    sides = root @ turn
+    size, rotation = np.linalg.eigh(0.5 * (relative + relative.T))
+    sides = root @ rotation
     return np.asarray((sides * np.maximum(size, -0.9 / most)) @ sides.T)
 
 
 def _batches(A: Floats, r: Floats, groups: Ints) -> Iterator[tuple[Floats, Floats]]:
     """Jacobians (K, n, F) and residuals (K, n) of the poses, those of as many rows together.
 
-    A pose of more numbers than parameters is turned into as many numbers as parameters, which say the same of them.
+    A pose of more numbers than parameters is reduced to as many numbers as parameters, which say the same of them.
     """
     order = np.argsort(groups, kind="stable")
     count = np.bincount(groups)

@@ -23,7 +23,7 @@ CLOSE = 0.01  # of the quantile, at which an end counts as found
 class Intervals:
     """Moves ``lower`` and ``upper (F,)`` SI from the fitted values that bound 95 % of what each parameter may be.
 
-    ``stands_in (F,)`` marks parameters whose profile has no minimum to follow: 1.96 sigma stand in.
+    ``stands_in (F,)`` marks parameters whose profile has no minimum to follow: 1.96 sigma replace it.
     """
 
     kind: str
@@ -115,13 +115,13 @@ def _root(fit: Fit, c: int, move: float) -> float:
     held = np.zeros((0, len(scale))) if problem.held is None else problem.held
     own = np.zeros(len(scale))
     own[c] = 1.0
-    free = own - held.T @ (held @ own)  # what is blind stays; a parameter that is nothing else has no profile
+    free = own - held.T @ (held @ own)  # what is unobservable stays; a parameter that is nothing else has no profile
     if free[c] < 1e-6:
         return 0.0
     anchor = fit.values[problem.free] + move / scale[c] / free[c] * free * scale
     start = fit.values.copy()
     start[problem.free] += fit.covariance[:, c] / fit.covariance[c, c] * move
-    # The pin must be stiff against what the data say of this parameter, or it gives way by several per cent.
+    # The pin must be stiff against what the data say of this parameter, or it yields by several per cent.
     pin = own * (PIN * scale[c] / float(fit.sigma[c]))
     pinned = replace(problem, held=np.vstack([held, pin]), anchor=anchor)
     return float(np.sqrt(max(2.0 * (solve(pinned, start).cost - fit.cost), 0.0)))

@@ -30,7 +30,7 @@ SLICE = 4096  # rows whose Jacobians are held at once
 @dataclass(frozen=True)
 class Predictive:
     """What a version knows of itself: ``covariance (K, K)`` SI of the parameters ``names``, and standard deviations (m) of
-    a coordinate: ``inadequacy``, what its fit left beyond the noise, and ``noise``. Without repeats nothing tells them
+    a coordinate: ``inadequacy``, what its fit left beyond the noise, and ``noise``. Without repeats nothing shows them
     apart: then all that is left counts as inadequacy, and ``noise`` is 0.
     """
 
@@ -75,7 +75,7 @@ class Predictive:
     def of_measured(self, calibration: Calibration, measurement: Measurement, refit: Sequence[str] = ()) -> Floats:
         """Half widths (N, 3) m for the error of each measured row: mean of its markers, or its point; noise included.
 
-        ``refit`` frames were fitted to these rows: what they take up is no uncertainty any more.
+        ``refit`` frames were fitted to these rows: what they take up is no longer uncertain.
         """
         frames = {f"{frame}_{k}" for frame in refit for k in FRAME_NAMES}
         free, C = self._of(calibration.names, frames)
@@ -90,7 +90,7 @@ class Predictive:
         return out
 
     def _of(self, names: Sequence[str], more: Collection[str] = ()) -> tuple[Ints, Floats]:
-        """Where the known of these names stand, with ``more`` that count as known exactly, and their covariance."""
+        """Where the known of these names are, with ``more`` that count as known exactly, and their covariance."""
         free = [k for k, name in enumerate(names) if name in self.names or name in more]
         place = [c for c, k in enumerate(free) if names[k] in self.names]
         own = [self.names.index(names[free[c]]) for c in place]

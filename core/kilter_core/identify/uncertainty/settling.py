@@ -18,7 +18,7 @@ FEWEST = 4  # poses for each share that is estimated
 
 
 def levers(fit: Fit) -> Floats:
-    """What a turn of each joint moves of every row (N, R, n), whitened as the residuals are."""
+    """What a rotation of each joint moves of every row (N, R, n), whitened as the residuals are."""
     problem = fit.problem
     prediction, J = problem.model.joint_jacobian(problem.batch, fit.values, problem.measurement.reads_joints)
     moved = problem.measurement.residual(prediction, J)
@@ -54,12 +54,12 @@ def _together(share: Floats, flat: Floats, scaled: Floats) -> Floats:
 def _scored(inverse: Floats, mean: Floats, scaled: Floats, common: Floats) -> Floats:
     """Shares (1 + n,), none negative, that the residuals of the poses ask for under these inverse covariances."""
     n = scaled.shape[2]
-    turned = inverse @ scaled
+    scaled_inverse = inverse @ scaled
     through = inverse @ common
     M = np.empty((n + 1, n + 1))
     M[0, 0] = np.einsum("gij,gji->", through, through)
-    M[0, 1:] = M[1:, 0] = np.einsum("gij,ik,gkj->j", turned, common, turned)
-    M[1:, 1:] = np.sum((scaled.transpose(0, 2, 1) @ turned) ** 2, axis=0)
+    M[0, 1:] = M[1:, 0] = np.einsum("gij,ik,gkj->j", scaled_inverse, common, scaled_inverse)
+    M[1:, 1:] = np.sum((scaled.transpose(0, 2, 1) @ scaled_inverse) ** 2, axis=0)
     weighed = np.einsum("gij,gj->gi", inverse, mean)
     v = np.concatenate([[np.einsum("gi,ij,gj->", weighed, common, weighed)],
                         np.sum(np.einsum("gij,gi->gj", scaled, weighed) ** 2, axis=0)])  # fmt: skip

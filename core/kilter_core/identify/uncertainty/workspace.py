@@ -60,7 +60,7 @@ class Workspace:
         return Workspace(_tool(calibration, poses), u95, _tool(calibration, replace(rows, **MEASURED)))
 
     def worst_last(self) -> Workspace:
-        """The same poses, those that are known least last: drawn one over the other these stay seen."""
+        """The same poses, those that are known least last: plotted one over the other these stay visible."""
         order = np.argsort(self.u95, kind="stable")
         return Workspace(self.points[order], self.u95[order], self.measured)
 

@@ -28,7 +28,7 @@ class WorkspaceUncertainty:
 
     @property
     def too_alike(self) -> bool:
-        """Whether the poses tell too little about others."""
+        """Whether the poses show too little about others."""
         return self.elsewhere > TOO_ALIKE * self.here
 
 
@@ -56,11 +56,11 @@ def workspace_uncertainty(fit: Fit) -> WorkspaceUncertainty | None:
 
 
 def within_a_turn(robot: Robot, q: Floats) -> tuple[Floats, Floats]:
-    """Limits within one turn; a slide without limits keeps the range it was measured over."""
-    turns = np.array([joint.kind == "revolute" for joint in robot.joints])
+    """Limits within one turn; a prismatic joint without limits keeps the range it was measured over."""
+    revolute = np.array([joint.kind == "revolute" for joint in robot.joints])
     lower, upper = robot.limits.T
-    lower = np.where(turns, np.maximum(lower, -np.pi), np.where(np.isfinite(lower), lower, q.min(axis=0)))
-    upper = np.where(turns, np.minimum(upper, np.pi), np.where(np.isfinite(upper), upper, q.max(axis=0)))
+    lower = np.where(revolute, np.maximum(lower, -np.pi), np.where(np.isfinite(lower), lower, q.min(axis=0)))
+    upper = np.where(revolute, np.minimum(upper, np.pi), np.where(np.isfinite(upper), upper, q.max(axis=0)))
     # Limits that lie outside one turn altogether are taken as they are.
     wrong = lower >= upper
     return np.where(wrong, robot.limits[:, 0], lower), np.where(wrong, robot.limits[:, 1], upper)

@@ -37,13 +37,13 @@ EFFECTS: list[dict[str, str]] = [
         "id": "eccentricity",
         "acts_on": "joints",
         "needs": "",
-        "summary": "once-per-turn error of a joint: encoder disc or output gear off centre",
+        "summary": "once-per-revolution error of a joint: encoder disc or output gear off centre",
     },
     {
         "id": "second_harmonic",
         "acts_on": "joints",
         "needs": "",
-        "summary": "twice-per-turn error of a joint: coupling or ovality",
+        "summary": "twice-per-revolution error of a joint: coupling or ovality",
     },
     {
         "id": "gear_error",
@@ -79,7 +79,7 @@ EFFECTS: list[dict[str, str]] = [
         "id": "base_compliance",
         "acts_on": "base",
         "needs": "link masses",
-        "summary": "tilt of base or pedestal under the moment of the arm",
+        "summary": "tilt of base or its mount under the moment of the arm",
     },
     {
         "id": "thermal_growth",

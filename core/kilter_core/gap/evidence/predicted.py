@@ -1,8 +1,8 @@
-"""Whether held-out poses erred as an effect foretold: their errors without it, against what it changes there.
+"""Whether held-out poses erred as an effect predicted: their errors without it, against what it changes there.
 
-The drop of squared errors alone has little power, for it counts the noise of every pose twice: an effect of
-non-centrality λ on the held-out poses stands √λ / 2 deviations out of it, and √λ out of the regression on what was
-foretold. The prediction comes from other poses, so without an effect the slope is zero, whatever was chosen.
+The drop of squared errors alone has little power, because it counts the noise of every pose twice: an effect of
+non-centrality λ on the held-out poses is √λ / 2 deviations outside it, and √λ out of the regression on what was
+predicted. The prediction comes from other poses, so without an effect the slope is zero, whatever was chosen.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from kilter_core.types import Floats, Ints
 MOST_LEVERAGE = 0.99
 
 
-def surely_foretold(without: Floats, with_: Floats, group: Ints) -> float:
-    """Slope of the errors without an effect on the change that it foretells, in standard normal deviations.
+def surely_predicted(without: Floats, with_: Floats, group: Ints) -> float:
+    """Slope of the errors without an effect on the change that it predicts, in standard normal deviations.
 
     Args:
         without: whitened errors (V, m) of held-out rows by the fit without the effect.
