@@ -31,14 +31,14 @@ GENERATED = (
     "service/kilter_service/contract/effects.py",
     *(f"clients/matlab/+kilter/{kind}.m" for kind in ("identify", "gap", "evaluate", "plan")),
 )
-# Where words are looked for. `core` joins by being named in MENDED.
+# Where words are looked for.
 AREAS = {
     "docs": ("README.md", "CONTRIBUTING.md", "SECURITY.md", "docs", "clients", "core/README.md"),
     "clients": ("clients", "examples"),
     "core": ("core",),
     "service": ("service",),
 }
-MENDED = ("docs", "clients", "service")
+MENDED = ("core", "docs", "clients", "service")
 
 
 @dataclass(frozen=True)

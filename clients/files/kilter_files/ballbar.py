@@ -37,6 +37,7 @@ LONGEST_LINE = 4096
 LONGEST_MM = 10_000.0
 MOST_OFF = 0.1  # of the nominal radius
 ROWS_NEEDED = 8
+FEWEST_OF_A_CIRCLE = 3
 BAR_SIGMA_MM = 0.001
 REMEDY = "Name columns angle_deg and radius_mm, or angle_deg and deviation_um with a line 'Nominal radius (mm): 100'."
 
@@ -212,10 +213,15 @@ def _refuse(path: Path, radii: Floats, nominal: float, line: NDArray[np.int64], 
 
 
 def analysed(found: BallBar) -> list[dict[str, Any]]:
-    """Return each run's direction, centre, radius and circularity: the spread left when a circle is fitted."""
+    """Return each run's direction, centre, radius and circularity: the spread left when a circle is fitted.
+
+    A run that broke off before its third reading has no circle and is left out.
+    """
     out = []
     for run in np.unique(found.run):
         here = found.run == run
+        if np.count_nonzero(here) < FEWEST_OF_A_CIRCLE:
+            continue
         turn, radius = np.radians(found.angle_deg[here]), found.radius_mm[here]
         A = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], axis=1)
         level, x, y = np.linalg.lstsq(A, radius, rcond=None)[0]

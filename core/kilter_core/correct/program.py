@@ -37,7 +37,7 @@ from kilter_core.types import Floats, Ints
 Task = Literal["auto", "position", "axis", "pose"]
 
 _ROWS: Mapping[str, tuple[int, ...]] = {"position": (0, 1, 2), "axis": (0, 1, 2, 3, 4), "pose": (0, 1, 2, 3, 4, 5)}
-ROW_NAMES = ("x", "y", "z", "rx", "ry", "rz")  # turns are about the axes of the tool
+ROW_NAMES = ("x", "y", "z", "rx", "ry", "rz")  # rotations are about the axes of the tool
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def _side_by_side(q: Floats, qd: Floats | None, qdd: Floats | None) -> tuple[Flo
 
 
 def compile_program(calibration: Calibration, options: CorrectionOptions | None = None) -> CorrectionProgram:
-    """Turn a calibration into the kernel's program.
+    """Make the kernel's program of a calibration.
 
     Raises:
         OptionError: more task rows than joints.

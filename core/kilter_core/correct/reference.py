@@ -21,7 +21,7 @@ from kilter_core.types import Bools, Floats
 
 
 class Status(IntEnum):
-    """Why a setpoint was or was not corrected; the numbers are those of the stream's frames."""
+    """Why a setpoint was or was not corrected; the numbers are those of the stream's messages."""
 
     OK = 0
     NOT_FINITE = 5

@@ -188,7 +188,7 @@ def _each(q: Floats, info: Floats, status: Ints) -> Walked:
 def headings(q: Floats, band: float) -> Floats:
     """Direction {-1, 0, 1} in which each joint moved last, (N, n), by the rule of the stream.
 
-    A joint turns when it comes back by more than ``band``; 0 before it moved that far.
+    A joint reverses when it comes back by more than ``band``; 0 before it moved that far.
     """
     return np.array([_heading(column, band) for column in q.T.tolist()]).T.reshape(q.shape)
 

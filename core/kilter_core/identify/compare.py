@@ -1,7 +1,7 @@
-"""Whether a calibration predicts unseen poses worse than another, base and tool fitted anew to them.
+"""Whether a calibration predicts unseen poses worse than another, base and tool refitted to them.
 
-The frames are fitted because they are no property of the arm: a tracker that was set up anew, or a tool that was put on
-anew, must not count against a calibration. A pose counts once, however often it was measured.
+The frames are fitted because they do not belong to the arm: a tracker that was set up again, or a tool that was mounted
+again, must not count against a calibration. A pose counts once, however often it was measured.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def estimate(
 ) -> Fit:
     """Fit the options' free parameters from ``start``, with base and tool registered first.
 
-    The standard deviations of points and turns are re-estimated from the residuals until they settle, unless
+    The standard deviations of points and rotations are re-estimated from the residuals until they settle, unless
     ``noise_mm`` states the first; stated per-row sigmas are kept and a common variance is added to them. Directions the
     poses do not see stay at ``anchor (P,)``, the start's own values when None.
 
@@ -187,7 +187,7 @@ def unobservable_directions(fit: Fit) -> Floats:
 
     What is left unexplained is structured, so it does not average out over rows: a fit that follows it along such a
     direction gains nothing that can be measured and spoils what was not. (UR10 with the tool point on axis 6: positions
-    alone turned the wrist by degrees.)
+    alone rotated the wrist by degrees.)
     """
     scaled = fit.J * fit.problem.prior_sigma
     squares, V = np.linalg.eigh(scaled.T @ scaled)
@@ -201,7 +201,7 @@ def unobservable_directions(fit: Fit) -> Floats:
 
 
 def _returned(fit: Fit, unobservable: Floats, anchor: Floats) -> Floats:
-    """Values of the fit with the blind directions put back where they started."""
+    """Values of the fit with the unobservable directions put back where they started."""
     values = fit.values.copy()
     moved = (values[fit.problem.free] - anchor) / fit.problem.prior_sigma
     values[fit.problem.free] -= (unobservable.T @ (unobservable @ moved)) * fit.problem.prior_sigma
@@ -235,7 +235,7 @@ def _row_sigmas(measurement: Measurement, common: float) -> float | Floats:
 
 
 def scatter(fit: Fit) -> Sigmas:
-    """Standard deviations of points (m), of turns (rad, 0 where none are measured) and of what was measured beside the tool,
+    """Standard deviations of points (m), rotations (rad, 0 where none are measured) and what was measured beside the tool,
     after the fit, corrected for the parameters used.
     """
     problem = fit.problem

@@ -1,4 +1,4 @@
-"""What the data can and cannot tell: null directions by name, and how far each parameter is known."""
+"""What the data can and cannot tell: unobservable directions by name, and how far each parameter is known."""
 
 from __future__ import annotations
 

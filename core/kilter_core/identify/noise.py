@@ -1,7 +1,7 @@
 """Measurement noise from repeats of a pose, the only estimate that owes nothing to the model.
 
 Three things are kept apart that look alike: how shots of one visit differ (the instrument), how visits of a pose differ
-(the instrument and how the arm comes to rest: what a prediction cannot know), and what is no noise at all: the two sides
+(the instrument and how the arm comes to rest: what a prediction cannot know), and what is not noise at all: the two sides
 a pose is approached from, another payload or session, and wrong readings.
 """
 

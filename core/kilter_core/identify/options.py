@@ -72,7 +72,9 @@ class IdentifyOptions:
             if not getattr(self, name) > 0:
                 raise OptionError(f"{name} must be above 0: it is half the width of the search.", option=name)
         if not isinstance(self.socket_distances_mm, Mapping):
-            raise OptionError('socket_distances_mm is no object: give {"1-2": 400.0}.', option="socket_distances_mm")
+            raise OptionError(
+                'socket_distances_mm is not an object: give {"1-2": 400.0}.', option="socket_distances_mm"
+            )
         for pair, value in self.socket_distances_mm.items():
             first, _, second = pair.partition("-")
             if not (first.isdecimal() and second.isdecimal() and first != second and value > 0):

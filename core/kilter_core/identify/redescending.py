@@ -36,7 +36,7 @@ def row_sizes(fit: Fit) -> Floats:
 def sizes_of(left: Residual, points: float | Floats, turns: float) -> Floats:
     """Size (N,) of what is ``left`` of every row: its length in standard deviations of a coordinate, ``points`` m.
 
-    Rows show different numbers of markers: what counts is the mean square of the coordinates that were seen. Turns are
+    Rows show different numbers of markers: what counts is the mean square of the coordinates that were seen. Rotations are
     in standard deviations ``turns`` rad and count with the others.
     """
     scaled = left.points / points

@@ -70,7 +70,7 @@ def rows_of(calibration: Calibration, names: Sequence[str], sigma: Floats, known
 
 
 def _change(name: str, change: float) -> float:
-    """What a value differs from nominal; turns of base and tool the short way round."""
+    """What a value differs from nominal; rotations of base and tool by the smaller angle."""
     turns = name in _TURNS
     return math.remainder(change, 2.0 * math.pi) if turns else change
 
@@ -149,9 +149,9 @@ def large_residual(rms_m: float, points: Floats) -> Iterator[dict[str, Any]]:
     if rms_m > LARGE * spread:
         yield {
             "code": "large_residual",
-            "message": f"{rms_m * 1e3:.3g} mm are left over a workspace of {spread * 1e3:.3g} mm. No swapped, turned round or "
-            "otherwise read joints, no unit and no change of tool explain that; the geometry as drawn, loads or poor "
-            "measurements may. Check the robot's drawing, and look for what is missing with `kilter gap`.",
+            "message": f"{rms_m * 1e3:.3g} mm are left over a workspace of {spread * 1e3:.3g} mm. No swapped, reversed or "
+            "otherwise read joints, no unit and no change of tool explain that; the nominal geometry, loads or poor "
+            "measurements may. Check the robot's description, and look for what is missing with `kilter gap`.",
         }
 
 

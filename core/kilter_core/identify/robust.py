@@ -124,7 +124,7 @@ def covariance_factor(size: Floats, dimension: int, loss: Loss, parameters: int)
     """Huber's factor on (JᵀJ)⁻¹ of the *unweighted* Jacobian, in squared units of the sizes.
 
     The scatter of psi over its mean slope, squared, with his correction for ``parameters`` fitted to so few residuals.
-    The weighted normal matrix alone is no covariance: it counts a row by its weight, and the weights fit the residuals.
+    The weighted normal matrix alone is not a covariance: it counts a row by its weight, and the weights fit the residuals.
     """
     weight = loss.weight(size)
     bend = (1.0 - 1.0 / dimension) * weight + loss.slope(size) / dimension

@@ -70,7 +70,7 @@ class Identification:
 
     @property
     def scale(self) -> tuple[float, float]:
-        """Standard deviations (m, rad) of points and turns by which residuals were weighed."""
+        """Standard deviations (m, rad) of points and rotations by which residuals were weighted."""
         return float(np.mean(self.fit.problem.weights.points)), float(np.mean(self.fit.problem.weights.turns))
 
     @property
@@ -188,7 +188,7 @@ def identify(
 def _in_one_frame(
     begin: Calibration, train: Observations, validation: Validation, options: IdentifyOptions
 ) -> tuple[Calibration, Observations, Validation, Frames | None]:
-    """The model with the frames of later set-ups, and rows told in the frame of the first."""
+    """The model with the frames of later set-ups, and rows given in the frame of the first."""
     refuse_missing_columns(begin, train)
     frames = Frames.of(begin, train, options)
     if frames is None:

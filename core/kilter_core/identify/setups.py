@@ -91,7 +91,7 @@ class Frames:
 
     @staticmethod
     def of(begin: Calibration, train: Observations, options: IdentifyOptions) -> Frames | None:
-        """Find where each set-up lies by the model to begin with; None where all rows are told in one frame.
+        """Find where each set-up lies by the model to begin with; None where all rows are given in one frame.
 
         Raises:
             OptionError: a method that cannot fit several frames. TooFewPosesError: a set-up with too few poses.
@@ -107,7 +107,7 @@ class Frames:
         return Frames(dict(zip(codes, _lays(begin, train, codes), strict=True)))
 
     def laid(self, rows: Observations) -> Observations:
-        """Rows of these set-ups, told in the frame of the first; others as they are."""
+        """Rows of these set-ups, given in the frame of the first; others as they are."""
         for code, T in self.lays.items():
             if rows.setup is not None and np.any(rows.setup == code):
                 rows = _moved(rows, T, rows.setup == code)
@@ -224,7 +224,7 @@ def held_out(
     came from them.
 
     What a new set-up cannot know, where the robot stands in its frame, is fitted to its own rows for every stage but the
-    robot as drawn. The ``geometry`` alone, where there is one, is compared pose by pose only.
+    nominal robot. The ``geometry`` alone, where there is one, is compared pose by pose only.
     """
     new = _new_codes(frames, rows)
     compared = dict(stages) if geometry is None else {**stages, "geometry": geometry}

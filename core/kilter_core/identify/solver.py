@@ -7,7 +7,7 @@ holds those directions the most that the data see the least, and a step is bent 
 Gauss and Newton leave out the curvature of the residuals themselves. Along directions that the data hardly see, what
 is left unexplained times that curvature is as large as all they keep: the loss then falls by a part in a thousand a
 step, for hundreds of steps (poses on a grid, lines at one orientation). After a few such steps the whole second
-derivative is taken, by differences of the slope; its negative directions are turned over (Dauphin et al. 2014, saddle-free
+derivative is taken, by differences of the slope; its negative directions are reversed (Dauphin et al. 2014, saddle-free
 Newton), and a few steps end it. The loss never rises: a step that would raise it is shortened, or not taken.
 """
 
@@ -82,7 +82,7 @@ class Objective(Protocol[P]):
         """Jᵀ times the second derivative (F,) of the prediction along a step: how far off the tangent the valley bends."""
 
     def beyond(self, here: P, values: Floats, step: Floats) -> P:
-        """Foresee what is at ``values``, a tiny ``step`` from ``here``, without asking the model again."""
+        """Predict what is at ``values``, a tiny ``step`` from ``here``, without asking the model again."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def _marquardt(
 def _newton(objective: Objective[P], values: Floats, here: P, H: Floats, g: Floats) -> _Step[P] | None:
     """A step with the second derivative ``H``, whole or as Gauss and Newton have it, shortened until it gains.
 
-    Its negative directions are turned over, and all are damped alike.
+    Its negative directions are reversed, and all are damped alike.
     """
     w, V = np.linalg.eigh(H)
     size = np.maximum(np.abs(w), 1.0)  # the prior alone gives 1

@@ -24,7 +24,7 @@ LEAST_ROWS = {"socket": 2, "plane": 4, "bar": 4}
 STEPS = 20
 SETTLED_M = 1e-12
 LEVEL = 1e-3  # share of the best seen move of a place below which lengths leave it where it is, smoothly
-CLEARLY = 4.0  # a foot off the plane must fit so many times better
+CLEARLY = 4.0  # a bar's base off the plane must fit so many times better
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Contacts(Kind):
 
     @property
     def relative_tolerance(self) -> float:
-        """Where a bar's foot is hardly seen a fit creeps along for ever; a ten-thousandth is far below what noise tells."""
+        """Where a bar's base is hardly seen a fit creeps along for ever; a ten-thousandth is far below what noise tells."""
         return 1e-4 if any(c.kind == "bar" for c in self.contacts) else 0.0
 
     @property
@@ -199,7 +199,7 @@ def _projected(D: Floats, slope: Floats) -> Floats:
 
 
 def _place(c: Contact, p: Floats) -> Floats:
-    """Where a contact fits the points best: a socket's centre (3,), a plane's normal and distance (4,), a bar's foot (3,)."""
+    """Where a contact fits the points best: a socket's centre (3,), a plane's normal and distance (4,), a bar's base (3,)."""
     if c.kind == "socket":
         return np.asarray(p.mean(axis=0))
     if c.kind == "plane":
@@ -221,7 +221,7 @@ def _foot(p: Floats, length: Floats) -> Floats:
 
 
 def _settled(local: Floats, length: Floats, foot: Floats) -> tuple[Floats, float]:
-    """Foot by damped Gauss-Newton steps, and its sum of squares. What lengths hardly see hardly moves."""
+    """Base by damped Gauss-Newton steps, and its sum of squares. What lengths hardly see hardly moves."""
     for _ in range(STEPS):
         ray = local - foot
         size = np.maximum(np.linalg.norm(ray, axis=1), SETTLED_M)
@@ -235,7 +235,7 @@ def _settled(local: Floats, length: Floats, foot: Floats) -> tuple[Floats, float
 
 
 def _mirrored(local: Floats, foot: Floats) -> Iterator[Floats]:
-    """Starts on either side of the points: lying near a plane they cannot tell a foot from its mirror image at first."""
+    """Starts on either side of the points: lying near a plane they cannot tell a base from its mirror image at first."""
     _, s, Vt = np.linalg.svd(local, full_matrices=False)
     if s[2] < 0.2 * s[1]:
         reach = max(float(s[0]) / np.sqrt(len(local)), 1e-3)

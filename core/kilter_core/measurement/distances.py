@@ -69,7 +69,7 @@ class Distances(Kind):
 
     @property
     def observes_orientation(self) -> bool:
-        """Whether markers show turns of the tool."""
+        """Whether markers show rotations of the tool."""
         return self.shape is not None
 
     @property

@@ -1,7 +1,7 @@
-"""Inclinometers on the links: what each joint turned about the axes of its frame beyond its command, up to a constant.
+"""Inclinometers on the links: the rotation of each joint about the axes of its frame beyond its command, up to a constant.
 
-A reading is that of the sensor behind the joint minus that of one before it. It tells clearance and tilting from a turn
-about the axis, which positions of the tool mix up. Where a sensor was mounted anew, in another session, its zero is too.
+A reading is that of the sensor behind the joint minus that of one before it. It separates clearance and tilting from a rotation
+about the axis, which positions of the tool mix up. A sensor mounted again, in another session, has another zero.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Inclination(Kind):
         return self._channels.scalars
 
     def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
-        """Measured minus predicted turn (N, 3 n, 1) rad, the mean of its session taken out."""
+        """Measured minus predicted rotation (N, 3 n, 1) rad, the mean of its session taken out."""
         columns = None
         if J is not None:
             joints = J[:, TOOL_ROWS:].reshape(len(J), -1, JOINT_ROWS, J.shape[2])

@@ -16,7 +16,7 @@ from kilter_core.types import Bools, Floats
 
 Unit = Literal["m", "rad"]
 
-POINTS, TURNS = "points", "turns"  # noise groups of what most kinds measure: where the tool is, and how it is turned
+POINTS, TURNS = "points", "turns"  # noise groups of what most kinds measure: where the tool is, and how it is oriented
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Kind(ABC):
     summary: ClassVar[str]
     unit: ClassVar[Unit] = "m"
     observes_tool: ClassVar[bool] = False  # tells where the tool is: rows need one such kind, and it comes first
-    observes_base: ClassVar[bool] = False  # told in a frame of its own, in which the base has a place
+    observes_base: ClassVar[bool] = False  # given in a frame of its own, in which the base has a place
 
     plain_fits_only: ClassVar[bool] = False  # no method, loss or interval that treats its rows one by one
 
@@ -126,7 +126,7 @@ class Kind(ABC):
         """Residuals of a prediction; with the model's Jacobian ``J (N, R, P)`` also theirs.
 
         Rows 0-2 of the Jacobian are the tool's position, 3-5 its rotation vector, and the rest, where :attr:`reads_joints`,
-        what the joints turn: :data:`~kilter_core.model.prediction.JOINT_ROWS` for each, the base last.
+        what the joints rotate by: :data:`~kilter_core.model.prediction.JOINT_ROWS` for each, the base last.
         """
 
     def check(self) -> None:
@@ -154,7 +154,7 @@ class Kind(ABC):
 
     @property
     def reads_joints(self) -> bool:
-        """Whether the prediction and its Jacobian must tell what each joint turns."""
+        """Whether the prediction and its Jacobian must tell what each joint rotates by."""
         return False
 
     @property

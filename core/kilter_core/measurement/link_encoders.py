@@ -1,7 +1,7 @@
-"""Encoders on the links: the angle of each joint behind gear and play, up to a constant that belongs to the encoder.
+"""Encoders on the links: the angle of each joint behind gear and backlash, up to a constant that belongs to the encoder.
 
 They see what happens between motor and link and nothing else: not the lengths of the links, and no tilt of a joint. Beside
-tool data they tell what the tool alone mixes up. An encoder is referenced anew in every session, so its zero is taken out
+tool data they tell what the tool alone mixes up. An encoder is referenced again in every session, so its zero is taken out
 of each: only differences count.
 """
 
@@ -27,7 +27,7 @@ class LinkEncoders(Kind):
     """Rows with link-side angles beside the motors'. ``anchor`` are the rows that say what the encoders read at zero."""
 
     name = "link_encoders"
-    summary = "encoders on the links, behind gear and play"
+    summary = "encoders on the links, behind gear and backlash"
     unit = "rad"
 
     observations: Observations

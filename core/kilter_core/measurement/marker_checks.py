@@ -18,7 +18,7 @@ ENOUGH = 200  # rows that an order is judged by
 CLEARLY = 3.0  # an order must fit so many times better than the one given
 OFF = 0.01  # share of the set's size from which a distance counts as another
 OFF_M = 5e-4
-LOOSE = 0.02  # share of a distance: its scatter from which the set is no rigid body
+LOOSE = 0.02  # share of a distance: its scatter from which the set is not a rigid body
 BENDS_M = 1e-4  # scatter of a distance worth a warning
 OFTEN = 3.0  # scatters of an instrument's own noise that a distance may have
 SOLID = 0.05  # thickness of a set, as a share of its size, from which its mirror image is another set
@@ -66,7 +66,7 @@ def equal_markers(markers: Floats) -> tuple[int, int] | None:
 
 
 def alike_orders(shape: Floats) -> list[tuple[Order, Floats]]:
-    """Orders of the markers, other than their own, in which the shape fits itself; each with the turn (3, 3) it feigns."""
+    """Other orders of the markers in which the shape fits itself; each with the rotation (3, 3) that it imitates."""
     if len(shape) > MOST_SEARCHED:
         return []
     size, out = float(np.linalg.norm(shape - shape.mean(axis=0), axis=1).max()), []
@@ -184,7 +184,7 @@ def _refuse_loose(distances: Floats) -> None:
     if share[a, b] > LOOSE and scatter[a, b] > 2.0 * OFF_M:
         raise ObservationError(
             f"The distance of markers {min(a, b) + 1} and {max(a, b) + 1} varies by {scatter[a, b] * 1e3:.2f} mm (standard "
-            f"deviation) over the rows, {share[a, b]:.1%} of it: the markers are no rigid body. {_loosest(share)}",
+            f"deviation) over the rows, {share[a, b]:.1%} of it: the markers are not a rigid body. {_loosest(share)}",
             code="markers_not_rigid",
             markers=[min(a, b) + 1, max(a, b) + 1],
             scatter_m=float(scatter[a, b]),

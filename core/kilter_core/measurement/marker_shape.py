@@ -115,7 +115,7 @@ def _refuse_line(markers: Floats, seen: Bools) -> None:
     if seen.sum(axis=1).max() < 3:
         raise ObservationError("No row shows three markers, so none fixes a pose: measure rows that do.")
     raise ObservationError(
-        "The markers lie in one line: their turn about it cannot be seen. Add one off the line.",
+        "The markers lie in one line: their rotation about it is unobservable. Add one off the line.",
         code="markers_collinear",
     )
 

@@ -1,4 +1,4 @@
-"""Markers on the tool, each measured as a point; together they show how the tool is turned."""
+"""Markers on the tool, each measured as a point; together they show how the tool is oriented."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def shape_of(observations: Observations, known: Floats | None) -> Floats | None:
     """Places (m, 3) m of the markers in the tool frame: as ``known``, else as the rows show them; None without any.
 
     Raises:
-        ObservationError: markers that are no rigid set.
+        ObservationError: markers that are not a rigid set.
 
     """
     if observations.markers is None:

@@ -19,7 +19,7 @@ def register(
     """Starting base and tool poses (4, 4) without any guess, from the model's flange poses.
 
     With flange frames (F, f) and measured points p = R (f + F t) + b the equation is linear in M = R', c = -R'b and the
-    tool point t: M p + c - F t = f. M is then made a rotation. Orientation, when measured, gives the tool's turn as the
+    tool point t: M p + c - F t = f. M is then made a rotation. Orientation, when measured, gives the tool's rotation as the
     mean of (R F)' R_measured. Frames that are not free (``base``, ``tool``) are kept as the model has them.
     """
     if not (base or tool):
@@ -67,7 +67,7 @@ def _rigid(body: Floats, world: Floats) -> Floats:
 
 
 def linear_frames(f: Floats, F: Floats, p: Floats, guess: Floats) -> tuple[Floats, Floats]:
-    """Base pose (4, 4) and tool point (3,) from flange positions f (N, 3) and turns F (N, 3, 3) to points p (N, 3)."""
+    """Base pose (4, 4) and tool point (3,) from flange positions f (N, 3) and rotations F (N, 3, 3) to points p (N, 3)."""
     rows = len(f)
     A = np.zeros((rows, 3, 15))
     centre = p.mean(axis=0)

@@ -85,7 +85,7 @@ class Measurement:
 
     @property
     def observes_base(self) -> bool:
-        """Whether the rows are told in a frame of their own, so that the base has a place in it."""
+        """Whether the rows are given in a frame of their own, so that the base has a place in it."""
         return self.tool.observes_base
 
     @property
@@ -95,7 +95,7 @@ class Measurement:
 
     @property
     def reads_joints(self) -> bool:
-        """Whether a prediction must tell what each joint turns."""
+        """Whether a prediction must tell what each joint rotates by."""
         return any(kind.reads_joints for kind in self.kinds)
 
     @property

@@ -82,7 +82,7 @@ class Total:
     frames: Floats
 
     def turned(self) -> Floats:
-        """What each joint, and last the base, turns (N, n + 1, 4): its correction, then about the axes of its frame."""
+        """What each joint, and last the base, rotates by (N, n + 1, 4): its correction, then about the axes of its frame."""
         rows, n = self.dq.shape
         out = np.zeros((rows, n + 1, 4))
         if len(self.xi):

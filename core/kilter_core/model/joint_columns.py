@@ -1,4 +1,4 @@
-"""Derivatives of what the joints turn, whatever the tool does: encoders on the links and inclinometers see them."""
+"""Derivatives of what the joints rotate by, whatever the tool does: encoders on the links and inclinometers see them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kilter_core.types import Floats, Ints
 
 
 def joint_rows(reader: Reader, batch: Batch, total: Total, values: Floats, columns: tuple[Ints, int]) -> Floats:
-    """Derivatives (N, 4 n + 4, F) of what the joints and the base turn, by the parameters of ``columns``.
+    """Derivatives (N, 4 n + 4, F) of what the joints and the base rotate by, by the parameters of ``columns``.
 
     These are the free ones, of which only effects and load errors move any: those from the second number on.
     """
@@ -34,7 +34,7 @@ def joint_rows(reader: Reader, batch: Batch, total: Total, values: Floats, colum
 
 
 def turns_of(found: Sequence[Derivative], rows: int, joints: int) -> Floats:
-    """What each of the derivatives turns (N, 4 n + 4, K)."""
+    """What each of the derivatives rotates (N, 4 n + 4, K)."""
     out = JointColumns.of(rows, joints, len(found))
     for k, d in enumerate(found):
         out.put(k, d)
@@ -51,9 +51,9 @@ def own_turns(rows: int, joints: int) -> Floats:
 
 @dataclass(frozen=True)
 class JointColumns:
-    """Derivatives ``rows (N, 4 n + 4, F)`` of what each joint, and last the base, turns beyond its command.
+    """Derivatives ``rows (N, 4 n + 4, F)`` of what each joint, and last the base, rotates by beyond its command.
 
-    Of each: the correction of its angle, then its turn about x, y and z of its frame, the correction about z included.
+    Of each: the correction of its angle, then its rotation about x, y and z of its frame, the correction about z included.
     """
 
     rows: Floats
@@ -64,7 +64,7 @@ class JointColumns:
         return JointColumns(np.zeros((rows, 4 * (joints + 1), columns)))
 
     def put(self, column: int, d: Derivative) -> None:
-        """Add what a derivative moves; what acts on the tool turns no joint."""
+        """Add what a derivative moves; what acts on the tool moves no joint."""
         if d.joint == TOOL:
             return
         at = self._place(d.joint)
@@ -84,7 +84,7 @@ class JointColumns:
                     self.rows[:, at : at + 4, column] += moved * own[error][:, None]
 
     def _by_loads(self, local: Local) -> Iterator[tuple[Floats, int]]:
-        """Turns (N, 4) by the load of each joint, and of the base."""
+        """Rotations (N, 4) by the load of each joint, and of the base."""
         for j in range(self.rows.shape[1] // 4 - 1):
             moved = np.zeros((len(self.rows), 4))
             if local.dq is not None:

@@ -1,4 +1,4 @@
-"""What a model predicts of rows: where the tool is, and what its joints turn."""
+"""What a model predicts of rows: where the tool is, and what its joints rotate by."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from kilter_core.model.chain_rule import Total
 from kilter_core.types import Bools, Floats
 
 TOOL_ROWS = 6  # of a Jacobian: position, then rotation vector of the tool
-JOINT_ROWS = 4  # of each joint behind them: correction of its angle, then what it turns about x, y and z of its frame
+JOINT_ROWS = 4  # of each joint behind them: correction of its angle, then its rotation about x, y and z of its frame
 ABOUT, TURNED = 0, slice(1, 4)  # places of these among the four
 
 
@@ -26,6 +26,6 @@ class Prediction:
 
     @property
     def joints(self) -> Floats:
-        """What each joint, and last the base, turns beyond its command (N, n + 1, 4): see :data:`JOINT_ROWS`."""
+        """What each joint, and last the base, rotates by beyond its command (N, n + 1, 4): see :data:`JOINT_ROWS`."""
         assert self.local is not None
         return self.local.turned()

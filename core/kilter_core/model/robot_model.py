@@ -208,7 +208,7 @@ class RobotModel:
     def joint_jacobian(
         self, observations: Observations | Batch, values: Floats, joints: bool = False
     ) -> tuple[Prediction, Floats]:
-        """Poses and their derivative (N, 6, n), longer with ``joints``, by turns of the joints, the effects held still."""
+        """Poses and their derivative (N, 6, n), longer with ``joints``, by motions of the joints, the effects held still."""
         batch = self._as_batch(observations)
         prediction, _, columns = self._screws(batch, values, self._local(batch, values)[0], NOTHING)
         if not joints:

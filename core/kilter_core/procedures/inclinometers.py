@@ -22,7 +22,7 @@ from kilter_core.types import Bools, Floats, Ints
 EFFECTS = ("clearance_tilt", "backlash_load", "axial_compliance")
 STEMS = ("clearance", "backlash_load", "compliance")
 AXES = "xyz"
-UPRIGHT = 0.95  # cosine to the vertical from which an inclinometer does not see turns about an axis (18 degrees)
+UPRIGHT = 0.95  # cosine to the vertical from which an inclinometer does not see rotations about an axis (18 degrees)
 LEAST_MOMENT_NM = 0.01
 APART = 0.05  # share of a column that must be left beside the others for its parameter to be told apart
 LARGE = 5.0  # resolutions of scatter from which something else than reading is wrong
@@ -34,7 +34,7 @@ TRIAL_POSES = 200
 class Log:
     """Readings (N,) rad of joints (N,) about axes (N,) (0 x, 1 y, 2 z of the joint frame) at ``q (N, n)``.
 
-    A reading is what the joint turned beyond its command, up to a constant for each joint, axis and ``series (N,)``.
+    A reading is the rotation of the joint beyond its command, up to a constant for each joint, axis and ``series (N,)``.
     ``payload_com (N, 3)`` m is where the payload has its centre in the tool frame, the tool point when None.
     """
 
@@ -87,7 +87,7 @@ def tilting(robot: Robot) -> RobotModel:
 
 
 def regressors(robot: Robot, rows: Observations) -> tuple[Floats, Floats]:
-    """Turn (N, n, 3, 3) about x, y, z of each joint by each of C, b and c; cosine (N, n, 3) of the axes to the load force."""
+    """Rotation (N, n, 3, 3) about x, y, z of each joint by C, b and c; cosine (N, n, 3) of the axes to the load force."""
     model = tilting(robot)
     batch = model.batch(rows)
     out = np.zeros((*rows.q.shape, 3, 3))
@@ -117,7 +117,7 @@ def joint_parameters(robot: Robot, log: Log) -> tuple[list[JointParameter], list
         bad = int(np.argmax(np.abs(cosine)))
         raise ObservationError(
             f"Reading {bad + 1}: axis {AXES[log.axis[bad]]} of joint {robot.joints[log.joint[bad]].name} stands upright "
-            "there, and an inclinometer does not see turns about the vertical. Check the axis, or take another pose.",
+            "there, and an inclinometer does not see rotations about the vertical. Check the axis, or take another pose.",
             row=bad,
         )
     found: list[JointParameter] = []
@@ -141,7 +141,7 @@ def joint_parameters(robot: Robot, log: Log) -> tuple[list[JointParameter], list
 
 
 def weightless_joints(robot: Robot) -> list[int]:
-    """Joints about whose axes gravity never turns, in any of 200 poses: no inclinometer can measure them."""
+    """Joints about whose axes gravity has no moment, in any of 200 poses: no inclinometer can measure them."""
     limits = np.where(np.isfinite(robot.limits), robot.limits, np.sign(robot.limits) * math.pi)
     q = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (TRIAL_POSES, robot.n_joints))
     axial = regressors(robot, Observations(q, payload_kg=np.ones(TRIAL_POSES)))[0][:, :, 2, 2]
@@ -149,7 +149,7 @@ def weightless_joints(robot: Robot) -> list[int]:
 
 
 def as_calibration(robot: Robot, found: list[JointParameter]) -> Calibration:
-    """The robot as drawn with the measured effects: a start for ``tilt_first``. What was not measured stays zero."""
+    """The nominal robot with the measured effects: a start for ``tilt_first``. What was not measured stays zero."""
     model = tilting(robot)
     values = model.values0()
     for p in found:
@@ -189,7 +189,7 @@ def _of_joint(robot: Robot, j: int, log: Log, columns: Floats, mine: Bools) -> t
 
 
 def _other_axis(robot: Robot, j: int, log: Log, every: Floats, mine: Bools, scatter: float) -> dict[str, str] | None:
-    """Whether the readings about one axis fit those of another one, or with the sign turned; the warning if so."""
+    """Whether the readings about one axis fit those of another one, or with the sign reversed; the warning if so."""
     best, found = MENDED * scatter, None
     for declared in np.unique(log.axis[mine]):
         those = mine & (log.axis == declared)
@@ -208,13 +208,13 @@ def _other_axis(robot: Robot, j: int, log: Log, every: Floats, mine: Bools, scat
     return {
         "code": "inclinometer_axis", "joint": name,
         "message": f"Readings of joint {name} given about {AXES[declared]} fit axis {true} of its frame: they scatter by "
-        f"{math.degrees(scatter):.4f} deg as given and by {math.degrees(best):.4f} deg so. Turn the inclinometer, or "
+        f"{math.degrees(scatter):.4f} deg as given and by {math.degrees(best):.4f} deg so. Remount the inclinometer, or "
         "correct the axis (for a minus the sign of the readings), and send them again.",
     }  # fmt: skip
 
 
 def _negative(robot: Robot, parameters: list[JointParameter]) -> list[dict[str, str]]:
-    """A joint that gives way against its load has its inclinometer the wrong way round."""
+    """A joint that deflects against its load has its inclinometer the wrong way round."""
     below = [p for p in parameters if p.value is not None and p.value < -3.0 * (p.sigma or 0.0)]
     if not below:
         return []
@@ -222,7 +222,8 @@ def _negative(robot: Robot, parameters: list[JointParameter]) -> list[dict[str, 
     return [{
         "code": "inclinometer_axis", "joint": joint,
         "message": f"{names} of joint {joint} would be negative, against the load: the inclinometer is the wrong way "
-        "round (readings before the joint minus after it), or the masses are not the robot's. Turn the sign of the readings.",
+        "round (readings before the joint minus after it), or the masses are not the robot's. Reverse the sign of the "
+        "readings.",
     }]  # fmt: skip
 
 

@@ -1,6 +1,6 @@
-"""Compliance and reversal error of each joint from two encoders: the motor's, and one on the link behind gear and play.
+"""Compliance and reversal error of each joint from two encoders: the motor's, and one on the link behind gear and backlash.
 
-Their difference is the joint's own: what gives way under the load, what changes with the direction, and, where the two
+Their difference is the joint's own: what deflects under the load, what changes with the direction, and, where the two
 were not read at the same instant, a delay. The delay is fitted beside the others because friction makes the torque
 follow the speed: without it, compliance and reversal error stand in for it and come out many times too large.
 """
@@ -29,7 +29,7 @@ CHANGES = 1e-6  # share of a column that must change at all
 APART = 0.05  # share of that change that must be left beside the others for the parameter to be told apart
 REASONS = (
     "the load about this axis never changes, or only with speed and direction: move it under another load",
-    "the joint never turns back: move it in both directions",
+    "the joint never reverses: move it in both directions",
     "the speed never changes apart from load and direction, or was not measured: move at several speeds (qd1_deg_s ...)",
 )
 NEGATIVE = (
@@ -78,14 +78,14 @@ def link_joints(robot: Robot, train: Sequence[Observations], held: Sequence[Obse
         )
     if sum(map(len, train)) < FEWEST_ROWS:
         raise TooFewPosesError(
-            f"{sum(map(len, train))} rows are no motion: {FEWEST_ROWS} are needed, some thousands are better."
+            f"{sum(map(len, train))} rows are not a motion: {FEWEST_ROWS} are needed, some thousands are better."
         )
     trained, unseen = ([_Motion.of(robot, rows) for rows in part] for part in (train, held))
     return [_of_joint(robot, j, trained, unseen) for j in range(robot.n_joints)]
 
 
 def as_calibration(robot: Robot, found: Sequence[LinkJoint]) -> Calibration:
-    """The robot as drawn with compliance and reversal error; the delay is the recording's, and left out."""
+    """The nominal robot with compliance and reversal error; the delay is the recording's, and left out."""
     model = RobotModel(robot, tuple(make_effect(e) for e in ("axial_compliance", "backlash")))
     values = model.values0()
     for p in (p for joint in found for p in joint.parameters):

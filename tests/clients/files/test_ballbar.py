@@ -131,6 +131,15 @@ def test_damaged_logs_are_refused_or_read_never_worse(tmp_path: Path, at: int, j
     assert str(path) in said
 
 
+def test_a_run_of_one_reading_has_no_circle(tmp_path: Path) -> None:
+    path = tmp_path / "bar.txt"
+    text = two_runs().encode()
+    path.write_bytes(text[: len(text) - 2160])
+    found = read_ballbar(path)
+    assert np.bincount(found.run)[-1] == 1
+    assert len(analysed(found)) == len(np.unique(found.run)) - 1
+
+
 def test_joined_with_a_joint_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bar, log, rows = tmp_path / "bar.txt", tmp_path / "joints.csv", tmp_path / "rows.csv"
     angles = ANGLES[:-1]

@@ -28,7 +28,7 @@ def test_inspect_shows_markers_gaps_and_units(shared_data: Path, capsys: pytest.
     assert (found["kind"], found["frames"], found["rate_hz"], len(found["markers"])) == ("c3d", 29, 30.0, 54)
     assert any("never seen: Marker_52, Marker_53" in text for text in found["warnings"])
     assert found["problems"] == []
-    assert any("states 1149 frames, the 29 that are there" in text for text in found["warnings"])
+    assert any("states 1149 frames, the 29 in it" in text for text in found["warnings"])
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from kilter_core.arm.kernels.joint_frames import mark_frames, mark_starts, next_
 
 @compiled(**UNCOUNTED)
 def _carry(r, w, dw, acc, t):
-    """Carry an acceleration from a point of a turning body to the point r further: acc += dw x r + w x (w x r)."""
+    """Carry an acceleration from a point of a rotating body to the point r further: acc += dw x r + w x (w x r)."""
     add_cross(dw, r, acc)
     t[:] = 0.0
     add_cross(w, r, t)

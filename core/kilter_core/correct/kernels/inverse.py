@@ -1,7 +1,7 @@
 """The inverse (thesis eq. 5.22, iterated), compiled: the command whose identified pose is the wanted one.
 
 With J the identified Jacobian at the first guess of the command, the command is q + J' y where (J J' + λ²) y solves the
-wanted pose; λ is zero away from singularities. With joints to spare J is that of the nominal arm at the wanted joints,
+wanted pose; λ is zero away from singularities. With redundant joints J is that of the nominal arm at the wanted joints,
 so that the answer does not depend on how it was reached. Along a stream the guess goes on from the last corrections, and
 one evaluation is mostly enough; else it is the wanted joints.
 """

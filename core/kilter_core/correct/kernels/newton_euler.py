@@ -67,7 +67,7 @@ def _point(W, k, x, y, z):
 def _to_joint(P, W, k, j, x, y, z, f0, f1, f2):
     """Rotate a load in base coordinates into frame k and keep it for joint row j: two moments across, one along the axis.
 
-    Along the axis a joint that turns feels a moment, one that slides a force.
+    Along the axis a revolute joint feels a moment, a prismatic one a force.
     """
     W[j, MOMENT] = W[k, 0] * x + W[k, 3] * y + W[k, 6] * z
     W[j, MOMENT + 1] = W[k, 1] * x + W[k, 4] * y + W[k, 7] * z
@@ -79,7 +79,7 @@ def _to_joint(P, W, k, j, x, y, z, f0, f1, f2):
 
 @compiled(**FAST)
 def _point_acceleration(w, dw, r0, r1, r2):
-    """Acceleration of a point at r on a body that turns with w and dw: dw x r + w x (w x r)."""
+    """Acceleration of a point at r on a body that rotates with w and dw: dw x r + w x (w x r)."""
     a0, a1, a2 = cross(dw[0], dw[1], dw[2], r0, r1, r2)
     t0, t1, t2 = cross(w[0], w[1], w[2], r0, r1, r2)
     u0, u1, u2 = cross(w[0], w[1], w[2], t0, t1, t2)

@@ -83,7 +83,7 @@ def _refused(P, state, info, x, n, m, width, dt):
 
 @compiled(**EXACT)
 def _direction(state, W, j, i, x, band, started):
-    """Direction of the last motion of a joint: it turns when the joint comes back by more than the band."""
+    """Direction of the last motion of a joint: it reverses when the joint comes back by more than the band."""
     sign = state[i, LAST_SIGN] if started else 0.0
     turn = state[i, REVERSED_AT] if started else x
     if x > turn + band or (sign > 0.0 and x > turn):

@@ -123,7 +123,7 @@ class LinkSource(Source):
         return np.concatenate([self.geometry(values) + geometry, library])
 
     def joint_columns(self, values: Floats) -> Callable[[int], Floats]:
-        """A joint turns its own encoder and no other."""
+        """A joint moves its own encoder and no other."""
         live = np.flatnonzero(self.moving)
         return lambda joint: np.tile((live == joint) * 1.0, (len(self.rows), 1))
 
@@ -212,7 +212,7 @@ def with_torque(batch: Batch, observations: Observations) -> Batch:
 def zeros(begin: Calibration) -> dict[str, tuple[int, float]]:
     """Joint and ratio of the constants that hold the joints' zeros, by name, where link-side encoders may set them.
 
-    They may while the chain is as drawn. Zeros that an instrument found of the tool are worth more: encoders are
+    They may while the chain is nominal. Zeros that an instrument found of the tool are worth more: encoders are
     referenced anew from motion to motion.
     """
     n, chain = begin.model.n_geometric, begin.robot.chain

@@ -147,7 +147,8 @@ class _Preparation:
         if len(first) < len(o):
             count = len(o) - len(first)
             self._warn(
-                "copied_rows", f"{count} rows are exact copies of others and were left out: a copy is no repeat."
+                "copied_rows",
+                f"{count} rows are exact copies of others and were left out: a copy does not count as a repeat.",
             )
         return self._without_identical(kept)
 

@@ -114,7 +114,7 @@ class Source(ABC):
 
     @abstractmethod
     def joint_columns(self, values: Floats) -> Callable[[int], Floats]:
-        """Derivative (V, m) of what was measured by each joint's turn, joint by joint."""
+        """Derivative (V, m) of what was measured by each joint's motion, joint by joint."""
 
     @abstractmethod
     def parts(self, residual: Floats) -> list[Floats]:

@@ -180,7 +180,7 @@ class ToolSource(Source):
         return replace(self, free=np.zeros(0, dtype=np.int64))
 
     def joint_columns(self, values: Floats) -> Callable[[int], Floats]:
-        """Derivative (V, m) of what was measured by each joint's turn."""
+        """Derivative (V, m) of what was measured by each joint's motion."""
         prediction, JQ = self.model.joint_jacobian(self.batch, values, self.measurement.reads_joints)
 
         def column(joint: int) -> Floats:

@@ -28,7 +28,7 @@ def fit_by_method(
     """Fit by the method the options name, and again while loads on the fitted chain differ from those it took.
 
     Only ``kalman`` continues from a ``prior``. With ``tilt_first`` the effects of the start are held (thesis 4.22, 5.20);
-    a start that has none of their values gets them fitted first, the chain held as drawn.
+    a start that has none of their values gets them fitted first, the chain held at its nominal values.
     """
     fit = _fitted(start, measurement, options, progress, prior)
     for _ in range(ROUNDS - 1):

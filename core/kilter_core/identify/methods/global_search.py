@@ -55,7 +55,7 @@ class _Search:
 
 
 def _after_base(predicted: Floats, measured: Floats) -> Floats:
-    """Distances (K, 3) left between two clouds once one is turned and moved onto the other."""
+    """Distances (K, 3) left between two clouds once one is rotated and moved onto the other."""
     seen = ~np.isnan(measured).any(axis=1)
     p, m = predicted[seen], measured[seen]
     p, m = p - p.mean(axis=0), m - m.mean(axis=0)

@@ -121,7 +121,7 @@ def _finished(problem: Problem, values: Floats, P: Floats, P0: Floats, innovatio
     fit = fit_at(problem, values.copy(), problem.linearised(values), rows)
     size, turn = np.linalg.eigh(P0)
     before = np.sqrt(np.maximum(1.0 / np.maximum(size, 1e-12) - 1.0, 0.0))
-    held = (size < 1e-9) & fresh  # blind directions were held, not learned
+    held = (size < 1e-9) & fresh  # unobservable directions were held, not learned
     known = (turn * np.where(held, 0.0, before)).T / problem.prior_sigma
     known = known[np.linalg.norm(known * problem.prior_sigma, axis=1) > 1e-6]
     scale = np.outer(problem.prior_sigma, problem.prior_sigma)

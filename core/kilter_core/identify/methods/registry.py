@@ -53,7 +53,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         ),
         "global_search": Method(
             "methods.global_search:global_search",
-            "search a box first: zeros off by a turn, another drawing",
+            "search a box first: zeros off by a turn, another description",
             minimum=True,
             lets_rows_go=True,
         ),

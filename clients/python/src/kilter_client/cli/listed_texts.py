@@ -206,7 +206,7 @@ METHODS: list[dict[str, str]] = [
     {"id": "pose_pseudo_inverse", "summary": "pose by pose, and the mean of the answers (thesis 3.6)"},
     {"id": "influence", "summary": "pose by pose, each weighted by its influence (thesis 3.7, 3.8)"},
     {"id": "kalman", "summary": "continue a version with the rows of a new campaign alone"},
-    {"id": "global_search", "summary": "search a box first: zeros off by a turn, another drawing"},
+    {"id": "global_search", "summary": "search a box first: zeros off by a turn, another description"},
     {"id": "linear_least_squares", "summary": "the problem linearised at the start, solved once"},
 ]
 PRESETS: list[dict[str, str]] = [
