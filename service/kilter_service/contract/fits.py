@@ -258,8 +258,8 @@ class Method(Stored):
 class KindErrors(Stored):
     """Rms error of each model on what one kind measured, in the kind's unit."""
 
-    nominal: float | None = Field(None, description="The robot as drawn, in its own base and tool.")
-    registration_only: float | None = Field(None, description="The robot as drawn, base and tool fitted.")
+    nominal: float | None = Field(None, description="The nominal robot, in its own base and tool.")
+    registration_only: float | None = Field(None, description="The nominal robot, base and tool fitted.")
     identified: float | None = Field(None, description="The model that was identified.")
 
 

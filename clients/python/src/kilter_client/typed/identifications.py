@@ -49,9 +49,9 @@ class KindErrors(Record):
     identified: float | None
     """The model that was identified."""
     nominal: float | None
-    """The robot as drawn, in its own base and tool."""
+    """The nominal robot, in its own base and tool."""
     registration_only: float | None
-    """The robot as drawn, base and tool fitted."""
+    """The nominal robot, base and tool fitted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
