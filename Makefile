@@ -45,7 +45,7 @@ test-wheels: ## run the suite from the installed wheels (TESTS="tests/core ...")
 
 # The kernels run compiled, where no line is counted: their tests run once more without the compiler. Then numpy warns of
 # overflows that the compiled code passes over, as it should: a rotation by an infinite cotangent is by nothing.
-KERNEL_TESTS := tests/core/test_chain.py tests/core/test_moments.py tests/core/test_poses.py tests/corrector/test_kernel.py \
+KERNEL_TESTS := tests/core/arm/test_chain.py tests/core/arm/test_moments.py tests/core/observations/test_poses.py tests/corrector/test_kernel.py \
 	tests/corrector/test_load_chain.py
 
 coverage: $(KERNELS) ## count the lines that the tests run, those of the kernels without the compiler (slow)

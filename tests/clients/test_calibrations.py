@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from kilter_client import Kilter
 from kilter_client.cli import run
+from tests.core.arm.test_wrench import COMPLIANCE, loaded
 from tests.core.campaigns import joints
-from tests.core.identify.test_constraints import lengths, sockets
-from tests.core.identify.test_relative import campaign
-from tests.core.test_wrench import COMPLIANCE, loaded
+from tests.core.measurement.test_contacts import lengths, sockets
+from tests.core.measurement.test_distances import campaign
 from tests.core.truth import ur10
 
 Capture = pytest.CaptureFixture[str]

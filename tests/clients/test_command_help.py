@@ -17,7 +17,7 @@ from kilter_client.cli import run
 from kilter_client.cli.catalogue import CATALOGUE, ENTRIES
 from kilter_core.arm.presets import preset_names
 from kilter_core.effects import EFFECTS
-from kilter_core.identify.methods.registry import METHODS
+from kilter_core.identify.registry import METHODS
 from kilter_service.campaigns import columns as contract
 from kilter_service.exporters.registry import FORMATS as EXPORTS
 

@@ -13,7 +13,7 @@ from kilter_client import FileError, Kilter, UsageError, prepare
 from kilter_client.cli import run
 from kilter_files.robots.plain_name import checked_name, plain_name
 from tests.clients.answered import document
-from tests.core.test_circle_points import circles, horizontal
+from tests.core.procedures.test_circle_points import circles, horizontal
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]

@@ -379,7 +379,7 @@ def lined(path: str, *lines: tuple[str, str]) -> str:
     return text
 
 
-METHODS, EFFECTS = "core/kilter_core/identify/methods/registry.py", "core/kilter_core/effects/registry.py"
+METHODS, EFFECTS = "core/kilter_core/identify/registry.py", "core/kilter_core/effects/registry.py"
 MEASUREMENTS = "core/kilter_core/measurement/registry.py"
 FILES = "clients/files/kilter_files/__init__.py"
 KINDS, FORMATS = "service/kilter_service/jobs/registry.py", "service/kilter_service/exporters/registry.py"

@@ -31,9 +31,9 @@ from kilter_core.twin import thesis_katana
 from tests.blind.generator import Case, cases, generate
 from tests.blind.to_core import observations_of, robot_of
 from tests.core.campaigns import joints, measured, table_errors
-from tests.core.identify import test_constraints, test_relative
-from tests.core.test_link_encoders import ROBOT as WITH_LINK_ENCODERS
-from tests.core.test_link_encoders import motion
+from tests.core.measurement import test_contacts, test_distances
+from tests.core.procedures.test_link_encoders import ROBOT as WITH_LINK_ENCODERS
+from tests.core.procedures.test_link_encoders import motion
 from tests.core.truth import some_pose, ur10
 
 SEED, CASES, SETPOINTS = 5, 100, 10_000
@@ -106,8 +106,8 @@ def tilted(options: Mapping[str, Any]) -> Callable[[], Found]:
 
 def contacts() -> Found:
     """A ball in three sockets of known distances."""
-    drawn, _, rows = test_constraints.sockets()
-    options = IdentifyOptions(base="removed", socket_distances_mm=test_constraints.lengths())
+    drawn, _, rows = test_contacts.sockets()
+    options = IdentifyOptions(base="removed", socket_distances_mm=test_contacts.lengths())
     return identified(robot_from_document(drawn.document()), rows, options, None)
 
 
@@ -115,7 +115,7 @@ def distances(see: str) -> Callable[[], Found]:
     """Distances between poses, whatever the frame."""
 
     def run() -> Found:
-        robot, train, held = test_relative.campaign(see, rows=70)
+        robot, train, held = test_distances.campaign(see, rows=70)
         return identified(robot, train, IdentifyOptions(base="removed"), held)
 
     return run

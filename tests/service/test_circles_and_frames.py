@@ -8,8 +8,8 @@ import httpx
 import numpy as np
 import pytest
 
-from tests.core.conversions.test_documents import poses
-from tests.core.test_circle_points import HOME, circles, horizontal, middle
+from tests.core.arm.test_documents import poses
+from tests.core.procedures.test_circle_points import HOME, circles, horizontal, middle
 from tests.core.truth import Arm, Step, ur10
 
 

@@ -18,7 +18,7 @@ from kilter_core.arm.presets import preset_document
 from kilter_service.robots.convert import convert as converted
 from kilter_service.robots.documents import core_document
 from kilter_service.robots.wire import DOCUMENT
-from tests.core.conversions.test_documents import poses
+from tests.core.arm.test_documents import poses
 from tests.core.truth import some_arm, ur10, with_bodies
 
 

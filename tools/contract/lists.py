@@ -10,7 +10,7 @@ from typing import Any
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document, preset_names
 from kilter_core.effects import EFFECTS, Effect
-from kilter_core.identify.methods.registry import METHODS
+from kilter_core.identify.registry import METHODS
 from kilter_service.exporters.registry import FORMATS
 
 COLUMNS_PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "columns.md"

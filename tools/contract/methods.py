@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from kilter_core.identify.methods.registry import METHODS
+from kilter_core.identify.registry import METHODS
 
-HEAD = '''"""The methods of an identification, made by `make contract` from core/kilter_core/identify/methods/registry.py."""
+HEAD = '''"""The methods of an identification, made by `make contract` from core/kilter_core/identify/registry.py."""
 
 from __future__ import annotations
 

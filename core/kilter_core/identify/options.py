@@ -11,7 +11,7 @@ import numpy as np
 
 from kilter_core.effects import Effect, effect_from_document
 from kilter_core.errors import OptionError
-from kilter_core.identify.methods.registry import METHODS
+from kilter_core.identify.registry import METHODS
 from kilter_core.model import RobotModel
 from kilter_core.types import Ints
 

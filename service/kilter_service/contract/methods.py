@@ -1,4 +1,4 @@
-"""The methods of an identification, made by `make contract` from core/kilter_core/identify/methods/registry.py."""
+"""The methods of an identification, made by `make contract` from core/kilter_core/identify/registry.py."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ from kilter_core.identify.estimate import estimate
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.methods.kalman import Prior, kalman
 from kilter_core.identify.methods.loads import ROUNDS, continued, reloaded
-from kilter_core.identify.methods.registry import METHODS
 from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.registry import METHODS
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.types import Progress

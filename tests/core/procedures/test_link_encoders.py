@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 ARM = replace(ur10(), bodies=tuple(Body(j, 3.0, np.array([-0.2, 0.02, 0.05])) for j in range(6)))
 ROBOT = robot_from_document(ARM.document())
 C, B, TAU = 2e-5, 3e-4, 2e-3
-KR300 = Path(__file__).resolve().parents[2] / "clients/python/examples/kr300.json"
+KR300 = Path(__file__).resolve().parents[3] / "clients/python/examples/kr300.json"
 RATIOS = np.array([1798 / 7, 1872 / 7, 757 / 3, 221.0, 5032 / 21, 154.323134])
 
 
