@@ -29,7 +29,7 @@ def gate(constant: str) -> Gate:
 
 
 def test_a_gate_is_decided_again_by_the_number_behind_it() -> None:
-    gain, inclusion = gate("verdict.SURE_GAIN"), gate("verdict.INCLUDED")
+    gain, inclusion = gate("evidence.verdict.SURE_GAIN"), gate("evidence.verdict.INCLUDED")
     good = effect("backlash", "confirmed", {"held_out": True, "inclusion": True}, held_out=3.0, inclusion=0.85)
     bad = effect("eccentricity", "provisional", {"held_out": False, "inclusion": True}, held_out=1.5, inclusion=1.0)
 
@@ -48,9 +48,9 @@ def test_a_gate_is_decided_again_by_the_number_behind_it() -> None:
 
 def test_a_gate_that_something_else_decided_stays() -> None:
     small = effect("backlash", "confirmed", {"adequate": True}, adequate=0.001)
-    assert decided(record(small), gate("adequacy.ADEQUATE"), 2.0)["report"]["effects"][0]["verdict"] == "confirmed"
+    assert decided(record(small), gate("evidence.adequacy.ADEQUATE"), 2.0)["report"]["effects"][0]["verdict"] == "confirmed"
     silent = effect("backlash", "provisional", {"held_out": False})
-    assert decided(record(silent), gate("verdict.SURE_GAIN"), 0.5) == record(silent)
+    assert decided(record(silent), gate("evidence.verdict.SURE_GAIN"), 0.5) == record(silent)
 
 
 def test_the_score_counts_wrong_runs_and_claims() -> None:
@@ -59,7 +59,7 @@ def test_the_score_counts_wrong_runs_and_claims() -> None:
     score = Score.of([good, lie])
     assert (score.wrong, score.claimed, score.named, score.exact) == ((1, 2), (1, 2), (2, 2), (1, 2))
     assert score.of_gate() == "50.0% / 50.0%"
-    assert "`verdict.SURE_GAIN` | 3 |" in gate_table([good])
+    assert "`evidence.verdict.SURE_GAIN` | 3 |" in gate_table([good])
 
 
 def test_a_changed_constant_reaches_all_who_took_it_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,13 +70,13 @@ def test_a_changed_constant_reaches_all_who_took_it_by_name(monkeypatch: pytest.
         return {}
 
     monkeypatch.setattr(thresholds, "run_case", look)
-    patched("select.MARGIN", 2.0, next(cases(0, 1)))
+    patched("search.select.MARGIN", 2.0, next(cases(0, 1)))
     assert seen == [2.0 * before]
     assert before == kilter_core.gap.search.select.MARGIN
 
 
 def test_every_constant_of_the_tables_is_one_of_the_finder() -> None:
-    assert known(["select.MARGIN", "select.NOT_THERE", "nowhere.MARGIN"]) == ["select.MARGIN"]
+    assert known(["search.select.MARGIN", "search.select.NOT_THERE", "nowhere.MARGIN"]) == ["search.select.MARGIN"]
     assert len(known(SEARCH)) >= 14
     assert len(known(g.constant for g in GATES)) >= 6
 

@@ -229,7 +229,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--records", type=Path, default=RECORDS / "blind-0.jsonl")
     parser.add_argument("--search", action="store_true", help="run the thresholds of the search too; this takes hours")
-    parser.add_argument("--only", nargs="*", default=list(SEARCH), help="of these constants, as select.MARGIN")
+    parser.add_argument("--only", nargs="*", default=list(SEARCH), help="of these constants, as search.select.MARGIN")
     parser.add_argument("--n", type=int, default=PAIRED)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=2)

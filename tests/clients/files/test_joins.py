@@ -107,7 +107,7 @@ def test_a_ball_bar_gets_its_joints_from_the_log_and_calibrates(
     warnings = told(capsys, "identify", "bar-arm", "--campaign", wrong, "--level", 1)["result"]["warnings"]
     said = next(warning["message"] for warning in warnings if warning["code"] == "bar_length_doubtful")
     assert "bar 1 reads 10" in said
-    assert "mm from its foot (0.97" in said
+    assert "mm from the ball at its fixed end (0.97" in said
 
 
 @pytest.mark.parametrize("stated", [101.0, 150.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.search import source
+from kilter_core.gap.search import tool_source
 from kilter_core.gap.search.linearized import linearize_at
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
@@ -34,7 +34,7 @@ def test_parts_are_the_whole(measured, monkeypatch):
     values[tool.free[tool.soft]] += 0.3 * tool.prior_sigma[tool.soft]
     columns = [3, 0, 5]
     whole = tool.linear(values), tool.linear(values, None, columns)
-    monkeypatch.setattr(source, "MOST_NUMBERS", 40 * (len(tool.free) + 3))
+    monkeypatch.setattr(tool_source, "MOST_NUMBERS", 40 * (len(tool.free) + 3))
     assert len(tool._parts(len(tool.free) + 3)) == 3
     for one, other in zip(whole, (tool.linear(values), tool.linear(values, None, columns)), strict=True):
         for name in ("r", "G", "W"):

@@ -30,7 +30,7 @@ def test_candidates_are_at_the_joints_named_only() -> None:
     [
         ("ghost", "no effect 'ghost'"),
         ({"id": "ghost"}, "no effect 'ghost'"),
-        ("load_error", "carried by every hunt"),
+        ("load_error", "carried by every search"),
         ({"id": "unknown_residual"}, "learned, not searched"),
         ({"id": "clearance_tilt", "softening_nm": 1.0}, "chooses softening_nm of clearance_tilt itself"),
         ({"id": "drift", "joints": [1]}, "does not act at joints"),

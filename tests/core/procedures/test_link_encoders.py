@@ -90,7 +90,7 @@ def test_an_upright_axis_a_resting_joint_and_one_way_motion_say_what_is_missing(
     assert "load about this axis never changes" in values(found[0])["compliance"].reason
     assert values(found[0])["backlash"].value == pytest.approx(B, rel=0.1)
     assert "never moves" in str(link_joints(ROBOT, [still])[3].dead)
-    assert "never turns back" in values(link_joints(ROBOT, [one_way])[2])["backlash"].reason
+    assert "never reverses" in values(link_joints(ROBOT, [one_way])[2])["backlash"].reason
 
 
 def test_a_load_that_would_be_yielded_against_is_not_called_compliance() -> None:
@@ -106,7 +106,7 @@ def test_rows_without_a_link_side_are_refused() -> None:
     rows = motion(0)
     with pytest.raises(ObservationError, match="link1_deg"):
         link_joints(ROBOT, [replace(rows, link_q=None)])
-    with pytest.raises(TooFewPosesError, match="no motion"):
+    with pytest.raises(TooFewPosesError, match="not a motion"):
         link_joints(ROBOT, [rows.select(np.arange(20))])
 
 
