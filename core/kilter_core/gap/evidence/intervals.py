@@ -81,7 +81,7 @@ def _end(search: SearchResult, k: int, best: float, end: float, least: float, ta
         rise = solved(search.problem.settings, search.problem.values, others, (k, best + move))[1] - least
         return float(np.sqrt(max(rise, 0.0)))
 
-    move = profile_end(root, end - best, target, 1)
+    move = profile_end(root, end - best, target, 1, close=0.0)
     return end if move is None else best + move
 
 

@@ -93,16 +93,19 @@ def _end(fit: Fit, c: int, sigma: float) -> float | None:
         return None
 
 
-def profile_end(root: Callable[[float], float], move: float, target: float, trials: int) -> float | None:
+def profile_end(
+    root: Callable[[float], float], move: float, target: float, trials: int, close: float = CLOSE
+) -> float | None:
     """Move at which the ``root`` of what a profile rises by reaches its ``target``, from the linear guess ``move``.
 
-    By secants, at most ``trials`` of them, each a fit; None where the profile does not rise.
+    By secants, at most ``trials`` of them, each a fit, until the root is as ``close`` to its target as that share; None
+    where the profile does not rise.
     """
     for _ in range(trials):
         risen = root(move)
         if not risen > 0.0:
             return None
-        if abs(risen / target - 1.0) < CLOSE:
+        if abs(risen / target - 1.0) < close:
             break
         move *= min(max(target / risen, 0.5), 2.0)
     return move
