@@ -76,6 +76,9 @@ def test_with_json_it_is_one_document(robot: str, kilter: Kilter, write_campaign
     kilter.jobs.cancel(job)
 
 
+TWO_PIECES = 3500  # poses of a file that is not whole at the server when its first piece has gone
+
+
 @pytest.fixture
 def broken_off(monkeypatch: pytest.MonkeyPatch) -> None:
     """The person presses Ctrl-C when the first bytes of an upload have gone."""
@@ -98,7 +101,7 @@ def test_while_a_campaign_is_sent(
     capsys: Capture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    file = write_campaign()
+    file = write_campaign(TWO_PIECES)
     assert run(["upload", robot, str(file)]) == 130
     assert "Interrupted: nothing is stored. The same command sends the file again." in capsys.readouterr().err
     assert kilter.campaigns.list(robot, staged=True) == kilter.campaigns.list(robot) == []
@@ -113,11 +116,11 @@ def test_while_rows_are_added(
     robot: str, kilter: Kilter, write_campaign: Write, broken_off: None, capsys: Capture
 ) -> None:
     campaign = kilter.campaigns.add(robot, "monday")["id"]
-    arguments = ["upload", robot, str(write_campaign()), "--campaign", "monday"]
+    arguments = ["upload", robot, str(write_campaign(TWO_PIECES)), "--campaign", "monday"]
     assert run(arguments) == 130
     assert f"nothing is added to campaign {campaign}. The same command sends the file again." in capsys.readouterr().err
     assert kilter.campaigns.get(campaign)["uploads"] == []
-    kilter.campaigns.upload(campaign, write_campaign())
+    kilter.campaigns.upload(campaign, write_campaign(TWO_PIECES))
     assert run(arguments) == 130
     assert f"the rows are stored in campaign {campaign}." in capsys.readouterr().err
 
