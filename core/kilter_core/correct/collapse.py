@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.arm.chain import Axis, Element
+from kilter_core.arm.chain import Element
 from kilter_core.arm.robot import Robot
 from kilter_core.correct.kernels import layout
 from kilter_core.types import Floats
@@ -22,18 +21,6 @@ class CollapsedChain:
     moves: list[tuple[int, int, float, bool, bool]]
     since_move: list[Floats]  # per element: the constant transform since the last move
     move_of: list[int]  # per element: the last move, -1 before the first
-
-
-def _elementary(axis: Axis, amount: float) -> Floats:
-    T = np.eye(4)
-    k = axis % 3
-    if axis.rotates:
-        a, b = (k + 1) % 3, (k + 2) % 3
-        c, s = math.cos(amount), math.sin(amount)
-        T[a, a], T[a, b], T[b, a], T[b, b] = c, -s, s, c
-    else:
-        T[k, 3] = amount
-    return T
 
 
 def _rotation_to_z(element: Element, frame: Floats | None) -> Floats:
@@ -54,7 +41,7 @@ def collapse_constants(robot: Robot, values: list[float], T_base: Floats, T_tool
     out = CollapsedChain([], [], [], [])
     since = T_base
     for k, (element, value) in enumerate(zip(robot.chain.elements, values, strict=True)):
-        since = since @ _elementary(element.axis, value)
+        since = since @ element.axis.motion(value)
         if element.joint is not None:
             rotation = _rotation_to_z(element, frames[primary[k]] if k in primary else None)
             out.constants.append(since @ rotation)
