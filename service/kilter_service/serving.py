@@ -56,7 +56,7 @@ def _why(error: OSError) -> str:
 def url_of(opened: socket.socket) -> str:
     """Return the URL at which a listening socket is reached."""
     host, port = opened.getsockname()[:2]
-    if host in ("0.0.0.0", "::"):
+    if host in ("0.0.0.0", "::"):  # noqa: S104 (compared, not bound)
         host = socket.gethostname()
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Comment, Element, SubElement, TreeBuilder, XMLParser, indent, tostring
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from kilter_service.exporters.urdf_new import new_urdf
 from kilter_service.exporters.urdf_words import set_origin
 from kilter_service.importers.urdf import chain_document
 from kilter_service.importers.urdf_tree import UrdfJoint, parse
+from kilter_service.importers.xml_text import read_xml
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def urdf_file(version: Exportable) -> Written:
 
 def _corrected(robot: dict[str, str], found: FlangeFrames) -> Element:
     """The original file, comments and all, with the origins of the chain's joints replaced."""
-    root = ElementTree.fromstring(robot["urdf"], XMLParser(target=TreeBuilder(insert_comments=True)))
+    root = read_xml(robot["urdf"], comments=True)
     path = parse(robot["urdf"]).path(robot["base_link"], robot["tip_link"])
     ends = dict(chain_document(robot["urdf"], robot["base_link"], robot["tip_link"], "").joint_ends)
     elements = {joint.get("name"): joint for joint in root.findall("joint")}

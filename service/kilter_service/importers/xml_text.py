@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 PIECE = 1 << 16
 
 
-def read_xml(text: str) -> Element:
-    """Read the root element of a URDF.
+def read_xml(text: str, *, comments: bool = False) -> Element:
+    """Read the root element of a URDF, with its comments where they are asked for.
 
     Raises:
         RobotError: not XML, xacro, entities or a DTD, or too many, too deep or too long elements.
@@ -25,7 +25,7 @@ def read_xml(text: str) -> Element:
     from defusedxml.ElementTree import DefusedXMLParser, ParseError
 
     _refuse_xacro(text)
-    parser = DefusedXMLParser(target=_Counted())
+    parser = DefusedXMLParser(target=_Counted(insert_comments=comments))
     try:
         for start in range(0, len(text), PIECE):
             parser.feed(text[start : start + PIECE])
@@ -57,8 +57,8 @@ def _without_comments(text: str) -> str:
 class _Counted(TreeBuilder):
     """Builds elements and refuses when there are too many."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, *, insert_comments: bool) -> None:
+        super().__init__(insert_comments=insert_comments)
         self._tags = self._depth = 0
 
     def start(self, tag: str, attributes: Any, /) -> Any:

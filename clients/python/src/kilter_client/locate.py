@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from kilter_client.errors import ServerUnreachableError
 
 SERVER_FILE = "server.json"
-TOKEN_FILE = "token"
+TOKEN_FILE = "token"  # noqa: S105 (the name of a file)
 
 
 @dataclass(frozen=True)

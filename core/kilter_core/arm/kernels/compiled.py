@@ -127,7 +127,8 @@ class KernelCache(FunctionCache):
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
         file = self._file(sig, target_context.codegen()) if self._enabled else None
         try:
-            kept = None if file is None else pickle.loads(file.read_bytes())
+            # Written here, by this user, in a folder that only this user writes: what a .pyc file is for Python.
+            kept = None if file is None else pickle.loads(file.read_bytes())  # noqa: S301
         except (OSError, EOFError, pickle.UnpicklingError):  # not there yet, or a machine that went down while it wrote
             return None
         return None if kept is None else self._impl.rebuild(target_context, kept)
