@@ -24,5 +24,5 @@ USER 10001
 VOLUME /data
 EXPOSE 8730 7447
 HEALTHCHECK --interval=10s --timeout=3s --start-period=30s \
-    CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8730/v1/health/ready')"]
+    CMD ["python", "-c", "import os, urllib.request as r; r.urlopen(f'http://127.0.0.1:{os.environ.get(\"KILTER_PORT\", 8730)}/v1/health/ready')"]
 CMD ["kilterd", "serve"]
