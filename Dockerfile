@@ -7,7 +7,7 @@ COPY pyproject.toml README.md LICENSE alembic.ini ./
 COPY core core
 COPY service service
 COPY migrations migrations
-RUN /opt/kilter/bin/pip install --no-cache-dir --no-build-isolation --constraint constraints.txt ./core '.[postgresql]'
+RUN /opt/kilter/bin/pip install --no-cache-dir --no-build-isolation --constraint constraints.txt ./core '.[postgresql,tracing]'
 
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --create-home kilter \

@@ -19,7 +19,7 @@ OURS = ("kilter-core", "kilter-files", "kilter-client", "kilter")
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "kilter-files": ("formats", "sheet"),
     "kilter-client": ("files", "notebook", "plots", "sheet", "stream"),
-    "kilter": ("postgresql",),
+    "kilter": ("postgresql", "tracing"),
 }
 # Packages that name no licence in a form that a program reads: read in their own licence files.
 READ_BY_HAND = {"reportlab": "BSD-3-Clause"}
@@ -37,6 +37,7 @@ marked.
 """
 NORMAL = (
     (r"^MIT( License)?$", "MIT"),
+    (r"^3-Clause BSD License$", "BSD-3-Clause"),
     (r"^(BSD|New BSD|3-Clause BSD|BSD License)$", "BSD"),
     (r"^(Apache( Software)? License.*|Apache 2.0|Apache License 2.0)$", "Apache-2.0"),
     (r"^ISC License.*$", "ISC"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import logging
 import os
 import signal
 import socket
@@ -15,9 +14,11 @@ from collections.abc import Callable, Sequence
 from pydantic import ValidationError
 
 from kilter_core.errors import CoreError
+from kilter_service.observability import logs, tracing
 from kilter_service.settings import Settings
 from kilter_service.version import code_version
 
+TRACED = frozenset({"api", "worker"})
 USAGE_CODES = frozenset({"binding_refused", "token_file_open"})
 Command = Callable[[Settings, argparse.Namespace], None]
 
@@ -94,7 +95,8 @@ ENVIRONMENT = (
     "Every setting is also an environment variable: KILTER_DATA, KILTER_DATABASE_URL, KILTER_HOST, KILTER_PORT, "
     "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_SITE, KILTER_TEMPERATURE_C, KILTER_ROS2, "
     "KILTER_ROS2_DOMAIN, KILTER_ROS2_CONNECT, KILTER_ROS2_DIALECT, KILTER_MAX_UPLOAD_MB, "
-    "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_WORKER_NAME."
+    "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_WORKER_NAME, "
+    "KILTER_LOG_FORMAT, KILTER_ACCESS_LOG."
 )
 
 
@@ -124,12 +126,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # The fits are small: threads of the linear algebra library only wait for each other there, ten times slower on a
     # busy machine with two cores (docs/explanation/surprises.md). It is read when numpy is imported, by a command.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # INFO of libraries is theirs; what Kilter logs at INFO is for whoever runs it.
-    logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
-    logging.getLogger("kilter").setLevel(logging.INFO)
     overrides = {name: getattr(given, name, None) for name in ("data", "database_url", "host", "port")}
     try:
         settings = Settings(**{name: value for name, value in overrides.items() if value is not None})
+        logs.configure(settings, given.command)
+        if given.command in TRACED:
+            tracing.configure(given.command)
         _end_with_parent()
         COMMANDS[given.command][0](settings, given)
     except ValidationError as error:

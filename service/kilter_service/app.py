@@ -18,6 +18,8 @@ from kilter_service.frames.routes import router as frames
 from kilter_service.health.routes import router as health
 from kilter_service.jobs.queue import JobQueue
 from kilter_service.jobs.routes import router as jobs
+from kilter_service.observability.requests import Observed
+from kilter_service.observability.routes import router as metrics
 from kilter_service.references.routes import router as references
 from kilter_service.robots.routes import router as robots
 from kilter_service.settings import Settings
@@ -27,7 +29,7 @@ from kilter_service.versions.routes import router as versions
 
 SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from measured poses and corrects its setpoints."
 
-ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction, frames, references)
+ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction, frames, references, metrics)
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -43,6 +45,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.slots = Slots(settings)
     problems.install(app)
+    app.add_middleware(Observed)
     app.include_router(health)
     app.include_router(docs_page)
     for router in ROUTERS:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import uuid
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,6 +15,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from kilter_core.errors import CoreError
 from kilter_service.contract.problems import Problem
 from kilter_service.errors import PROBLEMS
+from kilter_service.observability.metrics import REFUSALS
+from kilter_service.observability.requests import new_request_id
 
 log = logging.getLogger("kilter.api")
 
@@ -31,11 +32,6 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
 }
 
 
-def new_request_id() -> str:
-    """Return the identifier that ties a response to the server's log."""
-    return uuid.uuid4().hex[:16]
-
-
 def plain(value: Any) -> Any:
     """Return what JSON can say of a value in an error's context (arrays, numpy numbers, paths)."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
@@ -47,6 +43,7 @@ def problem(
     """Build the problem document of ``code``; ``status`` overrides the table's."""
     listed, title = PROBLEMS.get(code, (400, "The request cannot be fulfilled"))
     status = status or listed
+    REFUSALS.labels(code).inc()
     document = {
         "type": f"urn:kilter:problem:{code}",
         "title": title,
@@ -115,8 +112,7 @@ class RequestNaming:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        request_id = new_request_id()
-        scope.setdefault("state", {})["request_id"] = request_id
+        request_id = scope.setdefault("state", {}).setdefault("request_id", new_request_id())
         started = False
 
         async def send_named(message: Message) -> None:

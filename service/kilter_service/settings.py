@@ -48,6 +48,8 @@ class Settings(BaseSettings):
     max_document_mb: Annotated[int, Field(ge=1, le=64, description="largest robot, job or other JSON document")] = 4
     max_requests: Annotated[int, Field(ge=1, description="requests with a document that are inside at once")] = 32
     max_computing: Annotated[int, Field(ge=1, le=16, description="documents, and files, worked on at once")] = 2
+    log_format: Literal["text", "json"] = Field(default="text", description="lines of the log")
+    access_log: str | None = Field(default=None, description="file of the access log, - for the log itself")
     worker_name: str | None = Field(default=None, description="stable name of this worker; default is the host name")
 
     @property
@@ -107,6 +109,8 @@ class Settings(BaseSettings):
             "MAX_DOCUMENT_MB": str(self.max_document_mb),
             "MAX_REQUESTS": str(self.max_requests),
             "MAX_COMPUTING": str(self.max_computing),
+            "LOG_FORMAT": self.log_format,
+            "ACCESS_LOG": self.access_log,
             "WORKER_NAME": self.worker_name,
         }
         return {f"KILTER_{name}": value for name, value in values.items() if value is not None}

@@ -129,6 +129,8 @@ class JobRow(Row):
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]
     name: Mapped[str] = mapped_column(String(200), default="", server_default="")
+    request_id: Mapped[str] = mapped_column(String(64), default="", server_default="")
+    traceparent: Mapped[str] = mapped_column(String(64), default="", server_default="")
 
 
 class VersionRow(Row):

@@ -57,6 +57,14 @@ class UsedRecord:
 
 
 @dataclass(frozen=True)
+class Asked:
+    """Which request asked for a job, and where that was in a trace; empty where nobody said."""
+
+    request_id: str = ""
+    traceparent: str = ""
+
+
+@dataclass(frozen=True)
 class JobRecord:
     """A stored job."""
 
@@ -75,3 +83,4 @@ class JobRecord:
     request: JobRequest
     attempts: int
     result: dict[str, Any] | None
+    asked: Asked

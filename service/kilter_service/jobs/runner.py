@@ -19,6 +19,7 @@ from kilter_service.jobs.default_load import with_load_warning
 from kilter_service.jobs.kind import JobKind, VersionContent
 from kilter_service.jobs.records import UsedRecord
 from kilter_service.jobs.registry import kind_of
+from kilter_service.observability import logs, tracing
 from kilter_service.versions.objections import objections_of
 
 log = logging.getLogger("kilter.worker")
@@ -38,6 +39,22 @@ class Runner:
 
     def compute(self, job_id: str) -> Outcome:
         """First step: the outcome of a job, JSON-able; it is checkpointed and not computed again."""
+        try:
+            with self._database.reading() as session:
+                job = store.get(session, job_id)
+        except CoreError as error:
+            return _failed(error.code, error.message)
+        asked = job.asked
+        with (
+            logs.about(request_id=asked.request_id, job_id=job_id, robot=job.robot),
+            tracing.job(job.kind, job_id, job.robot, asked.traceparent),
+        ):
+            began = time.monotonic()
+            outcome = self._outcome(job_id)
+            log.info("%s %s after %.1f s", job.kind, outcome["state"], time.monotonic() - began)
+            return outcome
+
+    def _outcome(self, job_id: str) -> Outcome:
         report = ProgressReporter(self._database, job_id)
         try:
             slot = self._slots[self._kind(job_id).long]

@@ -11,7 +11,9 @@ from kilter_service.errors import ServiceError
 from kilter_service.jobs import store, wire
 from kilter_service.jobs.kind import JobKind
 from kilter_service.jobs.queue import JobQueue
+from kilter_service.jobs.records import Asked
 from kilter_service.jobs.registry import kind_of
+from kilter_service.observability import logs, tracing
 from kilter_service.paging import Page, in_time
 from kilter_service.references import store as references
 from kilter_service.robots import store as robots
@@ -33,7 +35,8 @@ def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
         checked(session, job, kind)
     kind.check(job.options)  # may import the core and take its time: outside
     with database.transaction() as session:
-        job_id = store.add(session, checked(session, job, kind), job)  # robot and campaigns are still there
+        asked = Asked(logs.request_id(), tracing.traceparent())
+        job_id = store.add(session, checked(session, job, kind), job, asked)  # robot and campaigns are still there
     try:
         queue.enqueue(job_id, long=kind.long)
     except Exception:  # whatever the job engine lacks (it has not started yet), the worker's sweep finds the row

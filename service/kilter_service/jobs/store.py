@@ -19,7 +19,7 @@ from kilter_service.errors import ServiceError
 from kilter_service.jobs.durations import PastRun
 from kilter_service.jobs.kind import JobInput, JobKind, VersionContent
 from kilter_service.jobs.plotly_figures.layout import captioned
-from kilter_service.jobs.records import JobRecord, JobRequest, UsedRecord
+from kilter_service.jobs.records import Asked, JobRecord, JobRequest, UsedRecord
 from kilter_service.jobs.refusals import read_options
 from kilter_service.jobs.registry import kind_of
 from kilter_service.paging import Page
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 MOST_PAST = 20  # earlier jobs that tell how long one takes
 
 
-def add(session: Session, robot_id: int, job: NewJob) -> str:
+def add(session: Session, robot_id: int, job: NewJob, asked: Asked) -> str:
     """Store a queued job and return its id."""
     row = JobRow(
         id=f"job_{uuid.uuid4().hex[:16]}",
@@ -44,6 +44,8 @@ def add(session: Session, robot_id: int, job: NewJob) -> str:
         name=job.name,
         request=job.model_dump(mode="json"),
         state="queued",
+        request_id=asked.request_id,
+        traceparent=asked.traceparent,
     )
     session.add(row)
     session.flush()
@@ -98,6 +100,7 @@ def _record(session: Session, row: JobRow) -> JobRecord:
         request=JobRequest.of(row.request),
         attempts=row.attempts,
         result=row.result,
+        asked=Asked(row.request_id, row.traceparent),
     )
 
 

@@ -1,0 +1,22 @@
+"""Metrics over HTTP."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Response
+
+from kilter_service.observability import service
+from kilter_service.routing import GuardedRoute
+from kilter_service.state import DatabaseOfApp
+
+router = APIRouter(tags=["health"], route_class=GuardedRoute)
+TEXT: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"text/plain": {"schema": {"type": "string"}}}, "description": "Metrics"}
+}
+
+
+@router.get("/metrics", response_class=Response, responses=TEXT)
+def metrics(database: DatabaseOfApp) -> Response:
+    """Return the metrics of this process and of the database, in the text format of Prometheus."""
+    return Response(service.text(database), headers={"Content-Type": service.MEDIA_TYPE})

@@ -1,0 +1,76 @@
+"""The metrics of a server: those its process keeps, and those it reads from the database when it is asked."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Sequence
+
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import GaugeMetricFamily, Metric, SummaryMetricFamily
+from prometheus_client.exposition import CONTENT_TYPE_LATEST
+from prometheus_client.registry import Collector
+
+from kilter_service.db import Database, Session
+from kilter_service.observability import store
+from kilter_service.observability.metrics import REGISTRY
+from kilter_service.version import code_version
+
+log = logging.getLogger("kilter.api")
+
+MEDIA_TYPE = CONTENT_TYPE_LATEST
+DATABASE_UP = "Whether the database answers."
+LATELY_S = 3600.0
+
+
+def text(database: Database) -> bytes:
+    """Write all metrics in the text format of Prometheus; without a database, those of the process alone."""
+    asked = CollectorRegistry()
+    asked.register(_Asked(database))
+    return generate_latest(REGISTRY) + generate_latest(asked)
+
+
+class _Asked(Collector):
+    """Metrics that are read when they are asked for."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def describe(self) -> Iterable[Metric]:
+        """Name nothing beforehand, so that registering reads nothing."""
+        return []
+
+    def collect(self) -> Iterable[Metric]:
+        """Read and give the metrics."""
+        yield _gauge("kilter_build", "1, with the version that runs.", ("version",), [((code_version(),), 1.0)])
+        try:
+            with self._database.reading() as session:
+                known = list(_of(session))
+        except Exception:  # the metrics are there to say so
+            log.warning("the metrics of the database cannot be read", exc_info=True)
+            yield _gauge("kilter_database_up", DATABASE_UP, (), [((), 0.0)])
+            return
+        yield _gauge("kilter_database_up", DATABASE_UP, (), [((), 1.0)])
+        yield from known
+
+
+def _of(session: Session) -> Iterable[Metric]:
+    jobs = [((kind, state), float(number)) for kind, state, number in store.jobs_by_state(session)]
+    yield _gauge("kilter_jobs", "Jobs in the database.", ("kind", "state"), jobs)
+    age = [((), store.queue_age_s(session))]
+    yield _gauge("kilter_job_queue_age_seconds", "How long the oldest queued job has waited.", (), age)
+    took = SummaryMetricFamily(
+        "kilter_job_duration_seconds", "Time jobs took that finished in the last hour.", labels=("kind", "state")
+    )
+    for one in store.finished_since(session, LATELY_S):
+        took.add_metric((one.kind, one.state), count_value=len(one.durations_s), sum_value=sum(one.durations_s))
+    yield took
+    beats = [((process, name), age_s) for process, name, age_s in store.beats(session)]
+    text = "Time since a process last said that it is alive."
+    yield _gauge("kilter_heartbeat_age_seconds", text, ("process", "name"), beats)
+
+
+def _gauge(name: str, text: str, labels: Sequence[str], values: Iterable[tuple[Sequence[str], float]]) -> Metric:
+    family = GaugeMetricFamily(name, text, labels=labels)
+    for label, value in values:
+        family.add_metric(label, value)
+    return family

@@ -1,0 +1,210 @@
+"""Logs, metrics and traces, from outside: what a request leaves behind in each."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from sqlalchemy import text
+
+from kilter_service.auth.token import admin_token
+from kilter_service.db import Database
+from kilter_service.observability import logs, tracing
+from kilter_service.observability.requests import UNKNOWN
+from kilter_service.settings import Settings
+
+TRACE = "0af7651916cd43dd8448eb211c80319c"
+Until = Callable[..., None]
+
+
+def values(page: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
+    """The samples of a page of metrics, by name and labels."""
+    families = text_string_to_metric_families(page)
+    return {(s.name, tuple(sorted(s.labels.items()))): s.value for family in families for s in family.samples}
+
+
+def sample(client: httpx.Client, name: str, **labels: str) -> float:
+    answer = client.get("/metrics")
+    assert answer.headers["content-type"].startswith("text/plain")
+    return values(answer.text).get((name, tuple(sorted(labels.items()))), 0.0)
+
+
+def test_requests_are_counted_by_route_and_refusals_by_code(client: httpx.Client) -> None:
+    route = {"method": "GET", "route": "/v1/robots/{robot}", "status": "404"}
+    before = sample(client, "kilter_http_requests_total", **route)
+    refused = sample(client, "kilter_refusals_total", code="robot_not_found")
+    for name in ("a", "b", "c"):
+        assert client.get(f"/v1/robots/{name}").status_code == 404
+    assert sample(client, "kilter_http_requests_total", **route) == before + 3
+    assert sample(client, "kilter_refusals_total", code="robot_not_found") == refused + 3
+    timed = {"method": "GET", "route": "/v1/robots/{robot}"}
+    assert sample(client, "kilter_http_request_duration_seconds_count", **timed) >= 3
+
+
+def test_addresses_that_no_route_takes_share_one_name(client: httpx.Client) -> None:
+    labels = {"method": "GET", "route": UNKNOWN, "status": "404"}
+    before = sample(client, "kilter_http_requests_total", **labels)
+    for k in range(20):
+        client.get(f"/random/{k}")
+    assert sample(client, "kilter_http_requests_total", **labels) == before + 20
+    assert "random" not in client.get("/metrics").text
+
+
+def test_jobs_and_heartbeats_are_read_from_the_database(client: httpx.Client, katana: Any) -> None:
+    campaign = katana.campaign(client, 30)
+    job = {"kind": "identify", "robot": katana.name, "campaigns": [campaign]}
+    client.post("/v1/jobs", json=job).raise_for_status()
+    assert sample(client, "kilter_jobs", kind="identify", state="queued") == 1
+    assert sample(client, "kilter_job_queue_age_seconds") > 0
+    assert sample(client, "kilter_database_up") == 1
+
+
+def test_metrics_say_that_the_database_does_not_answer(client: httpx.Client, database: Database) -> None:
+    assert sample(client, "kilter_database_up") == 1
+    with database.transaction() as session:
+        session.execute(text("ALTER TABLE heartbeats RENAME TO away"))
+    assert sample(client, "kilter_database_up") == 0
+    assert sample(client, "process_resident_memory_bytes") > 1e7
+
+
+def test_a_request_keeps_the_name_that_its_caller_gave(client: httpx.Client) -> None:
+    given = client.get("/v1/robots/none", headers={"X-Request-ID": "lab-7.run_3"})
+    assert given.headers["x-request-id"] == given.json()["request_id"] == "lab-7.run_3"
+    for bad in ("a b", "x" * 65, "é", "a;drop"):
+        answer = client.get("/v1/health/live", headers={"X-Request-ID": bad.encode()})
+        assert re.fullmatch(r"[0-9a-f]{16}", answer.headers["x-request-id"])
+
+
+def test_lines_say_what_they_are_about() -> None:
+    record = logging.LogRecord("kilter.x", logging.INFO, "f", 1, "took %d", (3,), None)
+    record.status = 200
+    with logs.about(request_id="r1", robot=""), logs.about(job_id="j1"):
+        line = json.loads(logs.JsonLines("worker").format(record))
+        plain = logs.TextLines().format(record)
+        assert logs.request_id() == "r1"
+    assert {
+        "message": "took 3",
+        "request_id": "r1",
+        "job_id": "j1",
+        "status": 200,
+        "process": "worker",
+    }.items() <= line.items()
+    assert "robot" not in line
+    assert plain.endswith("took 3 request_id=r1 job_id=j1 status=200")
+    assert "request_id" not in json.loads(logs.JsonLines("worker").format(record))
+
+
+class Collector(BaseHTTPRequestHandler):
+    """Takes what an exporter of OpenTelemetry sends."""
+
+    spans: list[Any]
+
+    def do_POST(self) -> None:
+        from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
+
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        found = ExportTraceServiceRequest.FromString(body)
+        for resource in found.resource_spans:
+            for scope in resource.scope_spans:
+                self.spans.extend(scope.spans)
+        self.send_response(200)
+        self.end_headers()
+
+    def log_message(self, *_: Any) -> None:
+        pass
+
+
+@pytest.fixture
+def collector() -> Iterator[tuple[str, list[Any]]]:
+    spans: list[Any] = []
+    handler = type("Taking", (Collector,), {"spans": spans})
+    with HTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_address[1]}", spans
+        server.shutdown()
+        thread.join()
+
+
+def test_request_and_job_share_their_identifiers_from_client_to_worker(
+    settings: Settings, database: Database, katana: Any, collector: Any, until: Until, tmp_path: Path
+) -> None:
+    """Two real processes: `kilterd api` and `kilterd worker`, with logs as JSON, an access log and traces."""
+    endpoint, spans = collector
+    environment = {
+        **{name: value for name, value in os.environ.items() if not name.startswith("OTEL_")},
+        **settings.environment(),
+        "KILTER_LOG_FORMAT": "json",
+        "KILTER_ACCESS_LOG": str(tmp_path / "access.log"),
+        "OTEL_EXPORTER_OTLP_ENDPOINT": endpoint,
+        "OTEL_BSP_SCHEDULE_DELAY": "100",
+        "NO_PROXY": "*",
+    }
+    logged = {name: (tmp_path / f"{name}.log").open("w+") for name in ("api", "worker")}
+    running = {
+        name: subprocess.Popen(
+            [sys.executable, "-m", "kilter_service", name],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+        )
+        for name, log in logged.items()
+    }
+    try:
+        api = running["api"].stdout
+        assert api is not None
+        url = json.loads(api.readline())["url"]
+        headers = {"Authorization": f"Bearer {admin_token(settings)}"}
+        with httpx.Client(base_url=url, headers=headers, timeout=60) as client:
+            campaign = katana.campaign(client, 40)
+            job = client.post(
+                "/v1/jobs",
+                json={"kind": "identify", "robot": katana.name, "campaigns": [campaign], "options": {"level": 1}},
+                headers={"X-Request-ID": "run-42", "traceparent": f"00-{TRACE}-b7ad6b7169203331-01"},
+            ).json()["id"]
+            until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] == "succeeded")
+            assert sample(client, "kilter_jobs", kind="identify", state="succeeded") == 1
+            labels = {"kind": "identify", "state": "succeeded"}
+            assert sample(client, "kilter_job_duration_seconds_count", **labels) == 1
+            until(lambda: len([s for s in spans if s.trace_id.hex() == TRACE]) >= 2)
+    finally:
+        for process in running.values():
+            process.terminate()
+        for process in running.values():
+            process.wait(20)
+            assert process.stdout is not None
+            process.stdout.close()
+    lines = {}
+    for name, log in logged.items():
+        log.seek(0)
+        lines[name] = [json.loads(line) for line in log]
+        log.close()
+    said = next(line for line in lines["worker"] if line.get("job_id") == job)
+    assert said["request_id"] == "run-42"
+    assert said["robot"] == katana.name
+    assert said["message"].startswith("identify succeeded")
+    access = [json.loads(line) for line in (tmp_path / "access.log").read_text().splitlines()]
+    asked = next(line for line in access if line["request_id"] == "run-42")
+    assert asked["message"] == "POST /v1/jobs 202"
+    assert asked["client"] == "127.0.0.1"
+    assert asked["duration_ms"] > 0
+    ours = {span.name: span for span in spans if span.trace_id.hex() == TRACE}
+    assert set(ours) == {"POST /v1/jobs", "job identify"}
+    assert ours["job identify"].parent_span_id == ours["POST /v1/jobs"].span_id
+
+
+def test_without_a_collector_nothing_is_traced() -> None:
+    assert tracing.traceparent() == ""
