@@ -14,3 +14,8 @@ depends_on = None
 def upgrade() -> None:
     for name in ("request_id", "traceparent"):
         op.add_column("jobs", sa.Column(name, sa.String(64), nullable=False, server_default=""))
+
+
+def downgrade() -> None:
+    for name in ("request_id", "traceparent"):
+        op.drop_column("jobs", name)
