@@ -48,12 +48,16 @@ class Step:
 
 @dataclass(frozen=True)
 class Body:
-    """A link at the moving step of a joint: com m and inertia about it in the frame after the step."""
+    """A link at the moving step of a joint: com m and inertia about it in the frame after the step.
+
+    ``moving`` is another moving step that carries it, counted from 0, of a joint that drives several.
+    """
 
     joint: int
     mass: float
     com: Floats
     inertia: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    moving: int | None = None
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,8 @@ class Arm:
             placement = pin.SE3.Identity()
         for body in self.bodies:
             inertia = pin.Inertia(body.mass, body.com, body.inertia)
-            model.appendBodyToJoint(ids[self.first_of(body.joint)], inertia, pin.SE3.Identity())
+            carrier = self.first_of(body.joint) if body.moving is None else body.moving
+            model.appendBodyToJoint(ids[carrier], inertia, pin.SE3.Identity())
         tool = placement * self.tool
         if payload is not None:
             model.appendBodyToJoint(parent, pin.Inertia(payload[0], payload[1], np.zeros((3, 3))), tool)
@@ -188,9 +193,9 @@ class Arm:
         ]
         links = []
         for j in range(self.n if self.bodies else 0):
-            body = next((b for b in self.bodies if b.joint == j), Body(j, 0.0, np.zeros(3)))
-            inertia = [body.inertia[i, k] for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-            links.append({"mass_kg": body.mass, "com_mm": list(1e3 * body.com), "inertia_kg_m2": inertia})
+            own = (b for b in self.bodies if b.joint == j and b.moving is None)
+            links.append(_link(next(own, Body(j, 0.0, np.zeros(3)))))
+        links += [_link(b) | {"on_axis": b.moving + 1} for b in self.bodies if b.moving is not None]
         return {
             "name": "arm", "convention": "chain", "joints": joints, "links": links,
             "elements": [self._element(s) for s in self.steps],
@@ -207,6 +212,11 @@ class Arm:
         if step.joint is not None:
             out |= {"joint": f"j{step.joint + 1}", "ratio": step.ratio}
         return out
+
+
+def _link(body: Body) -> dict[str, Any]:
+    inertia = [body.inertia[i, k] for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    return {"mass_kg": body.mass, "com_mm": list(1e3 * body.com), "inertia_kg_m2": inertia}
 
 
 def pose_document(pose: Any) -> dict[str, float]:
@@ -255,12 +265,17 @@ def some_arm(rng: np.random.Generator, n: int, *, prismatic: bool = False, coupl
     return Arm(tuple(steps), n, some_pose(rng, 3.0), some_pose(rng, 0.3))
 
 
-def with_bodies(arm: Arm, rng: np.random.Generator) -> Arm:
-    """The arm with a random link at every joint and gravity from a random side."""
-    bodies = []
-    for j in range(arm.n):
+def with_bodies(arm: Arm, rng: np.random.Generator, followers: bool = False) -> Arm:
+    """The arm with a random link at every joint and gravity from a random side; with ``followers`` at every moving step."""
+
+    def body(joint: int, moving: int | None = None) -> Body:
         A = rng.normal(size=(3, 3))
-        bodies.append(Body(j, rng.uniform(0.5, 5.0), rng.uniform(-0.2, 0.2, 3), A @ A.T * 0.02))
+        return Body(joint, rng.uniform(0.5, 5.0), rng.uniform(-0.2, 0.2, 3), A @ A.T * 0.02, moving)
+
+    bodies = [body(j) for j in range(arm.n)]
+    if followers:
+        own = {arm.first_of(j) for j in range(arm.n)}
+        bodies += [body(step.joint or 0, k) for k, step in enumerate(arm.moving) if k not in own]
     return replace(arm, bodies=tuple(bodies), gravity=tuple(rng.normal(0.0, 6.0, 3)))
 
 

@@ -9,6 +9,10 @@ import httpx
 import numpy as np
 import pytest
 
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+
 Until = Callable[..., None]
 Columns = dict[str, list[float | None]]
 JOINT, AXES = 2, "xyz"  # j2 of the Katana
@@ -75,6 +79,8 @@ def test_a_campaign_of_readings_gives_what_the_readings_give(
         ("tilt2x", "tilt2x", "no unit"),
         ("tilt2x_mm", "tilt2x_mm", "unit 'mm'"),
         ("tilt2w_deg", "tilt2w_deg", "Near it: tilt2"),
+        ("tilt00x_deg", "tilt00x_deg", "is unknown"),
+        ("tilt0z_deg", "tilt0z_deg", "about the vertical of this robot"),
     ],
 )
 def test_a_wrong_name_is_refused(client: httpx.Client, katana: Any, name: str, column: str, said: str) -> None:
@@ -104,3 +110,28 @@ def test_inclinometers_and_encoders_are_two_jobs(client: httpx.Client, katana: A
     assert not told["would_run"]
     assert links in told["problems"][0]["message"]
     assert "two jobs" in told["problems"][0]["message"]
+
+
+def test_readings_of_the_base_measure_no_joint_and_fit_beside_the_tool(
+    client: httpx.Client, katana: Any, worker: Any, until: Until
+) -> None:
+    client.post("/v1/robots", json=katana.document).raise_for_status()
+    worker.start()
+    rng = np.random.default_rng(4)
+    robot = robot_from_document(katana.document)
+    q = np.degrees(robot.limits.mean(axis=1)) + rng.uniform(-25.0, 25.0, (40, 5))
+    place = Calibration.nominal(robot).predict(Observations(np.radians(q))).position * 1e3
+    rows: Columns = {f"q{j + 1}_deg": q[:, j].tolist() for j in range(5)}
+    base = upload(client, rows | {"tilt0x_deg": rng.normal(0.0, 1e-3, 40).tolist()}).headers["campaign"]
+    told = client.post(
+        "/v1/jobs/check", json={"kind": "joint_parameters", "robot": "katana", "campaigns": [base]}
+    ).json()
+    assert not told["would_run"]
+    assert "of the base alone" in told["problems"][0]["message"]
+    xyz = (place + rng.normal(0.0, 0.02, place.shape)).T.tolist()
+    tool = upload(client, rows | dict(zip(("x_mm", "y_mm", "z_mm"), xyz, strict=True))).headers["campaign"]
+    done = finished(client, until, kind="identify", campaigns=[tool, base], options={"effects": ["base_compliance"]})
+    levels = next(kind for kind in done["measurements"] if kind["kind"] == "inclination")
+    assert levels["numbers"] == 39
+    assert levels["noise"] == pytest.approx(1e-3, rel=0.4)
+    assert "base_compliance_x" in levels["known_because_of_it"]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.wrenches import joint_loads
+from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -99,7 +99,27 @@ def test_a_mimic_joint_follows_its_leader(seed: int) -> None:
     angles = dict(zip(names, q, strict=True))
     angles["joint5"] = -0.4 * angles["joint0"] + 0.15
     assert np.abs(pose(result, q) - reference(text, angles)).max() < 1e-12
-    assert result.ignored_masses == ("l6",)
+    assert [link["on_axis"] for link in result.document["links"] if "on_axis" in link] == [4]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_masses_behind_a_mimic_joint_load_the_joints_as_pinocchio_says(seed: int) -> None:
+    text = random_urdf(seed, mimic=True)
+    robot = robot_from_document(chain_document(text, "base", "tip", "random").document)
+    names, rng = [joint.name for joint in robot.joints], np.random.default_rng(seed)
+    q, qd, qdd = rng.uniform(-2, 2, (3, len(names)))
+    for motion in ({}, {"qd": qd[None], "qdd": qdd[None]}):
+        ours = axial_loads(robot, joint_loads(robot, q[None], **motion))[0]
+        model = pinocchio.buildModelFromXML(text)
+        model.gravity.linear = robot.gravity
+        index = {name: model.joints[model.getJointId(name)].idx_q for name in [*names, "joint5"]}
+        full, speed, rate = pinocchio.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
+        for to, of in ((full, q), (speed, qd * bool(motion)), (rate, qdd * bool(motion))):
+            for name, value in zip(names, of, strict=True):
+                to[index[name]] = value
+            to[index["joint5"]] = -0.4 * of[names.index("joint0")] + 0.15 * (to is full)
+        torque = pinocchio.rnea(model, model.createData(), full, speed, rate)
+        np.testing.assert_allclose(ours, [-torque[index[name]] for name in names], atol=1e-9, rtol=0)
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -102,6 +102,11 @@ class Chain:
         return tuple(out)
 
     @cached_property
+    def driven(self) -> tuple[int, ...]:
+        """Elements that joints move: the moving axes, from the base on. A joint may drive several."""
+        return tuple(k for k, e in enumerate(self.elements) if e.joint is not None)
+
+    @cached_property
     def named(self) -> tuple[int, ...]:
         """Indices of the elements that carry a parameter."""
         return tuple(k for k, e in enumerate(self.elements) if e.name)

@@ -31,6 +31,7 @@ class Joint:
 class Link:
     """A rigid link: mass kg, centre of mass m and inertia about it kg·m², in the frame after chain element ``element``.
 
+    A robot has one for each joint, in their order, then those on further axes that a joint drives (mimic joints).
     ``mass_sigma`` kg and ``com_sigma`` m say how well mass and centre are known; None: a tenth of the mass, 10 mm.
     """
 

@@ -54,7 +54,8 @@ class Observations(Conditions):
     payload has its centre in the tool frame, the tool point when None. Without an instrument: ``socket``, ``plane`` and
     ``bar (N,)`` the number of the ball socket, plane or ball bar that the tool's ball is held by in a row, 0 for none;
     ``bar_length (N,)`` m that the bar reads. ``tilt (N, n, 3)`` what each joint rotated about x, y and z of its frame
-    beyond its command, up to a constant, as inclinometers read it, NaN where none did.
+    beyond its command, up to a constant, as inclinometers read it, NaN where none did; ``tilt (N, n + 1, 3)`` where one
+    sits on the base, which comes last.
     """
 
     q: Floats
@@ -181,9 +182,9 @@ def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
     Where one did not measure the tool at all, its place is empty too. Campaigns that measured the tool differently differ.
     """
     for name in ("link_q", "tilt"):
-        shape = next((getattr(part, name).shape[1:] for part in parts if getattr(part, name) is not None), None)
-        if shape is not None:
-            parts = [_filled(part, name, shape) for part in parts]
+        shapes = [getattr(part, name).shape[1:] for part in parts if getattr(part, name) is not None]
+        if shapes:
+            parts = [_filled(part, name, max(shapes)) for part in parts]  # the longest has the base too
     first = next((part for part in parts if _measured_tool(part)), None)
     if first is None:
         return parts
@@ -203,6 +204,11 @@ def _measured_tool(part: Observations) -> bool:
 
 
 def _filled(part: Observations, name: str, shape: tuple[int, ...]) -> Observations:
-    if getattr(part, name) is not None:
+    """The rows with a column of this shape: empty where it is missing, or where it ends before its last places."""
+    own = getattr(part, name)
+    if own is not None and own.shape[1:] == shape:
         return part
-    return replace(part, **{name: np.full((len(part), *shape), np.nan)})
+    out = np.full((len(part), *shape), np.nan)
+    if own is not None:
+        out[:, : own.shape[1]] = own
+    return replace(part, **{name: out})

@@ -49,7 +49,7 @@ class Log:
 
     @staticmethod
     def of(rows: Observations, resolution: float) -> Log:
-        """Every reading of the rows; sessions are series, a payload that is not said is none.
+        """Every reading of a joint; sessions are series, a payload that is not said is none.
 
         Raises:
             ObservationError: the rows have no readings of inclinometers.
@@ -57,7 +57,12 @@ class Log:
         """
         if rows.tilt is None:
             raise ObservationError("These rows hold no readings of inclinometers: upload tilt1x_deg and so on.")
-        row, joint, axis = np.nonzero(~np.isnan(rows.tilt))
+        row, joint, axis = np.nonzero(~np.isnan(rows.tilt[:, : rows.q.shape[1]]))
+        if not len(row):
+            raise ObservationError(
+                "These rows hold readings of the base alone, which say nothing of a joint: upload tilt1x_deg and so on, or "
+                "name them beside the tool's rows in identify."
+            )
         payload = np.zeros(len(rows)) if rows.payload_kg is None else rows.payload_kg
         series = np.zeros(len(rows), dtype=np.int64) if rows.session is None else rows.session
         reading = rows.tilt[row, joint, axis]

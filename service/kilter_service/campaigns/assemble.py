@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kilter_core.observations import CONDITIONS, Observations
 from kilter_service.campaigns.columns import Column
-from kilter_service.contract.columns import PAYLOAD_CENTRE, PLAIN_UNITS, TILTS
+from kilter_service.contract.columns import BASE, PAYLOAD_CENTRE, PLAIN_UNITS, TILTS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -96,13 +96,14 @@ def _rotation(si: dict[tuple[str, int | None], Floats]) -> Floats | None:
 
 
 def _tilt(si: dict[tuple[str, int | None], Floats], rows: int) -> Floats | None:
-    """Readings (N, n, 3) of inclinometers, nan where nothing was read; None without any such column."""
+    """Readings (N, n, 3) of inclinometers, (N, n + 1, 3) with the base, nan where nothing was read; None without any."""
     given = [(TILTS.index(q), number) for q, number in si if q in TILTS and number is not None]
     if not given:
         return None
-    out = np.full((rows, sum(q == "q" for q, _ in si), len(TILTS)), np.nan)
-    for axis, joint in given:
-        out[:, joint, axis] = si[TILTS[axis], joint]
+    places = sum(q == "q" for q, _ in si) + any(place == BASE for _, place in given)
+    out = np.full((rows, places, len(TILTS)), np.nan)
+    for axis, place in given:
+        out[:, place, axis] = si[TILTS[axis], place]
     return out
 
 

@@ -9,18 +9,27 @@ from difflib import get_close_matches
 from typing import Any
 
 from kilter_core.errors import ObservationError
-from kilter_service.contract.columns import CONTACTS, JOINT_UNITS, LENGTHS, PLAIN_UNITS, TILT_UNITS, TILTS, TOGETHER
+from kilter_service.contract.columns import (
+    BASE,
+    CONTACTS,
+    JOINT_UNITS,
+    LENGTHS,
+    PLAIN_UNITS,
+    TILT_UNITS,
+    TILTS,
+    TOGETHER,
+)
 from kilter_service.limits import MAX_COLUMNS, MAX_NAME
 
 _JOINT = re.compile(r"(q|qd|qdd|link|tau|dir)([1-9][0-9]?)(?:_(\w+))?")
-_TILT = re.compile(r"tilt([1-9][0-9]?)([xyz])(?:_(\w+))?")
+_TILT = re.compile(r"tilt(0|[1-9][0-9]?)([xyz])(?:_(\w+))?")
 _MARKER = re.compile(r"m([1-9][0-9]?)([xyz])(?:_(\w+))?")
 _PLAIN = re.compile(rf"({'|'.join(sorted(PLAIN_UNITS, key=len, reverse=True))})(?:_(\w+))?")
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its quantity, the joint or marker it belongs to (from 0), and the factor that brings it to SI."""
+    """A column: its quantity, the joint or marker it belongs to (from 0, or the base), and the factor that brings it to SI."""
 
     name: str
     quantity: str
@@ -98,7 +107,8 @@ def _read(name: str, kinds: Sequence[str]) -> Column:
     if match := _TILT.fullmatch(name):
         number, stem = int(match[1]), f"tilt{match[1]}{match[2]}"
         _of_joint(name, number, kinds)
-        return Column(name, f"tilt_{match[2]}", number - 1, _factor(name, stem, match[3] or "", TILT_UNITS))
+        place = number - 1 if number else BASE
+        return Column(name, f"tilt_{match[2]}", place, _factor(name, stem, match[3] or "", TILT_UNITS))
     if match := _MARKER.fullmatch(name):
         factor = _factor(name, f"m{match[1]}{match[2]}", match[3] or "", LENGTHS)
         return Column(name, f"marker_{match[2]}", int(match[1]) - 1, factor)
@@ -185,5 +195,5 @@ def _known(kinds: Sequence[str]) -> list[str]:
             for joint, kind in enumerate(kinds)
             for unit in units_of[kind == "prismatic"]
         ]
-    names += [f"tilt{joint + 1}{axis}_{unit}" for joint in range(len(kinds)) for axis in "xyz" for unit in TILT_UNITS]
+    names += [f"tilt{place}{axis}_{unit}" for place in range(len(kinds) + 1) for axis in "xyz" for unit in TILT_UNITS]
     return names

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns.columns import Column
 from kilter_service.campaigns.joint_limits import JointLimits
-from kilter_service.contract.columns import CONTACTS, PLACE, TILTS
+from kilter_service.contract.columns import BASE, CONTACTS, PLACE, TILTS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 
 QUATERNION_TOLERANCE = 1e-3
 ABSOLUTE_ZERO_C = -273.15
+UPRIGHT = 0.95  # cosine to the vertical from which an inclinometer does not see rotations about an axis (18 degrees)
 # Two points of a workspace are at most twice the reach apart; three leaves room for a long tool.
 IMPOSSIBLE_REACHES = 3.0
 SMALL, LARGE = 0.2, 1.5  # of the reach: positions that spread less or more are compared with what the joints command
@@ -41,6 +42,7 @@ class RowRules:
         self._low: dict[str, float] = {}
         self._high: dict[str, float] = {}
         self._sample: list[tuple[Floats, Floats]] = []
+        _refuse_upright(columns, robot)
 
     def check(self, table: pa.Table) -> None:
         """Check the next rows.
@@ -213,6 +215,19 @@ class RowRules:
         value = "" if cells is None else f" ({cells[row]:.9g})"
         number = self.rows + row + 1
         raise ObservationError(f"Row {number}, column {name!r} {what}{value}.", row=number, column=name)
+
+
+def _refuse_upright(columns: Sequence[Column], robot: Robot) -> None:
+    """Refuse readings of the base about an axis that stands upright: an inclinometer does not see those."""
+    upright = np.abs(robot.gravity) > UPRIGHT * max(float(np.linalg.norm(robot.gravity)), 1e-9)
+    for column in columns:
+        if column.number == BASE and upright[TILTS.index(column.quantity)]:
+            seen = [f"tilt0{axis}" for axis, hidden in zip("xyz", upright, strict=True) if not hidden]
+            raise ObservationError(
+                f"Column {column.name!r} is about the vertical of this robot, which no inclinometer sees: leave it out, and "
+                f"give {' and '.join(seen)}.",
+                column=column.name,
+            )
 
 
 def _beside(columns: Sequence[Column]) -> frozenset[str]:

@@ -36,9 +36,11 @@ PLAIN_UNITS: dict[str, dict[str, float]] = {
     **{f"{kind}_id": {"": 1.0} for kind in ("socket", "plane", "bar")},
     "bar": LENGTHS,
 }
-# Readings of inclinometers, by joint and axis of its frame: `tilt2x_deg`. A cell is empty where nothing was read.
+# Readings of inclinometers, by joint (0: the base) and axis of its frame: `tilt2x_deg`. A cell is empty where nothing was
+# read.
 TILT_UNITS = ANGLES
 TILTS = ("tilt_x", "tilt_y", "tilt_z")
+BASE = -1  # number of a column of the base: behind those of the joints
 PLACE = ("x", "y", "z", "qw", "qx", "qy", "qz", "phi", "theta", "psi")  # of the tool
 CONTACTS = ("socket_id", "plane_id", "bar_id")
 TOGETHER = (

@@ -57,6 +57,11 @@ class Link(Strict):
     """
 
     mass_kg: Load = Field(0.0, description="Mass of the link, kg, 0 or more.")
+    on_axis: Annotated[int, Field(ge=1, le=MAX_ELEMENTS)] | None = Field(
+        None,
+        description="Moving axis that the body moves with, counted from the base from 1, where a joint drives several "
+        "(mimic, parallelogram) and it is not the joint's own; null: the link of the joint in its place.",
+    )
     com_mm: PointMm = Field((0.0, 0.0, 0.0), description="Centre of mass in the link's frame, mm.")
     inertia_kg_m2: tuple[KgM2, KgM2, KgM2, KgM2, KgM2, KgM2] = Field(
         (0.0,) * 6, description="Inertia about the centre of mass: xx, yy, zz, xy, xz, yz, kg m2."
@@ -137,8 +142,10 @@ class _Robot(Strict):
     gravity_m_s2: tuple[MPerS2, MPerS2, MPerS2] | None = Field(
         None, description="Gravity in the robot's base frame, m/s2; null: [0, 0, -9.80665], an arm mounted upright."
     )
-    links: Annotated[list[Link], Field(max_length=MAX_JOINTS)] | None = Field(
-        None, description="Masses of the links, one for each joint; effects that follow the load need them."
+    links: Annotated[list[Link], Field(max_length=MAX_ELEMENTS)] | None = Field(
+        None,
+        description="Masses of the links, one for each joint, then those on further axes of a joint (`on_axis`); effects "
+        "that follow the load need them.",
     )
     tool: Pose | None = Field(None, description="The tool point in the flange's frame; null: the flange.")
     base: Pose | None = Field(None, description="Pose of the robot's base in the world; null: they coincide.")

@@ -114,17 +114,17 @@ def _fixed(root: Element, parent: str, child: str, T: Floats) -> None:
 def _add_masses(
     root: Element, robot: Robot, calibration: Calibration, frames: JointFrames, leader: dict[int, int]
 ) -> None:
-    """Give the links of the leading axes their masses, rotated from the chain's frames into the links'."""
+    """Give the links of the axes their masses, rotated from the chain's frames into the links'."""
     elements = flange_frames(calibration).elements
     at, T = [], np.eye(4)
     for origin in frames.origin:
         T = T @ origin
         at.append(T)
-    named = {link.get("name"): link for link in root.findall("link")}
+    behind = [link for link in root.findall("link") if link.get("name") != "base_link"]  # one for each axis, in order
     for j, link in enumerate(robot.links):
         if link.mass > 0:
-            relative = np.linalg.inv(at[leader[j]]) @ elements[link.element + 1]
-            _inertial(named[f"{robot.joints[j].name}_link"], link, relative)
+            k = leader[j] if j < robot.n_joints else robot.chain.driven.index(link.element)
+            _inertial(behind[k], link, np.linalg.inv(at[k]) @ elements[link.element + 1])
 
 
 def _inertial(element: Element, link: Link, T: Floats) -> None:

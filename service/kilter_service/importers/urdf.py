@@ -27,14 +27,12 @@ class UrdfImport:
     """The document, and what of the URDF it leaves out.
 
     ``held_joints`` move links outside the chain: they are held at zero, their links' masses are part of the arm.
-    ``ignored_masses`` are links behind a mimic joint, which has no link of its own in a robot document.
     ``joint_ends`` has, for every joint of the path in order, how many elements lead to its child link.
     """
 
     document: Item
     joint_ends: tuple[tuple[str, int], ...] = ()
     held_joints: tuple[str, ...] = ()
-    ignored_masses: tuple[str, ...] = ()
 
 
 @dataclass
@@ -74,19 +72,16 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
         )
     bodies = _bodies(tree, path, chain)
     primary = _primary(chain, drivers)
-    held = set(primary)
-    behind = [bodies[place] for place in bodies if place not in held]
     return UrdfImport(
         document={
             "name": name,
             "convention": "chain",
             "joints": [_joint(tree, driver) for driver in drivers],
             "elements": chain.elements,
-            "links": [_link(bodies[place][0]) for place in primary],
+            "links": [*(_link(bodies[place]) for place in primary), *_followers(bodies, primary)],
         },
         joint_ends=tuple(ends),
         held_joints=_held(tree, path, base_link),
-        ignored_masses=tuple(link for body, link in behind if body.mass > 0),
     )
 
 
@@ -167,10 +162,19 @@ def _primary(chain: _Chain, drivers: list[str]) -> list[int]:
     ]
 
 
-def _bodies(tree: UrdfTree, path: list[UrdfJoint], chain: _Chain) -> dict[int, tuple[Body, str]]:
+def _bodies(tree: UrdfTree, path: list[UrdfJoint], chain: _Chain) -> dict[int, Body]:
     """Return what moves rigidly with each joint element, in the frame right after it."""
     on_path = {joint.name for joint in path if joint.moves}
-    return {k: (in_frame(T, merged(tree, link, on_path)), link) for k, T, link in chain.frames}
+    return {k: in_frame(T, merged(tree, link, on_path)) for k, T, link in chain.frames}
+
+
+def _followers(bodies: dict[int, Body], primary: list[int]) -> list[Item]:
+    """Bodies behind mimic joints: they move with an axis of their own, which follows another joint."""
+    return [
+        _link(body) | {"on_axis": axis}
+        for axis, (place, body) in enumerate(bodies.items(), 1)
+        if place not in primary and body.mass > 0
+    ]
 
 
 def _joint(tree: UrdfTree, name: str) -> Item:

@@ -36,8 +36,6 @@ def core_document(posted: dict[str, Any]) -> CoreDocument:
     notes = []
     if result.held_joints:
         notes.append(f"joints outside the chain, held at zero: {', '.join(result.held_joints)}")
-    if result.ignored_masses:
-        notes.append(f"masses behind a mimic joint, left out: {', '.join(result.ignored_masses)}")
     return CoreDocument(document, notes)
 
 

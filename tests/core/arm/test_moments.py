@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kilter_core.arm.chain import Chain
+from kilter_core.arm.conversions import robot_document
 from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.documents.resolved import resolved_document, robot_from_resolved
 from kilter_core.arm.loads.slopes import payload_sensitivity
 from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
 from kilter_core.arm.presets import preset_document
-from kilter_core.arm.robot import Robot
+from kilter_core.arm.robot import Joint, Robot
 from kilter_core.effects import make_effect
+from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.truth import UR10_ROWS, Arm, Body, Step, some_arm, ur10, with_bodies
@@ -25,6 +30,7 @@ KINDS = {
     "prismatic": {"prismatic": True},
     "coupled": {"coupled": True},
     "both": {"prismatic": True, "coupled": True},
+    "followers": {"prismatic": True, "coupled": True},  # with a body on every moving step
 }
 CASES = [pytest.param(kind, n, seed, id=f"{kind}-{n}-{seed}") for kind in KINDS for n, seed in ((3, 1), (6, 2), (7, 3))]
 ROWS = 8
@@ -32,7 +38,7 @@ ROWS = 8
 
 def arm_robot(kind: str, n: int, seed: int) -> tuple[Arm, Robot, np.random.Generator]:
     rng = np.random.default_rng(seed)
-    arm = with_bodies(some_arm(rng, n, **KINDS[kind]), rng)
+    arm = with_bodies(some_arm(rng, n, **KINDS[kind]), rng, kind == "followers")
     # Gravity is given in the robot's base frame, so the truth of the forces stands at the origin.
     return replace(arm, base=pin.SE3.Identity()), robot_from_document(arm.document()), rng
 
@@ -164,3 +170,64 @@ def test_a_katana_stretched_out_droops_at_every_bending_joint() -> None:
     links = ((1.03, 0.100), (0.9, 0.190 + 0.104), (1.0, 0.329), (0.8, 0.329))
     for joint, x, carried in ((1, 0.0, links), (2, 0.190, links[1:])):
         assert loads[joint] == pytest.approx(-9.80665 * sum(m * (at - x) for m, at in carried), abs=1e-12)
+
+
+def opened(robot: Robot) -> Robot:
+    """The same bodies on an arm whose every moving axis is a joint of its own."""
+    elements, joints = list(robot.chain.elements), []
+    for k in robot.chain.driven:
+        elements[k] = replace(elements[k], joint=len(joints), ratio=1.0)
+        joints.append(Joint(f"a{k}", "revolute" if elements[k].axis.rotates else "prismatic"))
+    return replace(robot, joints=tuple(joints), chain=Chain(tuple(elements), len(joints)))
+
+
+@pytest.mark.parametrize("dynamic", [False, True])
+def test_bodies_of_mimic_joints_take_part_in_the_torque_of_their_leader(dynamic: bool) -> None:
+    """What all axes of a joint feel, by the ratios, is what Pinocchio needs to move it: virtual work."""
+    arm, robot, rng = arm_robot("followers", 5, 8)
+    q, qd, qdd = (rng.uniform(-1.0, 1.0, (ROWS, 5)) for _ in range(3))
+    still = np.zeros(5)
+    G = np.array([[step.ratio * (step.joint == j) for j in range(5)] for step in arm.moving])
+    model, _ = arm.pinocchio()
+    data = model.createData()
+    free = opened(robot)
+    motion = {"qd": qd @ G.T, "qdd": qdd @ G.T} if dynamic else {}
+    axial = axial_loads(free, joint_loads(free, q @ G.T, **motion))
+    for k in range(ROWS):
+        rates = (qd[k], qdd[k]) if dynamic else (still, still)
+        torque = G.T @ pin.rnea(model, data, arm.motors(q[k]), *(G @ rate for rate in rates))
+        np.testing.assert_allclose(axial[k] @ G, -torque, atol=1e-9, rtol=0)
+
+
+def test_robots_with_bodies_on_mimic_joints_are_stored_as_they_are() -> None:
+    arm, robot, rng = arm_robot("followers", 5, 8)
+    assert len(robot.links) == len(arm.moving) > 5
+    stored = json.loads(json.dumps(resolved_document(robot)))
+    again = robot_from_resolved(robot.name, stored)
+    assert resolved_document(again) == stored
+    q = rng.uniform(-1.0, 1.0, (3, 5))
+    np.testing.assert_array_equal(joint_loads(again, q).joints, joint_loads(robot, q).joints)
+
+
+@pytest.mark.parametrize("convention", ["chain", "poe"])
+def test_bodies_of_mimic_joints_are_converted(convention: str) -> None:
+    _, robot, rng = arm_robot("followers", 5, 8)
+    again = robot_from_document(robot_document(robot, convention))
+    q, qd, qdd = (rng.uniform(-1.0, 1.0, (3, 5)) for _ in range(3))
+    here, there = (axial_loads(r, joint_loads(r, q, qd=qd, qdd=qdd)) for r in (robot, again))
+    np.testing.assert_allclose(there, here, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("on_axis", "said"), [(9, "moving axes 1 to 3"), (1, "that of a joint itself"), (3, "that of a joint itself")]
+)
+def test_a_body_hangs_on_an_axis_that_is_there_and_no_joint_s_own(on_axis: int, said: str) -> None:
+    steps = (Step("rz", 0.0, 0), Step("tx", 0.5), Step("ry", 0.0, 0, -0.5), Step("tx", 0.5), Step("ry", 0.0, 1))
+    document = Arm(steps, 2).document()
+    body = {"mass_kg": 2.0, "com_mm": [100.0, 0.0, 0.0]}
+    alone = robot_from_document({**document, "links": [{**body, "on_axis": 2}]})
+    assert [(link.element, link.mass) for link in alone.links] == [(0, 0.0), (4, 0.0), (2, 2.0)]
+    with pytest.raises(RobotError, match=said):
+        robot_from_document({**document, "links": [{**body, "on_axis": on_axis}]})
+    with pytest.raises(RobotError, match="1 links for 2 joints"):
+        robot_from_document({**document, "links": [body, {**body, "on_axis": 2}]})

@@ -75,7 +75,7 @@ def test_a_robot_with_the_masses_has_the_loads_of_the_slopes(dynamic: bool) -> N
 def test_changes_of_loads_are_those_of_other_masses_and_another_payload(kind: dict[str, bool], dynamic: bool) -> None:
     """Made at once, from slopes that a derivative left, and of a part of the rows."""
     rng = np.random.default_rng(3)
-    robot = robot_from_document(with_bodies(some_arm(rng, 5, **kind), rng).document())
+    robot = robot_from_document(with_bodies(some_arm(rng, 5, **kind), rng, followers=True).document())
     q, kg, place = rng.uniform(-2.0, 2.0, (9, 5)), rng.choice([0.0, 2.0], 9), rng.normal(0.0, 0.1, (9, 3))
     motion = {"qd": rng.normal(size=q.shape), "qdd": rng.normal(size=q.shape)} if dynamic else {}
     rows = Observations(q, payload_kg=kg, payload_com=place, **motion)

@@ -18,7 +18,7 @@ import yaml
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.wrenches import joint_loads
+from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
@@ -189,6 +189,36 @@ def test_coupled_joints_mimic() -> None:
     for name in ("dh-csv", "matlab"):
         with pytest.raises(RobotError, match="Joint 2 moves 2 axes"):
             export(name, file)
+
+
+def test_masses_of_coupled_joints_stand_in_the_urdf() -> None:
+    body = {"mass_kg": 4.0, "com_mm": [20.0, -30.0, 200.0], "inertia_kg_m2": [0.02, 0.03, 0.04, 0.001, 0.0, -0.002]}
+    document = {
+        "name": "lift", "convention": "chain", "joints": [{"name": f"J{j}", "limits_deg": [-170, 170]} for j in (1, 2, 3)],
+        "elements": [
+            {"joint": "J1", "axis": "Rz"}, {"axis": "Tz", "value": 500, "name": "d_1"},
+            {"joint": "J2", "axis": "Ry"}, {"axis": "Tz", "value": 600, "name": "a_2"},
+            {"joint": "J2", "axis": "Ry", "ratio": -0.7}, {"axis": "Tx", "value": 300, "name": "b_2"},
+            {"joint": "J3", "axis": "Ry", "ratio": -1}, {"axis": "Tx", "value": 700, "name": "a_3"},
+        ],
+        "links": [body, body, body, {**body, "mass_kg": 9.0, "on_axis": 3}],
+    }  # fmt: skip
+    robot = robot_from_document(document)
+    text, q = export("urdf", exportable(document, Calibration.nominal(robot))).text, joints(3)
+    model = pinocchio.buildModelFromXML(text)
+    model.gravity.linear = robot.gravity
+    assert sum(inertia.mass for inertia in model.inertias) == pytest.approx(21.0)
+    loads = axial_loads(robot, joint_loads(robot, q))
+    for row, load in zip(q, loads, strict=True):
+        index = {name: model.joints[model.getJointId(name)].idx_q for name in model.names if name != "universe"}
+        full = pinocchio.neutral(model)
+        for name, at in index.items():
+            leader = name.partition("_follower")[0]
+            full[at] = row[int(leader[1:]) - 1] * (1.0 if name == leader else -0.7)
+        torque = pinocchio.computeGeneralizedGravity(model, model.createData(), full)
+        np.testing.assert_allclose(load, [-torque[index[f"J{j}"]] for j in (1, 2, 3)], atol=1e-9, rtol=0)
+    again = robot_from_document(chain_document(text, "base_link", "flange", "again").document)
+    np.testing.assert_allclose(axial_loads(again, joint_loads(again, q)), loads, atol=1e-9, rtol=0)
 
 
 def table_of(file: Exported) -> tuple[list[dict[str, str]], dict[str, Floats]]:

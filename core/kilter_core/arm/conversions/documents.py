@@ -214,13 +214,21 @@ def _poses(robot: Robot, q: Floats) -> Floats:
 
 def _links(robot: Robot, document: Document) -> list[Document]:
     """Masses in the frames of the new document: the same bodies, seen from other frames fixed to them."""
-    other = robot_from_document({**document, "links": [{} for _ in robot.joints]})
+    places = [_place(robot, k) for k in range(len(robot.links))]
+    other = robot_from_document({**document, "links": places})
     base = inverse(other.T_base) @ robot.T_base
     before, after = chain_frames(robot.chain), chain_frames(other.chain)
     return [
-        _link(moved_link(link, inverse(after[twin.element + 1]) @ base @ before[link.element + 1]))
-        for link, twin in zip(robot.links, other.links, strict=True)
+        place | _link(moved_link(link, inverse(after[twin.element + 1]) @ base @ before[link.element + 1]))
+        for place, link, twin in zip(places, robot.links, other.links, strict=True)
     ]
+
+
+def _place(robot: Robot, k: int) -> Document:
+    """Where a link is: that of a joint says nothing, the others name their moving axis."""
+    if k < robot.n_joints:
+        return {}
+    return {"on_axis": robot.chain.driven.index(robot.links[k].element) + 1}
 
 
 def _link(link: Link) -> Document:

@@ -39,7 +39,7 @@ def robot_from_document(document: Document) -> Robot:
         name=str(document.get("name", "robot")),
         joints=joints,
         chain=chain,
-        links=links_of(document.get("links") or (), frames),
+        links=links_of(document.get("links") or (), frames, chain),
         gravity=np.array([0.0, 0.0, -STANDARD_GRAVITY] if gravity is None else gravity, dtype=np.float64),
         T_base=pose_of(document.get("base")),
         T_tool=pose_of(document.get("tool")),

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.arm.chain import Chain
 from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Joint, Link, Payload
 from kilter_core.errors import RobotError
 from kilter_core.transforms import pose_from_xyz_rpy
@@ -45,19 +46,44 @@ def joint_of(i: int, joint: Document, kind: str) -> Joint:
     return Joint(str(joint.get("name") or f"j{i + 1}"), kind, lower, upper, joint.get("gear_ratio"))
 
 
-def links_of(links: Sequence[Document], frames: tuple[int, ...]) -> tuple[Link, ...]:
-    """Links in the frames after the chain elements ``frames``, one for each joint.
+def links_of(links: Sequence[Document], frames: tuple[int, ...], chain: Chain) -> tuple[Link, ...]:
+    """Links in the frames after the chain elements ``frames``, one for each joint, then the bodies on other moving axes.
+
+    Those axes are driven by joints that drive several (mimic joints, parallelograms).
 
     Raises:
-        RobotError: another number of links than joints, or a negative mass.
+        RobotError: another number of links than joints, a negative mass, or an axis that is none or the joint's own.
 
     """
-    if links and len(links) != len(frames):
+    own = [i for i, link in enumerate(links) if link.get("on_axis") is None]
+    if own and len(own) != len(frames):
         raise RobotError(
-            f"There are {len(links)} links for {len(frames)} joints: give each joint one, with mass_kg 0 where it has none.",
+            f"There are {len(own)} links for {len(frames)} joints: give each joint one, with mass_kg 0 where it has none.",
             field="links",
         )
-    return tuple(_link(i, link, frame) for i, (link, frame) in enumerate(zip(links, frames, strict=False)))
+    of_joints = [_link(i, links[i], frame) for i, frame in zip(own, frames, strict=False)]
+    others = [_link(i, link, _other_axis(i, link, frames, chain)) for i, link in enumerate(links) if i not in own]
+    if others and not own:
+        of_joints = [_link(j, {}, frame) for j, frame in enumerate(frames)]
+    return (*of_joints, *others)
+
+
+def _other_axis(i: int, link: Document, frames: tuple[int, ...], chain: Chain) -> int:
+    """Element of the moving axis that a link names, which must be none of the joints' own."""
+    number, axes = int(link["on_axis"]), chain.driven
+    if not 1 <= number <= len(axes):
+        raise RobotError(
+            f"links[{i}] is on axis {number}, the arm has the moving axes 1 to {len(axes)}, counted from the base.",
+            field=f"links[{i}].on_axis",
+        )
+    element = axes[number - 1]
+    if element in frames or element in chain.primary:
+        raise RobotError(
+            f"links[{i}] is on axis {number}, which is that of a joint itself: leave on_axis out and give the link in the "
+            "place of its joint. Only further axes of a joint (mimic) have bodies of their own.",
+            field=f"links[{i}].on_axis",
+        )
+    return element
 
 
 def payload_sigma_of(document: Document | None) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from kilter_core.gap.noise.from_repeats import WITHIN
 from kilter_core.gap.search.contrasts import fitted_away
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
 
 ADEQUATE = 0.01
 TOO_SMALL = 0.001  # chance of a residual so far below the noise, from which the noise is none
@@ -138,5 +138,13 @@ def _pure_error(problem: LinearizedProblem, condition: Ints, chosen: Sequence[in
     used = problem.settings.used
     r = residual_given(problem, chosen).reshape(-1, size)[used]
     group = np.unique(condition[used], return_inverse=True)[1]
-    freedom = float(size * (len(group) - len(np.unique(group)))) - fitted_away(problem, chosen, condition)
-    return float(np.sum(centred(r, group) ** 2)), freedom
+    beside = problem.settings.source.beside_seen[used]
+    told = float((size - beside.shape[1]) * (len(group) - len(np.unique(group)))) + _again(beside, group)
+    return float(np.sum(centred(r, group) ** 2)), told - fitted_away(problem, chosen, condition)
+
+
+def _again(seen: Bools, group: Ints) -> float:
+    """How many numbers of sensors, ``seen (V, k)``, repeat another of their group: a cell without a reading repeats none."""
+    count = np.zeros((int(group.max(initial=-1)) + 1, seen.shape[1]))
+    np.add.at(count, group, seen)
+    return float(np.sum(np.maximum(count - 1.0, 0.0)))

@@ -68,6 +68,11 @@ class Source(ABC):
         return []
 
     @property
+    def beside_seen(self) -> Bools:
+        """Which of those numbers (V, k) were read."""
+        return np.zeros((len(self.observations), 0), dtype=bool)
+
+    @property
     def missing(self) -> float:
         """Numbers of a visit that were not measured, or only set a sensor's zero, on average."""
         return 0.0

@@ -83,8 +83,15 @@ class ToolSource(Source):
     def beside_numbers(self) -> list[int]:
         """Numbers of a visit of each kind beside the tool."""
         n = self.observations.q.shape[1]
-        given = ((self.observations.link_q, n), (self.observations.tilt, 3 * n))
+        tilt = self.observations.tilt
+        given = ((self.observations.link_q, n), (tilt, 0 if tilt is None else 3 * tilt.shape[1]))
         return [count for column, count in given if column is not None]
+
+    @cached_property
+    def beside_seen(self) -> Bools:
+        """Which of those numbers (V, k) were read."""
+        numbers = self.residual(self.model.values0())
+        return ~np.isnan(numbers[:, numbers.shape[1] - sum(self.beside_numbers) :])
 
     def only(self, rows: Ints) -> ToolSource:
         """The same model on some of the rows."""
@@ -275,7 +282,11 @@ def _with_columns(rows: Observations, like: Observations) -> Observations:
         rows = replace(rows, link_q=np.full((len(rows), n), np.nan))
     if like.tilt is None:
         return replace(rows, tilt=None)
-    return rows if rows.tilt is not None else replace(rows, tilt=np.full((len(rows), n, 3), np.nan))
+    own = np.full((len(rows), *like.tilt.shape[1:]), np.nan)
+    if rows.tilt is not None:
+        places = min(rows.tilt.shape[1], own.shape[1])
+        own[:, :places] = rows.tilt[:, :places]
+    return replace(rows, tilt=own)
 
 
 def _read(rows: Observations, like: Observations, prediction: Prediction) -> Observations:
@@ -285,5 +296,6 @@ def _read(rows: Observations, like: Observations, prediction: Prediction) -> Obs
         turned = rows.q + prediction.joints[:, :n, ABOUT]
         rows = replace(rows, link_q=np.where(np.isnan(like.link_q).all(axis=0), np.nan, turned))
     if like.tilt is not None:
-        rows = replace(rows, tilt=np.where(np.isnan(like.tilt).all(axis=0), np.nan, prediction.joints[:, :n, TURNED]))
+        turned = prediction.joints[:, : like.tilt.shape[1], TURNED]
+        rows = replace(rows, tilt=np.where(np.isnan(like.tilt).all(axis=0), np.nan, turned))
     return rows

@@ -320,6 +320,10 @@ COLUMNS: list[dict[str, str]] = [
         "columns": "tilt1x_deg …",
         "meaning": "or the rotation of joint 1 about axis x (y, z) of its frame beyond its command, from inclinometers: only the columns that were read, empty cells where nothing was read. session counts the mountings. Jobs of kind joint_parameters read them alone, identify and gap beside the tool",
     },
+    {
+        "columns": "tilt0x_deg, tilt0y_deg",
+        "meaning": "or the rotation of the base about axis x (y, z) of the robot's base frame, from an inclinometer on the base, up to a constant in every session; an axis that stands upright is refused. Only identify and gap read it, beside the tool",
+    },
     {"columns": "t_s", "meaning": "time"},
     {"columns": "qd1_deg_s …, qdd1_deg_s2 …", "meaning": "joint velocities and accelerations"},
     {"columns": "tau1_nm …", "meaning": "measured joint torques"},
