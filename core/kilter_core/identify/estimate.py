@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.errors import TooFewPosesError
-from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, normal_equations, solve
+from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, solve
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.redescending import redescend
 from kilter_core.measurement import Measurement, Residual
@@ -116,11 +116,9 @@ def _promised(fit: Fit, stated: float | None) -> tuple[Sigmas, Floats]:
     """
     problem, values = fit.problem, fit.values
     here = problem.linearised(values, fit.residual)
-    H, g = normal_equations(problem, values, here)
-    step = np.linalg.solve(H, g)
-    moved = values.copy()
-    moved[problem.free] += step * problem.prior_sigma
-    left = scatter(fit_at(problem, moved, problem.beyond(here, moved, step * problem.prior_sigma)))
+    step = problem.whole_step(values, here)
+    moved = problem.moved(values, step)
+    left = scatter(fit_at(problem, moved, problem.beyond(here, moved, step)))
     sigmas = _bounded_below(left, stated)
     problem = problem.reweighted(_weights(problem.measurement, sigmas), None)
     return sigmas, unobservable_directions(fit_at(problem, values, problem.linearised(values, fit.residual)))

@@ -1,8 +1,4 @@
-"""Weighted nonlinear least squares with Gaussian priors: Levenberg and Marquardt on the model's exact Jacobian.
-
-Parameters are scaled by their prior sigma, so the prior adds the identity to the normal equations: they stay solvable
-whatever the poses do not see. (Without priors a rank-deficient fit wandered to 1e13; with them it took 4 evaluations.)
-"""
+"""Weighted nonlinear least squares of a model: Levenberg and Marquardt on its exact Jacobian, with robust losses."""
 
 from __future__ import annotations
 
@@ -15,7 +11,8 @@ import numpy as np
 
 from kilter_core.effects import Batch
 from kilter_core.errors import NotConvergedError
-from kilter_core.identify.solver import BEND, Minimum, StepProgress, minimise
+from kilter_core.identify.problem import ByDeviation, LeastSquares, linearised_residual
+from kilter_core.identify.solver import Minimum, StepProgress, minimise
 from kilter_core.measurement import Block, Measurement, Residual
 from kilter_core.measurement.kind import POINTS, TURNS
 from kilter_core.model import Calibration, RobotModel
@@ -23,7 +20,6 @@ from kilter_core.types import Floats, Ints
 
 HUBER_SIGMAS = 3.0
 STILL_MOVING = 3
-HOLD = 1e8  # stiffness of a held direction against a prior of 1
 START_SIGMA = 1e-4  # rad or m: of a sensor at a joint, until the residuals tell
 
 
@@ -45,9 +41,23 @@ class Weights:
         known: dict[str, float | Floats] = {POINTS: self.points, TURNS: self.turns, **self.others}
         return known.get(group, START_SIGMA)
 
+    def whitening(self, group: str) -> ByDeviation:
+        """How a block of that group is whitened."""
+        return ByDeviation(self.of(group))
+
 
 @dataclass(frozen=True)
-class Problem:
+class Linearised:
+    """A problem near some values: ``r (R,)`` and ``J (R, F)``, Jᵀr the downhill slope of the ``loss``; the raw residual."""
+
+    r: Floats
+    J: Floats
+    loss: float
+    residual: Residual
+
+
+@dataclass(frozen=True)
+class Problem(LeastSquares[Linearised]):
     """What to fit: a model's ``free`` parameters (indices) to a measurement. ``loss`` is "linear", "huber" (per point)
     or "tukey", whose weights of the rows are given.
 
@@ -89,7 +99,7 @@ class Problem:
 
         ``known`` is the raw residual there with its Jacobian, where only weights changed since.
         """
-        residual = known or self._raw(values)
+        residual = known or linearised_residual(self.model, self.measurement, self.batch, values, self.free)
         scaled = self._over_sigma(residual)
         roots = self._roots(scaled, _weight_root)
         columns = len(self.free)
@@ -104,20 +114,38 @@ class Problem:
     def over_sigma_slope(self, block: Block) -> Floats:
         """Whitened derivative (V, k, w, F) of a block, zero where nothing was measured."""
         assert block.J is not None
-        sigma = self.weights.of(block.group)
-        out = block.J / (sigma if isinstance(sigma, float) else sigma[..., None])
-        unseen = np.isnan(block.r)
-        if unseen.any():
-            out[unseen] = 0.0
-        return np.asarray(out)
+        return self.weights.whitening(block.group).columns(block.J, block.r)
 
-    def _raw(self, values: Floats) -> Residual:
-        m = self.measurement
-        return m.residual(*self.model.jacobian(self.batch, values, self.free, m.observes_orientation, m.reads_joints))
+    @property
+    def rows(self) -> float:
+        """Number of measured scalars."""
+        return float(self.measurement.scalars())
+
+    def worth(self, loss: float) -> float:
+        """What a step must promise where a kind of measurement says so."""
+        return self.measurement.relative_tolerance * (1.0 + loss)
+
+    def at(self, values: Floats) -> Linearised:
+        """Linearise there."""
+        return self.linearised(values)
+
+    def weighed(self, values: Floats) -> Floats:
+        """Residuals (R,) that have the slope of the loss."""
+        return self.linearised(values).r
+
+    def current(self, values: Floats) -> Floats:
+        """Values of the free parameters."""
+        return values[self.free]
+
+    def changed(self, values: Floats, change: Floats) -> Floats:
+        """Change the free parameters."""
+        out = values.copy()
+        out[self.free] += change
+        return out
 
     def beyond(self, here: Linearised, values: Floats, step: Floats) -> Linearised:
-        """What is at ``values (P,)``, a small ``step (F,)`` from where the problem was linearised; the Jacobian stays."""
-        residual = Residual(tuple(block.beyond(step) for block in here.residual.blocks))
+        """What is at ``values (P,)``, a small ``step (F,)`` in prior sigmas from ``here``; the Jacobian stays."""
+        residual = Residual(tuple(block.beyond(step * self.prior_sigma) for block in here.residual.blocks))
         scaled = self._over_sigma(residual)
         r, exact = self._both(scaled, self._roots(scaled, _weight_root))
         return Linearised(r, here.J, self.loss_at(values, exact), residual)
@@ -129,22 +157,9 @@ class Problem:
             return weighted, weighted
         return weighted, _stacked(scaled, self._roots(scaled, _loss_root))
 
-    def loss_at(self, values: Floats, r: Floats) -> float:
-        """Half the sum of squares of ``r``, of the prior and of what strayed along held directions."""
-        prior = (values[self.free] - self.prior_mean) / self.prior_sigma
-        with np.errstate(over="ignore"):  # a residual beyond all bounds is said in words by the solver
-            return 0.5 * (float(r @ r) + float(prior @ prior) + HOLD * float(np.sum(_strayed(self, values) ** 2)))
-
     def _over_sigma(self, residual: Residual) -> list[Floats]:
         """Whitened blocks (V, k, w), zero where nothing was measured."""
-        out = []
-        for block in residual.blocks:
-            scaled = np.asarray(block.r / self.weights.of(block.group))
-            unseen = np.isnan(scaled)
-            if unseen.any():
-                scaled[unseen] = 0.0
-            out.append(scaled)
-        return out
+        return [self.weights.whitening(block.group).residual(block.r) for block in residual.blocks]
 
     def _roots(self, scaled: list[Floats], root: Callable[[Floats], Floats]) -> list[Floats | None]:
         """Roots of the weights (V, k, 1) of each block, None where all are one."""
@@ -160,16 +175,6 @@ def _stacked(scaled: list[Floats], roots: list[Floats | None]) -> Floats:
     """All blocks, weighed, in a row (R,)."""
     parts = [_times(root, block).reshape(-1) for root, block in zip(roots, scaled, strict=True)]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-@dataclass(frozen=True)
-class Linearised:
-    """A problem near some values: ``r (R,)`` and ``J (R, F)``, Jᵀr the downhill slope of the ``loss``; the raw residual."""
-
-    r: Floats
-    J: Floats
-    loss: float
-    residual: Residual
 
 
 @dataclass(frozen=True)
@@ -222,7 +227,7 @@ def solve(
         NotConvergedError: no minimum within the iteration limit, or numbers that are not finite.
 
     """
-    found = minimise(_Descent(problem), start, problem.linearised(start, known), progress, enough)
+    found = minimise(problem, start, problem.linearised(start, known), progress, enough)
     if not found.converged:
         raise _endless(problem, found)
     return fit_at(problem, found.values, found.point, found.iterations)
@@ -238,70 +243,6 @@ def _endless(problem: Problem, found: Minimum[Linearised]) -> NotConvergedError:
         iterations=found.iterations,
         moving=names,
     )
-
-
-@dataclass(frozen=True)
-class _Descent:
-    """A problem as the solver walks it."""
-
-    problem: Problem
-
-    @property
-    def rows(self) -> float:
-        return float(self.problem.measurement.scalars())
-
-    def worth(self, loss: float) -> float:
-        return self.problem.measurement.relative_tolerance * (1.0 + loss)
-
-    def at(self, values: Floats) -> Linearised:
-        return self.problem.linearised(values)
-
-    def derivatives(self, values: Floats, here: Linearised) -> tuple[Floats, Floats]:
-        H, g = normal_equations(self.problem, values, here)
-        if self.problem.held is not None:
-            H += HOLD * self.problem.held.T @ self.problem.held
-        return H, g - _pull_back(self.problem, values)
-
-    def slope(self, values: Floats, here: Linearised) -> Floats:
-        return _slope(self.problem, values, here) - _pull_back(self.problem, values)
-
-    def moved(self, values: Floats, step: Floats) -> Floats:
-        out = values.copy()
-        out[self.problem.free] += step * self.problem.prior_sigma
-        return out
-
-    def bend(self, values: Floats, here: Linearised, step: Floats) -> Floats:
-        there = self.problem.linearised(self.moved(values, BEND * step))
-        scaled = here.J * self.problem.prior_sigma
-        return np.asarray(scaled.T @ (here.r - there.r - scaled @ (BEND * step)) * (2.0 / BEND**2))
-
-    def beyond(self, here: Linearised, values: Floats, step: Floats) -> Linearised:
-        return self.problem.beyond(here, values, step * self.problem.prior_sigma)
-
-
-def normal_equations(problem: Problem, values: Floats, here: Linearised) -> tuple[Floats, Floats]:
-    """Matrix (F, F) and slope (F,) in prior sigmas, the priors included."""
-    scale = problem.prior_sigma
-    H = (here.J.T @ here.J) * np.outer(scale, scale)
-    H.flat[:: len(H) + 1] += 1.0
-    return H, _slope(problem, values, here)
-
-
-def _slope(problem: Problem, values: Floats, here: Linearised) -> Floats:
-    prior = (values[problem.free] - problem.prior_mean) / problem.prior_sigma
-    return np.asarray(problem.prior_sigma * (here.J.T @ here.r) - prior)
-
-
-def _strayed(problem: Problem, values: Floats) -> Floats:
-    """How far the held directions have moved, in prior sigmas."""
-    if problem.held is None or problem.anchor is None:
-        return np.zeros(0)
-    return np.asarray(problem.held @ ((values[problem.free] - problem.anchor) / problem.prior_sigma))
-
-
-def _pull_back(problem: Problem, values: Floats) -> Floats:
-    """Slope (F,) by which held directions are pulled back."""
-    return np.asarray(0.0 if problem.held is None else HOLD * problem.held.T @ _strayed(problem, values))
 
 
 def _times(root: Floats | None, array: Floats, more_axes: int = 0) -> Floats:
@@ -324,7 +265,7 @@ def _weight_root(size: Floats) -> Floats:
 
 def fit_at(problem: Problem, values: Floats, here: Linearised, iterations: int = 0) -> Fit:
     """Fit that ends at ``values (P,)``, with the covariance of the problem linearised there."""
-    H, _ = normal_equations(problem, values, here)
+    H, _ = problem.normal_equations(values, here)
     inverse = np.linalg.inv(H)
     scale = problem.prior_sigma
     return Fit(

@@ -16,6 +16,7 @@ from scipy.stats import chi2, f
 from kilter_core.identify.robust import scale_of
 from kilter_core.measurement import Residual
 from kilter_core.observations import Observations
+from kilter_core.observations.groups import unbiased
 from kilter_core.observations.repeats import last_motion
 from kilter_core.types import Bools, Floats, Ints
 
@@ -122,10 +123,8 @@ def _pooled(values: Floats, group: Ints) -> tuple[float | None, int, Bools]:
     width = values.shape[1] if len(values) else 1
     limit = float(np.sqrt(chi2.isf(CHANCE / max(len(values), 1), width)))
     for _ in range(PASSES):
+        off, free = unbiased(values, group, kept)
         count = np.bincount(group[kept], minlength=int(group.max(initial=-1)) + 1)
-        sums = np.stack([np.bincount(group[kept], c, len(count)) for c in values[kept].T], axis=1)
-        free = np.sqrt(np.maximum(count, 2) / np.maximum(count - 1, 1))[group]
-        off = (values - (sums / np.maximum(count, 1)[:, None])[group]) * free[:, None]
         size = np.where(kept & (count[group] > 1), np.linalg.norm(off, axis=1), 0.0)
         told = size[kept & (count[group] > 1)]
         if not len(told):
@@ -141,5 +140,5 @@ def _pooled(values: Floats, group: Ints) -> tuple[float | None, int, Bools]:
     freedom = int(np.sum(np.maximum(count - 1, 0))) * width
     if freedom < FEWEST:
         return None, freedom, ~kept
-    square = (off[kept] / free[kept, None]) ** 2
+    square = (off[kept] / free[kept]) ** 2
     return float(np.sqrt(square[count[group[kept]] > 1].sum() / freedom)), freedom, ~kept

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
+from kilter_core.observations.clock import came_back, clock_of
 from kilter_core.observations.repeats import numbered_poses, numbered_rows
 from kilter_core.types import Floats, Ints
 
@@ -163,14 +164,19 @@ class Observations(Conditions):
         return numbered_rows(np.unique(np.hstack(columns), return_inverse=True)[1].reshape(len(self), -1))
 
     def visits(self) -> Ints:
-        """Number the visits, shape (N,): rows of one pose that follow each other under the same conditions are one.
+        """Number the visits, shape (N,), in the order of time: rows of one pose that follow each other under the same
+        conditions are one.
 
-        No clock parts them: without motion between them shots share how the arm settled, however long they took.
+        A visit ends only where the arm moved in between: where another pose or condition was measured, or joint readings
+        show that it left and came back. No pause parts shots, however long: without motion they share how the arm settled.
         """
-        condition = self.conditions()
+        clock = clock_of(self)
+        condition = self.conditions()[clock.order]
         new = np.ones(len(self), dtype=bool)
-        new[1:] = condition[1:] != condition[:-1]
-        return np.asarray(np.cumsum(new) - 1)
+        new[1:] = (condition[1:] != condition[:-1]) | came_back(self, clock, condition)
+        out = np.empty(len(self), dtype=np.int64)
+        out[clock.order] = np.cumsum(new) - 1
+        return out
 
     def _present(self) -> dict[str, NDArray[Any]]:
         return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}

@@ -49,6 +49,18 @@ def test_shots_of_one_visit_are_not_how_the_arm_comes_to_rest() -> None:
     assert (once.between, once.shots) == (None, pytest.approx(9e-6, rel=0.15))
 
 
+def test_rows_sorted_by_pose_are_visits_by_the_clock() -> None:
+    """A table sorted by pose looks like shots of one visit each; its clock says that the arm came back every time."""
+    rng = np.random.default_rng(5)
+    order = np.tile(np.arange(300), 3)
+    o = campaign(order, 5, 4e-5, t=np.cumsum(rng.uniform(1.0, 9.0, 900)))
+    by_pose = o.select(np.argsort(order, kind="stable"))
+    np.testing.assert_array_equal(np.bincount(by_pose.visits()), np.ones(900))
+    found, known = Repeats.of(by_pose), Repeats.of(o)
+    assert (found.shots, known.shots) == (None, None)
+    assert found.between == pytest.approx(known.between, rel=1e-9)
+
+
 @pytest.mark.parametrize("told", [True, False])
 def test_the_two_sides_of_a_pose_are_no_noise(told: bool) -> None:
     """Play of 0.1 mm, seen or not in a column of directions: rows in between show how the arm came."""

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, f
 
-from kilter_core.gap.noise.centred import centred
 from kilter_core.gap.noise.from_repeats import WITHIN
 from kilter_core.gap.search.contrasts import fitted_away
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
+from kilter_core.observations.groups import centred
 from kilter_core.types import Bools, Floats, Ints
 
 ADEQUATE = 0.01

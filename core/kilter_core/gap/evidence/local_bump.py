@@ -50,8 +50,7 @@ def _is_curve(candidate: Candidate) -> bool:
 def _columns(search: SearchResult, source: Source, joint: int, q: Floats) -> Floats:
     """Whitened effect (R, B) of rotating the joint by a bump of one radian, for all bumps."""
     rotated = source.joint_columns(search.problem.values)(joint)
-    settings = search.problem.settings
-    along = np.einsum("vij,vj->vi", settings.whitener, np.nan_to_num(rotated)) * settings.used[:, None]
+    along = search.problem.settings.whitening.residual(rotated)
     span = float(np.ptp(q))
     centres = np.linspace(q.min(), q.max(), CENTRES)
     shapes = [np.exp(-0.5 * ((q - c) / (w * span)) ** 2) for c in centres for w in WIDTHS]

@@ -216,8 +216,7 @@ def _linear(prepared: Prepared, found: Calibration, posterior: Posterior) -> tup
     """Whitened residual at the values of the search, derivatives by its parameters but base and tool, their names."""
     problem, source = prepared.problem, prepared.problem.settings.source
     G, names, moved = source.by_version(problem.values, found, posterior.names)
-    white = np.matmul(problem.settings.whitener, G) * problem.settings.used[:, None, None]
-    J = white.reshape(-1, len(names))
+    J = problem.settings.whitening.columns(G)
     return problem.raw + J @ moved, J, tuple(names)
 
 

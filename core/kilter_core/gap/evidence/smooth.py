@@ -226,13 +226,9 @@ def _best(pool: Floats, r: Floats, own: Floats, variance: float, price: float) -
 
 def _rotating(search: SearchResult) -> Callable[[int], Floats]:
     """Whitened change (V, m) of what was measured, per radian that a joint rotates."""
-    source, settings = search.problem.settings.source, search.problem.settings
-
-    def whitened(change: Floats) -> Floats:
-        return np.asarray(np.einsum("vij,vj->vi", settings.whitener, np.nan_to_num(change)) * settings.used[:, None])
-
-    column = source.joint_columns(search.problem.values)
-    return lambda joint: whitened(column(joint))
+    settings = search.problem.settings
+    column = settings.source.joint_columns(search.problem.values)
+    return lambda joint: settings.whitening.residual(column(joint))
 
 
 def _model(search: SearchResult) -> RobotModel:

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.gap.noise.clock import clock_of
 from kilter_core.gap.noise.shared_drift import FEWEST, Clocks, Shared
 from kilter_core.gap.noise.variogram import DRIFTED, KELVIN, Pairs, chance_of_drift, fitted, pairs_of, separable
 from kilter_core.gap.noise.visits import Visits
+from kilter_core.observations.clock import clock_of
 from kilter_core.types import Floats, Ints
 
 SOON = 0.1  # of the campaign: repeats no further apart see little of a drift five times the noise

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kilter_core.gap.noise.centred import centred
 from kilter_core.gap.noise.covariances import SMALLEST, approach, even, second, shrunk, spread
 from kilter_core.gap.noise.drift import Drift, Repeats, blocks_of, repeats_of
 from kilter_core.gap.noise.visits import Visits, apart
 from kilter_core.identify.noise import pooled_columns
+from kilter_core.observations.groups import centred, unbiased
 from kilter_core.types import Bools, Floats, Ints
 
 FEWEST = 3  # independent deviations below which repeats say too little
@@ -310,12 +310,7 @@ def _pooled(values: Floats, group: Ints) -> tuple[tuple[Floats, Ints], int]:
     deviation = np.zeros_like(values)
     for _ in range(3):
         count = np.bincount(group[kept], minlength=len(count))
-        mean = (
-            np.stack([np.bincount(group[kept], c[kept], len(count)) for c in values.T], axis=1)
-            / np.maximum(count, 1)[:, None]
-        )
-        free = np.sqrt(np.maximum(count, 2) / np.maximum(count - 1, 1))[group]
-        deviation = (values - mean[group]) * free[:, None]
+        deviation = unbiased(values, group, kept)[0]
         scale = np.median(np.abs(deviation[kept]), axis=0) / 0.6745 + SMALLEST
         again = many & ((np.abs(deviation) / scale).max(axis=1) < SPIKE) & (count[group] > 1)
         if np.array_equal(again, kept) or not again.any():

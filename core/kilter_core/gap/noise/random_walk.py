@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from kilter_core.gap.noise.centred import centred
+from kilter_core.observations.groups import centred
 from kilter_core.types import Bools, Floats, Ints
 
 WAVES = 40  # of a walk: all but 1/200 of its variance

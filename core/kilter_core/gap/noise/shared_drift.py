@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f
 
-from kilter_core.gap.noise.centred import centred
 from kilter_core.gap.noise.random_walk import walked
 from kilter_core.gap.noise.variogram import DRIFTED, KELVIN, QUICK, SPIKE
+from kilter_core.observations.groups import centred
 from kilter_core.types import Bools, Floats, Ints
 
 FEWEST = 9.0  # scalars that the noise must rest on beside a drift, for the two to count as distinguished

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import chi2
 
+from kilter_core.observations.groups import centred
 from kilter_core.types import Bools, Floats, Ints
 
 MANY = 8  # visits of a condition from which pairs are taken at lags of powers of two
@@ -138,7 +139,7 @@ def chance_of_drift(residual: Floats, condition: Ints, pairs: Pairs) -> float:
         return 1.0
     x = terms[:, moving] - terms[:, moving].mean(axis=0)
     x /= np.linalg.norm(x, axis=0)
-    away = residual - _means(residual, condition)
+    away = centred(residual, condition)
     rng, swap = np.random.default_rng(SEED), _Exchange.of(condition)
     cap = SPIKE * float(np.sqrt(np.median(_half_square(away, pairs)) + 1e-300))
 
@@ -192,9 +193,3 @@ def _freedom(X: Floats, model: Floats, kept: Bools, pairs: Pairs, size: int) -> 
 
 def _half_square(residual: Floats, pairs: Pairs) -> Floats:
     return np.asarray(0.5 * np.mean((residual[pairs.first] - residual[pairs.second]) ** 2, axis=1))
-
-
-def _means(values: Floats, group: Ints) -> Floats:
-    count = np.maximum(np.bincount(group), 1)
-    means: Floats = np.stack([np.bincount(group, c) for c in values.T], axis=1) / count[:, None]
-    return means[group]

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.gap.noise.clock import came_back, clock_of
 from kilter_core.observations import Observations
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Bools, Floats, Ints
@@ -30,22 +29,10 @@ class Visits:
 
 
 def visits_of(rows: Observations) -> Visits:
-    """Group the rows of one pose that follow each other under the same conditions, and average each group.
-
-    A visit ends only where the arm moved in between: where another pose or condition was measured, or joint readings show
-    that it left and came back. Shots after a pause do not count as a new approach, however long it was.
-    """
-    pose = rows.pose_groups()
-    condition = rows.conditions()
-    clock = clock_of(rows)
-    in_order = condition[clock.order]
-    new = np.ones(len(rows), dtype=bool)
-    new[1:] = (in_order[1:] != in_order[:-1]) | came_back(rows, clock, in_order)
-    run = np.empty(len(rows), dtype=np.int64)
-    run[clock.order] = np.cumsum(new) - 1
-    first, visit, count = _numbered(run)
+    """Average the rows of each visit, and number visits by their first rows."""
+    first, visit, count = _numbered(rows.visits())
     averaged = rows.select(first) if count.max() == 1 else _averaged(rows, visit, first, count)
-    return Visits(averaged, visit, count, pose[first], condition[first])
+    return Visits(averaged, visit, count, rows.pose_groups()[first], rows.conditions()[first])
 
 
 def apart(condition: Ints, used: Bools) -> Ints:

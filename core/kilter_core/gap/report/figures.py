@@ -45,8 +45,7 @@ def contributions(search: SearchResult) -> list[dict[str, Any]]:
 
 
 def _residuals(problem: LinearizedProblem, columns: Sequence[int]) -> Floats:
-    r = residual_given(problem, columns).reshape(-1, problem.settings.whitener.shape[-1])
-    return np.asarray(np.einsum("vij,vj->vi", np.linalg.inv(problem.settings.whitener), r))
+    return problem.settings.whitening.back(residual_given(problem, columns))
 
 
 def _unit(search: SearchResult) -> float:

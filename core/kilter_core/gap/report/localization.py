@@ -172,7 +172,7 @@ def _along_joints(problem: LinearizedProblem, rows: Observations, r: Floats) -> 
         return
     column = source.joint_columns(problem.values)
     D = np.stack([column(j) for j in range(rows.q.shape[1])], axis=2)
-    D = np.matmul(problem.settings.whitener, np.nan_to_num(D))
+    D = problem.settings.whitening.columns(np.nan_to_num(D)).reshape(D.shape)
     size = np.linalg.norm(D, axis=1)
     for j in range(rows.q.shape[1]):
         unit = D[:, :, j] / np.maximum(size[:, j], 1e-12 + 1e-6 * size[:, j].max())[:, None]

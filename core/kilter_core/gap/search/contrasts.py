@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kilter_core.gap.noise.centred import centred
 from kilter_core.gap.noise.visits import apart
 from kilter_core.gap.search.linearized import LinearizedProblem
+from kilter_core.observations.groups import centred
 from kilter_core.types import Ints
 
 

@@ -22,9 +22,7 @@ def fit_rms(problem: LinearizedProblem) -> float:
 
 
 def _rms_of(settings: ProblemSettings, whitened: Floats) -> float:
-    r = whitened.reshape(-1, settings.whitener.shape[-1])
-    e = np.einsum("vij,vj->vi", np.linalg.inv(settings.whitener), r)[settings.used]
-    return settings.source.rms(e)
+    return settings.source.rms(settings.whitening.back(whitened)[settings.used])
 
 
 def noise_rms(settings: ProblemSettings) -> float:
@@ -38,8 +36,7 @@ def moved_by(problem: LinearizedProblem, columns: Sequence[int], own: Sequence[i
     """Displacement (V, m) in m or rad by the library columns ``own`` at their fitted values."""
     values, _ = fitted(problem, columns)
     amount = np.array([values[list(columns).index(k)] * problem.size[k] for k in own])
-    white = (problem.W_raw[:, list(own)] @ amount).reshape(-1, problem.settings.whitener.shape[-1])
-    return np.asarray(np.einsum("vij,vj->vi", np.linalg.inv(problem.settings.whitener), white))
+    return problem.settings.whitening.back(problem.W_raw[:, list(own)] @ amount)
 
 
 def root_of(covariance: Floats) -> Floats:

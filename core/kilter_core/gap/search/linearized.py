@@ -19,8 +19,9 @@ from kilter_core.gap.search.bases import lengths, orthonormal, seen
 from kilter_core.gap.search.gram import VISIBLE, Gram
 from kilter_core.gap.search.projection import Projection, Stacked
 from kilter_core.gap.search.soft import Soft
-from kilter_core.gap.search.source import MOST_NUMBERS, Source
-from kilter_core.identify.solver import BEND, minimise
+from kilter_core.gap.search.source import Source
+from kilter_core.identify.problem import ByCovariance, LeastSquares
+from kilter_core.identify.solver import minimise
 from kilter_core.types import Bools, Floats, Ints
 
 Tick = Callable[[], None]
@@ -51,6 +52,11 @@ class ProblemSettings:
         object.__setattr__(self, "whitener", noise.whiteners() / np.sqrt(self.inflation))
 
     @property
+    def whitening(self) -> ByCovariance:
+        """How residuals and columns are whitened."""
+        return ByCovariance(self.whitener, self.used)
+
+    @property
     def widened(self) -> float:
         """Logarithm of how much the doubt widens the noise, over the visits that count."""
         if self.doubt is None:
@@ -71,11 +77,14 @@ class ProblemSettings:
 
     def whitened(self, values: Floats) -> Floats:
         """Whitened residuals (V, m), zero where nothing was seen or the visit does not count."""
-        return self.white(self.source.residual(values))
+        return self.whitening.residual(self.source.residual(values))
 
-    def white(self, residual: Floats) -> Floats:
-        """The same of residuals (V, m) that are known."""
-        return np.asarray(np.einsum("vij,vj->vi", self.whitener, np.nan_to_num(residual)) * self.used[:, None])
+    def linearised(
+        self, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Whitened residuals (R,), and derivatives by geometry (R, P) and library (R, Q): the columns ``only``, or all."""
+        linear, by = self.source.linear(values, batch, only), self.whitening
+        return by.residual(linear.r).reshape(-1), by.columns(linear.G), by.columns(linear.W)
 
 
 @dataclass(frozen=True)
@@ -179,11 +188,7 @@ def linearize_at(
 
     ``only`` keeps these library columns, in this order, and holds the rest of the library at its values.
     """
-    linear = settings.source.linear(values, batch, only)
-    r = settings.white(linear.r).reshape(-1)
-    G = _white(settings, linear.G)
-    W = _white(settings, linear.W)
-    del linear
+    r, G, W = settings.linearised(values, batch, only)
     norm = lengths(W)
     unit = np.where(norm > 0.0, norm, 1.0)
     W /= unit
@@ -203,9 +208,8 @@ def linearize_at(
 
 
 def columns_at(settings: ProblemSettings, values: Floats, batch: Batch, only: Sequence[int]) -> Floats:
-    """Whitened unit columns (R, K) of the library, as :func:`world_at` has them, without the geometry."""
-    source = settings.source
-    W = _white(settings, source.without_geometry().linear(values, batch, only).W)
+    """Whitened unit columns (R, K) of the library, as :func:`linearize_at` has them, without the geometry."""
+    W = settings.whitening.columns(settings.source.without_geometry().linear(values, batch, only).W)
     norm = lengths(W)
     W /= np.where(norm > 0.0, norm, 1.0)
     return W
@@ -241,10 +245,10 @@ def reloaded(settings: ProblemSettings, values: Floats) -> ProblemSettings:
     rows = np.arange(len(settings.used))[:: max(1, len(settings.used) // SAMPLED)]
     few = source.only(rows)
     before, after = few.residual(values), few.reloaded(values).residual(values)
+    by = ByCovariance(settings.whitener[rows], settings.used[rows])
 
     def size(residual: Floats) -> float:
-        white = np.einsum("vij,vj->vi", settings.whitener[rows], np.nan_to_num(residual)) * settings.used[rows, None]
-        return float(np.sqrt(np.mean(white**2)))
+        return float(np.sqrt(np.mean(by.residual(residual) ** 2)))
 
     if size(after - before) < UNMOVED * max(1.0, size(before)):
         return settings
@@ -283,14 +287,14 @@ def solved(
     if held is not None:
         library[held[0]] = held[1]
     values = settings.source.moved(values, np.zeros(len(settings.source.prior_mean)), library)
-    descent = Descent(settings, free)
-    found = minimise(descent, values, descent.at(values), lambda *_: tick(), patience=PATIENCE)
-    problem = linearize_at(settings, found.values, only=free)
-    return found.values, problem.gram.given(range(len(free))).yy
+    problem = SearchProblem(settings, free)
+    found = minimise(problem, values, problem.at(values), lambda *_: tick(), patience=PATIENCE)
+    there = linearize_at(settings, found.values, only=free)
+    return found.values, there.gram.given(range(len(free))).yy
 
 
 @dataclass(frozen=True)
-class Fitted:
+class Whitened:
     """A fit at some values: whitened residual ``r (R,)``, columns ``J (R, F)`` of one prior sigma each, and the loss."""
 
     r: Floats
@@ -299,14 +303,20 @@ class Fitted:
 
 
 @dataclass(frozen=True)
-class Descent:
-    """Geometry and the library columns ``free`` as the solver of an identification walks them; every one has its prior.
+class SearchProblem(LeastSquares[Whitened]):
+    """Geometry and the library columns ``free``, stepped as an identification is; every one has its prior.
 
-    Without the effects' own priors a candidate that imitates geometry to seven digits ran away with it.
+    All are counted from their priors, in prior sigmas: the columns of an effect are many powers of ten apart. Without the
+    effects' own priors a candidate that imitates geometry to seven digits ran away with it.
     """
 
     settings: ProblemSettings
     free: list[int]
+
+    def __post_init__(self) -> None:
+        count = len(self._sigma)
+        object.__setattr__(self, "prior_mean", np.zeros(count))
+        object.__setattr__(self, "prior_sigma", np.ones(count))
 
     @property
     def rows(self) -> float:
@@ -320,53 +330,36 @@ class Descent:
         """
         return 0.5 * STILL**2 * max(1.0, 2.0 * loss / self.rows)
 
-    def at(self, values: Floats) -> Fitted:
+    def at(self, values: Floats) -> Whitened:
         """Linearise there."""
-        source = self.settings.source
-        linear = source.linear(values, None, self.free)
-        r = self.settings.white(linear.r).reshape(-1)
-        J = np.hstack([_white(self.settings, linear.G), _white(self.settings, linear.W)]) * self._sigma
-        away = self._away(values)
-        return Fitted(r, J, 0.5 * float(r @ r + away @ away))
+        r, G, W = self.settings.linearised(values, None, self.free)
+        return Whitened(r, np.hstack([G, W]) * self._sigma, self.loss_at(values, r))
 
-    def derivatives(self, values: Floats, here: Fitted) -> tuple[Floats, Floats]:
-        """Gauss-Newton matrix and slope."""
-        H = here.J.T @ here.J
-        H[np.diag_indices_from(H)] += 1.0
-        return H, self.slope(values, here)
+    def weighed(self, values: Floats) -> Floats:
+        """Whitened residuals (R,)."""
+        return self.settings.whitened(values).reshape(-1)
 
-    def slope(self, values: Floats, here: Fitted) -> Floats:
-        """Downhill slope."""
-        return np.asarray(here.J.T @ here.r - self._away(values))
-
-    def moved(self, values: Floats, step: Floats) -> Floats:
-        """Take a step."""
-        source = self.settings.source
-        library = source.library(values).copy()
-        moved = step * self._sigma
-        split = len(source.prior_mean)
-        library[self.free] += moved[split:]
-        return source.moved(values, moved[:split], library)
-
-    def bend(self, values: Floats, here: Fitted, step: Floats) -> Floats:
-        """How the prediction bends along a step."""
-        r = self.settings.whitened(self.moved(values, BEND * step)).reshape(-1)
-        return np.asarray(here.J.T @ (here.r - r - here.J @ (BEND * step)) * (2.0 / BEND**2))
-
-    def beyond(self, here: Fitted, values: Floats, step: Floats) -> Fitted:
+    def beyond(self, here: Whitened, values: Floats, step: Floats) -> Whitened:
         """What a tiny step leads to."""
-        r, away = here.r - here.J @ step, self._away(values)
-        return Fitted(r, here.J, 0.5 * float(r @ r + away @ away))
+        r = here.r - here.J @ step
+        return Whitened(r, here.J, self.loss_at(values, r))
+
+    def current(self, values: Floats) -> Floats:
+        """How far geometry and the library columns that are free are from their priors."""
+        source = self.settings.source
+        away = np.concatenate([source.geometry(values) - source.prior_mean, source.library(values)[self.free]])
+        return np.asarray(away / self._sigma)
+
+    def changed(self, values: Floats, change: Floats) -> Floats:
+        """Change them."""
+        source, change = self.settings.source, change * self._sigma
+        library, split = source.library(values).copy(), len(source.prior_mean)
+        library[self.free] += change[split:]
+        return source.moved(values, change[:split], library)
 
     @property
     def _sigma(self) -> Floats:
         return np.concatenate([self.settings.source.prior_sigma, self.settings.source.library_sigma[self.free]])
-
-    def _away(self, values: Floats) -> Floats:
-        """How far (F,) the parameters are from their priors, in prior sigmas."""
-        source = self.settings.source
-        away = np.concatenate([source.geometry(values) - source.prior_mean, source.library(values)[self.free]])
-        return np.asarray(away / self._sigma)
 
 
 def fitted(problem: LinearizedProblem, columns: Sequence[int]) -> tuple[Floats, Floats]:
@@ -375,15 +368,6 @@ def fitted(problem: LinearizedProblem, columns: Sequence[int]) -> tuple[Floats, 
     scale = problem.scale[index]
     covariance = _pinv(problem.A[np.ix_(index, index)])
     return problem.gram.solve(index) * scale, covariance * np.outer(scale, scale)
-
-
-def _white(settings: ProblemSettings, columns: Floats) -> Floats:
-    """Whiten columns (V, m, K) in their place; (R, K) of them."""
-    size = max(1, MOST_NUMBERS // max(1, columns.shape[2]))
-    for k in range(0, len(columns), size):
-        part = slice(k, k + size)
-        columns[part] = np.matmul(settings.whitener[part] * settings.used[part, None, None], columns[part])
-    return columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
 
 
 def _pinv(A: Floats) -> Floats:

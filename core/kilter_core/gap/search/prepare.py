@@ -310,8 +310,7 @@ class _Preparation:
     ) -> LinearizedProblem:
         """Re-fit with noise from ``rest``, its variance times the correlation ``length``."""
         settings = problem.settings
-        L = np.linalg.inv(settings.whitener)
-        noise = fit_noise(np.einsum("vij,vj->vi", L, rest), visits, settings.used, 0.0)
+        noise = fit_noise(settings.whitening.back(rest), visits, settings.used, 0.0)
         settings = replace(settings, noise=settings.source.even(noise), group=group, inflation=length, trusted=True)
         return refit(
             settings, problem.values, [], partial(self.progress, 0.8, "fitting with the noise of correlated rows")

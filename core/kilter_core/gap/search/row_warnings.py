@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.gap.noise.clock import clock_of
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.observations import Observations
+from kilter_core.observations.clock import clock_of
 from kilter_core.types import Bools
 
 Warning_ = dict[str, Any]

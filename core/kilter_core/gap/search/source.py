@@ -18,8 +18,6 @@ from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
 
-MOST_NUMBERS = 400_000  # rows times columns whose derivatives are made at a time: they pass through arrays of 20 MB
-
 
 @dataclass(frozen=True)
 class Linear:

@@ -10,7 +10,8 @@ import numpy as np
 
 from kilter_core.effects import Batch, Effect
 from kilter_core.gap.noise.from_repeats import Noise
-from kilter_core.gap.search.source import MOST_NUMBERS, Linear, Source
+from kilter_core.gap.search.source import Linear, Source
+from kilter_core.identify.problem import MOST_NUMBERS, linearised_residual
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.model.prediction import ABOUT, TURNED
@@ -154,9 +155,8 @@ class ToolSource(Source):
         whole = rows.start == 0 and rows.stop >= len(batch)
         seen = self.measurement.observations if whole else self.measurement.observations.select(rows)
         measurement = replace(self.measurement, observations=seen)
-        sees = measurement.observes_orientation, measurement.reads_joints
-        prediction, J = self.model.jacobian(batch if whole else batch.part(rows), values, columns, *sees)
-        residual = measurement.residual(prediction, J)
+        part = batch if whole else batch.part(rows)
+        residual = linearised_residual(self.model, measurement, part, values, columns)
         D = residual.derivatives(len(columns))
         r = residual.stacked
         D[np.isnan(r)] = 0.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.identify.estimate import prepared, weights_of
-from kilter_core.identify.least_squares import Fit, fit_at, normal_equations
+from kilter_core.identify.least_squares import Fit, fit_at
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
@@ -24,9 +24,8 @@ def linear_least_squares(
     """
     problem, values = prepared(start, measurement, options)
     here = problem.linearised(values)
-    H, g = normal_equations(problem, values, here)
-    step = np.linalg.solve(H, g) * problem.prior_sigma
-    values[problem.free] += step
+    step = problem.whole_step(values, here)
+    values = problem.moved(values, step)
     promised = problem.beyond(here, values, step)
     first = fit_at(problem, values, problem.linearised(values), 1)
     problem = problem.reweighted(weights_of(first, options), None)

@@ -16,7 +16,8 @@ from dataclasses import replace
 import numpy as np
 import scipy.stats
 
-from kilter_core.identify.least_squares import HOLD, HUBER_SIGMAS, Fit
+from kilter_core.identify.least_squares import HUBER_SIGMAS, Fit
+from kilter_core.identify.problem import HOLD
 from kilter_core.identify.redescending import dimension_of, row_sizes
 from kilter_core.identify.robust import Loss, tukey_limit
 from kilter_core.identify.uncertainty.settling import levers, scatter_of_poses

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kilter_core.observations import Observations
 from kilter_core.types import Bools, Ints
 
-RESTARTS = (
-    0.02  # share of rows at which the time falls, up to which the clock was set back; above, rows are sorted otherwise
-)
-PAUSE = 0.5  # of the usual time between poses, above which the arm may have left and come back
-RESTING = 10  # rows at rest that say how far joint readings wander there
+if TYPE_CHECKING:
+    from kilter_core.observations.rows import Observations
+
+RESTARTS = 0.02  # share of rows at which the time falls, up to which the clock was set back; above, rows are sorted
+PAUSE = 0.5  # of the usual time between poses, above which the arm may have left and come back: halfway to all of it
+RESTING = 10  # rows at rest that say how far joint readings wander there: one in ten is beyond by chance
 LEFT = 0.8  # share of the long pauses that must show a motion before any of them counts as one
 
 

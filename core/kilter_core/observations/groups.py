@@ -1,4 +1,4 @@
-"""What is left of values when each group's mean is taken out: repeats of a condition, or visits of a block."""
+"""What is left of values when each group's mean is taken out: repeats of a condition, shots of a visit."""
 
 from __future__ import annotations
 
@@ -17,3 +17,13 @@ def centred(values: Floats, group: Ints, kept: Bools | None = None) -> Floats:
     count = np.maximum(np.bincount(groups, minlength=size), 1)
     means = np.stack([np.bincount(groups, c, minlength=size) for c in rows.T], axis=1) / count[:, None]
     return np.asarray((flat - means[group]).reshape(values.shape))
+
+
+def unbiased(values: Floats, group: Ints, kept: Bools) -> tuple[Floats, Floats]:
+    """Values (V, m) less the mean that those ``kept (V,)`` have in their group, and the factor (V, 1) they grow by.
+
+    A mean of n values is pulled towards each of them: deviations times the factor have the variance of the values.
+    """
+    count = np.bincount(group[kept], minlength=int(group.max(initial=-1)) + 1)
+    factor = np.sqrt(np.maximum(count, 2) / np.maximum(count - 1, 1))[group][:, None]
+    return centred(values, group, kept) * factor, factor
