@@ -52,6 +52,7 @@ from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.report import large_residual
 from kilter_core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, worse, worse_warning
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import held
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Progress, unheard
@@ -113,10 +114,10 @@ def beginning(robot: Robot, start: Calibration | None) -> Calibration:
 
 def of_this_robot(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
     """Refuse rows that a mix-up explains far better than physics; return warnings about what only looks odd."""
-    if rows.position is None and rows.markers is None:
+    if rows.position is None and rows.markers is None and not held(rows):
         refuse_foreign_links(begin.robot, rows)
         return ()
-    return refuse_foreign(begin, Measurement.of(rows, begin.marker_points))
+    return refuse_foreign(begin, Measurement.of(rows, begin.marker_points, held=True))
 
 
 def _part(progress: Progress, low: float, high: float) -> Progress:
@@ -264,7 +265,8 @@ class _Run:
         problem = found.problem
         size = fit_rms(problem)
         if problem.settings.source.observes_tool:
-            points = problem.settings.source.model.predict(problem.settings.source.batch, problem.values).position
+            source = problem.settings.source
+            points = source.model.predict(source.batch, source.model_values(problem.values)).position
             yield from large_residual(size, points)
         elif np.degrees(size) > LARGE_DEG:
             yield {"code": "large_residual", "message": f"{np.degrees(size):.2f} deg are left between the encoders."}
@@ -292,7 +294,7 @@ class _Run:
         if self.validation is None or kept.registered is None:
             return
         calibration, plain = kept.calibration, kept.registered
-        unseen = Measurement.of(self.validation, calibration.marker_points)
+        unseen = Measurement.of(self.validation, calibration.marker_points, held=True)
         yield from PoseErrors.of({"registration_only": plain, "identified": calibration}, unseen).warnings()
 
     def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> list[dict[str, Any]]:

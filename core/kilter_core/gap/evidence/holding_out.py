@@ -10,17 +10,22 @@ import numpy as np
 
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.gap.noise.motion import hold_out, is_trajectory
+from kilter_core.measurement.contacts import placements
 from kilter_core.observations import Observations
 from kilter_core.types import Ints
 
 SHARE = 0.25  # of the poses, held out when nothing else is asked
 FEWEST = 60  # poses from which so many can be spared
+FEWEST_PLACEMENTS = 4  # of contacts, from which one can be spared unasked
 SAME_ROW = 1e-7  # m or rad: rows closer than this in all that was measured are one row, whatever unit they came in
 COINCIDENCE = 0.01  # share of the rows of a motion that may be the same: an arm at rest reads the same twice
 
 
 def share_of(rows: Observations, validation: float | None) -> float:
-    """Share of the poses that is held out; None asks for a quarter where there are 60 poses or more, 0 for none."""
+    """Share of the poses that is held out; None asks for a quarter where there are 60 poses or more, 0 for none.
+
+    Of contacts whole placements are held out, unasked where there are four or more.
+    """
     if validation is not None:
         if not 0.0 <= validation < 1.0:
             raise OptionError(
@@ -28,11 +33,14 @@ def share_of(rows: Observations, validation: float | None) -> float:
                 option="validation",
             )
         return float(validation)
+    placed = placements(rows)
+    if placed is not None and len(placed[1]) < FEWEST_PLACEMENTS:
+        return 0.0
     return SHARE if len(rows) and int(rows.pose_groups().max()) + 1 >= FEWEST else 0.0
 
 
 def held_out(rows: Observations, validation: float | None, seed: int) -> tuple[Ints, Ints]:
-    """Row indices (train, held out): whole poses, of motions whole motions or the end of a single one.
+    """Row indices (train, held out): whole poses, of contacts whole placements, of motions whole motions or the end of one.
 
     Raises:
         OptionError: a fraction outside [0, 1). TooFewPosesError: a side without poses.
@@ -41,7 +49,7 @@ def held_out(rows: Observations, validation: float | None, seed: int) -> tuple[I
     share = share_of(rows, validation)
     if share == 0.0:
         return np.arange(len(rows)), np.zeros(0, dtype=np.int64)
-    if validation is None and not is_trajectory(rows):
+    if validation is None and not is_trajectory(rows) and placements(rows) is None:
         return _evenly(rows, share, seed)
     return hold_out(rows, share, seed)
 
