@@ -186,7 +186,7 @@ class _Run:
             alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(
                 *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
-                *self._worse(found, held, kept), *far_from_stated(kept.load_model()),
+                *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *self._unplanned(effects),
             ),
             figures=figures(found, rows, gap, held), library=prepared.library,
         )  # fmt: skip
@@ -281,6 +281,15 @@ class _Run:
                 "message": f"{', '.join(loaded)} were not looked for: they follow load moments, and neither link masses nor a "
                 "payload are known. Give the robot's links mass_kg and com_mm, or the rows payload_kg, and search again.",
             }  # fmt: skip
+
+    def _unplanned(self, effects: tuple[Judged, ...]) -> Iterator[dict[str, Any]]:
+        """Say why no poses are proposed where contacts decide which poses the arm can take."""
+        if effects and self.options.next_poses and not self.prepared.problem.settings.source.observes_places:
+            yield {
+                "code": "no_next_poses",
+                "message": "No poses are proposed: the contact decides which poses the arm can take. To make a name surer, "
+                "hold the ball in more placements, with joint angles and orientations that differ from those measured.",
+            }
 
     def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:
         """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""

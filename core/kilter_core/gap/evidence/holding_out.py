@@ -10,7 +10,8 @@ import numpy as np
 
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.gap.noise.motion import hold_out, is_trajectory
-from kilter_core.measurement.contacts import placements
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import contacts_of, placements
 from kilter_core.observations import Observations
 from kilter_core.types import Ints
 
@@ -66,6 +67,7 @@ def parted(
     """
     if isinstance(validation, Observations):
         refuse_shared(rows, validation, "validation")
+        _refuse_other_contacts(rows, validation)
         return rows, validation
     inside, outside = held_out(rows, validation, seed)
     return (rows, None) if not len(outside) else (rows.select(inside), rows.select(outside))
@@ -89,6 +91,24 @@ def refuse_shared(rows: Observations, others: Observations, use: str) -> None:
     )
 
 
+def _refuse_other_contacts(rows: Observations, validation: Observations) -> None:
+    """Refuse validation rows whose tool was measured otherwise where contacts held either, and contacts too small to judge.
+
+    Raises:
+        ObservationError: what cannot judge what, and the remedy.
+
+    """
+    widths = [{3 if c.kind == "socket" else 1 for c in contacts_of(part)} for part in (rows, validation)]
+    if widths[0] != widths[1]:
+        raise ObservationError(
+            "The rows to search and those to validate measure the tool in different ways: sockets, planes and bars, or an "
+            "instrument. Name a campaign of the same kind to validate, and this one as the confirmation.",
+            code="contacts_mixed",
+        )
+    if widths[1]:
+        Measurement.of(validation, held=True)
+
+
 def shared_rows(rows: Observations, others: Observations) -> Ints:
     """Rows of ``others`` whose joints and measured values are all in a row of ``rows`` too; each content once."""
     one, two = _contents(rows), _contents(others)
@@ -103,7 +123,8 @@ def shared_rows(rows: Observations, others: Observations) -> Ints:
 
 def _contents(rows: Observations) -> Ints:
     """Joints and measured values (N, c) in steps of ``SAME_ROW``; the time is left out, because a copy may be shifted."""
-    values = (rows.position, rows.markers, rows.link_q)
+    contacts = (rows.socket, rows.plane, rows.bar, rows.bar_length)
+    values = (rows.position, rows.markers, rows.link_q, *contacts)
     parts = [rows.q, *(v.reshape(len(rows), -1) for v in values if v is not None)]
     whole = np.nan_to_num(np.hstack(parts), nan=1e3)
     return np.ascontiguousarray(np.round(whole / SAME_ROW).astype(np.int64))

@@ -206,7 +206,15 @@ def _computable(found: Calibration, rows: Observations) -> Calibration:
 def _placed(found: Calibration, rows: Observations, options: GapOptions, progress: Progress) -> Prepared:
     """The confirmation with base and tool fitted to it, chain and effects as the search left them."""
     effects = found.names[found.model.n_geometric :]
-    fixed = replace(options, free=("tool_x" if held(rows) else "base_x",), fix=effects, base="free", tool="free", reference="auto", effects=())
+    fixed = replace(
+        options,
+        free=("tool_x" if held(rows) else "base_x",),
+        fix=effects,
+        base="free",
+        tool="free",
+        reference="auto",
+        effects=(),
+    )
     try:
         return prepare_data(found, rows, fixed, progress)
     except CoreError as error:

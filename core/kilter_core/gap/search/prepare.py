@@ -180,7 +180,15 @@ class _Preparation:
         fit = self._geometry(measurement, identify)
         model = fit.problem.model
         library = library_of(self.start.robot, rows, model.names, options.effects)
-        return *tool_source(model, fit.values, fit.problem.free, measurement, library), library
+        source, values = tool_source(model, fit.values, fit.problem.free, measurement, library)
+        names = source.fitted_names()
+        for held_back in (name for k in fit.problem.free if (name := model.names[k]) not in names):
+            self._warn(
+                "scale_held",
+                f"Contacts do not show how large the arm is: {held_back}, its longest length, was held where an identification "
+                "leaves it, and all other lengths are relative to it. A ball bar, or an instrument, would show it.",
+            )
+        return source, values, library
 
     def _geometry(self, measurement: Measurement, options: IdentifyOptions) -> Fit:
         """Robust fit of the geometry, a plain one where that has no end, else base and tool registered to start from."""
