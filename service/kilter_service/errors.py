@@ -23,6 +23,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "points_collinear": (400, "Points on one line do not define a frame"),
     "points_mirrored": (400, "Points are the mirror image of the known ones"),
     "contact_too_small": (400, "A socket, plane or bar has too few rows"),
+    "contacts_mixed": (400, "Contacts of different kinds cannot be searched together"),
     "sheet_order_wrong": (400, "The quarter points of a sheet are in the wrong order"),
     "too_few_poses": (400, "Too few poses"),
     "not_converged": (400, "The estimator found no minimum"),

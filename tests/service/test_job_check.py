@@ -249,6 +249,22 @@ def test_a_big_campaign_is_thinned_and_that_is_said(
     assert "One row in 2" in told["limited"][0]
 
 
+@pytest.mark.parametrize("limit", ["checking.MOST_ROWS", "kinds.evaluate.MOST_CHECKED"])
+def test_a_check_of_few_rows_takes_a_small_socket_as_the_job_does(
+    client: httpx.Client, arm: Callable[..., str], monkeypatch: pytest.MonkeyPatch, limit: str
+) -> None:
+    monkeypatch.setattr(f"kilter_service.jobs.{limit}", 12)
+    q = poses(60)
+    held_by = [2 if k in (27, 30) else 1 for k in range(60)]  # each limit keeps one of the two
+    rows = {f"q{j + 1}_deg": q[:, j].tolist() for j in range(6)} | {"socket_id": held_by}
+    told = check(client, "evaluate", [arm(rows)])
+    assert told["problems"] == []
+    assert told["would_run"]
+    alone = [1] * 30 + [2] + [1] * 29
+    told = check(client, "evaluate", [arm(rows | {"socket_id": alone}, "other")], robot="other")
+    assert "Socket 2 holds 1 rows" in told["problems"][0]["message"]
+
+
 def test_other_kinds_say_what_is_missing(client: httpx.Client, arm: Callable[..., str]) -> None:
     campaign = arm(columns(poses(20)))
     standard = check(client, "evaluate", [campaign], options={"metrics": "iso9283"})

@@ -52,6 +52,7 @@ from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.report import large_residual
 from kilter_core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, worse, worse_warning
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import held
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Progress, unheard
@@ -113,10 +114,10 @@ def beginning(robot: Robot, start: Calibration | None) -> Calibration:
 
 def of_this_robot(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
     """Refuse rows that a mix-up explains far better than physics; return warnings about what only looks odd."""
-    if rows.position is None and rows.markers is None:
+    if rows.position is None and rows.markers is None and not held(rows):
         refuse_foreign_links(begin.robot, rows)
         return ()
-    return refuse_foreign(begin, Measurement.of(rows, begin.marker_points))
+    return refuse_foreign(begin, Measurement.of(rows, begin.marker_points, held=True))
 
 
 def _part(progress: Progress, low: float, high: float) -> Progress:
@@ -185,7 +186,7 @@ class _Run:
             alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(
                 *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
-                *self._worse(found, held, kept), *far_from_stated(kept.load_model()),
+                *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *self._unplanned(effects),
             ),
             figures=figures(found, rows, gap, held), library=prepared.library,
         )  # fmt: skip
@@ -264,7 +265,8 @@ class _Run:
         problem = found.problem
         size = fit_rms(problem)
         if problem.settings.source.observes_tool:
-            points = problem.settings.source.model.predict(problem.settings.source.batch, problem.values).position
+            source = problem.settings.source
+            points = source.model.predict(source.batch, source.model_values(problem.values)).position
             yield from large_residual(size, points)
         elif np.degrees(size) > LARGE_DEG:
             yield {"code": "large_residual", "message": f"{np.degrees(size):.2f} deg are left between the encoders."}
@@ -280,6 +282,15 @@ class _Run:
                 "payload are known. Give the robot's links mass_kg and com_mm, or the rows payload_kg, and search again.",
             }  # fmt: skip
 
+    def _unplanned(self, effects: tuple[Judged, ...]) -> Iterator[dict[str, Any]]:
+        """Say why no poses are proposed where contacts decide which poses the arm can take."""
+        if effects and self.options.next_poses and not self.prepared.problem.settings.source.observes_places:
+            yield {
+                "code": "no_next_poses",
+                "message": "No poses are proposed: the contact decides which poses the arm can take. To make a name surer, "
+                "hold the ball in more placements, with joint angles and orientations that differ from those measured.",
+            }
+
     def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:
         """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""
         unit = "deg" if found.problem.settings.source.unit == "rad" else "mm"
@@ -292,7 +303,7 @@ class _Run:
         if self.validation is None or kept.registered is None:
             return
         calibration, plain = kept.calibration, kept.registered
-        unseen = Measurement.of(self.validation, calibration.marker_points)
+        unseen = Measurement.of(self.validation, calibration.marker_points, held=True)
         yield from PoseErrors.of({"registration_only": plain, "identified": calibration}, unseen).warnings()
 
     def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> list[dict[str, Any]]:

@@ -15,6 +15,7 @@ from kilter_core.errors import NotConvergedError
 from kilter_core.identify.estimate import registration_only
 from kilter_core.identify.worse import Difference
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import LEAST_ROWS, contacts_of
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats
@@ -63,7 +64,10 @@ def setups(observations: Observations) -> list[Observations]:
 
 
 def thinned(observations: Observations, poses: int) -> Observations:
-    """At most so many poses, evenly chosen in their order, and a few rows of each."""
+    """At most so many poses, evenly chosen in their order, and a few rows of each.
+
+    Of every socket, plane and bar at least so many rows stay as its own place takes, where it has them.
+    """
     groups = observations.pose_groups()
     first = np.unique(groups, return_index=True)[1]
     in_order = groups[np.sort(first)]
@@ -72,7 +76,12 @@ def thinned(observations: Observations, poses: int) -> Observations:
     starts = np.searchsorted(groups[by_pose], np.arange(len(in_order)))
     repeat = np.empty(len(groups), dtype=np.int64)
     repeat[by_pose] = np.arange(len(groups)) - starts[groups[by_pose]]
-    return observations.select(np.flatnonzero(np.isin(groups, chosen) & (repeat < ROWS_OF_A_POSE)))
+    kept = np.isin(groups, chosen) & (repeat < ROWS_OF_A_POSE)
+    for contact in contacts_of(observations):
+        if int(kept[contact.rows].sum()) < LEAST_ROWS[contact.kind]:
+            least = min(LEAST_ROWS[contact.kind], len(contact.rows))
+            kept[contact.rows[np.linspace(0, len(contact.rows) - 1, least).round().astype(np.int64)]] = True
+    return observations.select(np.flatnonzero(kept))
 
 
 def poses_of(observations: Observations) -> int:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from kilter_core.errors import OptionError
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
@@ -37,6 +41,13 @@ def measurement_for(
         if kind.plain_fits_only:
             _refuse(options, kind.summary[0].upper() + kind.summary[1:])
     return made
+
+
+def between_rows(options: IdentifyOptions, rows: Observations) -> IdentifyOptions:
+    """The options for some of the rows: distances to sockets that are held out are not there to be fitted."""
+    known = set() if rows.socket is None else set(np.unique(rows.socket).tolist())
+    kept = {p: mm for p, mm in options.socket_distances_mm.items() if {int(n) for n in p.split("-")} <= known}
+    return options if len(kept) == len(options.socket_distances_mm) else replace(options, socket_distances_mm=kept)
 
 
 def _refuse(options: IdentifyOptions, what: str) -> None:

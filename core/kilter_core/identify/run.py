@@ -16,7 +16,7 @@ from kilter_core.identify.kinds import KindErrors, Shares, errors_of, pooled
 from kilter_core.identify.learned import Learned, gated
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.load_model import far_from_stated, load_rows
-from kilter_core.identify.measuring import measurement_for
+from kilter_core.identify.measuring import between_rows, measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.noise import Repeats
@@ -135,7 +135,8 @@ def identify(
     """Identify a robot from observations.
 
     ``validation`` is other observations, a fraction of the poses to hold out, folds, or None. With folds every pose is
-    predicted once by a model that never saw it, and the final fit uses all.
+    predicted once by a model that never saw it, and the final fit uses all. Of contacts whole placements are held out,
+    each judged where it fits its own rows best.
     ``start`` continues from a version; ``prior`` is its covariance, which ``kalman`` continues from.
 
     Raises:
@@ -155,7 +156,10 @@ def identify(
     kinds: KindErrors = {}
     if isinstance(validation, Folds):
         held, compared, by_row, kinds = _cross_validated(nominal, begin, train, validation, options, progress, prior)
+    if isinstance(validation, float):
+        measurement_for(train, options, begin.marker_points)  # what is wrong with all rows is said of all of them
     train, validation, inside, outside = _parted(train, validation, options.seed)
+    options = options if inside is None else between_rows(options, train)
     measurement = measurement_for(train, options, begin.marker_points)
     of_tool = measurement.of_tool()
     remarks = _implausible(begin, of_tool, train)
@@ -332,9 +336,11 @@ def _cross_validated(
     poses: list[PoseErrors] = []
     by_row: list[RowErrors] = []
     kinds: list[KindErrors] = []
+    whole = options
     for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
         progress(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
         report = _within(progress, k, folds.folds)
+        options = between_rows(whole, train.select(inside))
         shown = measurement_for(train.select(inside), options, shape)
         unseen = measurement_for(train.select(outside), options, shape, shown)
         model = gated(begin, train.select(inside), options, prior)[0]

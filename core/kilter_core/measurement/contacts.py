@@ -69,7 +69,7 @@ class Contacts(Kind):
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:
         """The rows grouped by what held them."""
-        return tuple(_contacts(self.observations))
+        return contacts_of(self.observations)
 
     def check(self) -> None:
         """Refuse a contact with fewer rows than it has unknowns, and a distance of a socket that has none."""
@@ -112,7 +112,7 @@ class Contacts(Kind):
         p = prediction.position
         left, slopes, centres = [], [], {}
         for c in self.contacts:
-            place = _place(c, p[c.rows])
+            place = fitted_place(c, p[c.rows])
             r, D = _left(c, p[c.rows], place)
             left.append(r)
             if c.kind == "socket":
@@ -133,7 +133,7 @@ class Contacts(Kind):
         out = []
         for c in self.contacts:
             # A placement that the anchor does not have stands where it fits its own rows best.
-            place = places[c.name] if c.name in places else _place(c, p[c.rows])
+            place = places[c.name] if c.name in places else fitted_place(c, p[c.rows])
             r = _left(c, p[c.rows], place)[0]
             out.append(np.linalg.norm(r.reshape(-1, 3), axis=1) if c.kind == "socket" else r)
         return np.concatenate(out)[:, None], None
@@ -142,6 +142,25 @@ class Contacts(Kind):
 def held(observations: Observations) -> bool:
     """Whether rows say what held them."""
     return any(getattr(observations, kind) is not None for kind in UNKNOWNS)
+
+
+def placements(observations: Observations) -> tuple[Ints, tuple[str, ...]] | None:
+    """The placement (N,) of each row, and the names of the placements: one set-up of a socket, plane or bar is one.
+
+    None where nothing held the tool.
+    """
+    if not held(observations):
+        return None
+    every = contacts_of(observations)
+    numbers = np.zeros(len(observations), dtype=np.int64)
+    for k, contact in enumerate(every):
+        numbers[contact.rows] = k
+    return numbers, tuple(contact.name for contact in every)
+
+
+def contacts_of(observations: Observations) -> tuple[Contact, ...]:
+    """The rows grouped by what held them."""
+    return tuple(_contacts(observations))
 
 
 def _contacts(o: Observations) -> Iterator[Contact]:
@@ -173,7 +192,7 @@ def _left(c: Contact, p: Floats, place: Floats) -> tuple[Floats, Floats]:
         return (place - p).reshape(-1), np.tile(np.eye(3), (len(p), 1))
     if c.kind == "plane":
         normal, along = place[:3], p - p.mean(axis=0)
-        u, v = _square_to(normal)
+        u, v = square_to(normal)
         return place[3] - p @ normal, np.column_stack([np.ones(len(p)), along @ u, along @ v])
     assert c.length is not None
     ray = p - place
@@ -198,7 +217,7 @@ def _projected(D: Floats, slope: Floats) -> Floats:
     return np.asarray(slope - (U * share) @ (U.T @ slope))
 
 
-def _place(c: Contact, p: Floats) -> Floats:
+def fitted_place(c: Contact, p: Floats) -> Floats:
     """Where a contact fits the points best: a socket's centre (3,), a plane's normal and distance (4,), a bar's base (3,)."""
     if c.kind == "socket":
         return np.asarray(p.mean(axis=0))
@@ -252,10 +271,11 @@ def _between(a: Ints, b: Ints, known: float, p: Floats, J: Floats | None) -> tup
 
 def _places(anchor: Contacts, calibration: Calibration) -> dict[str, Floats]:
     p = calibration.predict(anchor.observations).position
-    return {c.name: _place(c, p[c.rows]) for c in anchor.contacts}
+    return {c.name: fitted_place(c, p[c.rows]) for c in anchor.contacts}
 
 
-def _square_to(normal: Floats) -> tuple[Floats, Floats]:
+def square_to(normal: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors square to a unit normal (3,) and to each other."""
     u = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     u /= np.linalg.norm(u)
     return u, np.cross(normal, u)

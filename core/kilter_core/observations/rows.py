@@ -157,9 +157,10 @@ class Observations(Conditions):
         return numbered_poses(self.q)
 
     def conditions(self) -> Ints:
-        """Number what repeats must share beside the pose, shape (N,): pose, approach, payload and session together."""
+        """Number what repeats must share beside the pose, shape (N,): pose, approach, payload, session and contact."""
         columns = [self.pose_groups().astype(np.float64)[:, None]]
-        beside = (self.direction, self.payload_kg, self.payload_com, self.session, self.setup)
+        contact = (self.socket, self.plane, self.bar)
+        beside = (self.direction, self.payload_kg, self.payload_com, self.session, self.setup, *contact)
         columns += [c.reshape(len(c), -1).astype(np.float64) for c in beside if c is not None]
         return numbered_rows(np.unique(np.hstack(columns), return_inverse=True)[1].reshape(len(self), -1))
 

@@ -9,9 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.errors import ObservationError, OptionError
+from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.evaluate import evaluate
 from kilter_core.identify import IdentifyOptions, identify
+from kilter_core.identify.holdout import fold_splits, split
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held as held_by
 from kilter_core.model import RobotModel
@@ -161,7 +162,8 @@ def test_circles_of_a_double_ball_bar_calibrate_what_they_see() -> None:
     centres = np.array([[0.6, 0.1, 0.3], [0.5, -0.25, 0.45], [0.55, 0.2, 0.5], [0.7, 0.0, 0.4], [0.4, 0.3, 0.35]])
     length = np.linalg.norm(actual.poses(q)[0] - centres[number - 1], axis=1) + rng.normal(0.0, 1e-6, len(q))
     rows = Observations(q, bar=number, bar_length=length)
-    found = identify(robot_from_document(drawn.document()), rows, 0.25).metrics
+    others = np.arange(len(rows)) % 4 == 0
+    found = identify(robot_from_document(drawn.document()), rows.select(~others), rows.select(others)).metrics
     assert found["validation"]["nominal"]["rms_mm"] > 0.05
     assert found["validation"]["identified"]["rms_mm"] < 0.004
 
@@ -236,6 +238,32 @@ def test_whole_placements_are_held_out_each_where_it_fits_its_own_rows() -> None
     validation = found.metrics["validation"]
     assert validation["n"] == len(unseen)
     assert validation["identified"]["rms_mm"] < 0.2 * validation["registration_only"]["rms_mm"]
+
+
+def test_a_fraction_and_folds_hold_out_whole_placements() -> None:
+    _, _, rows = sockets(count=8)
+    assert rows.socket is not None
+    for seed in range(5):
+        inside, outside = split(rows, 0.25, seed)
+        assert len(set(rows.socket[outside])) == 1
+        assert not set(rows.socket[outside]) & set(rows.socket[inside])
+    seen = [set(rows.socket[outside]) for _, outside in fold_splits(rows, 3, 0)]
+    assert sorted(n for placements in seen for n in placements) == [1, 2, 3]
+    mixed = Observations(rows.q, socket=np.where(rows.socket == 1, 1, 0), plane=np.where(rows.socket > 1, 1, 0))
+    inside, outside = split(mixed, 0.5, 0)
+    assert len(set(rows.socket[outside] > 1)) == len(set(rows.socket[inside] > 1)) == 1
+
+
+def test_too_few_placements_to_hold_one_out_are_refused_with_a_remedy_that_works() -> None:
+    _, _, rows = sockets(count=8)
+    one = rows.select(np.flatnonzero(rows.socket == 1))
+    with pytest.raises(TooFewPosesError, match=r"held by socket 1.*another socket.*leave the fraction out"):
+        split(one, 0.25, 0)
+    with pytest.raises(
+        TooFewPosesError, match=r"3 placements \(socket 1, socket 2, socket 3\) cannot make 5.*give 3 folds"
+    ):
+        next(fold_splits(rows, 5, 0))
+    assert len(list(fold_splits(rows, 3, 0))) == 3
 
 
 def test_contacts_are_evaluated_each_where_it_fits_best() -> None:

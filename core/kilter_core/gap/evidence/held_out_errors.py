@@ -116,9 +116,12 @@ class HoldoutEvaluator:
         floor = 1.0 + (problem.U.shape[1] + len(columns)) / max(problem.rows, 1)
         if spread is not None:
             floor = _floor(spread[~spike] / max(inflation(self.search), SMALLEST) ** 2, self._lower())
+        floor -= 1.0 - self._left_share
         how = "validation observations"
         if self.moving and not problem.settings.source.observes_tool:
             how += ", with the encoder offsets of each motion fitted to it"
+        if not problem.settings.source.observes_places:
+            how += " of other placements, with contacts and ball fitted to them"
         grown = problem.settings.inflation if self.moving else 1.0
         told = None if spread is None else self._predictive(after, spread, ~spike)
         return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), grown, told)
@@ -144,6 +147,13 @@ class HoldoutEvaluator:
             return None
         other, values = on_rows(source, self.rows, self.search, problem.values)
         return predicted_covariance(other, values, self.fit)
+
+    @property
+    def _left_share(self) -> float:
+        if self.rows is None:
+            return 1.0
+        source = self.search.problem.settings.source
+        return on_rows(source, self.rows, self.search, self.search.problem.values)[0].left_share
 
     def _predictive(self, after: Floats, spread: Floats, kept: Bools) -> dict[str, Any]:
         """How many held-out coordinates lie in their 95 % intervals: fit, noise, and what the noise does not explain."""

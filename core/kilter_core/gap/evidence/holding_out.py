@@ -10,17 +10,23 @@ import numpy as np
 
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.gap.noise.motion import hold_out, is_trajectory
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import contacts_of, placements
 from kilter_core.observations import Observations
 from kilter_core.types import Ints
 
 SHARE = 0.25  # of the poses, held out when nothing else is asked
 FEWEST = 60  # poses from which so many can be spared
+FEWEST_PLACEMENTS = 4  # of contacts, from which one can be spared unasked
 SAME_ROW = 1e-7  # m or rad: rows closer than this in all that was measured are one row, whatever unit they came in
 COINCIDENCE = 0.01  # share of the rows of a motion that may be the same: an arm at rest reads the same twice
 
 
 def share_of(rows: Observations, validation: float | None) -> float:
-    """Share of the poses that is held out; None asks for a quarter where there are 60 poses or more, 0 for none."""
+    """Share of the poses that is held out; None asks for a quarter where there are 60 poses or more, 0 for none.
+
+    Of contacts whole placements are held out, unasked where there are four or more.
+    """
     if validation is not None:
         if not 0.0 <= validation < 1.0:
             raise OptionError(
@@ -28,11 +34,14 @@ def share_of(rows: Observations, validation: float | None) -> float:
                 option="validation",
             )
         return float(validation)
+    placed = placements(rows)
+    if placed is not None and len(placed[1]) < FEWEST_PLACEMENTS:
+        return 0.0
     return SHARE if len(rows) and int(rows.pose_groups().max()) + 1 >= FEWEST else 0.0
 
 
 def held_out(rows: Observations, validation: float | None, seed: int) -> tuple[Ints, Ints]:
-    """Row indices (train, held out): whole poses, of motions whole motions or the end of a single one.
+    """Row indices (train, held out): whole poses, of contacts whole placements, of motions whole motions or the end of one.
 
     Raises:
         OptionError: a fraction outside [0, 1). TooFewPosesError: a side without poses.
@@ -41,7 +50,7 @@ def held_out(rows: Observations, validation: float | None, seed: int) -> tuple[I
     share = share_of(rows, validation)
     if share == 0.0:
         return np.arange(len(rows)), np.zeros(0, dtype=np.int64)
-    if validation is None and not is_trajectory(rows):
+    if validation is None and not is_trajectory(rows) and placements(rows) is None:
         return _evenly(rows, share, seed)
     return hold_out(rows, share, seed)
 
@@ -58,6 +67,7 @@ def parted(
     """
     if isinstance(validation, Observations):
         refuse_shared(rows, validation, "validation")
+        _refuse_other_contacts(rows, validation)
         return rows, validation
     inside, outside = held_out(rows, validation, seed)
     return (rows, None) if not len(outside) else (rows.select(inside), rows.select(outside))
@@ -81,6 +91,24 @@ def refuse_shared(rows: Observations, others: Observations, use: str) -> None:
     )
 
 
+def _refuse_other_contacts(rows: Observations, validation: Observations) -> None:
+    """Refuse validation rows whose tool was measured otherwise where contacts held either, and contacts too small to judge.
+
+    Raises:
+        ObservationError: what cannot judge what, and the remedy.
+
+    """
+    widths = [{3 if c.kind == "socket" else 1 for c in contacts_of(part)} for part in (rows, validation)]
+    if widths[0] != widths[1]:
+        raise ObservationError(
+            "The rows to search and those to validate measure the tool in different ways: sockets, planes and bars, or an "
+            "instrument. Name a campaign of the same kind to validate, and this one as the confirmation.",
+            code="contacts_mixed",
+        )
+    if widths[1]:
+        Measurement.of(validation, held=True)
+
+
 def shared_rows(rows: Observations, others: Observations) -> Ints:
     """Rows of ``others`` whose joints and measured values are all in a row of ``rows`` too; each content once."""
     one, two = _contents(rows), _contents(others)
@@ -95,7 +123,8 @@ def shared_rows(rows: Observations, others: Observations) -> Ints:
 
 def _contents(rows: Observations) -> Ints:
     """Joints and measured values (N, c) in steps of ``SAME_ROW``; the time is left out, because a copy may be shifted."""
-    values = (rows.position, rows.markers, rows.link_q)
+    contacts = (rows.socket, rows.plane, rows.bar, rows.bar_length)
+    values = (rows.position, rows.markers, rows.link_q, *contacts)
     parts = [rows.q, *(v.reshape(len(rows), -1) for v in values if v is not None)]
     whole = np.nan_to_num(np.hstack(parts), nan=1e3)
     return np.ascontiguousarray(np.round(whole / SAME_ROW).astype(np.int64))

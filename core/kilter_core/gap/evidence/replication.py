@@ -26,6 +26,7 @@ from kilter_core.gap.search.prepare import SPARE, Prepared, prepare_data
 from kilter_core.gap.search.tails import tail
 from kilter_core.identify.report import WIRE
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import held
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats, Progress
@@ -33,6 +34,7 @@ from kilter_core.types import Floats, Progress
 NONZERO = 0.01  # chance of calling an effect seen again that is not there
 AGREES = 3.0  # combined standard deviations within which two amplitudes are one
 WIDE = 1e4  # prior sigmas: amplitudes are fitted again, without a prior
+BALL = 3  # numbers of the ball, where contacts hold it: the base has no place
 FRAMES = 9  # numbers of base and tool that a set-up has of its own, with points; three more with orientations
 
 
@@ -90,12 +92,12 @@ def refuse_unfit(robot: Robot, searched: Observations, confirmation: Observation
             "campaign of this robot."
         )
     refuse_shared(searched, confirmation, "confirmation")
-    if confirmation.position is None and confirmation.markers is None:
+    if confirmation.position is None and confirmation.markers is None and not held(confirmation):
         return
-    measured = Measurement.of(confirmation)
-    turned = 3 if measured.observes_orientation else 0
-    needed = -(-(FRAMES + turned + 1 + SPARE) // measured.equations_per_pose)
-    if measured.numbers() < (FRAMES + turned + 1 + SPARE):
+    measured = Measurement.of(confirmation, held=True)
+    frames = BALL if not measured.observes_places else FRAMES + 3 * measured.observes_orientation
+    needed = -(-(frames + 1 + SPARE) // measured.equations_per_pose)
+    if measured.numbers() < (frames + 1 + SPARE):
         raise TooFewPosesError(
             f"The confirmation has {int(confirmation.pose_groups().max()) + 1} poses: base, tool and one amplitude need "
             f"at least {needed}. Measure more, 20 or more are worth while."
@@ -204,7 +206,15 @@ def _computable(found: Calibration, rows: Observations) -> Calibration:
 def _placed(found: Calibration, rows: Observations, options: GapOptions, progress: Progress) -> Prepared:
     """The confirmation with base and tool fitted to it, chain and effects as the search left them."""
     effects = found.names[found.model.n_geometric :]
-    fixed = replace(options, free=("base_x",), fix=effects, base="free", tool="free", reference="auto", effects=())
+    fixed = replace(
+        options,
+        free=("tool_x" if held(rows) else "base_x",),
+        fix=effects,
+        base="free",
+        tool="free",
+        reference="auto",
+        effects=(),
+    )
     try:
         return prepare_data(found, rows, fixed, progress)
     except CoreError as error:

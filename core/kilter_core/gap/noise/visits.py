@@ -51,7 +51,7 @@ def _numbered(run: Ints) -> tuple[Ints, Ints, Ints]:
 
 def _averaged(rows: Observations, visit: Ints, first: Ints, count: Ints) -> Observations:
     out = rows.select(first)
-    plain = ("q", "position", "markers", "link_q", "tilt", "qd", "qdd", "tau", "t", "temperature_c")
+    plain = ("q", "position", "markers", "link_q", "tilt", "qd", "qdd", "tau", "t", "temperature_c", "bar_length")
     made: dict[str, Any] = {
         name: _mean(value, visit, count) for name in plain if (value := getattr(rows, name)) is not None
     }

@@ -91,8 +91,11 @@ def _along(problem: LinearizedProblem, j: int) -> Floats:
         own = source.parts(np.broadcast_to(np.arange(size), D.shape))[j]
         D[:, own[0].astype(np.int64)] = 1.0
         return D
-    _, JQ = source.model.joint_jacobian(source.batch, problem.values)
-    D[:, :3] = JQ[:, :3, j]
+    if source.observes_places:
+        _, JQ = source.model.joint_jacobian(source.batch, problem.values)
+        D[:, :3] = JQ[:, :3, j]
+    else:
+        D[:, : source.tool_numbers] = source.joint_columns(problem.values)(j)[:, : source.tool_numbers]
     return np.asarray(D / np.maximum(np.linalg.norm(D, axis=1, keepdims=True), 1e-9))
 
 

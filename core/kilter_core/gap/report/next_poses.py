@@ -51,7 +51,7 @@ def separate(
     Only tool measurements can be planned for.
     """
     source = problem.settings.source
-    if not source.observes_tool or count < 1:
+    if not source.observes_tool or not source.observes_places or count < 1:
         return ()
     model = Calibration(source.model, problem.values)
     region = region or Region.of(model, rows.q)

@@ -19,6 +19,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import named, registered, wanted_frames
 from kilter_core.identify.report import null_rows, rows_of, unobservable_names
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import held as held_rows
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
@@ -66,17 +67,22 @@ class Stored:
             "identified": self.calibration,
         }
 
-        def errors(rows: Observations | None) -> dict[str, Errors]:
-            if rows is None or (rows.position is None and rows.markers is None):
+        def errors(rows: Observations | None, anchor: Measurement | None = None) -> dict[str, Errors]:
+            if rows is None or (rows.position is None and rows.markers is None and not held_rows(rows)):
                 return {}
-            measurement = Measurement.of(rows, self.calibration.marker_points)
+            measurement = Measurement.of(rows, self.calibration.marker_points, held=True, anchor=anchor)
             return {name: Errors.of(stage, measurement) for name, stage in stages.items()}
 
-        return metrics_document(errors(train), errors(held))
+        return metrics_document(errors(train), errors(held, _anchor(train)))
 
     def reference(self) -> dict[str, str]:
         """Where the frames a correction works in come from."""
         return named(self.calibration)
+
+
+def _anchor(train: Observations) -> Measurement | None:
+    """The rows that say where contacts stand, for held-out rows of the same ones; None of other rows."""
+    return Measurement(train) if held_rows(train) else None
 
 
 def stored(found: SearchResult, begin: Calibration, rows: Observations, options: GapOptions) -> Stored:

@@ -9,6 +9,7 @@ import numpy as np
 from kilter_core.effects import Effect
 from kilter_core.effects.load_error import LoadError
 from kilter_core.gap.search.candidates import Library
+from kilter_core.gap.search.contact_source import ContactSource
 from kilter_core.gap.search.source import Source
 from kilter_core.gap.search.tool_source import ToolSource
 from kilter_core.measurement import Measurement
@@ -30,7 +31,8 @@ def tool_source(
     added = sum(len(e.parameters(model.robot)) for e in carried)
     own = np.concatenate([free, len(values) + np.arange(added)])
     source = ToolSource.of(whole, measurement, own, len(library.parameters))
-    return source, np.concatenate([values, np.zeros(added + len(library.parameters))])
+    values = np.concatenate([values, np.zeros(added + len(library.parameters))])
+    return (source, values) if measurement.observes_places else ContactSource.of_known_scale(source, values)
 
 
 def _carried(model: RobotModel, measurement: Measurement) -> tuple[LoadError, ...]:
@@ -61,7 +63,7 @@ def blurred(source: Source, values: Floats, covariance: Floats | None = None) ->
 
 def blur_of(source: Source, values: Floats, covariance: Floats) -> Floats:
     """Standard deviation (n, 2) N·m of the load across and about each joint, in the rows where its sign is in doubt."""
-    batch = source.model.loaded(source.batch, values)
+    batch = source.model.loaded(source.batch, source.model_values(values))
     slopes = batch.slopes
     assert slopes is not None
     effect = next(e for e in source.model.effects if e.nuisance)

@@ -34,6 +34,7 @@ from kilter_core.identify.estimate import prepared as start_of
 from kilter_core.identify.least_squares import Fit, fit_at
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.contacts import held
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints, Progress, unheard
@@ -132,7 +133,8 @@ class _Preparation:
     def _without_copies(self) -> Bools:
         """Rows that are not exact copies of an earlier one: a copy would make the noise look like nothing."""
         o = self.rows
-        measured = [v.reshape(len(o), -1) for v in (o.position, o.markers, o.link_q, o.t) if v is not None]
+        columns = (o.position, o.markers, o.link_q, o.t, o.socket, o.plane, o.bar, o.bar_length)
+        measured = [v.reshape(len(o), -1) for v in columns if v is not None]
         whole = np.nan_to_num(np.hstack([o.q, *measured]), nan=-1e300)
         first = np.unique(whole, axis=0, return_index=True)[1]
         kept = np.zeros(len(o), dtype=bool)
@@ -168,17 +170,25 @@ class _Preparation:
 
     def _source(self, visits: Visits) -> tuple[Source, Floats, Library]:
         rows = visits.observations
-        if rows.link_q is not None and rows.position is None and rows.markers is None:
+        if rows.link_q is not None and rows.position is None and rows.markers is None and not held(rows):
             return self._link_source(rows)
         options = self.options
         identify = IdentifyOptions(
             loss="huber", free=options.free, fix=options.fix, base=options.base, tool=options.tool
         )
-        measurement = Measurement.of(rows, self.start.marker_points)
+        measurement = Measurement.of(rows, self.start.marker_points, held=True)
         fit = self._geometry(measurement, identify)
         model = fit.problem.model
         library = library_of(self.start.robot, rows, model.names, options.effects)
-        return *tool_source(model, fit.values, fit.problem.free, measurement, library), library
+        source, values = tool_source(model, fit.values, fit.problem.free, measurement, library)
+        names = source.fitted_names()
+        for held_back in (name for k in fit.problem.free if (name := model.names[k]) not in names):
+            self._warn(
+                "scale_held",
+                f"Contacts do not show how large the arm is: {held_back}, its longest length, was held where an identification "
+                "leaves it, and all other lengths are relative to it. A ball bar, or an instrument, would show it.",
+            )
+        return source, values, library
 
     def _geometry(self, measurement: Measurement, options: IdentifyOptions) -> Fit:
         """Robust fit of the geometry, a plain one where that has no end, else base and tool registered to start from."""

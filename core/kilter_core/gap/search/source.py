@@ -37,6 +37,7 @@ class Source(ABC):
 
     unit: ClassVar[Unit] = "m"  # of a residual
     observes_tool: ClassVar[bool] = True
+    observes_places: ClassVar[bool] = True  # a row tells by itself where the tool is
 
     model: RobotModel
     n_library: int
@@ -74,6 +75,15 @@ class Source(ABC):
     def missing(self) -> float:
         """Numbers of a visit that were not measured, or only set a sensor's zero, on average."""
         return 0.0
+
+    @property
+    def left_share(self) -> float:
+        """Share of the numbers of held-out rows that is left when what is no part of the arm was fitted to them."""
+        return 1.0
+
+    def model_values(self, values: Floats) -> Floats:
+        """Values of the model among those of a fit."""
+        return values
 
     @property
     def live(self) -> Bools:

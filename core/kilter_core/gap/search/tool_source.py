@@ -60,7 +60,7 @@ class ToolSource(Source):
 
     def on_rows(self, rows: Observations) -> ToolSource:
         """The same model on other rows."""
-        return self.on(Measurement.of(_with_columns(rows, self.observations), self.measurement.marker_points))
+        return self.on(Measurement.of(with_columns(rows, self.observations), self.measurement.marker_points))
 
     def on(self, measurement: Measurement) -> ToolSource:
         """The same model on other rows."""
@@ -226,7 +226,7 @@ class ToolSource(Source):
         model = replace(self.model, effects=(*self.model.effects[:started], *effects))
         known = dict(zip(self.model.names, fitted, strict=True))
         values = np.array([known[p.name] for p in model.parameters])
-        measurement = Measurement.of(_with_columns(rows, self.observations), self.measurement.marker_points)
+        measurement = Measurement.of(with_columns(rows, self.observations), self.measurement.marker_points)
         return ToolSource.of(model, measurement, self.free, 0).blurred(self.batch.blur), values
 
     def calibrated(self, values: Floats, model: RobotModel, begin: Calibration) -> Calibration:
@@ -273,7 +273,7 @@ class ToolSource(Source):
         return count
 
 
-def _with_columns(rows: Observations, like: Observations) -> Observations:
+def with_columns(rows: Observations, like: Observations) -> Observations:
     """Rows with the columns beside the tool that others have, empty where they have none, and no more of them."""
     n = rows.q.shape[1]
     if like.link_q is None:

@@ -61,6 +61,7 @@ def foresee(job: JobInput, found: Foresight) -> None:
     from kilter_core.identify import Folds
     from kilter_core.identify.check import check_identification
     from kilter_core.identify.holdout import fold_splits, split
+    from kilter_core.identify.measuring import between_rows, measurement_for
     from kilter_core.observations import Observations
 
     options = _core(job.options)
@@ -74,9 +75,11 @@ def foresee(job: JobInput, found: Foresight) -> None:
             found.hold("folds", train)
             next(fold_splits(train, validation.folds, options.seed))
         elif validation is not None:
+            measurement_for(train, options)
             inside, outside = split(train, validation, options.seed)
             found.hold("fraction", train.select(outside))
             train = train.select(inside)
+            options = between_rows(options, train)
         found.identification = check_identification(job.robot, train, options, job.calibration)
         found.missing += [Lack(u.name, u.reason, u.remedy) for u in found.identification.unknown]
 
