@@ -18,7 +18,7 @@ from kilter_core.errors import CoreError
 from kilter_service.settings import Settings
 from kilter_service.version import code_version
 
-USAGE_CODES = frozenset({"binding_refused", "token_file_open"})
+USAGE_CODES = frozenset({"binding_refused", "token_file_open", "token_weak"})
 Command = Callable[[Settings, argparse.Namespace], None]
 
 

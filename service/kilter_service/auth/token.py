@@ -7,14 +7,14 @@ import secrets
 import stat
 
 from kilter_service.errors import ServiceError
-from kilter_service.settings import Settings
+from kilter_service.settings import Settings, check_strong
 
 
 def admin_token(settings: Settings) -> str:
     """Return the token that changes need; the first start of a data folder makes it (mode 0600).
 
     Raises:
-        ServiceError: the token file can be read by others.
+        ServiceError: the token file can be read by others, or holds a token that can be guessed.
 
     """
     if settings.token is not None:
@@ -29,7 +29,16 @@ def admin_token(settings: Settings) -> str:
             code="token_file_open",
             path=str(settings.token_file),
         )
-    return settings.token_file.read_text(encoding="ascii").strip()
+    token = settings.token_file.read_text(encoding="ascii", errors="replace").strip()
+    try:
+        check_strong(token)
+    except ValueError as error:
+        raise ServiceError(
+            f"In {settings.token_file} {error}, or delete the file: the next start makes a new one.",
+            code="token_weak",
+            path=str(settings.token_file),
+        ) from error
+    return token
 
 
 def _offer(settings: Settings) -> None:
