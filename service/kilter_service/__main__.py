@@ -36,14 +36,20 @@ def api(settings: Settings, arguments: argparse.Namespace) -> None:
     if arguments.fd is not None:
         serving.serve(settings, socket.socket(fileno=arguments.fd))
         return
-    from kilter_service.auth.token import admin_token, check_binding
+    from kilter_service.auth.binding import check_binding
+    from kilter_service.auth.token import admin_token
     from kilter_service.server_file import ServerFile
 
     check_binding(settings)
     admin_token(settings)
     with serving.listener(settings) as opened, ServerFile(settings.server_file) as file:
         serving.check_database(settings)
-        document = {"url": serving.url_of(opened), "pid": os.getpid(), "zenoh": None, "data": str(settings.data)}
+        document = {
+            "url": serving.url_of(opened, settings),
+            "pid": os.getpid(),
+            "zenoh": None,
+            "data": str(settings.data),
+        }
         file.write(document)
         print(json.dumps(document), flush=True)
         serving.serve(settings, opened)
@@ -94,7 +100,8 @@ ENVIRONMENT = (
     "Every setting is also an environment variable: KILTER_DATA, KILTER_DATABASE_URL, KILTER_HOST, KILTER_PORT, "
     "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_SITE, KILTER_TEMPERATURE_C, KILTER_ROS2, "
     "KILTER_ROS2_DOMAIN, KILTER_ROS2_CONNECT, KILTER_ROS2_DIALECT, KILTER_MAX_UPLOAD_MB, "
-    "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_WORKER_NAME."
+    "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_HOSTS, KILTER_PROXY, "
+    "KILTER_TLS_CERTIFICATE, KILTER_TLS_KEY, KILTER_WORKER_NAME."
 )
 
 

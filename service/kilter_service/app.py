@@ -9,6 +9,7 @@ from fastapi import APIRouter, FastAPI
 
 from kilter_service import problems
 from kilter_service.audit.routes import router as audit
+from kilter_service.auth.gate import Gate
 from kilter_service.auth.token import admin_token
 from kilter_service.campaigns.routes import router as campaigns
 from kilter_service.correction.routes import router as correction
@@ -43,6 +44,7 @@ def create_app(settings: Settings) -> FastAPI:
         redoc_url=None,
     )
     app.state.slots = Slots(settings)
+    app.add_middleware(Gate, settings=settings)
     problems.install(app)
     app.include_router(health)
     app.include_router(docs_page)

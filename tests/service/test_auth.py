@@ -7,7 +7,8 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from kilter_service.auth.token import admin_token, check_binding
+from kilter_service.auth.binding import check_binding
+from kilter_service.auth.token import admin_token
 from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings
 
@@ -52,7 +53,7 @@ def test_listening_beyond_this_machine_needs_a_token(settings: Settings) -> None
     with pytest.raises(ServiceError, match="KILTER_TOKEN"):
         check_binding(wide)
     admin_token(wide)
-    check_binding(wide)
+    check_binding(wide.model_copy(update={"proxy": "10.0.0.1"}))
 
 
 def test_settings_reach_a_child_process_unchanged(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:

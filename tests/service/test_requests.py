@@ -54,7 +54,7 @@ def limited(small: Settings, database: Database, serve: Serve) -> httpx.Client:
 
 def head(client: httpx.Client, path: str, *lines: str, token: bool = True) -> bytes:
     authorization = [f"Authorization: {client.headers['Authorization']}"] if token else []
-    return "\r\n".join([f"POST {path} HTTP/1.1", "Host: here", *authorization, *lines, "", ""]).encode()
+    return "\r\n".join([f"POST {path} HTTP/1.1", "Host: localhost", *authorization, *lines, "", ""]).encode()
 
 
 def answer_to(client: httpx.Client, sent: bytes) -> dict[str, Any]:

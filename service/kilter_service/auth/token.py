@@ -51,20 +51,3 @@ def _offer(settings: Settings) -> None:
         return
     finally:
         draft.unlink()
-
-
-def check_binding(settings: Settings) -> None:
-    """Refuse to listen beyond this machine when nobody has configured a token.
-
-    Raises:
-        ServiceError: the host is not a loopback address and there is neither KILTER_TOKEN nor a token file.
-
-    """
-    if settings.is_loopback or settings.token is not None or settings.token_file.exists():
-        return
-    raise ServiceError(
-        f"{settings.host} can be reached from other machines and no token is configured: set KILTER_TOKEN, "
-        "or listen on 127.0.0.1.",
-        code="binding_refused",
-        host=settings.host,
-    )
