@@ -88,12 +88,28 @@ def migrate(settings: Settings, _: argparse.Namespace) -> None:
     print(f"The database {'was brought to' if done else 'is at'} revision {revision.HEAD}.")
 
 
+def audit(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Check that the audit in a database is whole; no server need run."""
+    from kilter_service.audit.service import head_in, verify
+    from kilter_service.db import Database, revision
+
+    noted = head_in(arguments.head)
+    database = Database(settings.database)
+    try:
+        revision.check(database)
+        last = verify(database, noted)
+    finally:
+        database.close()
+    print(f"The audit is whole: {last.number} entries, the last is {last.number}:{last.sha256}.")
+
+
 COMMANDS: dict[str, tuple[Command, str]] = {
     "serve": (serve, "kilterd serve --data ~/kilter --port 8730"),
     "api": (api, "kilterd api --port 0"),
     "worker": (worker, "KILTER_WORKER_NAME=second kilterd worker"),
     "corrector": (corrector, "KILTER_ZENOH_LISTEN=tcp/127.0.0.1:7447 kilterd corrector"),
     "ros2": (ros2, "KILTER_ROS2='{...}' kilterd ros2"),
+    "audit": (audit, "kilterd audit --data /backup/kilter"),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
 }
 ENVIRONMENT = (
@@ -120,6 +136,8 @@ def parser() -> argparse.ArgumentParser:
         if name in ("serve", "api"):
             command.add_argument("--host", help="address to listen on (default 127.0.0.1)")
             command.add_argument("--port", help="port to listen on, 0 for a free one (default 8730)")
+        if name == "audit":
+            command.add_argument("--head", help="NUMBER:SHA256 of an entry noted earlier, which must still be there")
         if name == "api":
             command.add_argument("--fd", type=int, help=argparse.SUPPRESS)
     return root

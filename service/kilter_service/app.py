@@ -9,6 +9,7 @@ from fastapi import APIRouter, FastAPI
 
 from kilter_service import problems
 from kilter_service.audit.routes import router as audit
+from kilter_service.auth.described import described
 from kilter_service.auth.gate import Gate
 from kilter_service.auth.token import admin_token
 from kilter_service.campaigns.routes import router as campaigns
@@ -50,6 +51,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.include_router(docs_page)
     for router in ROUTERS:
         app.include_router(router)
+    app.openapi = described(app)  # type: ignore[method-assign]  # as FastAPI says to extend it
     return app
 
 

@@ -15,6 +15,7 @@ from kilter_service.errors import ServiceError
 from kilter_service.paging import Page
 
 MOST = 1000
+HASH_DIGITS = 64
 
 
 class Head(NamedTuple):
@@ -22,6 +23,21 @@ class Head(NamedTuple):
 
     number: int
     sha256: str
+
+
+def head_in(text: str | None) -> Head | None:
+    """Read an entry that somebody noted, as NUMBER:SHA256.
+
+    Raises:
+        ServiceError: it is not written so.
+
+    """
+    if text is None:
+        return None
+    number, _, sha256 = text.partition(":")
+    if not (number.isascii() and number.isdecimal() and len(sha256) == HASH_DIGITS):
+        raise ServiceError(f"--head is {text[:100]!r}: give NUMBER:SHA256 as it was shown.", code="option_invalid")
+    return Head(int(number), sha256)
 
 
 def listed(database: Database, page: Page) -> AuditPage:
