@@ -15,14 +15,17 @@ RUN useradd --system --uid 10001 --create-home kilter \
 COPY --from=build /opt/kilter /opt/kilter
 # A container is reached from outside it, so the server listens on every address and asks for KILTER_TOKEN. The corrector
 # listens inside only: whoever reaches it can move the arm. docs/how-to/run-a-server.md says how to let controllers in.
+# It speaks HTTP to the engine's network, through which a port that is published on the host's loopback address is reached;
+# for other machines docs/how-to/run-a-server.md says how to give it a certificate.
 # The compiled kernels are kept with the data: the program's own folder is not writable for the user that runs it.
 ENV PATH=/opt/kilter/bin:$PATH \
     KILTER_DATA=/data \
     KILTER_HOST=0.0.0.0 \
+    KILTER_PROXY=127.0.0.1,172.16.0.0/12 \
     NUMBA_CACHE_DIR=/data/kernels
 USER 10001
 VOLUME /data
 EXPOSE 8730 7447
 HEALTHCHECK --interval=10s --timeout=3s --start-period=30s \
-    CMD ["python", "-c", "import os, urllib.request as r; r.urlopen(f'http://127.0.0.1:{os.environ.get(\"KILTER_PORT\", 8730)}/v1/health/ready')"]
+    CMD ["python", "-c", "import os, ssl, urllib.request as r; s = 's' if os.environ.get('KILTER_TLS_CERTIFICATE') else ''; r.urlopen(f'http{s}://127.0.0.1:{os.environ.get(\"KILTER_PORT\", 8730)}/v1/health/ready', context=ssl._create_unverified_context())"]
 CMD ["kilterd", "serve"]

@@ -19,7 +19,7 @@ from kilter_service.settings import Settings
 from kilter_service.version import code_version
 
 TRACED = frozenset({"api", "worker"})
-USAGE_CODES = frozenset({"binding_refused", "token_file_open"})
+USAGE_CODES = frozenset({"binding_refused", "token_file_open", "token_weak"})
 Command = Callable[[Settings, argparse.Namespace], None]
 
 
@@ -37,14 +37,20 @@ def api(settings: Settings, arguments: argparse.Namespace) -> None:
     if arguments.fd is not None:
         serving.serve(settings, socket.socket(fileno=arguments.fd))
         return
-    from kilter_service.auth.token import admin_token, check_binding
+    from kilter_service.auth.binding import check_binding
+    from kilter_service.auth.token import admin_token
     from kilter_service.server_file import ServerFile
 
     check_binding(settings)
     admin_token(settings)
     with serving.listener(settings) as opened, ServerFile(settings.server_file) as file:
         serving.check_database(settings)
-        document = {"url": serving.url_of(opened), "pid": os.getpid(), "zenoh": None, "data": str(settings.data)}
+        document = {
+            "url": serving.url_of(opened, settings),
+            "pid": os.getpid(),
+            "zenoh": None,
+            "data": str(settings.data),
+        }
         file.write(document)
         print(json.dumps(document), flush=True)
         serving.serve(settings, opened)
@@ -83,19 +89,36 @@ def migrate(settings: Settings, _: argparse.Namespace) -> None:
     print(f"The database {'was brought to' if done else 'is at'} revision {revision.HEAD}.")
 
 
+def audit(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Check that the audit in a database is whole; no server need run."""
+    from kilter_service.audit.service import head_in, verify
+    from kilter_service.db import Database, revision
+
+    noted = head_in(arguments.head)
+    database = Database(settings.database)
+    try:
+        revision.check(database)
+        last = verify(database, noted)
+    finally:
+        database.close()
+    print(f"The audit is whole: {last.number} entries, the last is {last.number}:{last.sha256}.")
+
+
 COMMANDS: dict[str, tuple[Command, str]] = {
     "serve": (serve, "kilterd serve --data ~/kilter --port 8730"),
     "api": (api, "kilterd api --port 0"),
     "worker": (worker, "KILTER_WORKER_NAME=second kilterd worker"),
     "corrector": (corrector, "KILTER_ZENOH_LISTEN=tcp/127.0.0.1:7447 kilterd corrector"),
     "ros2": (ros2, "KILTER_ROS2='{...}' kilterd ros2"),
+    "audit": (audit, "kilterd audit --data /backup/kilter"),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
 }
 ENVIRONMENT = (
     "Every setting is also an environment variable: KILTER_DATA, KILTER_DATABASE_URL, KILTER_HOST, KILTER_PORT, "
     "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_SITE, KILTER_TEMPERATURE_C, KILTER_ROS2, "
     "KILTER_ROS2_DOMAIN, KILTER_ROS2_CONNECT, KILTER_ROS2_DIALECT, KILTER_MAX_UPLOAD_MB, "
-    "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_WORKER_NAME, "
+    "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_HOSTS, KILTER_PROXY, "
+    "KILTER_TLS_CERTIFICATE, KILTER_TLS_KEY, KILTER_WORKER_NAME, "
     "KILTER_LOG_FORMAT, KILTER_ACCESS_LOG."
 )
 
@@ -115,6 +138,8 @@ def parser() -> argparse.ArgumentParser:
         if name in ("serve", "api"):
             command.add_argument("--host", help="address to listen on (default 127.0.0.1)")
             command.add_argument("--port", help="port to listen on, 0 for a free one (default 8730)")
+        if name == "audit":
+            command.add_argument("--head", help="NUMBER:SHA256 of an entry noted earlier, which must still be there")
         if name == "api":
             command.add_argument("--fd", type=int, help=argparse.SUPPRESS)
     return root

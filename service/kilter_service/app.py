@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from fastapi import APIRouter, Depends, FastAPI
+from fastapi import APIRouter, FastAPI
 
 from kilter_service import problems
-from kilter_service.auth.access import reader
+from kilter_service.audit.routes import router as audit
+from kilter_service.auth.described import described
+from kilter_service.auth.gate import Gate
 from kilter_service.auth.token import admin_token
 from kilter_service.campaigns.routes import router as campaigns
 from kilter_service.correction.routes import router as correction
@@ -24,12 +26,15 @@ from kilter_service.references.routes import router as references
 from kilter_service.robots.routes import router as robots
 from kilter_service.settings import Settings
 from kilter_service.slots import Slots
+from kilter_service.tokens.routes import router as tokens
 from kilter_service.version import code_version
 from kilter_service.versions.routes import router as versions
 
 SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from measured poses and corrects its setpoints."
 
-ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction, frames, references, metrics)
+ROUTERS: tuple[APIRouter, ...] = (
+    robots, campaigns, versions, jobs, correction, frames, references, tokens, audit, metrics,
+)  # fmt: skip
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -44,12 +49,14 @@ def create_app(settings: Settings) -> FastAPI:
         redoc_url=None,
     )
     app.state.slots = Slots(settings)
+    app.add_middleware(Gate, settings=settings)
     problems.install(app)
     app.add_middleware(Observed)
     app.include_router(health)
     app.include_router(docs_page)
     for router in ROUTERS:
-        app.include_router(router, dependencies=[Depends(reader)])
+        app.include_router(router)
+    app.openapi = described(app)  # type: ignore[method-assign]  # as FastAPI says to extend it
     return app
 
 

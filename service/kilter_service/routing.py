@@ -10,7 +10,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute
 
-from kilter_service.auth.access import admin, changes
+from kilter_service.auth.access import admit
 from kilter_service.bodies import is_json, parsed, read_document
 from kilter_service.slots import slots_of
 
@@ -20,7 +20,7 @@ Handler = Callable[[Request], Awaitable[Response]]
 class GuardedRoute(APIRoute):
     """A route of Kilter.
 
-    Everything but a plain read needs the token, which is checked before the body is read. A JSON document is read up to the
+    Who sends the request, and whether that is enough, is settled before the body is read. A JSON document is read up to the
     size limit, parsed and validated in a thread, and answered when a slot is free. Endpoints receive files themselves.
     """
 
@@ -30,8 +30,7 @@ class GuardedRoute(APIRoute):
         takes_file = "requestBody" in (self.openapi_extra or {})
 
         async def handle(request: Request) -> Response:
-            if changes(request):
-                admin(request)
+            await admit(request, self.path)
             if takes_file:
                 with slots_of(request).files.entered():
                     return await answer(request)

@@ -53,12 +53,13 @@ def _why(error: OSError) -> str:
     return f"{reason}: set KILTER_HOST (or --host) to an address of this machine"
 
 
-def url_of(opened: socket.socket) -> str:
+def url_of(opened: socket.socket, settings: Settings) -> str:
     """Return the URL at which a listening socket is reached."""
     host, port = opened.getsockname()[:2]
     if host in ("0.0.0.0", "::"):  # noqa: S104 (compared, not bound)
         host = socket.gethostname()
-    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+    scheme = "http" if settings.tls_certificate is None else "https"
+    return f"{scheme}://[{host}]:{port}" if ":" in host else f"{scheme}://{host}:{port}"
 
 
 @contextmanager
@@ -109,6 +110,10 @@ def serve(settings: Settings, opened: socket.socket) -> None:
         app,
         log_config=None,
         access_log=False,
+        # It would believe what any program on this machine says about where a request comes from (auth/direct.py).
+        proxy_headers=False,
+        ssl_certfile=settings.tls_certificate,
+        ssl_keyfile=settings.tls_key,
         # A client that follows a job's events would otherwise keep the server from stopping.
         timeout_graceful_shutdown=GRACE_S,
     )

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, SecretStr
+from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from kilter_service.ros2.topics import RobotTopics
@@ -17,11 +17,34 @@ JOBS_FILE = "jobs.sqlite"
 TOKEN_FILE = "token"  # noqa: S105 (the name of a file)
 SERVER_FILE = "server.json"
 CORRECTOR_FILE = "corrector.json"
+LEAST_TOKEN, LEAST_DIFFERENT = 24, 8
+WEAK_TOKEN = (
+    f"the token is empty or can be guessed (it needs {LEAST_TOKEN} characters, {LEAST_DIFFERENT} different ones)"
+)
+GOOD_TOKEN = 'make a good one with `python3 -c "import secrets; print(secrets.token_urlsafe(32))"`'  # noqa: S105 (a sentence)
 
 
 def default_data() -> Path:
     """Return the default data folder."""
     return Path.home() / ".kilter"
+
+
+def names_in(text: str) -> list[str]:
+    """Return the names of a list with commas between them."""
+    return [part.strip().lower() for part in text.split(",") if part.strip()]
+
+
+def check_strong(token: str) -> None:
+    """Refuse a token that can be guessed.
+
+    Raises:
+        ValueError: it is short, has few different characters, or characters that no header may hold.
+
+    """
+    if len(token) < LEAST_TOKEN or len(set(token)) < LEAST_DIFFERENT or not (token.isascii() and token.isprintable()):
+        raise ValueError(f"{WEAK_TOKEN}: {GOOD_TOKEN}")
+    if " " in token:
+        raise ValueError(f"the token has a space: {GOOD_TOKEN}")
 
 
 class Settings(BaseSettings):
@@ -50,7 +73,34 @@ class Settings(BaseSettings):
     max_computing: Annotated[int, Field(ge=1, le=16, description="documents, and files, worked on at once")] = 2
     log_format: Literal["text", "json"] = Field(default="text", description="lines of the log")
     access_log: str | None = Field(default=None, description="file of the access log, - for the log itself")
+    hosts: str = Field(default="", description="further names this server is reached by, with commas between them")
+    proxy: str = Field(default="", description="addresses or networks of the proxy in front, with commas between them")
+    tls_certificate: Path | None = Field(default=None, description="PEM file of the certificate: HTTPS")
+    tls_key: Path | None = Field(default=None, description="PEM file of the certificate's private key")
     worker_name: str | None = Field(default=None, description="stable name of this worker; default is the host name")
+
+    @field_validator("token")
+    @classmethod
+    def _strong(cls, token: SecretStr | None) -> SecretStr | None:
+        if token is not None:
+            check_strong(token.get_secret_value())
+        return token
+
+    @field_validator("proxy")
+    @classmethod
+    def _networks(cls, text: str) -> str:
+        for part in names_in(text):
+            ipaddress.ip_network(part, strict=False)  # its own error says which part is not one
+        return text
+
+    def trusts(self, peer: str) -> bool:
+        """Whether an address is that of the proxy in front of this server."""
+        try:
+            found = ipaddress.ip_address(peer)
+        except ValueError:
+            return False
+        found = getattr(found, "ipv4_mapped", None) or found
+        return any(found in ipaddress.ip_network(part, strict=False) for part in names_in(self.proxy))
 
     @property
     def database(self) -> str:
@@ -111,6 +161,10 @@ class Settings(BaseSettings):
             "MAX_COMPUTING": str(self.max_computing),
             "LOG_FORMAT": self.log_format,
             "ACCESS_LOG": self.access_log,
+            "HOSTS": self.hosts,
+            "PROXY": self.proxy,
+            "TLS_CERTIFICATE": str(self.tls_certificate) if self.tls_certificate else None,
+            "TLS_KEY": str(self.tls_key) if self.tls_key else None,
             "WORKER_NAME": self.worker_name,
         }
         return {f"KILTER_{name}": value for name, value in values.items() if value is not None}

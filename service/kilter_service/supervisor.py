@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import signal
+import ssl
 import subprocess
 import sys
 import threading
@@ -18,7 +19,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from kilter_service.auth.token import admin_token, check_binding
+from kilter_service.auth.binding import check_binding
+from kilter_service.auth.token import admin_token
 from kilter_service.corrector.endpoints import check_free, check_listening
 from kilter_service.errors import ServiceError
 from kilter_service.server_file import ServerFile
@@ -138,8 +140,8 @@ def serve(settings: Settings) -> None:
             children.append(Child("ros2", settings))
         try:
             _start(settings, children, stop)
-            if _wait_until_ready(settings, children, url_of(opened), stop):
-                document = _document(settings, url_of(opened))
+            if _wait_until_ready(settings, children, url_of(opened, settings), stop):
+                document = _document(settings, url_of(opened, settings))
                 file.write(document)
                 print(json.dumps(document), flush=True)
             while not stop.wait(CHECK_S):
@@ -196,8 +198,12 @@ def _wait_until_ready(settings: Settings, children: list[Child], url: str, stop:
 
 
 def _answers(url: str) -> bool:
+    # Asked is this machine's own socket, and no token is sent: the certificate may be for other names only.
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     try:
-        with urllib.request.urlopen(url, timeout=2) as answer:  # noqa: S310 (the URL of our own listener)
+        # The URL of our own listener.
+        with urllib.request.urlopen(url, timeout=2, context=context) as answer:  # noqa: S310
             return bool(answer.status == 200)
     except (urllib.error.URLError, OSError):
         return False

@@ -50,6 +50,19 @@ def test_what_the_contract_promises_is_there(tmp_path: Path) -> None:
     assert there >= PROMISED
 
 
+def test_every_route_says_whether_it_needs_a_token_and_of_which_role(tmp_path: Path) -> None:
+    found = document(tmp_path)
+    (scheme,) = found["components"]["securitySchemes"].values()
+    assert (scheme["type"], scheme["scheme"]) == ("http", "bearer")
+    operations = {f"{m.upper()} {path}": one for path, methods in found["paths"].items() for m, one in methods.items()}
+    assert all("security" in one for one in operations.values())
+    assert not operations["GET /v1/health"]["security"]
+    read, change = operations["GET /v1/robots"], operations["POST /v1/versions/{version}/activate"]
+    assert (read["x-kilter-role"], read["security"]) == ("viewer", [{"token": []}, {}])
+    assert (change["x-kilter-role"], change["security"]) == ("operator", [{"token": []}])
+    assert operations["GET /v1/audit"]["security"] == [{"token": []}]
+
+
 def test_every_route_says_that_errors_are_problem_documents(tmp_path: Path) -> None:
     for path, methods in document(tmp_path)["paths"].items():
         for method, operation in methods.items():

@@ -312,7 +312,7 @@ def test_an_upload_that_breaks_off_leaves_nothing(client: httpx.Client, campaign
     url = client.base_url
     with socket.create_connection((url.host, url.port or 80)) as connection:
         head = (
-            f"POST /v1/campaigns/{campaign}/observations HTTP/1.1\r\nHost: x\r\nContent-Type: text/csv\r\n"
+            f"POST /v1/campaigns/{campaign}/observations HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/csv\r\n"
             f"Authorization: {client.headers['authorization']}\r\nContent-Length: {len(body)}\r\n\r\n"
         )
         connection.sendall(head.encode() + body[: len(body) // 2])

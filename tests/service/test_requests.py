@@ -34,7 +34,7 @@ OPEN = {
     "GET /v1/robots/{robot}/versions", "GET /v1/robots/{robot}/activations", "GET /v1/versions/{version}",
     "GET /v1/versions/{a}/diff/{b}", "GET /v1/versions/{version}/export",
     "GET /v1/versions/{version}/residuals", "GET /v1/resolve", "GET /v1/tombstones",
-    "GET /v1/versions/{version}/preview",
+    "GET /v1/versions/{version}/preview", "GET /v1/whoami",
 }  # fmt: skip
 POINTS = [{"known_mm": [k, k * k, 0], "measured_mm": [k, k * k, 5]} for k in range(4)]
 
@@ -54,7 +54,7 @@ def limited(small: Settings, database: Database, serve: Serve) -> httpx.Client:
 
 def head(client: httpx.Client, path: str, *lines: str, token: bool = True) -> bytes:
     authorization = [f"Authorization: {client.headers['Authorization']}"] if token else []
-    return "\r\n".join([f"POST {path} HTTP/1.1", "Host: here", *authorization, *lines, "", ""]).encode()
+    return "\r\n".join([f"POST {path} HTTP/1.1", "Host: localhost", *authorization, *lines, "", ""]).encode()
 
 
 def answer_to(client: httpx.Client, sent: bytes) -> dict[str, Any]:

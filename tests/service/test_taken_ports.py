@@ -62,5 +62,11 @@ def test_what_only_a_process_finds_out_ends_the_server_too(tmp_path: Path) -> No
 
 
 def test_an_address_of_another_machine(tmp_path: Path) -> None:
-    said = ended(tmp_path, "api", KILTER_HOST="203.0.113.1", KILTER_TOKEN="t" * 40)
+    said = ended(
+        tmp_path,
+        "api",
+        KILTER_HOST="203.0.113.1",
+        KILTER_TOKEN="0123456789abcdefghijklmnop",
+        KILTER_PROXY="203.0.113.2",
+    )
     assert "set KILTER_HOST (or --host) to an address of this machine" in said

@@ -1,4 +1,4 @@
-"""The two gates of a route: the token for what changes or computes, `reader` for what is open on loopback only."""
+"""The gate of every route: who sends the request, and whether that is enough, before its body is read."""
 
 from __future__ import annotations
 
@@ -6,44 +6,91 @@ import secrets
 from typing import Annotated
 
 from fastapi import Depends, Request
+from fastapi.concurrency import run_in_threadpool
 
+from kilter_service.auth.direct import address_of, is_direct
+from kilter_service.auth.policy import Rule, rule_of
+from kilter_service.auth.scope import check_path
+from kilter_service.caller import ADMIN, ANYBODY, CALLER, RANK, Caller
 from kilter_service.errors import ServiceError
+from kilter_service.settings import Settings
+from kilter_service.tokens import service as tokens
 
-ADMIN = "admin"
 PLAIN_READS = frozenset({"GET", "HEAD"})
 
 
-def admin(request: Request) -> str:
-    """Let in whoever has the admin token; returns who it is, for the log of changes.
+async def admit(request: Request, path: str) -> Rule:
+    """Let a request in, or refuse it; whoever sends it is its caller from then on.
 
     Raises:
-        ServiceError: no token, or another one.
+        ServiceError: no token or one that does not hold, a role that is too low, or another robot.
 
     """
+    route = f"{request.method} {path}"
+    rule = rule_of(route)
+    caller = await _caller(request, rule, route)
+    request.state.caller = caller
+    CALLER.set(caller)
+    if rule.role is None:
+        return rule
+    _check_role(caller, rule, route)
+    if caller.robots is not None:
+        if rule.server:
+            raise ServiceError(
+                f"Token {caller.actor!r} is limited to robots {', '.join(sorted(caller.robots))}, and {route} concerns the "
+                "whole server: use a token that is not limited.",
+                code="token_limited",
+                robots=sorted(caller.robots),
+            )
+        await run_in_threadpool(check_path, request.app.state.database, request.path_params)
+    return rule
+
+
+async def _caller(request: Request, rule: Rule, route: str) -> Caller:
+    settings: Settings = request.app.state.settings
+    address, ids = address_of(request, settings), {name: str(value) for name, value in request.path_params.items()}
+    nobody = Caller(ANYBODY, "viewer", None, "", address, route, ids)
+    if rule.role is None:
+        return nobody
     scheme, _, given = request.headers.get("authorization", "").partition(" ")
-    if scheme.lower() != "bearer" or not given:
+    secret = given.strip()
+    if scheme.lower() != "bearer" or not secret:
+        if rule.role == "viewer" and request.method in PLAIN_READS and is_direct(request, settings):
+            return nobody
         raise ServiceError(
-            "This needs the admin token: send `Authorization: Bearer ...` with the content of the `token` file in "
-            "the server's data folder (the client does so when KILTER_TOKEN is set or it runs on the same machine).",
+            f"This needs a token of role {rule.role}: send `Authorization: Bearer ...` with your token, or with the content "
+            "of the `token` file in the server's data folder (the client does so when KILTER_TOKEN is set or it runs on the "
+            "same machine). Plain reads on the server's own machine need none, unless a proxy passes them on.",
             code="token_missing",
+            role=rule.role,
         )
-    if not secrets.compare_digest(given.strip().encode(), request.app.state.token.encode()):
+    if secrets.compare_digest(secret.encode(), request.app.state.token.encode()):
+        return Caller(ADMIN, "admin", None, "", address, route, ids)
+    found = await run_in_threadpool(tokens.known, request.app.state.database, secret)
+    robots = None if found.robots is None else frozenset(found.robots)
+    return Caller(found.name, found.role, robots, found.id, address, route, ids)
+
+
+def _check_role(caller: Caller, rule: Rule, route: str) -> None:
+    if rule.role is not None and RANK[caller.role] < RANK[rule.role]:
         raise ServiceError(
-            "The token is not this server's: compare it with the `token` file in the server's data folder.",
-            code="token_wrong",
+            f"Token {caller.actor!r} has the role {caller.role}, and {route} needs {rule.role}: ask an admin for such a "
+            f"token (`kilter token add NAME --role {rule.role}`).",
+            code="role_too_low",
+            role=caller.role,
+            needed=rule.role,
         )
-    return ADMIN
 
 
-def changes(request: Request) -> bool:
-    """Whether a request is more than a plain read: it changes something, or computes from what it sends."""
-    return request.method not in PLAIN_READS
+def caller_of(request: Request) -> Caller:
+    """Return who sends a request."""
+    caller: Caller = request.state.caller
+    return caller
 
 
-def reader(request: Request) -> None:
-    """Let everybody read on loopback, and only the admin token elsewhere."""
-    if not request.app.state.settings.is_loopback:
-        admin(request)
+def actor(request: Request) -> str:
+    """Return what the records call whoever sends a request."""
+    return caller_of(request).actor
 
 
-Admin = Annotated[str, Depends(admin)]
+Admin = Annotated[str, Depends(actor)]  # what the records call whoever makes a change; `policy` says who may

@@ -7,14 +7,14 @@ import secrets
 import stat
 
 from kilter_service.errors import ServiceError
-from kilter_service.settings import Settings
+from kilter_service.settings import Settings, check_strong
 
 
 def admin_token(settings: Settings) -> str:
     """Return the token that changes need; the first start of a data folder makes it (mode 0600).
 
     Raises:
-        ServiceError: the token file can be read by others.
+        ServiceError: the token file can be read by others, or holds a token that can be guessed.
 
     """
     if settings.token is not None:
@@ -29,7 +29,16 @@ def admin_token(settings: Settings) -> str:
             code="token_file_open",
             path=str(settings.token_file),
         )
-    return settings.token_file.read_text(encoding="ascii").strip()
+    token = settings.token_file.read_text(encoding="ascii", errors="replace").strip()
+    try:
+        check_strong(token)
+    except ValueError as error:
+        raise ServiceError(
+            f"In {settings.token_file} {error}, or delete the file: the next start makes a new one.",
+            code="token_weak",
+            path=str(settings.token_file),
+        ) from error
+    return token
 
 
 def _offer(settings: Settings) -> None:
@@ -42,20 +51,3 @@ def _offer(settings: Settings) -> None:
         return
     finally:
         draft.unlink()
-
-
-def check_binding(settings: Settings) -> None:
-    """Refuse to listen beyond this machine when nobody has configured a token.
-
-    Raises:
-        ServiceError: the host is not a loopback address and there is neither KILTER_TOKEN nor a token file.
-
-    """
-    if settings.is_loopback or settings.token is not None or settings.token_file.exists():
-        return
-    raise ServiceError(
-        f"{settings.host} can be reached from other machines and no token is configured: set KILTER_TOKEN, "
-        "or listen on 127.0.0.1.",
-        code="binding_refused",
-        host=settings.host,
-    )

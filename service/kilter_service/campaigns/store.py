@@ -27,6 +27,7 @@ from kilter_service.errors import ServiceError
 from kilter_service.paging import Page
 from kilter_service.references import retired
 from kilter_service.references import store as references
+from kilter_service.robots import store as robots
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -84,7 +85,7 @@ def _record(row: CampaignRow) -> CampaignRecord:
 
 def _row(session: Session, campaign_id: str) -> CampaignRow:
     row = session.get(CampaignRow, campaign_id)
-    if row is None:
+    if row is None or not robots.is_visible(session, row.robot_id):
         raise ServiceError(
             f"There is no campaign {campaign_id!r}: list them with GET /v1/robots/{{robot}}/campaigns."
             + references.gone(session, "campaign", campaign_id),

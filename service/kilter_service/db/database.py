@@ -15,6 +15,8 @@ from typing import Any
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session, sessionmaker
 
+from kilter_service.db import audited
+
 BUSY_TIMEOUT_MS = 15_000
 READS = "kilter_reads"  # execution option of connections that only read
 WRITER = 0x4B_69_6C_74_65_72  # "Kilter": the advisory lock of PostgreSQL that whoever changes something holds
@@ -27,6 +29,7 @@ class Database:
         self.url = url
         self.engine = open_engine(url)
         self._changing = sessionmaker(self.engine, expire_on_commit=False)
+        audited.listen(self._changing)
         self._reading = sessionmaker(self.engine.execution_options(**{READS: True}), expire_on_commit=False)
 
     def transaction(self) -> AbstractContextManager[Session]:

@@ -12,6 +12,7 @@ from sqlalchemy import (
     ForeignKey,
     LargeBinary,
     String,
+    Text,
     TypeDecorator,
     UniqueConstraint,
     event,
@@ -201,6 +202,35 @@ class TombstoneRow(Row):
     by: Mapped[str] = mapped_column(String(64))
 
 
+class TokenRow(Row):
+    """A token: the hash of its secret, what it may do, with which robots (None: all), and until when."""
+
+    __tablename__ = "tokens"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), index=True)
+    sha256: Mapped[str] = mapped_column(String(64), unique=True)
+    role: Mapped[str] = mapped_column(String(16))
+    robots: Mapped[list[Any] | None] = mapped_column(JSON(none_as_null=True))
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_by: Mapped[str] = mapped_column(String(64))
+    expires_at: Mapped[datetime | None]
+    revoked_at: Mapped[datetime | None]
+    revoked_by: Mapped[str] = mapped_column(String(64), default="", server_default="")
+
+
+class AuditRow(Row):
+    """An entry of the audit: what was changed, as the text that its hash covers together with the hash before it.
+
+    The database itself refuses to change or delete one, and to add one that does not continue the chain.
+    """
+
+    __tablename__ = "audit"
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    previous: Mapped[str] = mapped_column(String(64))
+    sha256: Mapped[str] = mapped_column(String(64))
+    content: Mapped[str] = mapped_column(Text)
+
+
 OF_PEOPLE = frozenset({"name", "notes", "retired_at", "retired_by"})  # what may change of a version
 
 
@@ -211,5 +241,5 @@ def _refuse_change(_mapper: Mapper[Any], _connection: Any, row: Row) -> None:
     raise RuntimeError(f"{type(row).__name__} is immutable: store a new one instead of changing it.")
 
 
-for _immutable in (VersionRow, ActivationRow, ChunkRow):
+for _immutable in (VersionRow, ActivationRow, ChunkRow, AuditRow):
     event.listen(_immutable, "before_update", _refuse_change)

@@ -54,7 +54,7 @@ def add(session: Session, robot_id: int, job: NewJob, asked: Asked) -> str:
 
 def _row(session: Session, job_id: str) -> JobRow:
     row = session.get(JobRow, job_id)
-    if row is None:
+    if row is None or not robots.is_visible(session, row.robot_id):
         raise ServiceError(
             f"There is no job {job_id!r}: list them with GET /v1/jobs.", code="job_not_found", job=job_id
         )
@@ -74,7 +74,8 @@ def get(session: Session, job_id: str) -> JobRecord:
 def listed(session: Session, robot: str | None, page: Page) -> list[JobRecord]:
     """Return the newest jobs, of one robot or of all, one more than the page shows."""
     row = JobRow
-    query = select(row).order_by(row.created_at.desc(), row.id)
+    query = robots.visible(select(row).join(RobotRow, RobotRow.id == row.robot_id))
+    query = query.order_by(row.created_at.desc(), row.id)
     if robot is not None:
         query = query.where(row.robot_id == robots.get(session, robot).id)
     if page.moment is not None:

@@ -89,7 +89,7 @@ def _note(scope: Scope, answer: _Answer, seconds: float, request_id: str) -> Non
             extra={
                 "request_id": request_id,
                 "client": client[0] if client else None,
-                "actor": scope["state"].get("actor"),
+                "actor": getattr(scope["state"].get("caller"), "actor", None),
                 "duration_ms": round(1e3 * seconds, 3),
                 "bytes": answer.bytes,
             },

@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from sqlalchemy import ColumnElement, Select, and_, func, or_, select
 
+from kilter_service.caller import allowed_robots, may_see
 from kilter_service.contract.references import Kind
 from kilter_service.db import Session
 from kilter_service.db.tables import CampaignRow, JobRow, RobotRow, TombstoneRow, VersionRow, now
@@ -61,6 +62,8 @@ def _of(kind: Kind, robot_id: int | None) -> Select[str, str, str, datetime, boo
     query = query.join(RobotRow, RobotRow.id == table.robot_id)
     if kind == "campaign":
         query = query.where(CampaignRow.staged.is_(False))
+    if (visible := allowed_robots()) is not None:
+        query = query.where(RobotRow.name.in_(visible))
     if robot_id is not None:
         query = query.where(table.robot_id == robot_id)
     return query.order_by(table.created_at.desc(), table.id)
@@ -171,6 +174,8 @@ def tombstones(session: Session, robot: str | None, page: Page) -> list[Tombston
     query = select(row).order_by(row.at.desc(), row.id)
     if robot is not None:
         query = query.where(row.robot == robot)
+    if (visible := allowed_robots()) is not None:
+        query = query.where(row.robot.in_(visible))
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.at < moment, and_(row.at == moment, row.id > key)))
@@ -187,7 +192,7 @@ def tombstone_of(session: Session, kind: str, id_: str) -> TombstoneRecord | Non
 def gone(session: Session, kind: str, id_: str) -> str:
     """Say that something was purged, if it was; empty else."""
     found = tombstone_of(session, kind, id_)
-    if found is None:
+    if found is None or not may_see(found.robot):
         return ""
     return f" It was purged by {found.by} on {found.at:%Y-%m-%d %H:%M} UTC (sha256 {found.sha256[:12]})."
 

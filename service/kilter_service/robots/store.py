@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from sqlalchemy import delete, func, select
+from sqlalchemy import Select, delete, func, select
 
+from kilter_service.caller import allowed_robots, may_see
 from kilter_service.db import Session
 from kilter_service.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
 from kilter_service.errors import ServiceError
@@ -16,6 +17,9 @@ from kilter_service.robots.resolved import Resolved
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
+
+
+Query = TypeVar("Query", bound="Select[*tuple[Any, ...]]")
 
 
 class StoredRobot(NamedTuple):
@@ -58,6 +62,13 @@ def add(session: Session, name: str, document: dict[str, Any], resolved: Resolve
         ServiceError: the name is taken.
 
     """
+    if not may_see(name):
+        raise ServiceError(
+            f"This token is limited to robots {', '.join(sorted(allowed_robots() or ()))}: use one that is not, or one that "
+            f"names {name!r}.",
+            code="token_limited",
+            robot=name,
+        )
     if find(session, name) is not None:
         raise ServiceError(
             f"There is already another robot called {name!r}: give this one its own name, or delete that one.",
@@ -78,7 +89,9 @@ def add(session: Session, name: str, document: dict[str, Any], resolved: Resolve
 
 
 def find(session: Session, name: str) -> StoredRobot | None:
-    """Return the robot of a name, if there is one."""
+    """Return the robot of a name, if there is one that the caller may see."""
+    if not may_see(name):
+        return None
     row = session.execute(select(RobotRow).where(RobotRow.name == name)).scalar_one_or_none()
     return None if row is None else _stored(row)
 
@@ -99,10 +112,21 @@ def get(session: Session, name: str) -> StoredRobot:
     found = find(session, name)
     if found is None:
         in_use = select(RobotRow.name).where(RobotRow.retired_at.is_(None)).order_by(RobotRow.name)
-        names = session.execute(in_use).scalars().all()
+        names = session.execute(visible(in_use)).scalars().all()
         known = f"There are: {', '.join(names)}." if names else "There is none yet: add one with `kilter robot add`."
         raise ServiceError(f"There is no robot {name!r}. {known}", code="robot_not_found", robot=name)
     return found
+
+
+def visible(query: Query) -> Query:
+    """Leave out of a query that has robots those that the caller may not see."""
+    robots = allowed_robots()
+    return query if robots is None else query.where(RobotRow.name.in_(robots))
+
+
+def is_visible(session: Session, robot_id: int) -> bool:
+    """Whether the caller may see the robot of a key, and what belongs to it."""
+    return allowed_robots() is None or may_see(session.get_one(RobotRow, robot_id).name)
 
 
 def usable(session: Session, name: str) -> StoredRobot:
@@ -172,7 +196,7 @@ def remove(session: Session, name: str) -> None:
 
 def listed(session: Session, page: Page, with_retired: bool = False) -> list[RobotRecord]:
     """Return robots by name, one more than the page shows; those out of use only when they are asked for."""
-    query = select(RobotRow).order_by(RobotRow.name).limit(page.fetched)
+    query = visible(select(RobotRow)).order_by(RobotRow.name).limit(page.fetched)
     if not with_retired:
         query = query.where(RobotRow.retired_at.is_(None))
     if page.name is not None:

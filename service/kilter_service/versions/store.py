@@ -12,6 +12,7 @@ from sqlalchemy import and_, func, or_, select
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.db import Session
+from kilter_service.db.audited import note
 from kilter_service.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
 from kilter_service.errors import ServiceError
 from kilter_service.paging import ALL, Page
@@ -120,7 +121,7 @@ def get(session: Session, version_id: str) -> VersionRecord:
 
 def _row(session: Session, version_id: str) -> VersionRow:
     row = session.get(VersionRow, version_id)
-    if row is None:
+    if row is None or not robots.is_visible(session, row.robot_id):
         raise ServiceError(
             f"There is no version {version_id!r}: list them with GET /v1/robots/{{robot}}/versions."
             + references.gone(session, "version", version_id),
@@ -257,6 +258,8 @@ def activate(
     objections: Sequence[Mapping[str, str]] = (),
 ) -> None:
     """Write into the log that a version is active from now on."""
+    before = active_entry(session, robot_id)
+    note(session, "active_version", None if before is None else before.version_id, version_id)
     session.add(
         ActivationRow(
             robot_id=robot_id,

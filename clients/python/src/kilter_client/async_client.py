@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from kilter_client.calls import references, server
+from kilter_client.calls import access, references, server
 from kilter_client.connection import AsyncConnection
 from kilter_client.locate import locate
 from kilter_client.running import awaited
@@ -86,6 +86,12 @@ class AsyncKilter:
     resolve = awaited(references.resolve)
     health = awaited(server.health)
     tombstones = awaited(server.tombstones)
+    whoami = awaited(access.whoami)
+    add_token = awaited(access.add_token)
+    tokens = awaited(access.tokens)
+    revoke_token = awaited(access.revoke_token)
+    audit = awaited(access.audit)
+    verify_audit = awaited(access.verify_audit)
 
     async def close(self) -> None:
         """Close the connections."""

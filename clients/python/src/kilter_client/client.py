@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kilter_client.calls import references, server
+from kilter_client.calls import access, references, server
 from kilter_client.connection import Connection, Reword
 from kilter_client.jobs import Jobs
 from kilter_client.locate import locate
@@ -98,6 +98,12 @@ class Kilter:
     resolve = waiting(references.resolve)
     health = waiting(server.health)
     tombstones = waiting(server.tombstones)
+    whoami = waiting(access.whoami)
+    add_token = waiting(access.add_token)
+    tokens = waiting(access.tokens)
+    revoke_token = waiting(access.revoke_token)
+    audit = waiting(access.audit)
+    verify_audit = waiting(access.verify_audit)
 
     def close(self) -> None:
         """Close the connections."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kilter_client.errors import KilterError, ServerUnreachableError
+from kilter_client.errors import KilterError, ServerUnreachableError, UsageError
 from kilter_client.locate import Place, locate
 from kilter_client.steps import Answer, Events, Follow, LookAgain, Pause, Request, Step, Steps, refuse
 
@@ -158,8 +159,30 @@ _EVENTS: Mapping[str, Any] = {"headers": {"Accept": "text/event-stream"}, "timeo
 
 def _settings(place: Place) -> dict[str, Any]:
     headers = {"Authorization": f"Bearer {place.token}"} if place.token else {}
-    secret = place.url.lower().startswith("https:")  # certificates are read, 0.03 s, where they are needed
-    return {"base_url": place.url, "headers": headers, "verify": secret}
+    # Certificates are read, 0.03 s, where they are needed.
+    verify = _trusted() if place.url.lower().startswith("https:") else False
+    return {"base_url": place.url, "headers": headers, "verify": verify}
+
+
+def _trusted() -> Any:
+    """Return whom to trust: the authority of KILTER_CA, else those that this machine trusts.
+
+    Raises:
+        UsageError: the file of KILTER_CA cannot be read as certificates.
+
+    """
+    file = os.environ.get("KILTER_CA")
+    if not file:
+        return True
+    import ssl
+
+    try:
+        return ssl.create_default_context(cafile=file)
+    except OSError as error:
+        raise UsageError(
+            f"KILTER_CA: {file} cannot be read as certificates ({error}): give the PEM file of the authority that signed "
+            "the server's certificate."
+        ) from error
 
 
 def _moved(client: httpx.Client | httpx.AsyncClient, place: Place) -> tuple[str, Place]:
@@ -214,6 +237,12 @@ def reaching(url: str) -> Iterator[None]:
     except httpx.TimeoutException as error:
         raise ServerUnreachableError(f"{url} did not answer in time ({error}).", url=url) from error
     except (httpx.TransportError, httpx.InvalidURL) as error:
+        if "CERTIFICATE_VERIFY_FAILED" in str(error):
+            raise ServerUnreachableError(
+                f"{url} has a certificate that this machine does not trust ({error}): set KILTER_CA to the PEM file of the "
+                "authority that signed it, and use a name that is in it.",
+                url=url,
+            ) from error
         raise ServerUnreachableError(
             f"{url} does not answer ({error}). Is the server running (`kilterd serve`), and KILTER_URL right?",
             url=url,

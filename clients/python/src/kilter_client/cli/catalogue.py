@@ -59,6 +59,9 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "presets": Entry("lists", "List the robots that ship with Kilter."),
     },
     "Server": {
+        "whoami": Entry("access", "Show who one is to the server, and in which role."),
+        "token": Entry("access", "Make, list and revoke tokens."),
+        "audit": Entry("access", "Show who changed what, and check that record."),
         "status": Entry("correct", "Show whether the server is ready."),
     },
 }

@@ -1,0 +1,1 @@
+"""The audit: reading it, and whether it is whole."""

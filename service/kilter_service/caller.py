@@ -1,0 +1,45 @@
+"""Who sends a request: its role, the robots it may see, and where it comes from.
+
+The route sets it before anything of the request is read; stores leave out what the caller may not see, and the audit says
+who made a change. A process without requests (a worker, the corrector) has no caller and sees everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+
+from kilter_service.contract.tokens import Role
+
+ADMIN = "admin"
+ANYBODY = "anybody"
+RANK: Mapping[str, int] = {"viewer": 0, "operator": 1, "admin": 2}
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who sends a request; ``robots`` None: of all robots. ``token_id`` is empty for the admin token and for nobody's."""
+
+    actor: str
+    role: Role
+    robots: frozenset[str] | None = None
+    token_id: str = ""
+    address: str = ""
+    route: str = ""
+    ids: Mapping[str, str] = field(default_factory=dict)
+
+
+CALLER: ContextVar[Caller | None] = ContextVar("kilter_caller", default=None)
+
+
+def allowed_robots() -> frozenset[str] | None:
+    """Return the names of the robots that the caller may see; None: all."""
+    caller = CALLER.get()
+    return None if caller is None else caller.robots
+
+
+def may_see(robot: str) -> bool:
+    """Whether the caller may see a robot and what belongs to it."""
+    robots = allowed_robots()
+    return robots is None or robot in robots

@@ -1,0 +1,65 @@
+"""Tokens over HTTP: who may do what, with which robots, until when."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from kilter_service.contract.units import MAX_NAMED, Listed, Name, Strict
+
+Role = Literal["viewer", "operator", "admin"]
+TokenName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}$")]
+NAME = "Whose token it is or what it is for; the records of changes show it."
+ROLE = (
+    "`viewer` reads; `operator` also uploads, runs jobs, corrects and activates; `admin` also has robots, tokens, purging "
+    "and the audit."
+)
+ROBOTS = "Names of the robots it is limited to; null: all robots. A robot of that name may be added later."
+
+
+class NewToken(Strict):
+    """A token to make."""
+
+    name: TokenName = Field(description=NAME)
+    role: Role = Field(description=ROLE)
+    robots: Annotated[list[Name], Field(min_length=1, max_length=MAX_NAMED)] | None = Field(None, description=ROBOTS)
+    days: Annotated[int, Field(ge=1, le=3650)] | None = Field(
+        365, description="After how many days it expires; null: never."
+    )
+
+
+class Token(Strict):
+    """A token; what is sent with requests is shown once, when it is made."""
+
+    id: str = Field(description="Its id.")
+    name: str = Field(description=NAME)
+    role: Role = Field(description=ROLE)
+    robots: list[str] | None = Field(description=ROBOTS)
+    created_at: datetime = Field(description="When it was made.")
+    created_by: str = Field(description="Who made it.")
+    expires_at: datetime | None = Field(description="When it expires; null: never.")
+    revoked_at: datetime | None = Field(description="When it was revoked; null: it was not.")
+    revoked_by: str = Field(description="Who revoked it; empty: nobody.")
+
+
+class MadeToken(Token):
+    """A token that was just made."""
+
+    token: str = Field(description="What to send with requests (KILTER_TOKEN); it is shown this once only.")
+
+
+class TokenList(Listed):
+    """Tokens, newest first."""
+
+    tokens: list[Token] = Field(description="The tokens, newest first.")
+
+
+class Identity(Strict):
+    """Who sends this request, and what that allows."""
+
+    actor: str = Field(description="Name of the token; `admin`: the server's own; `anybody`: no token was needed.")
+    token_id: str = Field(description="Id of the token; empty: the server's own, or none.")
+    role: Role = Field(description=ROLE)
+    robots: list[str] | None = Field(description=ROBOTS)

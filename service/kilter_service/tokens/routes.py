@@ -1,0 +1,41 @@
+"""Tokens over HTTP, and who one is."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request, Response
+
+from kilter_service.auth.access import Admin, caller_of
+from kilter_service.contract.tokens import Identity, MadeToken, NewToken, Token, TokenList
+from kilter_service.page_query import PageOfList
+from kilter_service.routing import GuardedRoute
+from kilter_service.state import DatabaseOfApp
+from kilter_service.tokens import service
+
+router = APIRouter(prefix="/v1", tags=["access"], route_class=GuardedRoute)
+
+
+@router.get("/whoami")
+def whoami(request: Request) -> Identity:
+    """Say who sends this request, in which role, and for which robots."""
+    caller = caller_of(request)
+    robots = None if caller.robots is None else sorted(caller.robots)
+    return Identity(actor=caller.actor, token_id=caller.token_id, role=caller.role, robots=robots)
+
+
+@router.post("/tokens", status_code=201)
+def add(wanted: NewToken, response: Response, database: DatabaseOfApp, actor: Admin) -> MadeToken:
+    """Make a token; what to send with requests is shown this once only."""
+    response.headers["Cache-Control"] = "no-store"
+    return service.add(database, wanted, actor)
+
+
+@router.get("/tokens")
+def listed(database: DatabaseOfApp, page: PageOfList) -> TokenList:
+    """List the tokens, newest first; also those that expired or were revoked."""
+    return service.listed(database, page)
+
+
+@router.delete("/tokens/{token}")
+def revoke(token: str, database: DatabaseOfApp, actor: Admin) -> Token:
+    """End a token at once; a repeat changes nothing."""
+    return service.revoke(database, token, actor)

@@ -1,0 +1,230 @@
+"""The audit: what every change leaves, that the database keeps it as it is, and that a change of it is seen."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import sqlite3
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import DBAPIError
+
+from kilter_core.twin import thesis_katana
+from kilter_service.audit import service
+from kilter_service.audit.service import Head
+from kilter_service.caller import CALLER, Caller
+from kilter_service.db import Database, revision
+from kilter_service.db.tables import CampaignRow, JobRow, RobotRow
+from kilter_service.errors import ServiceError
+from kilter_service.settings import DATABASE_FILE, Settings
+from kilter_service.versions import store
+from kilter_service.versions.store import NewVersion
+
+from .postgresql import programs, running_postgresql
+
+ROBOT = {"name": "arm", "convention": "preset", "preset": "katana450-chapter5"}
+
+
+def entries(client: httpx.Client, **asked: Any) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = client.get("/v1/audit", params=asked).raise_for_status().json()["entries"]
+    return found
+
+
+def chain_holds(found: list[dict[str, Any]]) -> bool:
+    """Computed here once more, as somebody would who trusts no code of Kilter."""
+    before = ""
+    for number, entry in enumerate(found, 1):
+        hashed = hashlib.sha256((before + "\n" + entry["content"]).encode()).hexdigest()
+        if (entry["number"], entry["previous"], entry["sha256"]) != (number, before, hashed):
+            return False
+        before = hashed
+    return True
+
+
+def test_a_change_leaves_who_what_from_where_before_and_after(client: httpx.Client) -> None:
+    client.post("/v1/robots", json=ROBOT).raise_for_status()
+    client.patch("/v1/robots/arm", json={"remarks": "first"}).raise_for_status()
+    made = client.post("/v1/tokens", json={"name": "anna", "role": "admin"}).json()
+    headers = {"Authorization": f"Bearer {made['token']}"}
+    client.patch("/v1/robots/arm", json={"remarks": "second"}, headers=headers).raise_for_status()
+    last = entries(client)[-1]
+    assert (last["actor"], last["token_id"], last["role"]) == ("anna", made["id"], "admin")
+    assert (last["route"], json.loads(last["place"])) == ("PATCH /v1/robots/{robot}", {"robot": "arm"})
+    assert last["address"] == "127.0.0.1"
+    (change,) = last["changes"]
+    assert change["thing"] == "robots/1"
+    assert (json.loads(change["before"]), json.loads(change["after"])) == ({"remarks": "first"}, {"remarks": "second"})
+    assert chain_holds(entries(client))
+
+
+def test_what_changes_nothing_or_is_refused_leaves_nothing(client: httpx.Client) -> None:
+    client.post("/v1/robots", json=ROBOT).raise_for_status()
+    before = len(entries(client))
+    assert client.post("/v1/robots", json=ROBOT).status_code == 200
+    client.get("/v1/robots").raise_for_status()
+    assert client.post("/v1/robots/check", json=ROBOT).status_code == 200
+    assert client.post("/v1/robots/arm/rollback").status_code == 409
+    assert client.post("/v1/robots", json={**ROBOT, "preset": "katana450-chapter4"}).status_code == 409
+    assert len(entries(client)) == before == 1
+
+
+def test_an_activation_says_which_version_was_active_before(client: httpx.Client, database: Database) -> None:
+    client.post("/v1/robots", json=ROBOT).raise_for_status()
+    report: dict[str, Any] = {"parameters": [], "metrics": {}, "noise_mm": 0.01}
+    limits = {"max_joint_deg": 1.0, "max_position_mm": 5.0}
+    for end in ("a", "b"):
+        new = NewVersion(
+            thesis_katana().truth.to_document(), report, {"names": [], "matrix": []}, [], limits, None, "t"
+        )
+        asked = {"kind": "identify", "robot": "arm"}
+        with database.transaction() as session:
+            session.add(JobRow(id=f"job_{end}", kind="identify", robot_id=1, request=asked, state="succeeded"))
+            session.flush()
+            store.add(session, 1, f"job_{end}", new)
+    for version in ("ver_a", "ver_b"):
+        client.post(f"/v1/versions/{version}/activate", json={"force": True, "reason": "a test"}).raise_for_status()
+    client.post("/v1/robots/arm/rollback").raise_for_status()
+    changes = [c for entry in entries(client) for c in entry["changes"] if c["thing"] == "active_version"]
+    assert [(c["before"], c["after"]) for c in changes] == [
+        ("", '"ver_a"'),
+        ('"ver_a"', '"ver_b"'),
+        ('"ver_b"', '"ver_a"'),
+    ]
+
+
+def test_the_audit_comes_in_pages(client: httpx.Client) -> None:
+    client.post("/v1/robots", json=ROBOT).raise_for_status()
+    for number in range(5):
+        client.patch("/v1/robots/arm", json={"remarks": str(number)}).raise_for_status()
+    first = client.get("/v1/audit", params={"limit": 4}).json()
+    rest = client.get("/v1/audit", params={"limit": 4, "after": first["next"]}).json()
+    assert [entry["number"] for entry in first["entries"] + rest["entries"]] == [1, 2, 3, 4, 5, 6]
+    assert rest["next"] is None
+
+
+def filled(database: Database, count: int = 4) -> None:
+    token = CALLER.set(Caller("anna", "admin", route="PATCH /v1/robots/{robot}"))
+    try:
+        with database.transaction() as session:
+            session.add(RobotRow(id=1, name="arm", document={}, chain=None))
+        for number in range(count - 1):
+            with database.transaction() as session:
+                session.get_one(RobotRow, 1).remarks = str(number)
+    finally:
+        CALLER.reset(token)
+
+
+STATEMENTS = (
+    "UPDATE audit SET content = 'x' WHERE number = 2",
+    "DELETE FROM audit WHERE number = 4",
+    "DELETE FROM audit",
+    "INSERT INTO audit (number, previous, sha256, content) VALUES (6, '', 'y', 'x')",
+    "INSERT INTO audit (number, previous, sha256, content) VALUES (5, '', 'y', 'x')",
+    "INSERT INTO audit (number, previous, sha256, content) SELECT 2, previous, 'y', 'x' FROM audit WHERE number = 2",
+)
+
+
+@pytest.mark.parametrize("statement", [*STATEMENTS, "INSERT OR REPLACE INTO audit VALUES (2, '', 'y', 'x')"])
+def test_the_database_refuses_to_change_it(database: Database, statement: str) -> None:
+    if not database.url.startswith("sqlite"):
+        pytest.skip("PostgreSQL has a test of its own")
+    filled(database)
+    with pytest.raises(DBAPIError, match="audit"), database.transaction() as session:
+        session.execute(text(statement))
+    assert service.verify(database).number == 4
+
+
+def broken_off(database: Database) -> None:
+    with database.transaction() as session:
+        session.get_one(RobotRow, 1).remarks = "lost"
+        session.flush()
+        raise RuntimeError
+
+
+def test_one_change_and_its_entry_stand_or_fall_together(database: Database) -> None:
+    filled(database)
+    token = CALLER.set(Caller("anna", "admin"))
+    try:
+        with pytest.raises(RuntimeError):
+            broken_off(database)
+        with database.transaction() as session:
+            session.add(CampaignRow(id="cmp_1", name="c", robot_id=1, device="", role="train", conditions={}, notes=""))
+    finally:
+        CALLER.reset(token)
+    with database.reading() as session:
+        assert session.get_one(RobotRow, 1).remarks == "2"
+        contents = session.execute(text("SELECT content FROM audit ORDER BY number")).scalars().all()
+    assert len(contents) == 5
+    assert "lost" not in "".join(contents)
+
+
+@pytest.mark.parametrize(
+    ("statement", "whole"),
+    [
+        ("UPDATE audit SET content = replace(content, 'anna', 'otto') WHERE number = 2", 1),
+        ("UPDATE audit SET previous = '0' WHERE number = 3", 2),
+        ("DELETE FROM audit WHERE number = 1", 0),
+        ("DELETE FROM audit WHERE number = 3", 2),
+    ],
+)
+def test_a_change_past_the_database_is_seen_in_its_file(
+    settings: Settings, database: Database, tmp_path: Path, statement: str, whole: int
+) -> None:
+    if settings.database_url is not None:
+        pytest.skip("the database is PostgreSQL")
+    filled(database)
+    database.close()
+    copy = tmp_path / "copy.sqlite"
+    shutil.copy(settings.data / DATABASE_FILE, copy)
+    with sqlite3.connect(copy) as raw:
+        for trigger in ("update", "delete", "insert"):
+            raw.execute(f"DROP TRIGGER audit_{trigger}")
+        raw.execute(statement)
+    raw.close()
+    opened = Database(f"sqlite:///{copy}")
+    with pytest.raises(ServiceError, match=f"up to {whole} are whole") as caught:
+        service.verify(opened)
+    assert caught.value.code == "audit_broken"
+    opened.close()
+
+
+def test_a_cut_end_is_seen_by_whoever_noted_the_last_entry(database: Database) -> None:
+    filled(database)
+    noted = service.verify(database)
+    with database.reading() as session:
+        found = list(service.store.everything(session))
+    assert service.verified(found, noted) == noted
+    assert service.verified(found[:3]).number == 3
+    with pytest.raises(ServiceError, match="does not hold entry 4"):
+        service.verified(found[:3], noted)
+    with pytest.raises(ServiceError, match="does not hold entry 4"):
+        service.verified(found, Head(4, "0" * 64))
+
+
+@pytest.mark.skipif(programs() is None, reason="PostgreSQL is not installed")
+def test_many_writers_on_postgresql_keep_one_chain() -> None:
+    with running_postgresql() as url:
+        databases = [Database(url) for _ in range(2)]  # as two processes have
+        revision.migrate(databases[0])
+        filled(databases[0])
+
+        def change(number: int) -> None:
+            CALLER.set(Caller(f"writer-{number}", "operator"))
+            with databases[number % 2].transaction() as session:
+                session.get_one(RobotRow, 1).remarks = f"by {number}"
+
+        with ThreadPoolExecutor(8) as pool:
+            list(pool.map(change, range(40)))
+        assert service.verify(databases[1]).number == 44
+        for statement in (*STATEMENTS, "TRUNCATE audit"):
+            with pytest.raises(DBAPIError, match="audit"), databases[0].transaction() as session:
+                session.execute(text(statement))
+        assert service.verify(databases[0]).number == 44
+        for database in databases:
+            database.close()
