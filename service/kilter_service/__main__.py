@@ -11,11 +11,12 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from pydantic import ValidationError
 
-from kilter_core.errors import CoreError
-from kilter_service.settings import Settings
+from kilter_service.private_files import UMASK, protect
+from kilter_service.settings import DATABASE_FILE, JOBS_FILE, Settings
 from kilter_service.version import code_version
 
 USAGE_CODES = frozenset({"binding_refused", "token_file_open"})
@@ -49,8 +50,12 @@ def api(settings: Settings, arguments: argparse.Namespace) -> None:
         serving.serve(settings, opened)
 
 
-def worker(settings: Settings, _: argparse.Namespace) -> None:
+def worker(settings: Settings, arguments: argparse.Namespace) -> None:
     """Run a process that executes jobs."""
+    from kilter_service import serving
+
+    if not arguments.supervised:  # nobody migrates the database meanwhile
+        serving.check_database(settings)
     from kilter_service.jobs.worker import run
 
     run(settings)
@@ -121,6 +126,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command; exits 0 when it is done, 1 when it failed, 2 when it was called wrongly."""
     given = parser().parse_args(arguments)
+    os.umask(UMASK)  # whatever a library writes, the job engine's database too, is its owner's
     # The fits are small: threads of the linear algebra library only wait for each other there, ten times slower on a
     # busy machine with two cores (docs/explanation/surprises.md). It is read when numpy is imported, by a command.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -130,24 +136,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
     overrides = {name: getattr(given, name, None) for name in ("data", "database_url", "host", "port")}
     try:
         settings = Settings(**{name: value for name, value in overrides.items() if value is not None})
-        _end_with_parent()
+        protect(settings.data, DATABASE_FILE, JOBS_FILE)
+        given.supervised = _end_with_parent()
         COMMANDS[given.command][0](settings, given)
     except ValidationError as error:
         for item in error.errors():
             print(f"kilterd: {'.'.join(str(p) for p in item['loc'])}: {item['msg']}", file=sys.stderr)
         sys.exit(2)
-    except CoreError as error:
-        print(f"kilterd: {error.message}", file=sys.stderr)
-        sys.exit(2 if error.code in USAGE_CODES else 1)
-    except OSError as error:
-        print(f"kilterd: {error}", file=sys.stderr)
-        sys.exit(1)
+    except Exception as error:
+        _end(error)
 
 
-def _end_with_parent() -> None:
-    """Make a child of `kilterd serve` stop when the supervisor is gone, however it went."""
+def _end(error: Exception) -> NoReturn:
+    """Say in one sentence why the command ends; what Kilter does not know is raised again, with its traceback."""
+    from kilter_service.db.failures import in_words
+
+    known = in_words(error)
+    if known is None and not isinstance(error, OSError):
+        raise error
+    print(f"kilterd: {error if known is None else known.message}", file=sys.stderr)
+    sys.exit(2 if known is not None and known.code in USAGE_CODES else 1)
+
+
+def _end_with_parent() -> bool:
+    """Make a child of `kilterd serve` stop when the supervisor is gone, however it went; returns whether it is one."""
     if os.environ.pop("KILTER_SUPERVISED", None) is None:
-        return
+        return False
 
     def watch() -> None:
         while os.read(0, 1024):
@@ -155,6 +169,7 @@ def _end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=watch, daemon=True, name="parent-watch").start()
+    return True
 
 
 if __name__ == "__main__":

@@ -65,6 +65,15 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "not_ready": (503, "Kilter is not ready"),
     "data_in_use": (409, "A server runs in this data folder already"),
     "database_outdated": (503, "The database is not of this version of Kilter"),
+    "database_newer": (503, "The database is of a newer Kilter"),
+    "database_away": (503, "The database cannot be reached"),
+    "database_busy": (503, "The database is busy"),
+    "database_damaged": (500, "The database is damaged"),
+    "disk_full": (507, "The disk is full"),
+    "disk_read_only": (507, "The disk cannot be written to"),
+    "disk_failed": (507, "The disk failed"),
+    "data_unusable": (400, "The data folder cannot be used"),
+    "process_ends": (500, "A process of Kilter ends at every start"),
 }
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
@@ -16,7 +13,7 @@ from kilter_service.contract.references import Change, Tombstone
 from kilter_service.page_query import PageOfList
 from kilter_service.routing import GuardedRoute
 from kilter_service.slots import compute
-from kilter_service.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
 router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=GuardedRoute)
 
@@ -105,8 +102,8 @@ async def upload(
     """Add observations: CSV, Parquet, or JSON columns."""
     media = reading.media_type(request.headers.get("content-type"))
     await run_in_threadpool(service.get, database, campaign)
-    with tempfile.TemporaryDirectory(prefix="kilter-upload-") as folder:
-        path = Path(folder) / "body"
+    with scratch_of(request).folder_for("upload") as folder:
+        path = folder / "body"
         sha256 = await spool_upload(request, path, settings.max_upload_mb)
         done = await compute(request, service.upload, database, campaign, path, media, sha256)
     response.status_code = 201 if done.new else 200

@@ -15,6 +15,8 @@ from typing import Any
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session, sessionmaker
 
+from kilter_service.private_files import private_file, private_folder
+
 BUSY_TIMEOUT_MS = 15_000
 READS = "kilter_reads"  # execution option of connections that only read
 WRITER = 0x4B_69_6C_74_65_72  # "Kilter": the advisory lock of PostgreSQL that whoever changes something holds
@@ -60,7 +62,8 @@ def open_engine(url: str) -> Engine:
         event.listen(engine, "begin", _begin_postgresql)
         return engine
     if parsed.database:
-        Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
+        private_folder(Path(parsed.database).parent)
+        private_file(Path(parsed.database))  # SQLite gives its -wal and -shm the same rights
     engine = create_engine(parsed)
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
