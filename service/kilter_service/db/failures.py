@@ -33,7 +33,9 @@ AWAY = (
     "The database cannot be reached ({reason}): see that it runs and that KILTER_DATABASE_URL is right "
     "(`kilterd doctor` tries it). Nothing was stored; send it again."
 )
-REFUSED = "The database refuses this account ({reason}): see the user, the password and the name in KILTER_DATABASE_URL."
+REFUSED = (
+    "The database refuses this account ({reason}): see the user, the password and the name in KILTER_DATABASE_URL."
+)
 CREDENTIALS = re.compile(r"(?<=://)[^@/\s]*@|password=\S+")
 ERRNO = {
     errno.ENOSPC: ("disk_full", FULL),
