@@ -87,6 +87,34 @@ def migrate(settings: Settings, _: argparse.Namespace) -> None:
     print(f"The database {'was brought to' if done else 'is at'} revision {revision.HEAD}.")
 
 
+def doctor(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Check what the server needs on this machine, one line each, with the remedy."""
+    from kilter_service.doctor.commands import doctor
+
+    doctor(settings, arguments)
+
+
+def backup(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Write all that is stored to a file, while the server runs."""
+    from kilter_service.backup.commands import backup
+
+    backup(settings, arguments)
+
+
+def restore(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Bring a backup into an empty data folder or database."""
+    from kilter_service.backup.commands import restore
+
+    restore(settings, arguments)
+
+
+def verify(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Check every hash of the database, or of a backup, while the server runs."""
+    from kilter_service.backup.commands import verify
+
+    verify(settings, arguments)
+
+
 COMMANDS: dict[str, tuple[Command, str]] = {
     "serve": (serve, "kilterd serve --data ~/kilter --port 8730"),
     "api": (api, "kilterd api --port 0"),
@@ -94,6 +122,15 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "corrector": (corrector, "KILTER_ZENOH_LISTEN=tcp/127.0.0.1:7447 kilterd corrector"),
     "ros2": (ros2, "KILTER_ROS2='{...}' kilterd ros2"),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
+    "backup": (backup, "kilterd backup /backups"),
+    "restore": (restore, "kilterd restore /backups/kilter-20261122T181500Z.kilter-backup --data ~/restored"),
+    "verify": (verify, "kilterd verify"),
+    "doctor": (doctor, "kilterd doctor --json"),
+}
+PATHS = {
+    "backup": ("PATH", None, "file to write, or a folder, where it is named after the time"),
+    "restore": ("FILE", None, "file that `kilterd backup` wrote"),
+    "verify": ("FILE", "?", "a backup to check (default: the database of the server)"),
 }
 ENVIRONMENT = (
     "Every setting is also an environment variable: KILTER_DATA, KILTER_DATABASE_URL, KILTER_HOST, KILTER_PORT, "
@@ -118,6 +155,11 @@ def parser() -> argparse.ArgumentParser:
         if name in ("serve", "api"):
             command.add_argument("--host", help="address to listen on (default 127.0.0.1)")
             command.add_argument("--port", help="port to listen on, 0 for a free one (default 8730)")
+        if name in PATHS:
+            shown, count, help_text = PATHS[name]
+            command.add_argument("path", metavar=shown, nargs=count, help=help_text)
+        if name == "doctor":
+            command.add_argument("--json", action="store_true", help="print one JSON document")
         if name == "api":
             command.add_argument("--fd", type=int, help=argparse.SUPPRESS)
     return root
@@ -136,7 +178,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     overrides = {name: getattr(given, name, None) for name in ("data", "database_url", "host", "port")}
     try:
         settings = Settings(**{name: value for name, value in overrides.items() if value is not None})
-        protect(settings.data, DATABASE_FILE, JOBS_FILE)
+        if given.command != "doctor":  # which says what it finds, and changes nothing
+            protect(settings.data, DATABASE_FILE, JOBS_FILE)
         given.supervised = _end_with_parent()
         COMMANDS[given.command][0](settings, given)
     except ValidationError as error:

@@ -76,6 +76,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "disk_read_only": (507, "The disk cannot be written to"),
     "disk_failed": (507, "The disk failed"),
     "data_unusable": (400, "The data folder cannot be used"),
+    "backup_refused": (409, "The backup cannot be written or restored there"),
     "process_ends": (500, "A process of Kilter ends at every start"),
 }
 

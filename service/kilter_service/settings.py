@@ -14,6 +14,7 @@ from kilter_service.ros2.topics import RobotTopics
 
 DATABASE_FILE = "kilter.sqlite"
 JOBS_FILE = "jobs.sqlite"
+LOCK_FILE = "serve.lock"
 TOKEN_FILE = "token"
 SERVER_FILE = "server.json"
 CORRECTOR_FILE = "corrector.json"

@@ -25,11 +25,10 @@ from kilter_service.last_words import LastWords
 from kilter_service.private_files import private_folder
 from kilter_service.server_file import ServerFile
 from kilter_service.serving import listener, url_of
-from kilter_service.settings import Settings
+from kilter_service.settings import LOCK_FILE, Settings
 
 log = logging.getLogger("kilter.serve")
 
-LOCK_FILE = "serve.lock"
 SUPERVISED = "KILTER_SUPERVISED"
 CHECK_S = 0.1
 READY_S = 300.0  # the first start on a machine compiles the kernels, on a busy one for minutes

@@ -68,6 +68,14 @@ def _refuse_newer(found: str | None) -> None:
     )
 
 
+def check_known(database: Database) -> None:
+    """Refuse a database that is no older one either: of a newer Kilter, or of something else."""
+    found = current(database)
+    _refuse_newer(found)
+    if found is None:
+        raise ServiceError("This is no database of Kilter: it has none of its tables.", code="database_outdated")
+
+
 def known() -> frozenset[str]:
     """Return the revisions that this code has, read from the files: alembic takes a second to import."""
     found = (REVISION.search(path.read_text(encoding="utf-8")) for path in (migrations() / "versions").glob("*.py"))
