@@ -10,12 +10,13 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from pydantic import ValidationError
 
-from kilter_core.errors import CoreError
 from kilter_service.observability import logs, tracing
-from kilter_service.settings import Settings
+from kilter_service.private_files import UMASK, protect
+from kilter_service.settings import DATABASE_FILE, JOBS_FILE, Settings
 from kilter_service.version import code_version
 
 TRACED = frozenset({"api", "worker"})
@@ -56,8 +57,12 @@ def api(settings: Settings, arguments: argparse.Namespace) -> None:
         serving.serve(settings, opened)
 
 
-def worker(settings: Settings, _: argparse.Namespace) -> None:
+def worker(settings: Settings, arguments: argparse.Namespace) -> None:
     """Run a process that executes jobs."""
+    from kilter_service import serving
+
+    if not arguments.supervised:  # nobody migrates the database meanwhile
+        serving.check_database(settings)
     from kilter_service.jobs.worker import run
 
     run(settings)
@@ -104,6 +109,34 @@ def audit(settings: Settings, arguments: argparse.Namespace) -> None:
     print(f"The audit is whole: {last.number} entries, the last is {last.number}:{last.sha256}.")
 
 
+def doctor(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Check what the server needs on this machine, one line each, with the remedy."""
+    from kilter_service.doctor.commands import doctor
+
+    doctor(settings, arguments)
+
+
+def backup(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Write all that is stored to a file, while the server runs."""
+    from kilter_service.backup.commands import backup
+
+    backup(settings, arguments)
+
+
+def restore(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Bring a backup into an empty data folder or database."""
+    from kilter_service.backup.commands import restore
+
+    restore(settings, arguments)
+
+
+def verify(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Check every hash of the database, or of a backup, while the server runs."""
+    from kilter_service.backup.commands import verify
+
+    verify(settings, arguments)
+
+
 COMMANDS: dict[str, tuple[Command, str]] = {
     "serve": (serve, "kilterd serve --data ~/kilter --port 8730"),
     "api": (api, "kilterd api --port 0"),
@@ -112,6 +145,15 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "ros2": (ros2, "KILTER_ROS2='{...}' kilterd ros2"),
     "audit": (audit, "kilterd audit --data /backup/kilter"),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
+    "backup": (backup, "kilterd backup /backups"),
+    "restore": (restore, "kilterd restore /backups/kilter-20261122T181500Z.kilter-backup --data ~/restored"),
+    "verify": (verify, "kilterd verify"),
+    "doctor": (doctor, "kilterd doctor --json"),
+}
+PATHS = {
+    "backup": ("PATH", None, "file to write, or a folder, where it is named after the time"),
+    "restore": ("FILE", None, "file that `kilterd backup` wrote"),
+    "verify": ("FILE", "?", "a backup to check (default: the database of the server)"),
 }
 ENVIRONMENT = (
     "Every setting is also an environment variable: KILTER_DATA, KILTER_DATABASE_URL, KILTER_HOST, KILTER_PORT, "
@@ -140,6 +182,11 @@ def parser() -> argparse.ArgumentParser:
             command.add_argument("--port", help="port to listen on, 0 for a free one (default 8730)")
         if name == "audit":
             command.add_argument("--head", help="NUMBER:SHA256 of an entry noted earlier, which must still be there")
+        if name in PATHS:
+            shown, count, help_text = PATHS[name]
+            command.add_argument("path", metavar=shown, nargs=count, help=help_text)
+        if name == "doctor":
+            command.add_argument("--json", action="store_true", help="print one JSON document")
         if name == "api":
             command.add_argument("--fd", type=int, help=argparse.SUPPRESS)
     return root
@@ -148,33 +195,43 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command; exits 0 when it is done, 1 when it failed, 2 when it was called wrongly."""
     given = parser().parse_args(arguments)
+    os.umask(UMASK)  # whatever a library writes, the job engine's database too, is its owner's
     # The fits are small: threads of the linear algebra library only wait for each other there, ten times slower on a
     # busy machine with two cores (docs/explanation/surprises.md). It is read when numpy is imported, by a command.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     overrides = {name: getattr(given, name, None) for name in ("data", "database_url", "host", "port")}
     try:
         settings = Settings(**{name: value for name, value in overrides.items() if value is not None})
+        if given.command != "doctor":  # which says what it finds, and changes nothing
+            protect(settings.data, DATABASE_FILE, JOBS_FILE)
         logs.configure(settings, given.command)
         if given.command in TRACED:
             tracing.configure(given.command)
-        _end_with_parent()
+        given.supervised = _end_with_parent()
         COMMANDS[given.command][0](settings, given)
     except ValidationError as error:
         for item in error.errors():
             print(f"kilterd: {'.'.join(str(p) for p in item['loc'])}: {item['msg']}", file=sys.stderr)
         sys.exit(2)
-    except CoreError as error:
-        print(f"kilterd: {error.message}", file=sys.stderr)
-        sys.exit(2 if error.code in USAGE_CODES else 1)
-    except OSError as error:
-        print(f"kilterd: {error}", file=sys.stderr)
-        sys.exit(1)
+    except Exception as error:
+        _end(error)
 
 
-def _end_with_parent() -> None:
-    """Make a child of `kilterd serve` stop when the supervisor is gone, however it went."""
+def _end(error: Exception) -> NoReturn:
+    """Say in one sentence why the command ends; what Kilter does not know is raised again, with its traceback."""
+    from kilter_service.db.failures import in_words
+
+    known = in_words(error)
+    if known is None and not isinstance(error, OSError):
+        raise error
+    print(f"kilterd: {error if known is None else known.message}", file=sys.stderr)
+    sys.exit(2 if known is not None and known.code in USAGE_CODES else 1)
+
+
+def _end_with_parent() -> bool:
+    """Make a child of `kilterd serve` stop when the supervisor is gone, however it went; returns whether it is one."""
     if os.environ.pop("KILTER_SUPERVISED", None) is None:
-        return
+        return False
 
     def watch() -> None:
         while os.read(0, 1024):
@@ -182,6 +239,7 @@ def _end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=watch, daemon=True, name="parent-watch").start()
+    return True
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from kilter_service.jobs.queue import JobQueue
 from kilter_service.jobs.routes import router as jobs
 from kilter_service.observability.requests import Observed
 from kilter_service.observability.routes import router as metrics
+from kilter_service.private_files import TEMPORARY, Scratch
 from kilter_service.references.routes import router as references
 from kilter_service.robots.routes import router as robots
 from kilter_service.settings import Settings
@@ -66,9 +67,11 @@ async def _life(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     app.state.token = admin_token(settings)
     app.state.database = Database(settings.database)
     app.state.queue = JobQueue(settings)
+    app.state.scratch = Scratch(settings.data / TEMPORARY)
     try:
         revision.check(app.state.database)
         yield
     finally:
+        app.state.scratch.close()
         app.state.queue.close()
         app.state.database.close()

@@ -14,6 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from kilter_core.errors import CoreError
 from kilter_service.contract.problems import Problem
+from kilter_service.db.failures import in_words
 from kilter_service.errors import PROBLEMS
 from kilter_service.observability.metrics import REFUSALS
 from kilter_service.observability.requests import new_request_id
@@ -124,7 +125,12 @@ class RequestNaming:
 
         try:
             await self.app(scope, receive, send_named)
-        except Exception:
+        except Exception as error:
+            known = in_words(error)
+            if known is not None and not started:
+                log.error("request %s %s %s: %s", request_id, scope["method"], scope["path"], known.message)
+                await problem(Request(scope), known.code, known.message, known.context)(scope, receive, send_named)
+                return
             log.exception("request %s %s %s failed", request_id, scope["method"], scope["path"])
             if started:
                 raise

@@ -7,6 +7,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from kilter_service.private_files import private_folder
+
 
 class ServerFile:
     """Writes the file when the server is ready, removes it when the server stops."""
@@ -21,7 +23,7 @@ class ServerFile:
         part.replace(self._path)
 
     def __enter__(self) -> ServerFile:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        private_folder(self._path.parent)
         self._path.unlink(missing_ok=True)
         return self
 

@@ -14,6 +14,7 @@ from kilter_service.ros2.topics import RobotTopics
 
 DATABASE_FILE = "kilter.sqlite"
 JOBS_FILE = "jobs.sqlite"
+LOCK_FILE = "serve.lock"
 TOKEN_FILE = "token"  # noqa: S105 (the name of a file)
 SERVER_FILE = "server.json"
 CORRECTOR_FILE = "corrector.json"

@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import Depends, Request
 
 from kilter_service.db import Database
+from kilter_service.private_files import Scratch
 from kilter_service.settings import Settings
 
 
@@ -20,6 +21,12 @@ def settings_of(request: Request) -> Settings:
     """Return the settings of the application that serves this request."""
     settings: Settings = request.app.state.settings
     return settings
+
+
+def scratch_of(request: Request) -> Scratch:
+    """Return where the application that serves this request keeps temporary files."""
+    scratch: Scratch = request.app.state.scratch
+    return scratch
 
 
 DatabaseOfApp = Annotated[Database, Depends(database_of)]

@@ -23,19 +23,21 @@ from kilter_service.auth.binding import check_binding
 from kilter_service.auth.token import admin_token
 from kilter_service.corrector.endpoints import check_free, check_listening
 from kilter_service.errors import ServiceError
+from kilter_service.last_words import LastWords
+from kilter_service.private_files import private_folder
 from kilter_service.server_file import ServerFile
 from kilter_service.serving import listener, url_of
-from kilter_service.settings import Settings
+from kilter_service.settings import LOCK_FILE, Settings
 
 log = logging.getLogger("kilter.serve")
 
-LOCK_FILE = "serve.lock"
 SUPERVISED = "KILTER_SUPERVISED"
 CHECK_S = 0.1
 READY_S = 300.0  # the first start on a machine compiles the kernels, on a busy one for minutes
 STOP_S = 8.0
 REFUSED = 2  # what a process ends with when its settings cannot be: the same again would end the same
 FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S = 0.2, 10.0, 30.0
+MOST_QUICK_ENDS = 3  # at the start of the server; a process that ended so often ends the same the next time
 
 
 class Child:
@@ -50,6 +52,8 @@ class Child:
         self._started = 0.0
         self._pause = FIRST_PAUSE_S
         self._again_at: float | None = None
+        self._said = LastWords(name)
+        self.quick_ends = 0
 
     def start(self) -> None:
         """Start the process; it ends by itself when this one does, because its standard input closes."""
@@ -58,10 +62,12 @@ class Child:
             self._command,
             env=self._environment,
             stdin=subprocess.PIPE,
-            stdout=sys.stderr,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
             pass_fds=self._keep,
             start_new_session=True,  # Ctrl-C is for the supervisor, which ends its children in order
         )
+        self._said.follow(self._process.stdout)
 
     @property
     def pid(self) -> int | None:
@@ -75,8 +81,9 @@ class Child:
         time_s = time.monotonic()
         if self._again_at is None:
             if time_s - self._started > STEADY_S:
-                self._pause = FIRST_PAUSE_S
-            log.error("%s ended with %s: it starts again", self.name, self._process.returncode)
+                self._pause, self.quick_ends = FIRST_PAUSE_S, 0
+            self.quick_ends += 1
+            log.error("%s %s: it starts again", self.name, self._how_it_ended())
             self._again_at = time_s + self._pause
             self._pause = min(2 * self._pause, LONGEST_PAUSE_S)
         if time_s >= self._again_at:
@@ -92,6 +99,25 @@ class Child:
         """
         if self._process is not None and self._process.poll() == REFUSED:
             raise SystemExit(REFUSED)
+
+    def refuse_if_hopeless(self) -> None:
+        """Give up a process that ends again and again before the server was ever ready.
+
+        Raises:
+            ServiceError: it did, with what it said last.
+
+        """
+        if self.quick_ends >= MOST_QUICK_ENDS:
+            raise ServiceError(
+                f"The {self.name} process {self._how_it_ended()}, {self.quick_ends} times in a row: the server is not "
+                "started. Mend what it says, `kilterd doctor` checks the rest, and start again.",
+                code="process_ends",
+                process=self.name,
+            )
+
+    def _how_it_ended(self) -> str:
+        assert self._process is not None
+        return f"ended with {self._process.returncode} ({self._said.last()})"
 
     def ask_to_stop(self) -> None:
         """Send SIGTERM."""
@@ -113,6 +139,7 @@ class Child:
     def _close(self) -> None:
         if self._process is not None and self._process.stdin is not None:
             self._process.stdin.close()
+        self._said.close()
 
 
 def serve(settings: Settings) -> None:
@@ -190,6 +217,7 @@ def _wait_until_ready(settings: Settings, children: list[Child], url: str, stop:
         for child in children:
             child.refuse_if_refused()  # later a port may be taken for a moment, and everything else goes on
             child.watch()
+            child.refuse_if_hopeless()
         if _answers(f"{url}/v1/health/ready") and _zenoh(settings) is not None:
             return True
         if time.monotonic() > deadline:
@@ -222,7 +250,7 @@ def _zenoh(settings: Settings) -> str | None:
 @contextmanager
 def _alone(data: Path) -> Iterator[IO[str]]:
     """Hold the data folder's lock, so that no two servers share it."""
-    data.mkdir(parents=True, exist_ok=True)
+    private_folder(data)
     with (data / LOCK_FILE).open("w", encoding="ascii") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

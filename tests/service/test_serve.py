@@ -131,7 +131,7 @@ def test_usage_errors_exit_2_and_name_the_remedy(tmp_path: Path) -> None:
 
 
 def test_help_has_an_example_for_every_command() -> None:
-    for command in ("serve", "api", "worker", "corrector", "ros2", "migrate"):
+    for command in ("serve", "api", "worker", "corrector", "ros2", "migrate", "backup", "restore", "verify", "doctor"):
         assert "Example: " in run(command, "--help").stdout
 
 

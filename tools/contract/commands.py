@@ -71,6 +71,8 @@ def _server_rows() -> Iterator[str]:
             continue
         for name, one in action.choices.items():
             options = [
-                f"`{a.option_strings[-1]}`" for a in one._actions if a.help != argparse.SUPPRESS and a.dest != "help"
+                f"`{a.option_strings[-1] if a.option_strings else a.metavar}`"
+                for a in one._actions
+                if a.help != argparse.SUPPRESS and a.dest != "help"
             ]
             yield f"| `kilterd {name}` | {one.description} | {', '.join(options)} |"

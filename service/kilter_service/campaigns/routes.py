@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
@@ -13,10 +10,12 @@ from kilter_service.bodies import spool_upload
 from kilter_service.campaigns import keeping, reading, service
 from kilter_service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
 from kilter_service.contract.references import Change, Tombstone
+from kilter_service.digests import check_digest
+from kilter_service.once.key import OnceOnly
 from kilter_service.page_query import PageOfList
 from kilter_service.routing import GuardedRoute
 from kilter_service.slots import compute
-from kilter_service.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
 router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=GuardedRoute)
 
@@ -31,9 +30,11 @@ BODY = {
 
 
 @router.post("/robots/{robot}/campaigns", status_code=201)
-def add(robot: str, campaign: NewCampaign, response: Response, database: DatabaseOfApp, _: Admin) -> Campaign:
+def add(
+    robot: str, campaign: NewCampaign, response: Response, database: DatabaseOfApp, once: OnceOnly, _: Admin
+) -> Campaign:
     """Add a campaign to a robot."""
-    added = service.add(database, robot, campaign)
+    added = service.add(database, robot, campaign, once)
     response.headers["Location"] = f"/v1/campaigns/{added.id}"
     return added
 
@@ -100,14 +101,16 @@ async def upload(
     response: Response,
     database: DatabaseOfApp,
     settings: SettingsOfApp,
+    once: OnceOnly,
     _: Admin,
 ) -> Uploaded:
-    """Add observations: CSV, Parquet, or JSON columns."""
+    """Add observations: CSV, Parquet, or JSON columns. A digest of the body (`Content-Digest`, RFC 9530) is checked."""
     media = reading.media_type(request.headers.get("content-type"))
     await run_in_threadpool(service.get, database, campaign)
-    with tempfile.TemporaryDirectory(prefix="kilter-upload-") as folder:
-        path = Path(folder) / "body"
+    with scratch_of(request).folder_for("upload") as folder:
+        path = folder / "body"
         sha256 = await spool_upload(request, path, settings.max_upload_mb)
-        done = await compute(request, service.upload, database, campaign, path, media, sha256)
+        check_digest(request.headers, sha256)
+        done = await compute(request, service.upload, database, campaign, path, media, sha256, once)
     response.status_code = 201 if done.new else 200
     return done

@@ -7,6 +7,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pydantic import TypeAdapter
+
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns import reading, store, wire
 from kilter_service.campaigns.chunks import Chunk, write_chunk
@@ -16,6 +18,7 @@ from kilter_service.contract.campaigns import Campaign, CampaignList, NewCampaig
 from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
+from kilter_service.once.key import NOT_REPEATED, Once, hash_of
 from kilter_service.paging import Page, in_time
 from kilter_service.references import retired
 from kilter_service.robots import store as robots
@@ -24,18 +27,23 @@ if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
 
 STAGED_FOR = timedelta(days=7)
+CAMPAIGN, UPLOADED = TypeAdapter(Campaign), TypeAdapter(Uploaded)
 MEASURED = ("x", "marker_x", "link", *TILTS, *CONTACTS)
 
 
-def add(database: Database, robot: str, campaign: NewCampaign) -> Campaign:
+def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_REPEATED) -> Campaign:
     """Store a new campaign of a robot; an unfinished one from long ago is deleted meanwhile."""
+    body = hash_of(campaign)
     with database.transaction() as session:
+        known = once.first(session, body, CAMPAIGN)
+        if known is not None:
+            return known
         robot_id = robots.usable(session, robot).id
         for forgotten in store.staged_before(session, robot_id, datetime.now(UTC) - STAGED_FOR):
             store.discard(session, forgotten)
         campaign_id = store.add(session, robot_id, campaign)
         session.flush()
-        return shown(session, campaign_id)
+        return once.keep(session, body, shown(session, campaign_id))
 
 
 def get(database: Database, campaign_id: str) -> Campaign:
@@ -92,7 +100,9 @@ def listed(
         return CampaignList(campaigns=[shown(session, campaign.id) for campaign in found], next=cursor)
 
 
-def upload(database: Database, campaign_id: str, path: Path, media: str, sha256: str) -> Uploaded:
+def upload(
+    database: Database, campaign_id: str, path: Path, media: str, sha256: str, once: Once = NOT_REPEATED
+) -> Uploaded:
     """Check a file and store it whole; a file that breaks a rule leaves nothing behind.
 
     Raises:
@@ -102,7 +112,7 @@ def upload(database: Database, campaign_id: str, path: Path, media: str, sha256:
     """
     names = reading.column_names(path, media)
     with database.reading() as session:
-        known = _uploaded(session, campaign_id, sha256, new=False)
+        known = once.first(session, sha256, UPLOADED) or _uploaded(session, campaign_id, sha256, new=False)
         if known:
             return known
         _same_columns(session, campaign_id, names)
@@ -110,14 +120,14 @@ def upload(database: Database, campaign_id: str, path: Path, media: str, sha256:
     chunks = checked_chunks(path, media, names, robot)
     # Parsed outside, so that this transaction is short: SQLite has one writer at a time.
     with database.transaction() as session:
-        known = _uploaded(session, campaign_id, sha256, new=False)
+        known = once.first(session, sha256, UPLOADED) or _uploaded(session, campaign_id, sha256, new=False)
         if known:
             return known
         _same_columns(session, campaign_id, names)
         store.add_upload(session, campaign_id, sha256, media, names, chunks)
         done = _uploaded(session, campaign_id, sha256, new=True)
         assert done is not None
-        return done
+        return once.keep(session, sha256, done)
 
 
 def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -> list[Chunk]:

@@ -19,7 +19,7 @@ from kilter_service.correction.load import Carried
 from kilter_service.db import Database
 from kilter_service.routing import GuardedRoute
 from kilter_service.slots import compute
-from kilter_service.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
 router = APIRouter(prefix="/v1/robots", tags=["correction"], route_class=GuardedRoute)
 
@@ -73,8 +73,8 @@ async def correct(
     that effects which follow the load were corrected without one.
     """
     media = reading.media_type(request.headers.get("content-type"))
-    with tempfile.TemporaryDirectory(prefix="kilter-correct-") as folder:
-        path = Path(folder) / "body"
+    with scratch_of(request).folder_for("correct") as folder:
+        path = folder / "body"
         await spool_upload(request, path, settings.max_upload_mb)
         carried = Carried(payload_kg, _point(payload_com_mm))
         file, left_out, notes = await compute(

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import errno
 import ipaddress
-import shutil
 import socket
-import tempfile
 from pathlib import Path
 
 from kilter_service.errors import ServiceError
+from kilter_service.private_files import scratch_for_sockets
 from kilter_service.settings import Settings
 
 ON_THIS_MACHINE = ("unixsock-stream", "unixpipe")
@@ -85,10 +84,10 @@ class PrivateSocket:
     So the corrector has one port, and queries come through it; still, the other process does their work.
     """
 
-    def __init__(self) -> None:
-        self._folder = Path(tempfile.mkdtemp(prefix="kilter-"))  # only its owner may enter
-        self.endpoint = f"unixsock-stream/{self._folder / 'socket'}"
+    def __init__(self, data: Path) -> None:
+        self._scratch = scratch_for_sockets(data)
+        self.endpoint = f"unixsock-stream/{self._scratch.folder / 'socket'}"
 
     def close(self) -> None:
         """Remove the folder."""
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._scratch.close()

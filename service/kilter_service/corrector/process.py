@@ -171,7 +171,7 @@ class Corrector:
         """
         check_listening(self._settings)
         site, config = self._settings.site, self._settings.zenoh_config
-        self._private = PrivateSocket()
+        self._private = PrivateSocket(self._settings.data)
         stream = StreamSpec(
             site, self.instance, self._settings.zenoh_listen, self._private.endpoint, config, self._rules
         )

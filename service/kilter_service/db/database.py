@@ -16,6 +16,7 @@ from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session, sessionmaker
 
 from kilter_service.db import audited
+from kilter_service.private_files import private_file, private_folder
 
 BUSY_TIMEOUT_MS = 15_000
 READS = "kilter_reads"  # execution option of connections that only read
@@ -63,7 +64,8 @@ def open_engine(url: str) -> Engine:
         event.listen(engine, "begin", _begin_postgresql)
         return engine
     if parsed.database:
-        Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
+        private_folder(Path(parsed.database).parent)
+        private_file(Path(parsed.database))  # SQLite gives its -wal and -shm the same rights
     engine = create_engine(parsed)
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)

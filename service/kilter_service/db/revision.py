@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ from kilter_service.errors import ServiceError
 if TYPE_CHECKING:
     from alembic.config import Config
 
+REVISION = re.compile(r'^revision = "(\w+)"', re.MULTILINE)
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -43,6 +45,7 @@ def check(database: Database) -> None:
     found = current(database)
     if found == HEAD:
         return
+    _refuse_newer(found)
     raise ServiceError(
         f"The database is at revision {found or 'none'}, this Kilter needs {HEAD}: run `kilterd migrate` "
         "(`kilterd serve` does it by itself).",
@@ -52,10 +55,38 @@ def check(database: Database) -> None:
     )
 
 
+def _refuse_newer(found: str | None) -> None:
+    """Refuse a revision that this code does not know: migrating does not help, and nothing may be written."""
+    if found is None or found in known():
+        return
+    raise ServiceError(
+        f"The database is of a newer Kilter: it has revision {found}, and this one knows no later than {HEAD}. Run the newer "
+        "Kilter, or bring back a backup from before the update with `kilterd restore`. Nothing was changed.",
+        code="database_newer",
+        revision=found,
+        needed=HEAD,
+    )
+
+
+def check_known(database: Database) -> None:
+    """Refuse a database that is no older one either: of a newer Kilter, or of something else."""
+    found = current(database)
+    _refuse_newer(found)
+    if found is None:
+        raise ServiceError("This is no database of Kilter: it has none of its tables.", code="database_outdated")
+
+
+def known() -> frozenset[str]:
+    """Return the revisions that this code has, read from the files: alembic takes a second to import."""
+    found = (REVISION.search(path.read_text(encoding="utf-8")) for path in (migrations() / "versions").glob("*.py"))
+    return frozenset(match[1] for match in found if match)
+
+
 def wait(database: Database, seconds: float) -> None:
     """Wait until another process has migrated the database; raises as `check` does when it takes too long."""
     deadline = time.monotonic() + seconds
-    while current(database) != HEAD:
+    while (found := current(database)) != HEAD:
+        _refuse_newer(found)
         if time.monotonic() > deadline:
             check(database)
         time.sleep(0.02)
@@ -72,9 +103,16 @@ def configuration(url: str) -> Config:
 
 
 def migrate(database: Database) -> bool:
-    """Bring the database to this code's revision; returns whether there was anything to do."""
-    if current(database) == HEAD:
+    """Bring the database to this code's revision; returns whether there was anything to do.
+
+    Raises:
+        ServiceError: the database is of a newer Kilter.
+
+    """
+    found = current(database)
+    if found == HEAD:
         return False
+    _refuse_newer(found)
     from alembic import command
 
     command.upgrade(configuration(database.url), "head")

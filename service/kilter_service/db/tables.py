@@ -231,6 +231,16 @@ class AuditRow(Row):
     content: Mapped[str] = mapped_column(Text)
 
 
+class AnsweredRow(Row):
+    """The first answer of a request that may be sent again; the id is of key, address and token."""
+
+    __tablename__ = "answered"
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    body_sha256: Mapped[str] = mapped_column(String(64))
+    answer: Mapped[dict[str, Any]] = mapped_column(JSON)
+    at: Mapped[datetime] = mapped_column(default=now, index=True)
+
+
 OF_PEOPLE = frozenset({"name", "notes", "retired_at", "retired_by"})  # what may change of a version
 
 

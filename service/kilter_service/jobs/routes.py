@@ -15,6 +15,7 @@ from kilter_service.jobs import checking, service
 from kilter_service.jobs.events import events
 from kilter_service.jobs.queue import JobQueue
 from kilter_service.jobs.request import JobRoute
+from kilter_service.once.key import OnceOnly
 from kilter_service.page_query import PageOfJobs
 from kilter_service.state import DatabaseOfApp
 
@@ -31,9 +32,11 @@ QueueOfApp = Annotated[JobQueue, Depends(queue_of)]
 
 
 @router.post("", status_code=202)
-def submit(job: NewJob, response: Response, database: DatabaseOfApp, queue: QueueOfApp, _: Admin) -> Job:
+def submit(
+    job: NewJob, response: Response, database: DatabaseOfApp, queue: QueueOfApp, once: OnceOnly, _: Admin
+) -> Job:
     """Queue a job."""
-    queued = service.submit(database, queue, job)
+    queued = service.submit(database, queue, job, once)
     response.headers["Location"] = f"/v1/jobs/{queued.id}"
     return queued
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 
+from pydantic import TypeAdapter
+
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL, Folds, Job, JobList, NewJob
 from kilter_service.db import Database, Session
@@ -14,15 +16,17 @@ from kilter_service.jobs.queue import JobQueue
 from kilter_service.jobs.records import Asked
 from kilter_service.jobs.registry import kind_of
 from kilter_service.observability import logs, tracing
+from kilter_service.once.key import NOT_REPEATED, Once, hash_of
 from kilter_service.paging import Page, in_time
 from kilter_service.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 
+JOB: TypeAdapter[Job] = TypeAdapter(Job)
 log = logging.getLogger("kilter.api")
 
 
-def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
+def submit(database: Database, queue: JobQueue, job: NewJob, once: Once = NOT_REPEATED) -> Job:
     """Check a job and queue it.
 
     Raises:
@@ -31,17 +35,25 @@ def submit(database: Database, queue: JobQueue, job: NewJob) -> Job:
 
     """
     kind = kind_of(job.kind)
+    body = hash_of(job)
     with database.reading() as session:
+        known = once.first(session, body, JOB)
+        if known is not None:
+            return known
         checked(session, job, kind)
     kind.check(job.options)  # may import the core and take its time: outside
     with database.transaction() as session:
+        known = once.first(session, body, JOB)
+        if known is not None:
+            return known
         asked = Asked(logs.request_id(), tracing.traceparent())
         job_id = store.add(session, checked(session, job, kind), job, asked)  # robot and campaigns are still there
+        queued = once.keep(session, body, wire.job(store.get(session, job_id)))
     try:
         queue.enqueue(job_id, long=kind.long)
     except Exception:  # whatever the job engine lacks (it has not started yet), the worker's sweep finds the row
         log.warning("job %s waits for the worker to find it", job_id, exc_info=True)
-    return get(database, job_id)
+    return queued
 
 
 def checked(session: Session, job: NewJob, kind: JobKind) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -21,7 +20,7 @@ from kilter_service.robots import service
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.routing import GuardedRoute
 from kilter_service.slots import compute
-from kilter_service.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=GuardedRoute)
 
@@ -78,8 +77,8 @@ async def from_circles(
 ) -> FoundRobot:
     """Find a robot from points measured while one joint moved at a time (CSV, Parquet or JSON columns); none is added."""
     media = reading.media_type(request.headers.get("content-type"))
-    with tempfile.TemporaryDirectory(prefix="kilter-circles-") as folder:
-        path = Path(folder) / "body"
+    with scratch_of(request).folder_for("circles") as folder:
+        path = folder / "body"
         await spool_upload(request, path, min(settings.max_upload_mb, MAX_CIRCLE_MB))
         return await compute(request, _found, path, media, name, to, base, follows or [])
 

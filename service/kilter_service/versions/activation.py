@@ -7,6 +7,7 @@ from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
+from kilter_service.versions.expected import ANY_STATE, Expected
 from kilter_service.versions.guard import Verdict, judge
 
 ACTIVATE, ROLLBACK = "activate", "rollback"
@@ -14,24 +15,30 @@ ATTEMPTS = 5
 
 
 def activate(
-    database: Database, version_id: str, actor: str, wish: ActivationWish, temperature_c: float | None = None
+    database: Database,
+    version_id: str,
+    actor: str,
+    wish: ActivationWish,
+    temperature_c: float | None = None,
+    expected: Expected = ANY_STATE,
 ) -> ActivatedVersion:
     """Make a version the one its robot is corrected with; the active one a repeat changes nothing.
 
     ``temperature_c`` is that of the arm as the corrector knows it: without it thermal growth stays uncorrected.
 
     Raises:
-        ServiceError: something speaks against it and it is not forced; or others activate all the time.
+        ServiceError: something speaks against it and it is not forced; another version is active than ``expected``; or
+            others activate all the time.
 
     """
     with database.reading() as session:
-        _refuse_retired(session, version_id)
+        expected.check(session, _refuse_retired(session, version_id), becomes=version_id)
     left_out = _left_out(database, version_id, temperature_c)  # first: what cannot be corrected is not activated
     for _ in range(ATTEMPTS):
         verdict = judge(database, version_id)
         if verdict.objections and not wish.force:
             raise _refusal(version_id, verdict)
-        summary = _activated(database, version_id, actor, wish, verdict)
+        summary = _activated(database, version_id, actor, wish, verdict, expected)
         if summary is not None:
             return ActivatedVersion(
                 **summary.model_dump(),
@@ -79,11 +86,12 @@ def _refusal(version_id: str, verdict: Verdict) -> ServiceError:
 
 
 def _activated(
-    database: Database, version_id: str, actor: str, wish: ActivationWish, verdict: Verdict
+    database: Database, version_id: str, actor: str, wish: ActivationWish, verdict: Verdict, expected: Expected
 ) -> VersionSummary | None:
     """Write the activation; None when another version became active since the verdict."""
     with database.transaction() as session:
         robot_id = _refuse_retired(session, version_id)
+        expected.check(session, robot_id, becomes=version_id)
         last = store.active_entry(session, robot_id)
         active = None if last is None else last.version_id
         if active != version_id:
@@ -96,17 +104,20 @@ def _activated(
         return wire.summary(store.get(session, version_id))
 
 
-def rollback(database: Database, robot: str, actor: str, temperature_c: float | None = None) -> ActivatedVersion:
+def rollback(
+    database: Database, robot: str, actor: str, temperature_c: float | None = None, expected: Expected = ANY_STATE
+) -> ActivatedVersion:
     """Return to the version that was active before the present one; again, to the one before that. Never refused.
 
     What was retired since is passed over.
 
     Raises:
-        ServiceError: there is no earlier one.
+        ServiceError: there is no earlier one, or another version is active than ``expected``.
 
     """
     with database.transaction() as session:
         robot_id = robots.get(session, robot).id
+        expected.check(session, robot_id)
         before = _before(session, robot_id)
         if before is None:
             raise ServiceError(

@@ -25,6 +25,7 @@ from kilter_service.routing import GuardedRoute
 from kilter_service.slots import reading_turn
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.versions import activation, differences, keeping, service
+from kilter_service.versions.expected import ExpectedState, tag_of_robot
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 
@@ -38,15 +39,25 @@ def listed(robot: str, database: DatabaseOfApp, page: PageOfList, retired: bool 
 
 
 @router.get("/robots/{robot}/activations")
-def activations(robot: str, database: DatabaseOfApp, page: PageOfList) -> ActivationList:
-    """Show who activated which version, and when."""
+def activations(robot: str, database: DatabaseOfApp, page: PageOfList, response: Response) -> ActivationList:
+    """Show who activated which version, and when. The ETag is that of the active version, for `If-Match`."""
+    response.headers["ETag"] = tag_of_robot(database, robot)
     return service.activations(database, robot, page)
 
 
 @router.post("/robots/{robot}/rollback")
-def rollback(robot: str, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin) -> ActivatedVersion:
+def rollback(
+    robot: str,
+    database: DatabaseOfApp,
+    settings: SettingsOfApp,
+    response: Response,
+    expected: ExpectedState,
+    actor: Admin,
+) -> ActivatedVersion:
     """Return to the version that was active before; says which of its effects are not corrected at run time."""
-    return activation.rollback(database, robot, actor, settings.temperature_c)
+    done = activation.rollback(database, robot, actor, settings.temperature_c, expected)
+    response.headers["ETag"] = tag_of_robot(database, robot)
+    return done
 
 
 @router.get("/versions/{version}")
@@ -84,6 +95,8 @@ def activate(
     version: str,
     database: DatabaseOfApp,
     settings: SettingsOfApp,
+    response: Response,
+    expected: ExpectedState,
     actor: Admin,
     wish: ActivationWish | None = None,
 ) -> ActivatedVersion:
@@ -92,7 +105,9 @@ def activate(
     It is compared on poses that neither it nor the active version was fitted to. `force` activates it all the same. Says
     which of its effects are not corrected at run time.
     """
-    return activation.activate(database, version, actor, wish or ActivationWish(), settings.temperature_c)
+    done = activation.activate(database, version, actor, wish or ActivationWish(), settings.temperature_c, expected)
+    response.headers["ETag"] = tag_of_robot(database, done.robot)
+    return done
 
 
 @router.get("/versions/{version}/preview", dependencies=[Depends(reading_turn)])

@@ -165,7 +165,7 @@ class Versions(Kept):
 
     def rollback(self, robot: str) -> Document:
         """Return to the version that was active before."""
-        return self._run(robots.do(robot, "rollback"))
+        return self._run(versions.rollback(robot))
 
     def diff(self, first: str, second: str, robot: str | None = None) -> Document:
         """Compare two versions; ``nominal`` stands for the nominal robot."""

@@ -8,6 +8,7 @@ written once.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, TypeVar
@@ -109,9 +110,14 @@ def get(path: str, **params: Any) -> Steps[Document]:
     return read(Request("GET", path, params=params))
 
 
-def post(path: str, body: Mapping[str, Any] | None = None) -> Steps[Document]:
+def post(path: str, body: Mapping[str, Any] | None = None, headers: Mapping[str, str] | None = None) -> Steps[Document]:
     """Send a JSON document and return the answer's."""
-    return read(Request("POST", path, body=body))
+    return read(Request("POST", path, body=body, headers=headers or {}))
+
+
+def once() -> dict[str, str]:
+    """Return a header by which the server knows a request that is sent again, and does it once."""
+    return {"Idempotency-Key": os.urandom(16).hex()}
 
 
 def patch(path: str, body: Mapping[str, Any]) -> Steps[Document]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import binascii
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.calls.kept import place
 from kilter_client.calls.robots import also
-from kilter_client.steps import Document, Request, Sent, Steps, address, answer_of, get, post, read
+from kilter_client.steps import Document, Request, Sent, Steps, address, answer_of, get, once, post, read
 
 if TYPE_CHECKING:
     from kilter_files import Prepared
@@ -18,7 +19,7 @@ UPLOAD_TIMEOUT_S = 600.0
 def add(robot: str, wanted: Mapping[str, Any]) -> Steps[Document]:
     """Add a campaign to a robot; what is false of ``staged`` and ``numbered`` is not sent."""
     body = {key: value for key, value in wanted.items() if value or key not in ("staged", "numbered")}
-    return post(address("robots", robot, "campaigns"), body)
+    return post(address("robots", robot, "campaigns"), body, once())
 
 
 def listed(robot: str, staged: bool = False, retired: bool = False) -> Steps[list[Document]]:
@@ -51,8 +52,13 @@ def upload(campaign: str, file: Prepared, sent: Sent | None = None, robot: str |
         "POST",
         path,
         content=file.content,
-        headers={"Content-Type": file.content_type},
+        headers={"Content-Type": file.content_type, "Content-Digest": _digest(file)} | once(),
         timeout_s=UPLOAD_TIMEOUT_S,
         sent=sent,
     )
     return (yield from read(request))
+
+
+def _digest(file: Prepared) -> str:
+    """The hash of what is sent (RFC 9530): the server refuses bytes that changed on their way."""
+    return f"sha-256=:{binascii.b2a_base64(bytes.fromhex(file.sha256), newline=False).decode()}:"

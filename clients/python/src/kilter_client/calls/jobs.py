@@ -16,7 +16,7 @@ from kilter_client.errors import (
     NotFoundError,
     ServerUnreachableError,
 )
-from kilter_client.steps import Document, Follow, LookAgain, Pause, Request, Steps, address, get, post, read
+from kilter_client.steps import Document, Follow, LookAgain, Pause, Request, Steps, address, get, once, post, read
 
 Progress = Callable[[float, str], None]
 
@@ -48,7 +48,7 @@ def asked(
 def submit(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
     """Ask for a job and return its document, still queued."""
     request = yield from resolved_request(robot, body)
-    return (yield from post("/v1/jobs", request))
+    return (yield from post("/v1/jobs", request, once()))
 
 
 def check(robot: str, body: Mapping[str, Any]) -> Steps[Document]:

@@ -35,10 +35,18 @@ def preview(version: str, robot: str | None = None) -> Steps[Document]:
     return (yield from get(path))
 
 
-def activate(version: str, force: bool, reason: str, robot: str | None) -> Steps[Document]:
-    """Make a version the one that corrects."""
+def activate(version: str, force: bool, reason: str, robot: str | None, if_match: str | None = None) -> Steps[Document]:
+    """Make a version the one that corrects; with ``if_match`` only from the state of that ETag."""
     path = yield from place("version", version, robot, "activate")
-    return (yield from post(path, {"force": force, "reason": reason}))
+    headers = {"If-Match": if_match} if if_match else {}
+    return (yield from post(path, {"force": force, "reason": reason}, headers))
+
+
+def rollback(robot: str) -> Steps[Document]:
+    """Return to the version before the one that is active now: sent twice, or beside another's, it goes back once."""
+    active = yield from answer_of(Request("GET", address("robots", robot, "activations"), params={"limit": 1}))
+    state = active.headers.get("etag")
+    return (yield from post(address("robots", robot, "rollback"), headers={"If-Match": state} if state else {}))
 
 
 def activations(robot: str) -> Steps[list[Document]]:

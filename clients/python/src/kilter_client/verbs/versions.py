@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kilter_client.calls import robots as robot_calls
 from kilter_client.calls import versions as calls
 from kilter_client.given import Data, rows_of
 from kilter_client.results.record import Records
@@ -66,7 +65,7 @@ def rollback(robot: Thing) -> Steps[ActivatedVersion]:
     """
     from kilter_client.typed.versions import ActivatedVersion
 
-    return ActivatedVersion.read((yield from robot_calls.do(reference("robot", robot), "rollback")))
+    return ActivatedVersion.read((yield from calls.rollback(reference("robot", robot))))
 
 
 def activations(robot: Thing) -> Steps[Records[Activation]]:

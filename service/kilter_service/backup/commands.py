@@ -1,0 +1,42 @@
+"""`kilterd backup`, `restore` and `verify` as commands."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from kilter_service.settings import Settings
+
+
+def backup(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Write all that is stored to a file, while the server runs."""
+    from kilter_service.backup import service
+
+    path, found = service.backup(settings, Path(arguments.path))
+    print(f"{path} holds {found.looked_at()}; every hash was checked.")
+
+
+def restore(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Bring a backup into an empty data folder or database."""
+    from kilter_service.backup import service
+
+    found = service.restore(settings, Path(arguments.path))
+    print(f"Restored {found.looked_at()}. The token file is not in a backup: copy it, or use the new one.")
+
+
+def verify(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Check every hash of the database, or of a backup, while the server runs."""
+    from kilter_service.backup import service
+
+    found = service.verify(Path(arguments.path)) if arguments.path else service.verify_stored(settings)
+    for sentence in found.damaged:
+        print(sentence)
+    if found.damaged:
+        print(
+            f"kilterd: {len(found.damaged)} findings in {found.looked_at()}. Stop the server, move its data folder away and "
+            "bring back the newest backup that is whole with `kilterd restore`.",
+            file=sys.stderr,
+        )
+        sys.exit(1)
+    print(f"All is whole: {found.looked_at()}; every hash was checked.")

@@ -1,0 +1,24 @@
+"""What a check of the stored data found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass
+class Findings:
+    """Sentences about what is damaged or missing, and how much was looked at."""
+
+    damaged: list[str] = field(default_factory=list)
+    robots: int = 0
+    campaigns: int = 0
+    chunks: int = 0
+    versions: int = 0
+
+    def add(self, sentence: str) -> None:
+        """Note one more."""
+        self.damaged.append(sentence)
+
+    def looked_at(self) -> str:
+        """Say how much was looked at."""
+        return f"{self.robots} robots, {self.campaigns} campaigns with {self.chunks} chunks, {self.versions} versions"

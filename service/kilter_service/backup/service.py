@@ -1,0 +1,254 @@
+"""Back up, restore and verify, whatever runs meanwhile.
+
+A backup is one SQLite file with all rows of one snapshot, also of a PostgreSQL database: it is restored into either. The
+database of the job engine is not in it: jobs that were not over are queued again when a worker finds them.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import shutil
+import sqlite3
+import tempfile
+from contextlib import closing, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+from kilter_service.backup import store
+from kilter_service.backup.findings import Findings
+from kilter_service.db import Database, revision
+from kilter_service.db.failures import in_words
+from kilter_service.errors import ServiceError
+from kilter_service.private_files import private_file, private_folder
+from kilter_service.settings import DATABASE_FILE, JOBS_FILE, LOCK_FILE, Settings
+
+SUFFIX = ".kilter-backup"
+PAGES_AT_ONCE = 2000  # of a copy: writers go on in between
+PIECE_BYTES = 1 << 20
+
+
+def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
+    """Write a backup to a file, or into a folder under a name with the time; it is there whole or not at all.
+
+    Raises:
+        ServiceError: the file exists, or the database is damaged or of another revision.
+
+    """
+    path = where / f"kilter-{datetime.now(UTC):%Y%m%dT%H%M%SZ}{SUFFIX}" if where.is_dir() else where
+    if path.exists():
+        raise ServiceError(f"{path} exists: give another name, backups are never written over.", code="backup_refused")
+    part = path.with_name(f"{path.name}.part")
+    part.unlink(missing_ok=True)
+    private_file(part)
+    database = Database(settings.database)
+    try:
+        revision.check(database)
+        if settings.database_url is None:
+            _copy_file(settings.data / DATABASE_FILE, part)
+        else:
+            _copy_rows(database, part)
+        found = _checked(part)
+        _refuse_damaged(found, "The database is damaged, so there is no new backup")
+        _put(part, path)
+        _write_hash(path)
+    finally:
+        database.close()
+        _remove(part)
+    return path, found
+
+
+def restore(settings: Settings, path: Path) -> Findings:
+    """Put a backup where no data are yet; it is checked first, and brought to the revision of this Kilter.
+
+    Raises:
+        ServiceError: the file is damaged or of a newer Kilter, the target has data, or a server runs there.
+
+    """
+    if not path.is_file():
+        raise ServiceError(
+            f"There is no backup {path}: give the file that `kilterd backup` wrote.", code="backup_refused"
+        )
+    _check_hash(path)
+    private_folder(settings.data)
+    with (settings.data / LOCK_FILE).open("w", encoding="ascii") as lock:
+        _lock(lock.fileno(), settings.data)
+        _refuse_full(settings)
+        part = settings.data / f"{DATABASE_FILE}.part"
+        try:
+            found = _checked_copy(path, part)
+            _refuse_damaged(found, f"{path} is damaged and was not restored")
+            if settings.database_url is None:
+                _put(part, settings.data / DATABASE_FILE)
+            else:
+                _restore_rows(settings, part)
+        finally:
+            _remove(part)
+    return found
+
+
+def verify(path: Path) -> Findings:
+    """Check a backup; the file itself is not opened by SQLite, which would write into it."""
+    if not path.is_file():
+        raise ServiceError(
+            f"There is no backup {path}: give the file that `kilterd backup` wrote.", code="backup_refused"
+        )
+    with tempfile.TemporaryDirectory(prefix="kilter-verify-") as folder:
+        return _checked_copy(path, Path(folder) / "copy.sqlite")
+
+
+def verify_stored(settings: Settings, *, quick: bool = False) -> Findings:
+    """Check the database of a server while it is in use."""
+    database = Database(settings.database)
+    try:
+        revision.check(database)
+        return store.check(database, quick=quick)
+    except Exception as error:
+        return _damage(error)
+    finally:
+        database.close()
+
+
+def _checked_copy(path: Path, copy: Path) -> Findings:
+    """Copy a backup, bring the copy to the revision of this Kilter and check it."""
+    private_file(copy)
+    shutil.copyfile(path, copy)
+    return _checked(copy)
+
+
+def _checked(path: Path) -> Findings:
+    database = Database(f"sqlite:///{path}")
+    try:
+        revision.check_known(database)
+        revision.migrate(database)
+        return store.check(database)
+    except Exception as error:
+        return _damage(error)
+    finally:
+        database.close()
+        _one_file(path)
+
+
+def _damage(error: Exception) -> Findings:
+    """What is found when the database cannot even be opened; other errors are raised again."""
+    known = in_words(error)
+    if known is None or known.code != "database_damaged":
+        raise error
+    return Findings([known.message])
+
+
+def _one_file(path: Path) -> None:
+    """Take what is in SQLite's log into the file; a damaged one stays as it is."""
+    with suppress(sqlite3.DatabaseError), closing(sqlite3.connect(path)) as file:
+        file.execute("PRAGMA journal_mode=DELETE")
+
+
+def _copy_file(source: Path, target: Path) -> None:
+    with closing(sqlite3.connect(source)) as read, closing(sqlite3.connect(target)) as written:
+        read.backup(written, pages=PAGES_AT_ONCE, sleep=0.001)
+
+
+def _copy_rows(source: Database, target: Path) -> None:
+    written = Database(f"sqlite:///{target}")
+    try:
+        revision.migrate(written)
+        store.copy(source, written)
+    finally:
+        written.close()
+
+
+def _refuse_full(settings: Settings) -> None:
+    """Refuse a target that has data."""
+    if settings.database_url is None:
+        there = [name for name in (DATABASE_FILE, JOBS_FILE) if (settings.data / name).exists()]
+        if there:
+            raise ServiceError(
+                f"{settings.data} has data already ({', '.join(there)}): restore into an empty folder with --data, or move "
+                "these files away first.",
+                code="backup_refused",
+            )
+        return
+    target = Database(settings.database)
+    try:
+        if revision.current(target) is not None and _has_rows(target):
+            raise ServiceError(
+                "The database of KILTER_DATABASE_URL has data already: restore into an empty one.",
+                code="backup_refused",
+            )
+    finally:
+        target.close()
+
+
+def _has_rows(target: Database) -> bool:
+    revision.migrate(target)  # an empty one of an older Kilter will do
+    return store.has_rows(target)
+
+
+def _restore_rows(settings: Settings, part: Path) -> None:
+    source, target = Database(f"sqlite:///{part}"), Database(settings.database)
+    try:
+        revision.migrate(target)
+        store.copy(source, target)
+    finally:
+        source.close()
+        target.close()
+
+
+def _remove(part: Path) -> None:
+    for left in part.parent.glob(f"{part.name}*"):
+        left.unlink()
+
+
+def _refuse_damaged(found: Findings, what: str) -> None:
+    if found.damaged:
+        more = f" (and {len(found.damaged) - 1} more)" if len(found.damaged) > 1 else ""
+        raise ServiceError(
+            f"{what}: {found.damaged[0]}{more} `kilterd verify` lists all; take an older backup.",
+            code="database_damaged",
+        )
+
+
+def _lock(descriptor: int, data: Path) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        raise ServiceError(
+            f"A server runs in {data}: stop it, or restore into another folder with --data.", code="data_in_use"
+        ) from error
+
+
+def _put(part: Path, path: Path) -> None:
+    """Give a file its name once its bytes are on the disk."""
+    with part.open("rb") as file:
+        os.fsync(file.fileno())
+    part.rename(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    with suppress(OSError):  # some file systems cannot
+        os.fsync(folder)
+    os.close(folder)
+
+
+def _hash_file(path: Path) -> Path:
+    return path.with_name(f"{path.name}.sha256")
+
+
+def _write_hash(path: Path) -> None:
+    _hash_file(path).write_text(f"{_sha256(path)}  {path.name}\n", encoding="utf-8")  # for sha256sum --check
+
+
+def _check_hash(path: Path) -> None:
+    if _hash_file(path).exists() and _hash_file(path).read_text(encoding="utf-8").split()[:1] != [_sha256(path)]:
+        raise ServiceError(
+            f"{path} does not have the hash in {_hash_file(path).name}: it was changed or copied badly. Take another copy, "
+            "or an older backup.",
+            code="database_damaged",
+        )
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while piece := file.read(PIECE_BYTES):
+            digest.update(piece)
+    return digest.hexdigest()

@@ -1,0 +1,160 @@
+"""The whole database as rows: checked by their hashes, and copied table by table."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from typing import Any
+
+from sqlalchemy import Connection, Table, func, insert, select, text
+from sqlalchemy.exc import DBAPIError
+
+from kilter_service.backup.findings import Findings
+from kilter_service.db import Database, Session
+from kilter_service.db.tables import CampaignRow, ChunkRow, RobotRow, Row, UploadRow, VersionRow
+from kilter_service.robots.resolved import sha256_of, source_sha256
+
+AT_ONCE = 50  # rows that are in memory while a table is copied
+SAMPLE = 50  # chunks of a quick check, the newest
+
+
+def check(database: Database, *, quick: bool = False) -> Findings:
+    """Compare everything stored with its hash; a quick check looks at the newest chunks only.
+
+    Each part has a snapshot of its own: what a damaged page holds cannot be read, what lies on others can.
+    """
+    found = Findings()
+    for part, what in (
+        (_pages, "pages"),
+        (_robots, "robots"),
+        (_chunks, "chunks of campaigns"),
+        (_versions, "versions"),
+    ):
+        try:
+            with database.reading() as session:
+                part(session, found, quick)
+        except DBAPIError as error:
+            found.add(f"Not all {what} can be read: {error.orig}.")
+    return found
+
+
+def _pages(session: Session, found: Findings, quick: bool) -> None:
+    """The pages of the database"""
+    if session.get_bind().dialect.name != "sqlite":
+        return
+    said = session.execute(text(f"PRAGMA {'quick_check' if quick else 'integrity_check'}(20)")).scalars().all()
+    for line in [line for line in said if line != "ok"]:
+        found.add(f"The database file is damaged: {line}.")
+    for table, row, parent, _ in session.execute(text("PRAGMA foreign_key_check")):
+        found.add(f"Row {row} of {table} refers to a row of {parent} that is missing.")
+
+
+def _robots(session: Session, found: Findings, _quick: bool) -> None:
+    """The robots"""
+    for row in session.execute(select(RobotRow).order_by(RobotRow.id)).scalars():
+        found.robots += 1
+        if row.chain is not None and sha256_of(row.chain) != row.sha256:
+            found.add(f"Robot {row.name!r}: its chain does not have its hash {row.sha256[:12]}.")
+        if row.source_sha256 and source_sha256(row.document) != row.source_sha256:
+            found.add(f"Robot {row.name!r}: the document it was posted as does not have its hash.")
+
+
+def _chunks(session: Session, found: Findings, quick: bool) -> None:
+    """The chunks of the campaigns"""
+    found.campaigns = session.execute(select(func.count()).select_from(CampaignRow)).scalar_one()
+    query = select(UploadRow, CampaignRow.name, RobotRow.name).join(
+        CampaignRow, CampaignRow.id == UploadRow.campaign_id
+    )
+    query = query.join(RobotRow, RobotRow.id == CampaignRow.robot_id).order_by(UploadRow.id.desc())
+    for upload, campaign, robot in session.execute(query).all():
+        place = f"Campaign {upload.campaign_id} ({campaign!r} of {robot!r}), upload {upload.sha256[:12]}"
+        _check_upload(session, found, upload, place)
+        if quick and found.chunks >= SAMPLE:
+            return
+
+
+def _check_upload(session: Session, found: Findings, upload: UploadRow, place: str) -> None:
+    listed = select(ChunkRow.number, ChunkRow.rows, ChunkRow.sha256).where(ChunkRow.upload_id == upload.id)
+    rows = 0
+    numbers = []
+    for number, count, sha256 in session.execute(listed.order_by(ChunkRow.number)).all():
+        found.chunks += 1
+        rows += count
+        numbers.append(number)
+        if not _is_whole(session, upload.id, number, sha256):
+            found.add(f"{place}: chunk {number} is damaged, its bytes do not have the hash {sha256[:12]}.")
+    missing = sorted(set(range(max(numbers, default=0) + 1)) - set(numbers))
+    if missing:
+        found.add(f"{place}: chunk {', '.join(map(str, missing))} is missing.")
+    elif rows != upload.rows:
+        found.add(f"{place}: {rows} of {upload.rows} rows are there, the last chunk is missing.")
+
+
+def _is_whole(session: Session, upload_id: int, number: int, sha256: str) -> bool:
+    query = select(ChunkRow.parquet).where(ChunkRow.upload_id == upload_id, ChunkRow.number == number)
+    try:
+        blob = session.execute(query).scalar_one()
+    except DBAPIError:  # on a damaged page
+        return False
+    return hashlib.sha256(blob).hexdigest() == sha256
+
+
+def _versions(session: Session, found: Findings, _quick: bool) -> None:
+    """The versions"""
+    uploads = {
+        (campaign, sha256) for campaign, sha256 in session.execute(select(UploadRow.campaign_id, UploadRow.sha256))
+    }
+    for row in session.execute(select(VersionRow).order_by(VersionRow.created_at)).scalars():
+        found.versions += 1
+        content: dict[str, Any] = {"calibration": row.calibration, "limits": row.limits}
+        if row.hash_scheme > 1:
+            content["robot"] = row.robot_sha256
+        if sha256_of(content) != row.sha256:
+            found.add(f"Version {row.id}: its content does not have its hash {row.sha256[:12]}.")
+        for used in row.campaigns:
+            if gone := [sha256 for sha256 in used["sha256"] if (used["id"], sha256) not in uploads]:
+                found.add(
+                    f"Version {row.id}: upload {gone[0][:12]} of campaign {used['id']} it was made from is missing."
+                )
+
+
+def has_rows(database: Database) -> bool:
+    """Whether anything is stored in a database, tables apart."""
+    with database.reading() as session:
+        return any(
+            session.execute(select(func.count()).select_from(t)).scalar_one() for t in Row.metadata.sorted_tables
+        )
+
+
+def copy(source: Database, target: Database) -> int:
+    """Copy all rows of one snapshot into a database that has the tables and no rows; returns how many."""
+    count = 0
+    with source.reading() as session, target.engine.begin() as into:
+        for table in Row.metadata.sorted_tables:
+            for rows in _rows(session, table):
+                into.execute(insert(table), rows)
+                count += len(rows)
+        _go_on_numbering(into)
+    return count
+
+
+def _rows(session: Session, table: Table) -> Iterator[list[dict[str, object]]]:
+    # A version comes after the one that it continues.
+    order = [table.c.created_at] if "parent_id" in table.c else []
+    query = select(table).order_by(*order, *table.primary_key.columns).execution_options(yield_per=AT_ONCE)
+    for part in session.execute(query).partitions():
+        yield [dict(row._mapping) for row in part]
+
+
+def _go_on_numbering(connection: Connection) -> None:
+    """Let PostgreSQL number new rows after those that were copied."""
+    if connection.dialect.name != "postgresql":
+        return
+    for table in Row.metadata.sorted_tables:
+        column = table.autoincrement_column
+        if column is None:
+            continue
+        last = connection.execute(select(func.max(column))).scalar_one()
+        if last is not None:
+            name = {"t": table.name, "c": column.name, "last": last}
+            connection.execute(text("SELECT setval(pg_get_serial_sequence(:t, :c), :last)"), name)

@@ -1,0 +1,1 @@
+"""What the server needs on its machine, checked before somebody misses it."""

@@ -1,0 +1,139 @@
+"""Files that their owner alone may read: the data folder, the databases in it, and folders for a while that leave nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from kilter_service.errors import ServiceError
+
+UMASK = 0o077
+TEMPORARY = "tmp"
+LOCK = ".lock"
+LONGEST_FOLDER = 80  # with the name of a socket in it: the system takes 107 characters
+
+
+def private_folder(path: Path) -> Path:
+    """Make a folder that only its owner may enter, or take the rights of others from one that is there.
+
+    Raises:
+        ServiceError: it cannot be made.
+
+    """
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise ServiceError(
+            f"The folder {path} cannot be made ({os.strerror(error.errno or 0)}): give one that this account may write "
+            "to with --data or KILTER_DATA.",
+            code="data_unusable",
+            path=str(path),
+        ) from error
+    keep_private(path)
+    return path
+
+
+def private_file(path: Path) -> None:
+    """Make a file that only its owner may read, before anybody writes into it; one that is there keeps its content.
+
+    One that is there is not opened: closing it would take the locks that SQLite holds on it in this process.
+    """
+    with contextlib.suppress(OSError):  # whoever opens it next has the whole error
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
+    keep_private(path)
+
+
+def keep_private(path: Path) -> None:
+    """Take the rights of others from a file or folder, if it is this account's: an older Kilter gave some."""
+    with contextlib.suppress(OSError):
+        found = path.stat()
+        mode = stat.S_IMODE(found.st_mode)
+        if mode & UMASK and found.st_uid == os.geteuid():
+            path.chmod(mode & ~UMASK)
+
+
+def protect(data: Path, *databases: str) -> None:
+    """Give a data folder, and the databases that are in it already, to their owner alone."""
+    private_folder(data)
+    for name in databases:
+        for path in data.glob(f"{name}*"):  # SQLite's -wal and -shm too
+            keep_private(path)
+
+
+class Scratch:
+    """A folder of this process for temporary files, inside one that it shares with others of its account.
+
+    It is locked as long as the process lives. Whoever makes the next one removes those that nobody holds any more, so that
+    a process which was killed leaves nothing for good.
+    """
+
+    def __init__(self, shared: Path) -> None:
+        private_folder(shared)
+        with _held(shared / LOCK):
+            clean(shared)
+            self.folder = Path(tempfile.mkdtemp(prefix=f"{os.getpid()}-", dir=shared))
+            self._lock = _locked(self.folder / LOCK)
+
+    @contextmanager
+    def folder_for(self, purpose: str) -> Iterator[Path]:
+        """Yield a new folder that is gone afterwards."""
+        with tempfile.TemporaryDirectory(prefix=f"{purpose}-", dir=self.folder) as folder:
+            yield Path(folder)
+
+    def close(self) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        if self._lock is not None:
+            self._lock.close()
+
+
+def scratch_for_sockets(data: Path) -> Scratch:
+    """Return a folder for sockets: the system limits their path, so a deep data folder has them in the system's own."""
+    shared = data.absolute() / TEMPORARY
+    if len(os.fsencode(shared)) > LONGEST_FOLDER:
+        shared = Path(tempfile.gettempdir()) / f"kilter-{os.geteuid()}"
+        private_folder(shared)
+        if shared.is_symlink() or shared.stat().st_uid != os.geteuid():
+            shared = Path(tempfile.mkdtemp(prefix="kilter-"))  # somebody else has taken the name
+    return Scratch(shared)
+
+
+def clean(shared: Path) -> None:
+    """Remove the folders whose processes have ended."""
+    for folder in shared.iterdir():
+        if not folder.is_dir() or folder.is_symlink():
+            continue
+        lock = _locked(folder / LOCK)
+        if lock is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+            lock.close()
+
+
+@contextmanager
+def _held(path: Path) -> Iterator[None]:
+    """Hold a lock for a moment: no folder may be looked at between its making and its own lock."""
+    with path.open("w", encoding="ascii") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def _locked(path: Path) -> IO[str] | None:
+    """Lock a file; None when another process holds it."""
+    try:
+        file = path.open("w", encoding="ascii")
+    except OSError:
+        return None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        file.close()
+        return None
+    return file

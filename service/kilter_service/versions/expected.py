@@ -1,0 +1,79 @@
+"""The state that a change of the active version starts from: its ETag, and `If-Match` that names it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Header
+
+from kilter_service.db import Database, Session
+from kilter_service.errors import ServiceError
+from kilter_service.robots import store as robots
+from kilter_service.versions import store
+
+ANY = "*"
+
+
+def tag_of(session: Session, robot_id: int) -> str:
+    """Return the ETag of which version a robot is corrected with: every entry of the log is another state."""
+    last = store.active_entry(session, robot_id)
+    return f'"activation-{0 if last is None else last.id}"'
+
+
+def tag_of_robot(database: Database, robot: str) -> str:
+    """Return the same of the robot of this name."""
+    with database.reading() as session:
+        return tag_of(session, robots.get(session, robot).id)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """The ETags of `If-Match`; None when the request does not say from which state it starts."""
+
+    tags: tuple[str, ...] | None = None
+
+    def check(self, session: Session, robot_id: int, becomes: str | None = None) -> None:
+        """Refuse a change that starts from another state.
+
+        ``becomes`` is the version that shall be active: when it is already, the same request came before, and is done.
+
+        Raises:
+            ServiceError: none of the tags is that of the present state.
+
+        """
+        last = store.active_entry(session, robot_id)
+        if self.tags is None or (last is not None and (becomes == last.version_id or ANY in self.tags)):
+            return
+        tag = tag_of(session, robot_id)
+        if tag in self.tags:
+            return
+        now = (
+            "no version is active"
+            if last is None
+            else f"version {last.version_id} is, since {last.at:%Y-%m-%d %H:%M} UTC"
+        )
+        raise ServiceError(
+            f"Another version was active when you looked: now {now}{'' if last is None else f' by {last.actor}'}. Nothing "
+            "was changed. Look at it (`kilter activations ROBOT`), and ask again if you still want to.",
+            code="activation_changed",
+            etag=tag,
+            active=None if last is None else last.version_id,
+        )
+
+
+def expected_of(
+    if_match: Annotated[
+        str | None,
+        Header(
+            max_length=1000,
+            description="ETag of the robot's activations as you read it: refused with 412 when another version is active now",
+        ),
+    ] = None,
+) -> Expected:
+    """Return what `If-Match` of a request says; a dependency of its route."""
+    return Expected(None if if_match is None else tuple(part.strip() for part in if_match.split(",")))
+
+
+ANY_STATE = Expected()
+ExpectedState = Annotated[Expected, Depends(expected_of)]

@@ -1,0 +1,103 @@
+"""Starts that cannot succeed: one sentence with the remedy, at once, without a traceback and without trying for ever."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from kilter_service.db import Database, revision
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def kilterd(*arguments: str, timeout: float = 120.0, **settings: str) -> subprocess.CompletedProcess[str]:
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
+    environment = plain | {"KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"} | settings
+    done = subprocess.run(
+        [sys.executable, "-m", "kilter_service", *arguments],
+        cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=timeout, check=False,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr or "serve" in arguments, done.stderr
+    return done
+
+
+@pytest.fixture
+def newer(tmp_path: Path) -> Path:
+    database = Database(f"sqlite:///{tmp_path / 'kilter.sqlite'}")
+    revision.migrate(database)
+    database.close()
+    with sqlite3.connect(tmp_path / "kilter.sqlite") as connection:
+        connection.execute("UPDATE alembic_version SET version_num = '9999'")
+    connection.close()
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", ["migrate", "api", "worker", "serve"])
+def test_a_newer_schema_is_left_alone(command: str, newer: Path) -> None:
+    done = kilterd(command, KILTER_DATA=str(newer))
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert "kilterd: The database is of a newer Kilter: it has revision 9999" in done.stderr
+    assert "kilterd restore" in done.stderr
+    assert "kilterd migrate" not in done.stderr
+    with sqlite3.connect(newer / "kilter.sqlite") as connection:
+        assert connection.execute("SELECT version_num FROM alembic_version").fetchone() == ("9999",)
+    connection.close()
+
+
+def test_a_worker_alone_says_at_once_that_the_tables_are_missing(tmp_path: Path) -> None:
+    started = time.process_time()
+    done = kilterd("worker", KILTER_DATA=str(tmp_path), timeout=25)  # it used to wait for 30 s
+    assert time.process_time() - started < 25
+    assert done.returncode == 1
+    assert done.stderr.startswith("kilterd: The database is at revision none, this Kilter needs ")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["api", "worker", "migrate"])
+def test_a_database_that_is_away(command: str, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+    url = f"postgresql://kilter:secret@127.0.0.1:{port}/kilter"
+    done = kilterd(command, KILTER_DATA=str(tmp_path), KILTER_DATABASE_URL=url)
+    assert done.returncode == 1
+    assert done.stderr.startswith("kilterd: The database cannot be reached (")
+    assert "KILTER_DATABASE_URL" in done.stderr
+    assert "secret" not in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_file_that_is_no_database(tmp_path: Path) -> None:
+    (tmp_path / "kilter.sqlite").write_bytes(b"this is no database, and never was one\n" * 200)
+    done = kilterd("api", KILTER_DATA=str(tmp_path))
+    assert done.returncode == 1
+    assert done.stderr.startswith("kilterd: The database is damaged")
+    assert "kilterd restore" in done.stderr
+
+
+def test_a_process_that_ends_at_every_start_ends_the_server(tmp_path: Path) -> None:
+    (tmp_path / "jobs.sqlite").write_bytes(b"this is no database, and never was one\n" * 200)
+    done = kilterd("serve", KILTER_DATA=str(tmp_path))
+    assert done.returncode == 1
+    assert done.stdout == ""
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("kilterd: The worker process ended with 1 (The database is damaged"), last
+    assert "3 times in a row: the server is not started." in last
+    assert not (tmp_path / "server.json").exists()
+
+
+def test_a_data_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    done = kilterd("migrate", KILTER_DATA=str(tmp_path / "file" / "data"))
+    assert done.returncode == 1
+    assert done.stderr == (
+        f"kilterd: The folder {tmp_path / 'file' / 'data'} cannot be made (Not a directory): give one that this account "
+        "may write to with --data or KILTER_DATA.\n"
+    )

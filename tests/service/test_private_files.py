@@ -1,0 +1,102 @@
+"""What the server writes is its owner's alone, and a process that is killed leaves no folder for good."""
+
+from __future__ import annotations
+
+import os
+import signal
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from kilter_service.corrector.endpoints import PrivateSocket
+from kilter_service.db import Database
+from kilter_service.private_files import Scratch, protect
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+HOLDER = """
+import sys, time
+from pathlib import Path
+from kilter_service.private_files import Scratch
+scratch = Scratch(Path(sys.argv[1]))
+(scratch.folder / "upload-x").mkdir()
+print(scratch.folder, flush=True)
+time.sleep(600)
+"""
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_a_new_data_folder_and_its_databases_are_the_owners(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    done = subprocess.run(
+        [sys.executable, "-m", "kilter_service", "migrate", "--data", str(data)],
+        env={name: value for name, value in os.environ.items() if not name.startswith("KILTER_")},
+        cwd=REPOSITORY, check=False, capture_output=True, text=True, umask=0o022,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert mode(data) == 0o700
+    assert {mode(path) for path in data.iterdir()} == {0o600}
+
+
+def test_a_database_opened_by_a_library_user_is_the_owners(tmp_path: Path) -> None:
+    before = os.umask(0o022)
+    try:
+        database = Database(f"sqlite:///{tmp_path / 'data' / 'kilter.sqlite'}")
+        with database.transaction():
+            assert mode(tmp_path / "data") == 0o700
+            assert {mode(path) for path in (tmp_path / "data").iterdir()} == {0o600}
+        database.close()
+    finally:
+        os.umask(before)
+
+
+def test_what_an_older_kilter_left_open_is_closed(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir(mode=0o755)
+    for name in ("kilter.sqlite", "kilter.sqlite-wal", "jobs.sqlite", "other.txt"):
+        (tmp_path / "data" / name).touch(mode=0o644)
+        (tmp_path / "data" / name).chmod(0o644)
+    protect(tmp_path / "data", "kilter.sqlite", "jobs.sqlite")
+    found = {path.name: mode(path) for path in (tmp_path / "data").iterdir()}
+    assert found == {"kilter.sqlite": 0o600, "kilter.sqlite-wal": 0o600, "jobs.sqlite": 0o600, "other.txt": 0o644}
+    assert mode(tmp_path / "data") == 0o700
+
+
+def test_folders_of_killed_processes_are_removed_and_those_of_living_ones_stay(tmp_path: Path) -> None:
+    holders = [
+        subprocess.Popen(
+            [sys.executable, "-c", HOLDER, str(tmp_path / "tmp")], stdout=subprocess.PIPE, text=True, cwd=REPOSITORY
+        )
+        for _ in range(2)
+    ]
+    try:
+        folders = [Path((holder.stdout.readline() if holder.stdout else "").strip()) for holder in holders]
+        assert all((folder / "upload-x").is_dir() for folder in folders)
+        holders[0].send_signal(signal.SIGKILL)
+        holders[0].wait()
+        mine = Scratch(tmp_path / "tmp")
+        assert not folders[0].exists()
+        assert (folders[1] / "upload-x").is_dir()
+        with mine.folder_for("upload") as folder:
+            assert mode(folder) == 0o700
+        assert not folder.exists()
+        mine.close()
+        assert not mine.folder.exists()
+    finally:
+        for holder in holders:
+            holder.kill()
+            holder.wait()
+            assert holder.stdout is not None
+            holder.stdout.close()
+
+
+def test_a_socket_fits_however_deep_the_data_folder_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    deep = tmp_path.joinpath(*["a-folder-with-a-long-name"] * 6)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    socket = PrivateSocket(deep)
+    assert len(socket.endpoint.removeprefix("unixsock-stream/")) < 107 or len(str(tmp_path)) > 70
+    socket.close()
