@@ -12,6 +12,7 @@ from fastapi.routing import APIRoute
 
 from kilter_service.auth.access import admin, changes
 from kilter_service.bodies import is_json, parsed, read_document
+from kilter_service.request_values import check_address
 from kilter_service.slots import slots_of
 
 Handler = Callable[[Request], Awaitable[Response]]
@@ -32,6 +33,7 @@ class GuardedRoute(APIRoute):
         async def handle(request: Request) -> Response:
             if changes(request):
                 admin(request)
+            check_address(request)
             if takes_file:
                 with slots_of(request).files.entered():
                     return await answer(request)
