@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Query, Response
 
 from kilter_service.auth.access import Admin
 from kilter_service.campaigns.reading import CSV, JSON, PARQUET
+from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.residuals import ResidualRows
@@ -22,7 +23,6 @@ from kilter_service.contract.versions import (
 )
 from kilter_service.exporters.registry import FORMATS
 from kilter_service.page_query import PageOfList
-from kilter_service.routing import GuardedRoute
 from kilter_service.slots import reading_turn
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.versions import activation, differences, keeping, service
@@ -30,7 +30,7 @@ from kilter_service.versions import activation, differences, keeping, service
 FILE = {"schema": {"type": "string", "format": "binary"}}
 EXPORTS = {form.media_type: FILE for form in FORMATS.values()} | {JSON: {"schema": {"type": "object"}}}
 
-router = APIRouter(prefix="/v1", tags=["versions"], route_class=GuardedRoute)
+router = APIRouter(prefix="/v1", tags=["versions"], route_class=ConditionalRoute)
 
 
 @router.get("/robots/{robot}/versions")
