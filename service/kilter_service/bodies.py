@@ -15,6 +15,7 @@ from starlette.requests import ClientDisconnect
 
 from kilter_service.errors import ServiceError
 from kilter_service.limits import MAX_DOCUMENT_KEYS, MAX_DOCUMENT_PARTS
+from kilter_service.request_values import MOST_PLACE, TOO_DEEP, check_document
 
 UPLOAD, DOCUMENT = "KILTER_MAX_UPLOAD_MB", "KILTER_MAX_DOCUMENT_MB"
 REMEDY = {
@@ -121,11 +122,13 @@ def _parsed(body: bytes) -> Any:
             code="payload_invalid",
         )
     try:
-        return json.loads(body, object_pairs_hook=_few, parse_constant=_no_constant)
+        document = json.loads(body, object_pairs_hook=_few, parse_constant=_no_constant)
     except RecursionError as error:
-        raise ServiceError("The body is nested too deeply for a document.", code="payload_invalid") from error
+        raise ServiceError(TOO_DEEP, code="payload_invalid") from error
     except ValueError as error:
         raise ServiceError(f"The body is not JSON: {error}.", code="payload_invalid") from error
+    check_document(document)
+    return document
 
 
 def _few(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -134,7 +137,15 @@ def _few(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
             f"An object of the body has {len(pairs)} fields, at most {MAX_DOCUMENT_KEYS} are allowed.",
             code="payload_invalid",
         )
-    return dict(pairs)
+    document = dict(pairs)
+    if len(document) != len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in document if names.count(name) > 1)
+        raise ServiceError(
+            f"An object of the body has the field {twice[:MOST_PLACE]!r} twice: keep one of them.",
+            code="payload_invalid",
+        )
+    return document
 
 
 def _no_constant(name: str) -> float:

@@ -26,6 +26,8 @@ MAX_PAGES_BYTES = 256 << 20  # the largest pages of all columns of a Parquet fil
 MAX_CIRCLE_MB = 64
 MAX_DOCUMENT_PARTS = 200_000  # fields, lists and objects of a JSON document, which are parsed in one call
 MAX_DOCUMENT_KEYS = 1000  # fields of one object in a JSON document
+MAX_DOCUMENT_DEPTH = 32  # levels of a JSON document
+MAX_NUMBER = 1e15  # of a JSON document; its square is far from overflow
 
 # Robots: a serial arm; a URDF may hold a whole machine around it.
 MAX_LINKS = 1000

@@ -100,7 +100,11 @@ def key_of(cursor: str) -> tuple[str, ...]:
         found = json.loads(base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)))
     except (ValueError, binascii.Error):
         raise _no_cursor() from None
-    if not isinstance(found, list) or not found or not all(isinstance(part, str) for part in found):
+    if (
+        not isinstance(found, list)
+        or not found
+        or not all(isinstance(part, str) and part.isprintable() for part in found)
+    ):
         raise _no_cursor()
     return tuple(found)
 

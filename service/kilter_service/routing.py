@@ -12,6 +12,7 @@ from fastapi.routing import APIRoute
 
 from kilter_service.auth.access import admit
 from kilter_service.bodies import is_json, parsed, read_document
+from kilter_service.request_values import check_address
 from kilter_service.slots import slots_of
 
 Handler = Callable[[Request], Awaitable[Response]]
@@ -30,6 +31,7 @@ class GuardedRoute(APIRoute):
         takes_file = "requestBody" in (self.openapi_extra or {})
 
         async def handle(request: Request) -> Response:
+            check_address(request)  # before the database sees what is in it
             await admit(request, self.path)
             if takes_file:
                 with slots_of(request).files.entered():

@@ -32,6 +32,7 @@ from kilter_service.settings import LOCK_FILE, Settings
 log = logging.getLogger("kilter.serve")
 
 SUPERVISED = "KILTER_SUPERVISED"
+BESIDE = "KILTER_BESIDE"  # as health.service reads it, which imports SQLAlchemy
 CHECK_S = 0.1
 READY_S = 300.0  # the first start on a machine compiles the kernels, on a busy one for minutes
 STOP_S = 8.0
@@ -46,7 +47,7 @@ class Child:
     def __init__(self, name: str, settings: Settings, *arguments: str, keep: tuple[int, ...] = ()) -> None:
         self.name = name
         self._command = [sys.executable, "-m", "kilter_service", name, *arguments]
-        self._environment = {**os.environ, **settings.environment(), SUPERVISED: "1"}
+        self._environment = {**os.environ, **settings.environment(), SUPERVISED: "1", BESIDE: _beside(settings)}
         self._keep = keep
         self._process: subprocess.Popen[bytes] | None = None
         self._started = 0.0
@@ -140,6 +141,11 @@ class Child:
         if self._process is not None and self._process.stdin is not None:
             self._process.stdin.close()
         self._said.close()
+
+
+def _beside(settings: Settings) -> str:
+    """Which processes run beside the API; health misses one that is silent."""
+    return "worker,corrector,ros2" if settings.ros2 else "worker,corrector"
 
 
 def serve(settings: Settings) -> None:

@@ -66,6 +66,9 @@ def test_every_route_says_whether_it_needs_a_token_and_of_which_role(tmp_path: P
 def test_every_route_says_that_errors_are_problem_documents(tmp_path: Path) -> None:
     for path, methods in document(tmp_path)["paths"].items():
         for method, operation in methods.items():
-            schema = operation["responses"]["4XX"]["content"]["application/json"]["schema"]
-            assert schema["$ref"].endswith("/Problem"), (method, path)
+            for status in ("4XX", "422", "5XX"):
+                (media,) = operation["responses"][status]["content"]
+                assert media == "application/problem+json", (method, path, status)
+                schema = operation["responses"][status]["content"][media]["schema"]
+                assert schema["$ref"].endswith("/Problem"), (method, path)
             assert operation["summary"]

@@ -296,3 +296,7 @@ def test_damaged_files_are_refused_and_end_nothing(tmp_path: Path) -> None:
     command = [sys.executable, "-c", FUZZ, str(tmp_path), "3", "3000"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
     assert done.stdout == "done\n", done.stderr[-3000:]
+
+
+def test_lines_that_end_with_a_carriage_return_alone_are_told(tmp_path: Path) -> None:
+    assert "carriage return alone" in refused(tmp_path, b"q1_deg,x_mm\r1,2\r3,4\r")

@@ -135,6 +135,11 @@ def _header(path: Path) -> list[str]:
         text = first.decode("utf-8-sig").rstrip("\r\n")
     except UnicodeDecodeError as error:
         raise ObservationError("The CSV is not UTF-8 text: export it as UTF-8.") from error
+    if "\r" in text:
+        raise ObservationError(
+            "The lines of the CSV end with a carriage return alone: export it with line feeds (in a spreadsheet as CSV, not "
+            "as CSV for Macintosh)."
+        )
     if ";" in text or "\t" in text:
         raise ObservationError(
             "The CSV separates its columns by ';' or tabs: export it with commas and decimal points, or let "

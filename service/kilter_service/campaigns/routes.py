@@ -8,16 +8,16 @@ from fastapi.concurrency import run_in_threadpool
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import spool_upload
 from kilter_service.campaigns import keeping, reading, service
+from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.digests import check_digest
 from kilter_service.once.key import OnceOnly
 from kilter_service.page_query import PageOfList
-from kilter_service.routing import GuardedRoute
 from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
-router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=GuardedRoute)
+router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=ConditionalRoute)
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}}}

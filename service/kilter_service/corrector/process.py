@@ -27,6 +27,7 @@ from kilter_service.corrector.database_source import DatabaseSource
 from kilter_service.corrector.endpoints import PrivateSocket, check_listening
 from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec, enter
 from kilter_service.errors import ServiceError
+from kilter_service.health.pulse import Pulse, running
 from kilter_service.settings import Settings
 
 log = logging.getLogger("kilter.corrector")
@@ -209,6 +210,11 @@ class Corrector:
         part.replace(self.file)
         self._announced = True
 
+    @property
+    def well(self) -> bool:
+        """Whether both processes run and were not stopped from outside."""
+        return all(child.alive and running(child.pid) for child in self._children.values())
+
     def poll(self) -> None:
         """Look once: restart what died, take over what was activated."""
         for name, child in self._children.items():
@@ -275,8 +281,10 @@ def run(settings: Settings) -> None:
     corrector = Corrector(settings, DatabaseSource(settings.database, settings.temperature_c), stopped=stopped.is_set)
     try:
         corrector.start()
-        while not stopped.wait(POLL_S):
-            corrector.poll()
+        with Pulse(settings, "corrector", settings.site, lambda: corrector.well) as pulse:
+            while not stopped.wait(POLL_S):
+                corrector.poll()
+                pulse.round()
     except StoppedError:
         log.info("stopped before the stream was up")
     finally:

@@ -16,6 +16,7 @@ from kilter_core.model.closest_table import ClosestTable, closest_table
 from kilter_core.transforms import xyz_rpy_from_pose
 from kilter_service.exporters.exportable import Exportable, Written
 from kilter_service.exporters.omissions import distance, left_out, masses_as_stated
+from kilter_service.texts import text_cell
 
 if TYPE_CHECKING:
     from kilter_core.arm.conventions import Row
@@ -65,7 +66,7 @@ def _table(version: Exportable, convention: str) -> Written:
 def _cells(table: ClosestTable, joints: tuple[Joint, ...], columns: list[str], limits: list[str]) -> list[list[str]]:
     weights = [_weights(link) for link in table.links] or [[] for _ in joints]
     return [
-        [joint.name, joint.kind, *_numbers(row, columns), *(_limit(joint, name) for name in limits), *weight]
+        [text_cell(joint.name), joint.kind, *_numbers(row, columns), *(_limit(joint, name) for name in limits), *weight]
         for row, joint, weight in zip(table.rows, joints, weights, strict=True)
     ]
 

@@ -8,16 +8,16 @@ from kilter_service.contract.health import Health
 from kilter_service.errors import ServiceError
 from kilter_service.health import service
 from kilter_service.routing import GuardedRoute
-from kilter_service.state import DatabaseOfApp
+from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.version import code_version
 
 router = APIRouter(prefix="/v1/health", tags=["health"], route_class=GuardedRoute)
 
 
 @router.get("")
-def health(database: DatabaseOfApp) -> Health:
-    """Report the state of the server and its checks."""
-    return service.report(database)
+def health(database: DatabaseOfApp, settings: SettingsOfApp) -> Health:
+    """Report the state of the server: database, disk, worker, corrector, ROS 2 adaptor."""
+    return service.report(database, settings)
 
 
 @router.get("/live")
@@ -27,9 +27,9 @@ async def live() -> Health:  # waits for no thread, whatever the others do
 
 
 @router.get("/ready")
-def ready(database: DatabaseOfApp) -> Health:
-    """Answer 200 when database and worker are ready, else 503 with the cause."""
-    report = service.report(database)
+def ready(database: DatabaseOfApp, settings: SettingsOfApp) -> Health:
+    """Answer 200 when every part that should run does, else 503 with the cause."""
+    report = service.report(database, settings)
     if report.status != "ready":
         causes = "; ".join(f"{name}: {check.detail}" for name, check in report.checks.items() if not check.ok)
         raise ServiceError(causes, code="not_ready", checks={n: c.model_dump() for n, c in report.checks.items()})

@@ -1,22 +1,54 @@
-"""What the server can say about its own state."""
+"""What the server can say about its own state: each part by itself, and none that is away hides the others."""
 
 from __future__ import annotations
+
+import logging
+import os
+import shutil
+from collections.abc import Callable
+from functools import partial
 
 from kilter_service.contract.health import Check, Health
 from kilter_service.db import Database, revision
 from kilter_service.health import store
+from kilter_service.settings import Settings
 from kilter_service.version import code_version
 
+log = logging.getLogger("kilter.api")
+
 SILENT_AFTER_S = 10.0
+LEAST_FREE_MB = 200  # an upload of the largest size is on disk twice
+BESIDE = "KILTER_BESIDE"  # processes that `kilterd serve` runs beside the API
+REMEDY = "its log says why; start `kilterd {}`"
 
 
-def report(database: Database) -> Health:
-    """Check the database's revision and whether a worker is alive."""
-    checks = {"database": _database(database)}
+def report(database: Database, settings: Settings) -> Health:
+    """Check the database, the processes beside the API and the disk."""
+    checks = {
+        "database": _told("database", partial(_database, database)),
+        "disk": _told("disk", partial(_disk, settings)),
+    }
     if checks["database"].ok:
-        checks["worker"] = _worker(database)
+        checks["worker"] = _told("worker", partial(_worker, database))
+        beside = os.environ.get(BESIDE, "").split(",")
+        for process in ("corrector", "ros2"):
+            checks[process] = _told(process, partial(_process, database, process, process in beside))
     ready = all(check.ok for check in checks.values())
     return Health(status="ready" if ready else "not_ready", version=code_version(), checks=checks)
+
+
+def _told(name: str, look: Callable[[], Check]) -> Check:
+    """What a look at a part finds; that it cannot be looked at is a finding."""
+    try:
+        return look()
+    except Exception as error:  # the driver's, the system's: whatever it is, the document is what helps
+        log.warning("the check of %s failed", name, exc_info=True)
+        remedy = (
+            "see that it runs and can be reached, KILTER_DATABASE_URL says where"
+            if name == "database"
+            else "see the log"
+        )
+        return Check(ok=False, detail=f"cannot be read ({type(error).__name__}): {remedy}")
 
 
 def _database(database: Database) -> Check:
@@ -26,9 +58,55 @@ def _database(database: Database) -> Check:
     return Check(ok=False, detail=f"revision {found or 'none'}, needed {revision.HEAD}: run `kilterd migrate`")
 
 
+def _disk(settings: Settings) -> Check:
+    if os.statvfs(settings.data).f_flag & os.ST_RDONLY:
+        return Check(ok=False, detail=f"{settings.data} cannot be written: mount it for writing")
+    free = shutil.disk_usage(settings.data).free >> 20
+    if free < LEAST_FREE_MB:
+        return Check(
+            ok=False, detail=f"{free} MB are free, {LEAST_FREE_MB} MB are needed: make room in {settings.data}"
+        )
+    return Check(ok=True, detail=f"{free} MB are free")
+
+
 def _worker(database: Database) -> Check:
-    with database.reading() as session:
-        alive = store.alive(session, "worker", SILENT_AFTER_S)
+    """Any worker will do: those that were killed do not count."""
+    found = _heartbeats(database, "worker")
+    alive = [one for one in found if _alive(one)]
     if alive:
-        return Check(ok=True, detail=f"{alive} alive")
-    return Check(ok=False, detail=f"no worker spoke in the last {SILENT_AFTER_S:.0f} s: start `kilterd worker`")
+        return Check(ok=True, detail=f"{len(alive)} alive")
+    why = _ahead(found) or f"no worker spoke in the last {SILENT_AFTER_S:.0f} s: start `kilterd worker`"
+    return Check(ok=False, detail=why)
+
+
+def _process(database: Database, process: str, expected: bool) -> Check:
+    """One that must run: it said that it does and not that it has stopped, or `kilterd serve` runs it beside the API."""
+    found = _heartbeats(database, process)
+    if not found:
+        said = f"has not spoken yet: {REMEDY.format(process)}" if expected else "none was started"
+        return Check(ok=not expected, detail=said)
+    silent = [one for one in found if not _alive(one)]
+    if not silent:
+        return Check(ok=True, detail=f"{len(found)} alive")
+    names = ", ".join(one.name for one in silent)
+    said = f"{names} last spoke {max(one.age_s for one in silent):.0f} s ago: {REMEDY.format(process)}"
+    return Check(ok=False, detail=_ahead(silent) or said)
+
+
+def _heartbeats(database: Database, process: str) -> list[store.Heartbeat]:
+    with database.reading() as session:
+        return store.heartbeats(session, process)
+
+
+def _alive(one: store.Heartbeat) -> bool:
+    return abs(one.age_s) <= SILENT_AFTER_S
+
+
+def _ahead(found: list[store.Heartbeat]) -> str | None:
+    """What to say of a process that speaks from the future: nobody knows whether it is alive."""
+    ahead = [one for one in found if one.age_s < -SILENT_AFTER_S]
+    if not ahead:
+        return None
+    return (
+        f"{ahead[0].name} spoke {-ahead[0].age_s:.0f} s in the future: set the clocks of the machines to the same time"
+    )

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from datetime import timedelta
+from typing import NamedTuple
 
-from sqlalchemy import func, select
+from sqlalchemy import select
 
 from kilter_service.db import Session
 from kilter_service.db.tables import HeartbeatRow, now
 
 
+class Heartbeat(NamedTuple):
+    """A process and how long ago, in seconds, it said that it is alive; negative: in the future."""
+
+    name: str
+    age_s: float
+
+
 def beat(session: Session, process: str, name: str, pid: int) -> None:
-    """Say that a process ("worker", "corrector") called ``name`` is alive now."""
+    """Say that a process ("worker", "corrector", "ros2") called ``name`` is alive now."""
     session.merge(HeartbeatRow(process=process, name=name, pid=pid, at=now()))
 
 
@@ -22,8 +29,8 @@ def silence(session: Session, process: str, name: str) -> None:
         session.delete(row)
 
 
-def alive(session: Session, process: str, within_s: float) -> int:
-    """Return how many processes of a kind said so within the last seconds."""
-    since = now() - timedelta(seconds=within_s)
-    query = select(func.count()).where(HeartbeatRow.process == process, HeartbeatRow.at >= since)
-    return session.execute(query).scalar_one()
+def heartbeats(session: Session, process: str) -> list[Heartbeat]:
+    """Return when the processes of a kind, which have not stopped by themselves, last said that they are alive."""
+    rows = session.execute(select(HeartbeatRow).where(HeartbeatRow.process == process).order_by(HeartbeatRow.name))
+    at = now()
+    return [Heartbeat(row.name, (at - row.at).total_seconds()) for row in rows.scalars()]

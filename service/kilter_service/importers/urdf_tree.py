@@ -15,6 +15,7 @@ from kilter_core.errors import RobotError
 from kilter_core.transforms import pose_from_xyz_rpy
 from kilter_service.importers.xml_text import read_xml
 from kilter_service.limits import MAX_LINK_NAME, MAX_LINKS, MAX_NAME
+from kilter_service.texts import LINE
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -193,6 +194,11 @@ def _name(element: Element, what: str) -> str:
     name = element.get("name")
     if not name:
         raise RobotError(f"A <{what}> of the URDF has no name.", field="urdf")
+    if found := LINE.search(name):
+        raise RobotError(
+            f"The name {name[:MAX_NAME]!r} of a <{what}> has the invisible character U+{ord(found[0]):04X}: leave it out.",
+            field="urdf",
+        )
     if len(name) > MAX_LINK_NAME:
         raise RobotError(
             f"A <{what}> has a name of {len(name)} characters, at most {MAX_LINK_NAME} are allowed: {name[:MAX_NAME]!r}...",

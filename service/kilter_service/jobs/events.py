@@ -1,42 +1,164 @@
-"""The life of a job as server-sent events."""
+"""The life of jobs as server-sent events.
+
+One task looks at all jobs that are followed, with one query however many follow them; a follower waits for news and costs
+nothing meanwhile. An event's id is made from what it says: a follower that comes back with it, here or at another API
+process, is not told again what it knows.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+import hashlib
+import logging
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import contextmanager
+from typing import NamedTuple
 
+from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
 
 from kilter_service.contract.jobs.job import FINAL, Job
 from kilter_service.db import Database
-from kilter_service.jobs import service
+from kilter_service.jobs import service, store, wire
+
+log = logging.getLogger("kilter.api")
 
 POLL_S = 0.2
 ALIVE_S = 10.0
 
 
-async def events(database: Database, job_id: str) -> AsyncIterator[str]:
-    """Yield an event ``progress`` at every change and ``end`` with the whole job when it is over."""
-    last, number, silent = "", 0, 0.0
-    while True:
-        job = await run_in_threadpool(service.get, database, job_id)
-        if job.state in FINAL:
-            yield _event("end", number, job.model_dump_json())
+class News(NamedTuple):
+    """An event: ``progress``, or ``end`` with the whole job when it is over."""
+
+    name: str
+    data: str
+
+    @property
+    def id(self) -> str:
+        """The same for the same news, whoever tells it."""
+        return hashlib.blake2s(f"{self.name} {self.data}".encode(), digest_size=8).hexdigest()
+
+    def text(self) -> str:
+        """Write the event."""
+        return f"id: {self.id}\nevent: {self.name}\ndata: {self.data}\n\n"
+
+
+class Followed:
+    """A job that somebody follows: the latest news of it, and what to wait for."""
+
+    def __init__(self) -> None:
+        self.followers, self.progress = 0, ""
+        self.latest: News | None = None
+        self._told = asyncio.Event()
+
+    def tell(self, news: News) -> None:
+        """Wake all that wait."""
+        self.latest = news
+        self._told.set()
+        self._told = asyncio.Event()
+
+    async def next(self, known: str | None) -> News | None:
+        """Wait for news with another id than ``known``; None: there were none for some time."""
+        if self.latest is None or self.latest.id == known:
+            try:
+                async with asyncio.timeout(ALIVE_S):
+                    await self._told.wait()
+            except TimeoutError:
+                return None
+        return self.latest
+
+
+class Followers:
+    """All jobs that are followed in this process."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._jobs: dict[str, Followed] = {}
+        self._joined = asyncio.Event()
+        self._task: asyncio.Task[None] | None = None
+        self._reading = True
+
+    async def events(self, job_id: str, known: str | None) -> AsyncIterator[str]:
+        """Yield the events of a job from now to its end; ``known`` is the id of the last that was received."""
+        with self._following(job_id) as job:
+            while True:
+                news = await job.next(known)
+                if news is None:
+                    yield ": still here\n\n"
+                    continue
+                if news.id != known:
+                    yield news.text()
+                if news.name == "end":
+                    return
+                known = news.id
+
+    @contextmanager
+    def _following(self, job_id: str) -> Iterator[Followed]:
+        job = self._jobs.setdefault(job_id, Followed())
+        job.followers += 1
+        if job.latest is None:
+            self._joined.set()
+        if self._task is None or self._task.done():
+            self._task = asyncio.create_task(self._watch())
+        try:
+            yield job
+        finally:
+            job.followers -= 1
+            if not job.followers:
+                self._jobs.pop(job_id, None)
+
+    async def _watch(self) -> None:
+        while self._jobs:
+            self._joined.clear()
+            await self._look()
+            try:
+                async with asyncio.timeout(POLL_S):
+                    await self._joined.wait()
+            except TimeoutError:
+                continue
+
+    async def _look(self) -> None:
+        known = {job_id: job.progress for job_id, job in self._jobs.items()}
+        try:
+            found = await run_in_threadpool(_changed, self._database, known)
+        except Exception:  # the database may be away for a while; the followers stay
+            if self._reading:
+                log.warning("the jobs that are followed cannot be read", exc_info=True)
+            self._reading = False
             return
-        data = _progress(job)
-        if data != last:
-            yield _event("progress", number, data)
-            last, number, silent = data, number + 1, 0.0
-        elif silent >= ALIVE_S:
-            yield ": still here\n\n"
-            silent = 0.0
-        await asyncio.sleep(POLL_S)
-        silent += POLL_S
+        self._reading = True
+        for job_id, (progress, news) in found.items():
+            if job_id in self._jobs:
+                self._jobs[job_id].progress = progress
+                self._jobs[job_id].tell(news)
 
 
-def _progress(job: Job) -> str:
-    return job.model_dump_json(include={"id", "state", "progress"})
+def _changed(database: Database, known: Mapping[str, str]) -> dict[str, tuple[str, News]]:
+    """Return the progress and the news of the jobs whose progress is another than the one that is known."""
+    with database.reading() as session:
+        found = {job.id: (job.state, wire.progress_json(job)) for job in store.progress(session, list(known))}
+    changed = {job_id: (state, said) for job_id, (state, said) in found.items() if said != known[job_id]}
+    return {job_id: (said, _news(database, job_id, state, said)) for job_id, (state, said) in changed.items()}
 
 
-def _event(name: str, number: int, data: str) -> str:
-    return f"id: {number}\nevent: {name}\ndata: {data}\n\n"
+def _news(database: Database, job_id: str, state: str, said: str) -> News:
+    if state in FINAL:
+        return _end(service.get(database, job_id))
+    return News("progress", said)
+
+
+def _end(job: Job) -> News:
+    return News("end", job.model_dump_json())
+
+
+def ended(job: Job, known: str | None) -> bool:
+    """Whether a job is over, and whoever knows the event ``known`` was told so."""
+    return known is not None and job.state in FINAL and _end(job).id == known
+
+
+def followers_of(app: FastAPI) -> Followers:
+    """Return the followers of an application's jobs."""
+    if not hasattr(app.state, "followers"):
+        app.state.followers = Followers(app.state.database)
+    followers: Followers = app.state.followers
+    return followers

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,15 @@ class UsedRecord:
     use: str
     rows: int
     sha256: list[str]
+
+
+class ProgressRecord(NamedTuple):
+    """How far a job is."""
+
+    id: str
+    state: str
+    fraction: float
+    stage: str
 
 
 @dataclass(frozen=True)

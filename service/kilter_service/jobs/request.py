@@ -5,11 +5,11 @@ from __future__ import annotations
 from fastapi import Request
 from fastapi.exceptions import RequestValidationError
 
+from kilter_service.conditional import ConditionalRoute
 from kilter_service.jobs.refusals import refusal, without_kind
-from kilter_service.routing import GuardedRoute
 
 
-class JobRoute(GuardedRoute):
+class JobRoute(ConditionalRoute):
     """A route that takes jobs."""
 
     async def _checked(self, request: Request, body: bytes) -> Request:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
 from kilter_service.auth.access import Admin
+from kilter_service.conditional import FOR_GOOD
 from kilter_service.contract.jobs.check import JobCheck
-from kilter_service.contract.jobs.job import Job, JobList, NewJob
+from kilter_service.contract.jobs.job import FINAL, Job, JobList, NewJob
 from kilter_service.jobs import checking, service
-from kilter_service.jobs.events import events
+from kilter_service.jobs.events import ended, followers_of
 from kilter_service.jobs.queue import JobQueue
 from kilter_service.jobs.request import JobRoute
 from kilter_service.once.key import OnceOnly
@@ -54,21 +55,37 @@ def listed(database: DatabaseOfApp, page: PageOfJobs, robot: str | None = None) 
 
 
 @router.get("/{job}")
-def get(job: str, database: DatabaseOfApp) -> Job:
+def get(job: str, response: Response, database: DatabaseOfApp) -> Job:
     """Show a job and, when it is over, its result."""
-    return service.get(database, job)
+    found = service.get(database, job)
+    if found.state in FINAL:
+        response.headers["Cache-Control"] = FOR_GOOD
+    return found
 
 
 @router.get(
     "/{job}/events",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {}}, "description": "Events `progress`, then one `end`"}},
+    responses={
+        200: {"content": {"text/event-stream": {}}, "description": "Events `progress`, then one `end`"},
+        204: {"description": "`Last-Event-ID` is that of the end: there is no more to come"},
+    },
 )
-async def follow(job: str, database: DatabaseOfApp) -> StreamingResponse:
+async def follow(
+    job: str,
+    request: Request,
+    database: DatabaseOfApp,
+    last_event_id: Annotated[
+        str | None, Header(max_length=64, description="Id of the last event received: what it said is not told again.")
+    ] = None,
+) -> Response:
     """Follow a job as server-sent events."""
-    await run_in_threadpool(service.get, database, job)
+    found = await run_in_threadpool(service.get, database, job)
+    if ended(found, last_event_id):
+        return Response(status_code=204)
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(events(database, job), media_type="text/event-stream", headers=headers)
+    news = followers_of(request.app).events(job, last_event_id)
+    return StreamingResponse(news, media_type="text/event-stream", headers=headers)
 
 
 @router.post("/{job}/cancel")

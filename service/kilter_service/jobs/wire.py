@@ -43,7 +43,7 @@ from kilter_service.contract.jobs.plan import PlanResult
 from kilter_service.contract.units import Asked
 from kilter_service.contract.written import as_written
 from kilter_service.jobs.foresight import Foresight
-from kilter_service.jobs.records import JobRecord
+from kilter_service.jobs.records import JobRecord, ProgressRecord
 from kilter_service.jobs.registry import kind_of
 from kilter_service.wire import to_mm
 
@@ -67,6 +67,12 @@ CHECKS: dict[str, type[JobCheck]] = {
     "plan": PlanCheck,
     "joint_parameters": JointParametersCheck,
 }
+
+
+def progress_json(record: ProgressRecord) -> str:
+    """Write how far a job is, as its events say it."""
+    told = Progress(fraction=record.fraction, stage=record.stage)
+    return f'{{"id":"{record.id}","state":"{record.state}","progress":{told.model_dump_json()}}}'
 
 
 def job(record: JobRecord) -> Job:

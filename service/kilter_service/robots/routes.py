@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import spool_upload
 from kilter_service.campaigns import reading
+from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import FoundRobot, RobotCheck, RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument, Target
@@ -18,11 +19,10 @@ from kilter_service.limits import MAX_CIRCLE_MB
 from kilter_service.page_query import PageOfList
 from kilter_service.robots import service
 from kilter_service.robots.wire import DOCUMENT
-from kilter_service.routing import GuardedRoute
 from kilter_service.slots import compute
 from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
-router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=GuardedRoute)
+router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)
 
 Follows = Annotated[
     list[str] | None,

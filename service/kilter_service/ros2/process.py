@@ -23,6 +23,7 @@ from kilter_service.corrector.active import Active, VersionSource
 from kilter_service.corrector.database_source import DatabaseSource
 from kilter_service.corrector.session import close, config
 from kilter_service.errors import ServiceError
+from kilter_service.health.pulse import Pulse
 from kilter_service.ros2 import names
 from kilter_service.ros2.names import JOINT_STATE, JOINT_TRAJECTORY, Attachment, MessageType
 from kilter_service.ros2.relay import Relay, StateRelay, TrajectoryRelay
@@ -201,13 +202,15 @@ def follow(settings: Settings, source: VersionSource, stopped: Callable[[float],
         adaptor.start()
         for route in adaptor.routes:
             log.info("%s of %s is corrected to %s", route.wanted, route.robot, route.corrected)
-        while True:
-            found = versions.poll()
-            if found is not None:
-                adaptor.active = found
-            adaptor.report()
-            if stopped(POLL_S):
-                return
+        with Pulse(settings, "ros2", settings.site) as pulse:
+            while True:
+                found = versions.poll()
+                if found is not None:
+                    adaptor.active = found
+                adaptor.report()
+                pulse.round()
+                if stopped(POLL_S):
+                    return
     finally:
         close(session)
         adaptor.join()

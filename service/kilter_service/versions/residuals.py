@@ -51,6 +51,12 @@ def residuals(database: Database, version: str, wanted: Sequence[str], media: st
         calibration, known = store.calibration(session, version), store.known(session, version)
         parts = list(_parts(session, row, wanted))
         report = row.report
+    if not parts:
+        raise ServiceError(
+            f"Version {version} was made from no campaign, so it leaves nothing: name campaigns, ?campaign=cmp_....",
+            code="campaigns_invalid",
+            version=version,
+        )
     tables = [pa.table(_columns(part, calibration, known, report)) for part in parts]
     return write_trajectory(pa.concat_tables(tables), media)
 

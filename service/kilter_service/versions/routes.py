@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Query, Response
 
 from kilter_service.auth.access import Admin
 from kilter_service.campaigns.reading import CSV, JSON, PARQUET
+from kilter_service.conditional import ConditionalRoute
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.residuals import ResidualRows
@@ -20,16 +21,17 @@ from kilter_service.contract.versions import (
     VersionDiff,
     VersionList,
 )
+from kilter_service.exporters.registry import FORMATS
 from kilter_service.page_query import PageOfList
-from kilter_service.routing import GuardedRoute
 from kilter_service.slots import reading_turn
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.versions import activation, differences, keeping, service
 from kilter_service.versions.expected import ExpectedState, tag_of_robot
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
+EXPORTS = {form.media_type: FILE for form in FORMATS.values()} | {JSON: {"schema": {"type": "object"}}}
 
-router = APIRouter(prefix="/v1", tags=["versions"], route_class=GuardedRoute)
+router = APIRouter(prefix="/v1", tags=["versions"], route_class=ConditionalRoute)
 
 
 @router.get("/robots/{robot}/versions")
@@ -154,7 +156,12 @@ def residuals(
     return Response(content, media_type=media, headers=headers)
 
 
-@router.get("/versions/{version}/export", response_class=Response, dependencies=[Depends(reading_turn)])
+@router.get(
+    "/versions/{version}/export",
+    response_class=Response,
+    responses={200: {"content": EXPORTS, "description": "The file"}},
+    dependencies=[Depends(reading_turn)],
+)
 def export(version: str, database: DatabaseOfApp, format: str = "json") -> Response:  # noqa: A002 (the contract's name)
     """Download a version in the format of another tool; the header Kilter-Notes says what the file leaves out."""
     file = service.exported(database, version, format)

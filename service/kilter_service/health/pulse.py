@@ -1,0 +1,85 @@
+"""How a process beside the API says that it is alive."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from kilter_service.settings import Settings
+
+if TYPE_CHECKING:
+    from kilter_service.db import Database
+
+log = logging.getLogger("kilter.health")
+
+BEAT_S = 2.0
+STUCK_S = 10.0  # a loop that has not gone round for so long is stuck
+
+
+class Pulse:
+    """Says in the database that a process is alive, for as long as its loop goes round and ``well`` says so.
+
+    It has a thread of its own: a database that is slow or away never holds up the process.
+    """
+
+    def __init__(self, settings: Settings, process: str, name: str, well: Callable[[], bool] = lambda: True) -> None:
+        self._settings, self._process, self._name, self._well = settings, process, name, well
+        self._ended, self._round_at = threading.Event(), time.monotonic()
+        self._said, self._heard = False, True
+        self._thread = threading.Thread(target=self._run, name=f"pulse of {process}", daemon=True)
+
+    def __enter__(self) -> Pulse:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, _error: BaseException | None, _: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join(BEAT_S)
+
+    def round(self) -> None:
+        """Say that the loop of the process went round."""
+        self._round_at = time.monotonic()
+
+    def _run(self) -> None:
+        from kilter_service.db import Database  # imports SQLAlchemy: not before the process does its work
+
+        database = Database(self._settings.database)
+        while not self._ended.wait(BEAT_S if self._said else 0.0):
+            self._said = True
+            if self._well() and time.monotonic() - self._round_at < STUCK_S:
+                self._tell(database, stopped=False)
+        self._tell(database, stopped=True)
+        database.close()
+
+    def _tell(self, database: Database, *, stopped: bool) -> None:
+        from kilter_service.health import store
+
+        try:
+            with database.transaction() as session:
+                if stopped:
+                    store.silence(session, self._process, self._name)
+                else:
+                    store.beat(session, self._process, self._name, os.getpid())
+            self._heard = True
+        except Exception:  # whatever the database says, the process goes on
+            if self._heard:  # said once, not every two seconds
+                log.warning("%s cannot say in the database that it is alive", self._process, exc_info=True)
+            self._heard = False
+
+
+def running(pid: int | None) -> bool:
+    """Whether a process is not stopped (SIGSTOP, a debugger) or dead, as far as this system tells."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as file:
+            return file.read().rpartition(")")[2].split()[0] not in "TtZX"
+    except FileNotFoundError:
+        return not os.path.isdir("/proc/self")
+    except (OSError, IndexError):
+        return True

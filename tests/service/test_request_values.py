@@ -1,0 +1,91 @@
+"""Values that JSON and addresses can hold and nothing behind them: each refused with its place."""
+
+from __future__ import annotations
+
+import base64
+import json
+import unicodedata
+from typing import Any
+
+import httpx
+import pytest
+
+HIDDEN = ["\u202e", "\u2066", "\u200b", "\u200d", "\ufeff", "\u2028", "\x1b", "\x7f", "\x85", "\xad", "\U000e0041"]
+
+
+def post(client: httpx.Client, path: str, body: bytes) -> Any:
+    return client.post(path, content=body, headers={"Content-Type": "application/json"})
+
+
+def refused(answer: httpx.Response, *words: str) -> None:
+    assert answer.status_code == 422, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert all(word in answer.json()["detail"] for word in words), answer.text
+
+
+@pytest.fixture(scope="module")
+def robot(shared_client: httpx.Client) -> str:
+    document = {"name": "r", "convention": "preset", "preset": "katana450-chapter5"}
+    shared_client.post("/v1/robots", json=document).raise_for_status()
+    return "r"
+
+
+@pytest.mark.parametrize("mark", HIDDEN)
+def test_names_hold_no_character_that_nobody_sees(shared_client: httpx.Client, robot: str, mark: str) -> None:
+    assert unicodedata.category(mark) in {"Cc", "Cf", "Zl"}
+    body = json.dumps({"name": f"ab{mark}c"}).encode()
+    answer = post(shared_client, f"/v1/robots/{robot}/campaigns", body)
+    refused(answer, "body.name", f"U+{ord(mark):04X} at 3", "leave that character out")
+
+
+def test_notes_have_lines_but_names_do_not(shared_client: httpx.Client, robot: str) -> None:
+    named = {"name": "lines", "notes": "one\n\ttwo\r\nüñ 日本 🤖"}
+    assert shared_client.post(f"/v1/robots/{robot}/campaigns", json=named).json()["notes"] == named["notes"]
+    answer = shared_client.post(f"/v1/robots/{robot}/campaigns", json={"name": "a\nb"})
+    refused(answer, "body.name", "U+000A")
+    answer = shared_client.patch(f"/v1/robots/{robot}", json={"remarks": "a\u202eb"})
+    refused(answer, "body.remarks", "U+202E")
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (b'{"name": "\\u0000"}', ["body.name", "U+0000"]),
+        (b'{"name": "\\ud800"}', ["body.name", "U+D800"]),
+        (b'{"\\ud800": 1}', ["body", "U+D800"]),
+        (b'{"name": "a", "name": "b"}', ["'name' twice"]),
+        (b'{"name": "a", "conditions": {"payload_kg": 1e300}}', ["body.conditions.payload_kg", "1e+15"]),
+        (b'{"name": "a", "conditions": {"payload_kg": %s}}' % (b"9" * 30), ["body.conditions.payload_kg", "1e+15"]),
+        (b'{"name": "a", "conditions": {"payload_kg": 1e999}}', ["body.conditions.payload_kg"]),
+        (b'{"name": %s}' % (b"9" * 5000), ["not JSON"]),
+        (b'{"a":' * 40 + b"1" + b"}" * 40, ["nested deeper than 32"]),
+        (b"[" * 100_000, ["nested deeper than 32"]),
+    ],
+)
+def test_bodies_hold_no_value_that_breaks_what_reads_them(
+    shared_client: httpx.Client, robot: str, body: bytes, words: list[str]
+) -> None:
+    refused(post(shared_client, f"/v1/robots/{robot}/campaigns", body), *words)
+
+
+@pytest.mark.parametrize("address", ["/v1/robots/a%00b", "/v1/jobs?robot=%00", "/v1/versions/%00/export"])
+def test_addresses_hold_no_nul(shared_client: httpx.Client, address: str) -> None:
+    refused(shared_client.get(address), "U+0000")
+
+
+def test_a_urdf_names_its_joints_visibly(shared_client: httpx.Client) -> None:
+    urdf = (
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="j&#x202e;1" type="continuous"><parent link="a"/>'
+        '<child link="b"/><axis xyz="0 0 1"/></joint></robot>'
+    )
+    document = {"name": "u", "convention": "urdf", "urdf": urdf, "base_link": "a", "tip_link": "b"}
+    answer = shared_client.post("/v1/robots/check", json=document)
+    assert answer.status_code == 400
+    assert "U+202E" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("key", [["\ud800"], ["\x00"], ["2026-01-01T00:00:00+00:00", "\ud800"]])
+def test_a_cursor_holds_no_such_text_either(shared_client: httpx.Client, key: list[str]) -> None:
+    after = base64.urlsafe_b64encode(json.dumps(key).encode()).decode().rstrip("=")
+    for address in ("/v1/robots", "/v1/jobs", "/v1/tombstones"):
+        refused(shared_client.get(address, params={"after": after}), "not a cursor")
