@@ -16,9 +16,10 @@ from pydantic import ValidationError
 
 from kilter_core.errors import CoreError
 from kilter_service.settings import Settings
+from kilter_service.signing import command
 from kilter_service.version import code_version
 
-USAGE_CODES = frozenset({"binding_refused", "token_file_open"})
+USAGE_CODES = frozenset({"binding_refused", "token_file_open", "stream_keys_damaged"})
 Command = Callable[[Settings, argparse.Namespace], None]
 
 
@@ -82,17 +83,24 @@ def migrate(settings: Settings, _: argparse.Namespace) -> None:
     print(f"The database {'was brought to' if done else 'is at'} revision {revision.HEAD}.")
 
 
+def stream_keys(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Show or rotate the secret from which the keys of the stream are derived."""
+    command.run(settings, arguments)
+
+
 COMMANDS: dict[str, tuple[Command, str]] = {
     "serve": (serve, "kilterd serve --data ~/kilter --port 8730"),
     "api": (api, "kilterd api --port 0"),
     "worker": (worker, "KILTER_WORKER_NAME=second kilterd worker"),
     "corrector": (corrector, "KILTER_ZENOH_LISTEN=tcp/127.0.0.1:7447 kilterd corrector"),
     "ros2": (ros2, "KILTER_ROS2='{...}' kilterd ros2"),
+    "stream-keys": (stream_keys, command.EXAMPLE),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
 }
 ENVIRONMENT = (
     "Every setting is also an environment variable: KILTER_DATA, KILTER_DATABASE_URL, KILTER_HOST, KILTER_PORT, "
-    "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_SITE, KILTER_TEMPERATURE_C, KILTER_ROS2, "
+    "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_STREAM_KEYS, "
+    "KILTER_STREAM_UNSIGNED, KILTER_SITE, KILTER_TEMPERATURE_C, KILTER_ROS2, "
     "KILTER_ROS2_DOMAIN, KILTER_ROS2_CONNECT, KILTER_ROS2_DIALECT, KILTER_MAX_UPLOAD_MB, "
     "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_WORKER_NAME."
 )
@@ -107,14 +115,16 @@ def parser() -> argparse.ArgumentParser:
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (run, example) in COMMANDS.items():
         text = (run.__doc__ or "").strip()
-        command = commands.add_parser(name, help=text, description=text, epilog=f"Example: {example}. {ENVIRONMENT}")
-        command.add_argument("--data", help="folder of database, token and server file (default ~/.kilter)")
-        command.add_argument("--database-url", help="SQLAlchemy URL (default: SQLite in the data folder)")
+        added = commands.add_parser(name, help=text, description=text, epilog=f"Example: {example}. {ENVIRONMENT}")
+        added.add_argument("--data", help="folder of database, token and server file (default ~/.kilter)")
+        added.add_argument("--database-url", help="SQLAlchemy URL (default: SQLite in the data folder)")
         if name in ("serve", "api"):
-            command.add_argument("--host", help="address to listen on (default 127.0.0.1)")
-            command.add_argument("--port", help="port to listen on, 0 for a free one (default 8730)")
+            added.add_argument("--host", help="address to listen on (default 127.0.0.1)")
+            added.add_argument("--port", help="port to listen on, 0 for a free one (default 8730)")
         if name == "api":
-            command.add_argument("--fd", type=int, help=argparse.SUPPRESS)
+            added.add_argument("--fd", type=int, help=argparse.SUPPRESS)
+        if name == "stream-keys":
+            command.add_options(added)
     return root
 
 

@@ -21,13 +21,14 @@ from kilter_service.jobs.routes import router as jobs
 from kilter_service.references.routes import router as references
 from kilter_service.robots.routes import router as robots
 from kilter_service.settings import Settings
+from kilter_service.signing.routes import router as streams
 from kilter_service.slots import Slots
 from kilter_service.version import code_version
 from kilter_service.versions.routes import router as versions
 
 SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from measured poses and corrects its setpoints."
 
-ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction, frames, references)
+ROUTERS: tuple[APIRouter, ...] = (robots, campaigns, versions, jobs, correction, frames, references, streams)
 
 
 def create_app(settings: Settings) -> FastAPI:

@@ -114,6 +114,7 @@ MODULE_OF = {
     "SetAside": "identifications",
     "ShuffledEffect": "hunt_numbers",
     "StageErrors": "fits",
+    "StreamSession": "others",
     "Testability": "checks",
     "Text": "fits",
     "Tombstone": "comparisons",

@@ -35,3 +35,29 @@ class ResidualRows(Record):
     """Half width of the 95 % interval along y, mm."""
     u95_z_mm: tuple[float | None, ...]
     """Half width of the 95 % interval along z, mm."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StreamSession(Record):
+    """Id and keys of a session. Whoever has them can send setpoints on this stream."""
+
+    announcement_key: str
+    """Key with which the corrector signs what it announces about the robot, hexadecimal; a secret."""
+    expires_at: str
+    """When the session ends."""
+    key: str
+    """Key of the session, hexadecimal; a secret."""
+    max_age_ms: float
+    """A setpoint that arrives later than this after it was sent is refused, ms."""
+    max_joints: int
+    """Largest number of joints of a setpoint."""
+    max_points: int
+    """Largest number of points of a chunk."""
+    robot: str
+    """Name of the robot."""
+    session: str
+    """Id of the session, which every frame carries, hexadecimal."""
+    site: str
+    """Site in the keys of the stream."""
+    stream: str
+    """Name of the stream."""
