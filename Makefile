@@ -108,8 +108,8 @@ fuzz: $(KERNELS) ## send 20 000 requests of every kind to the HTTP interface, 2 
 fuzz-stream: $(KERNELS) ## send a million damaged frames through the corrector
 	$(BIN)/python -m pytest -m slow -q tests/corrector/test_stream.py
 
-attack-stream: $(KERNELS) ## send 100 000 forged answers to a running stream
-	$(BIN)/python -m pytest -m "slow or not slow" -q -s tests/corrector/test_attacks.py tests/corrector/test_acceptance.py
+attack-stream: $(KERNELS) ## send a million forged, replayed and damaged messages to a stream, 200 000 of them over zenoh
+	$(BIN)/python -m pytest -m "slow or not slow" -q -s tests/corrector/test_signed.py tests/corrector/test_attacks.py tests/corrector/test_acceptance.py
 
 soak-stream: $(KERNELS) ## stream for half an hour and watch the memory (MINUTES=30)
 	$(BIN)/python -m benchmarks.stream_load soak --minutes $(or $(MINUTES),30)

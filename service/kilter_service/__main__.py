@@ -17,10 +17,11 @@ from pydantic import ValidationError
 from kilter_service.observability import logs, tracing
 from kilter_service.private_files import UMASK, protect
 from kilter_service.settings import DATABASE_FILE, JOBS_FILE, Settings
+from kilter_service.signing import command
 from kilter_service.version import code_version
 
 TRACED = frozenset({"api", "worker"})
-USAGE_CODES = frozenset({"binding_refused", "token_file_open", "token_weak"})
+USAGE_CODES = frozenset({"binding_refused", "token_file_open", "token_weak", "stream_keys_damaged"})
 Command = Callable[[Settings, argparse.Namespace], None]
 
 
@@ -137,6 +138,11 @@ def verify(settings: Settings, arguments: argparse.Namespace) -> None:
     verify(settings, arguments)
 
 
+def stream_keys(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Show or rotate the secret from which the keys of the stream are derived."""
+    command.run(settings, arguments)
+
+
 COMMANDS: dict[str, tuple[Command, str]] = {
     "serve": (serve, "kilterd serve --data ~/kilter --port 8730"),
     "api": (api, "kilterd api --port 0"),
@@ -144,6 +150,7 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "corrector": (corrector, "KILTER_ZENOH_LISTEN=tcp/127.0.0.1:7447 kilterd corrector"),
     "ros2": (ros2, "KILTER_ROS2='{...}' kilterd ros2"),
     "audit": (audit, "kilterd audit --data /backup/kilter"),
+    "stream-keys": (stream_keys, command.EXAMPLE),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
     "backup": (backup, "kilterd backup /backups"),
     "restore": (restore, "kilterd restore /backups/kilter-20261122T181500Z.kilter-backup --data ~/restored"),
@@ -157,7 +164,8 @@ PATHS = {
 }
 ENVIRONMENT = (
     "Every setting is also an environment variable: KILTER_DATA, KILTER_DATABASE_URL, KILTER_HOST, KILTER_PORT, "
-    "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_SITE, KILTER_TEMPERATURE_C, KILTER_ROS2, "
+    "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_STREAM_KEYS, "
+    "KILTER_STREAM_UNSIGNED, KILTER_SITE, KILTER_TEMPERATURE_C, KILTER_ROS2, "
     "KILTER_ROS2_DOMAIN, KILTER_ROS2_CONNECT, KILTER_ROS2_DIALECT, KILTER_MAX_UPLOAD_MB, "
     "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_HOSTS, KILTER_PROXY, "
     "KILTER_TLS_CERTIFICATE, KILTER_TLS_KEY, KILTER_WORKER_NAME, "
@@ -174,21 +182,23 @@ def parser() -> argparse.ArgumentParser:
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (run, example) in COMMANDS.items():
         text = (run.__doc__ or "").strip()
-        command = commands.add_parser(name, help=text, description=text, epilog=f"Example: {example}. {ENVIRONMENT}")
-        command.add_argument("--data", help="folder of database, token and server file (default ~/.kilter)")
-        command.add_argument("--database-url", help="SQLAlchemy URL (default: SQLite in the data folder)")
+        added = commands.add_parser(name, help=text, description=text, epilog=f"Example: {example}. {ENVIRONMENT}")
+        added.add_argument("--data", help="folder of database, token and server file (default ~/.kilter)")
+        added.add_argument("--database-url", help="SQLAlchemy URL (default: SQLite in the data folder)")
         if name in ("serve", "api"):
-            command.add_argument("--host", help="address to listen on (default 127.0.0.1)")
-            command.add_argument("--port", help="port to listen on, 0 for a free one (default 8730)")
+            added.add_argument("--host", help="address to listen on (default 127.0.0.1)")
+            added.add_argument("--port", help="port to listen on, 0 for a free one (default 8730)")
         if name == "audit":
-            command.add_argument("--head", help="NUMBER:SHA256 of an entry noted earlier, which must still be there")
+            added.add_argument("--head", help="NUMBER:SHA256 of an entry noted earlier, which must still be there")
         if name in PATHS:
             shown, count, help_text = PATHS[name]
-            command.add_argument("path", metavar=shown, nargs=count, help=help_text)
+            added.add_argument("path", metavar=shown, nargs=count, help=help_text)
         if name == "doctor":
-            command.add_argument("--json", action="store_true", help="print one JSON document")
+            added.add_argument("--json", action="store_true", help="print one JSON document")
         if name == "api":
-            command.add_argument("--fd", type=int, help=argparse.SUPPRESS)
+            added.add_argument("--fd", type=int, help=argparse.SUPPRESS)
+        if name == "stream-keys":
+            command.add_options(added)
     return root
 
 

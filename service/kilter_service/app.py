@@ -26,6 +26,7 @@ from kilter_service.private_files import TEMPORARY, Scratch
 from kilter_service.references.routes import router as references
 from kilter_service.robots.routes import router as robots
 from kilter_service.settings import Settings
+from kilter_service.signing.routes import router as streams
 from kilter_service.slots import Slots
 from kilter_service.tokens.routes import router as tokens
 from kilter_service.version import code_version
@@ -34,7 +35,7 @@ from kilter_service.versions.routes import router as versions
 SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from measured poses and corrects its setpoints."
 
 ROUTERS: tuple[APIRouter, ...] = (
-    robots, campaigns, versions, jobs, correction, frames, references, tokens, audit, metrics,
+    robots, campaigns, versions, jobs, correction, frames, references, streams, tokens, audit, metrics,
 )  # fmt: skip
 
 

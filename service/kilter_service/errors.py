@@ -50,6 +50,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "version_not_found": (404, "Unknown parameter version"),
     "binding_refused": (400, "This address may not be listened on"),
     "token_file_open": (400, "The token file can be read by others"),
+    "stream_keys_damaged": (500, "The file of the stream's secret is damaged"),
     "method_not_allowed": (405, "This address does not take that method"),
     "robot_exists": (409, "The robot's name is taken"),
     "name_taken": (409, "Another one has this name"),

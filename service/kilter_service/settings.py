@@ -18,6 +18,7 @@ LOCK_FILE = "serve.lock"
 TOKEN_FILE = "token"  # noqa: S105 (the name of a file)
 SERVER_FILE = "server.json"
 CORRECTOR_FILE = "corrector.json"
+STREAM_KEYS_FILE = "stream-keys.json"
 LEAST_TOKEN, LEAST_DIFFERENT = 24, 8
 WEAK_TOKEN = (
     f"the token is empty or can be guessed (it needs {LEAST_TOKEN} characters, {LEAST_DIFFERENT} different ones)"
@@ -62,6 +63,8 @@ class Settings(BaseSettings):
     zenoh_listen: str = Field(
         default="tcp/127.0.0.1:7447", description="endpoint the corrector listens on; port 0: free"
     )
+    stream_keys: Path | None = Field(default=None, description="file of the stream's master secret")
+    stream_unsigned: bool = Field(default=True, description="take unsigned setpoints on loopback")
     site: str = Field(default="local", pattern=r"^[A-Za-z0-9_-]{1,64}$", description="site name in zenoh keys")
     temperature_c: float | None = Field(default=None, description="temperature of the arms, for thermal growth")
     ros2: dict[str, RobotTopics] = Field(default={}, description="topics of ROS 2 by robot, JSON; none: off")
@@ -126,6 +129,11 @@ class Settings(BaseSettings):
         return self.data / SERVER_FILE
 
     @property
+    def stream_keys_file(self) -> Path:
+        """File of the master secret of the stream's sessions, readable by its owner only."""
+        return self.stream_keys or self.data / STREAM_KEYS_FILE
+
+    @property
     def corrector_file(self) -> Path:
         """File in which a running corrector writes its process id and endpoints."""
         return self.data / CORRECTOR_FILE
@@ -150,6 +158,8 @@ class Settings(BaseSettings):
             "TOKEN": self.token.get_secret_value() if self.token else None,
             "ZENOH_CONFIG": str(self.zenoh_config) if self.zenoh_config else None,
             "ZENOH_LISTEN": self.zenoh_listen,
+            "STREAM_KEYS": str(self.stream_keys) if self.stream_keys else None,
+            "STREAM_UNSIGNED": str(self.stream_unsigned).lower(),
             "SITE": self.site,
             "TEMPERATURE_C": None if self.temperature_c is None else str(self.temperature_c),
             "ROS2": json.dumps({robot: topics.model_dump() for robot, topics in self.ros2.items()}),

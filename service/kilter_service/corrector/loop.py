@@ -23,11 +23,13 @@ import zenoh
 from kilter_core.correct.program import warm_up
 from kilter_service.corrector import fast_path, keys, wire
 from kilter_service.corrector.active import Active, nothing_active
+from kilter_service.corrector.gate import Admitted, Gate, unsigned_refusal
 from kilter_service.corrector.session import ENCODING, close, open_listening
-from kilter_service.corrector.slots import Served, Slots, names_of
+from kilter_service.corrector.slots import Served, Slots, address_of, names_of
 from kilter_service.corrector.specs import StreamSpec
 from kilter_service.corrector.wire import Status
 from kilter_service.errors import ServiceError
+from kilter_service.signing import questions, sealed
 
 log = logging.getLogger("kilter.corrector.stream")
 
@@ -62,7 +64,8 @@ class StreamLoop:
         self.session = session
         self.spec = spec
         self.active: dict[str, Active] = {}  # replaced entry by entry: a lookup sees the old version or the new
-        self.slots = Slots(session, spec.rules)
+        self.gate = Gate(spec.masters, spec.unsigned)
+        self.slots = Slots(session, spec.rules, self.gate)
         self._wake_up = wake_up
         self._subscriber = session.declare_subscriber(
             keys.every_input(spec.site), zenoh.handlers.RingChannel(spec.rules.ring)
@@ -88,7 +91,7 @@ class StreamLoop:
                 if served is None:
                     continue
             data = sample.payload.to_bytes()
-            answer = served.stream.answer(data, arrival_ns, active.get(served.robot), backlog >= most)
+            answer = served.guard.answer(data, arrival_ns, active.get(served.robot), backlog >= most)
             if answer is not None:
                 served.publisher.put(answer)
             last, verdict = served, served.stream.counters.last
@@ -111,6 +114,12 @@ class StreamLoop:
         names = names_of(key)
         if names is None:
             return None
+        if data[:4] == sealed.MAGIC:
+            return self._start_signed(key, names, data, arrival_ns)
+        if not self.gate.unsigned:
+            self.gate.dropped["unsigned"] += 1
+            self._put(names[1], unsigned_refusal(data))
+            return None
         try:
             header = wire.decode_setpoints(data).header
         except wire.FrameError as error:
@@ -121,10 +130,34 @@ class StreamLoop:
             self._refuse(names[1], header, Status.OVERLOAD if names[0] in self.active else Status.NO_VERSION)
         return served
 
+    def _start_signed(self, key: str, names: tuple[str, str, str], data: bytes, arrival_ns: int) -> Served | None:
+        """A slot for the first signed setpoint of a session; only its key in use gives one."""
+        if not sealed.is_signed(data):
+            self.gate.dropped["forged"] += 1
+            return None
+        admitted = self.gate.admit(address_of(key), data)
+        if not isinstance(admitted, Admitted):
+            self._put(names[1], admitted)
+            return None
+        secret = self.gate.secret
+        served = self.slots.take(key, names, arrival_ns) if names[0] in self.active else None
+        if served is not None:
+            if self.gate.secret == secret:  # else another stream lost its slot for this one: ask for a newer frame
+                served.guard.adopt(admitted)
+            return served
+        status = Status.OVERLOAD if names[0] in self.active else Status.NO_VERSION
+        refusal = wire.encode_refusal(wire.decode_header(sealed.unsealed(data)), status)
+        self._put(names[1], sealed.sealed(refusal, admitted.session, admitted.key, sealed.ANSWER))
+        return None
+
     def _refuse(self, out: str, header: wire.Header | None, status: Status) -> None:
         if header is not None:
+            self._put(out, wire.encode_refusal(header, status))
+
+    def _put(self, out: str, answer: bytes | None) -> None:
+        if answer is not None:
             self.session.put(
-                out, wire.encode_refusal(header, status), encoding=zenoh.Encoding(ENCODING),
+                out, answer, encoding=zenoh.Encoding(ENCODING),
                 priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.DROP,
             )  # fmt: skip
 
@@ -171,6 +204,8 @@ class HousekeepingThread(threading.Thread):
             return False
         if message == "use":
             self._use(rest[0])
+        elif message == "masters":
+            self._loop.gate.masters = rest[0]
         elif message == "drop":
             self._drop(rest[0])
         return bool(message != "stop")
@@ -178,7 +213,9 @@ class HousekeepingThread(threading.Thread):
     def _use(self, active: Active) -> None:
         """Announce the version first, then use it: a controller knows every epoch before it meets it."""
         robot = keys.RobotKeys(self._loop.spec.site, active.robot)
-        self._put(robot.active, active.announcement())
+        self._announce(active.robot, active.announcement())
+        if active.robot not in self._loop.active:
+            self._loop.gate.forget()  # frames refused until now must not be the first that are taken
         self._loop.active[active.robot] = active
         if active.robot not in self._tokens:
             liveliness = self._loop.session.liveliness()
@@ -186,11 +223,14 @@ class HousekeepingThread(threading.Thread):
 
     def _drop(self, robot: str) -> None:
         self._loop.active.pop(robot, None)
-        self._put(keys.RobotKeys(self._loop.spec.site, robot).active, nothing_active(robot))
+        self._announce(robot, nothing_active(robot))
 
-    def _put(self, key: str, payload: bytes) -> None:
+    def _announce(self, robot: str, document: bytes) -> None:
+        spec = self._loop.spec
+        key = keys.RobotKeys(spec.site, robot).active
+        signed = self._loop.gate.masters.announced(key, spec.site, robot, document)
         self._loop.session.put(
-            key, payload, encoding=zenoh.Encoding.APPLICATION_JSON, priority=zenoh.Priority.DATA_HIGH,
+            key, signed, encoding=zenoh.Encoding.APPLICATION_JSON, priority=zenoh.Priority.DATA_HIGH,
             congestion_control=zenoh.CongestionControl.BLOCK,
         )  # fmt: skip
 
@@ -202,11 +242,17 @@ class HousekeepingThread(threading.Thread):
                     key = keys.RobotKeys(self._loop.spec.site, active.robot).active
                     if zenoh.KeyExpr(key).intersects(query.key_expr):
                         found = True
-                        query.reply(key, active.announcement(), encoding=zenoh.Encoding.APPLICATION_JSON)
+                        self._reply(query, key, active.robot, active.announcement())
                 asked = str(query.key_expr)
                 if not found and "*" not in asked:  # so that silence never means that nothing is active
-                    nothing = nothing_active(keys.robot_of(asked))
-                    query.reply(asked, nothing, encoding=zenoh.Encoding.APPLICATION_JSON)
+                    robot = keys.robot_of(asked)
+                    self._reply(query, asked, robot, nothing_active(robot))
+
+    def _reply(self, query: zenoh.Query, key: str, robot: str, document: bytes) -> None:
+        question = query.payload.to_bytes() if query.payload else b""
+        stream = query.parameters.get("stream")
+        signed = questions.reply(self._loop.gate.masters, question, key, self._loop.spec.site, robot, stream, document)
+        query.reply(key, signed, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _report(self) -> None:
         """Publish the status of streams that moved, twice a second, and at once when their verdict changes."""
@@ -225,9 +271,16 @@ class HousekeepingThread(threading.Thread):
                 "version_id": active.version_id if active else None,
                 "epoch": active.epoch if active else None,
                 **counters.document(),
+                "signed": served.guard.signed,
+                "replayed": served.guard.replayed,
+                "dropped": dict(self._loop.gate.dropped),
+                "at_ns": time.time_ns(),
             }
+            signed = self._loop.gate.masters.announced(
+                served.status_key, self._loop.spec.site, served.robot, json.dumps(document).encode()
+            )
             self._loop.session.put(
-                served.status_key, json.dumps(document).encode(), encoding=zenoh.Encoding.APPLICATION_JSON,
+                served.status_key, signed, encoding=zenoh.Encoding.APPLICATION_JSON,
                 priority=zenoh.Priority.DATA_LOW, congestion_control=zenoh.CongestionControl.DROP,
             )  # fmt: skip
 

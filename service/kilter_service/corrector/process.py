@@ -24,11 +24,12 @@ from typing import Any
 
 from kilter_service.corrector.active import Active, VersionSource
 from kilter_service.corrector.database_source import DatabaseSource
-from kilter_service.corrector.endpoints import PrivateSocket, check_listening
+from kilter_service.corrector.endpoints import PrivateSocket, check_listening, is_local
 from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec, enter
 from kilter_service.errors import ServiceError
 from kilter_service.health.pulse import Pulse, running
 from kilter_service.settings import Settings
+from kilter_service.signing.masters import Masters, masters_in
 
 log = logging.getLogger("kilter.corrector")
 
@@ -157,6 +158,9 @@ class Corrector:
         self._children: dict[str, Child] = {}
         self._private: PrivateSocket | None = None
         self._announced = False
+        self._masters: Masters | None = None
+        self._keys_readable = True
+        self._unsigned = settings.stream_unsigned and is_local(settings.zenoh_listen)
 
     @property
     def file(self) -> Path:
@@ -172,11 +176,11 @@ class Corrector:
         """
         check_listening(self._settings)
         site, config = self._settings.site, self._settings.zenoh_config
+        self._masters = masters_in(self._settings.stream_keys_file)
         self._private = PrivateSocket(self._settings.data)
-        stream = StreamSpec(
-            site, self.instance, self._settings.zenoh_listen, self._private.endpoint, config, self._rules
-        )
-        queries = QuerySpec(site, self._private.endpoint, config)
+        common = (self._private.endpoint, self._masters, self._unsigned, config)
+        stream = StreamSpec(site, self.instance, self._settings.zenoh_listen, *common, self._rules)
+        queries = QuerySpec(site, *common)
         self._children = {
             "stream": Child("stream", STREAM, stream),
             "query": Child("query", QUERY, queries),
@@ -192,6 +196,7 @@ class Corrector:
         # Queries go through the stream's port.
         self.endpoints[name] = endpoint or self.endpoints["stream"]
         log.info("%s process is at %s%s", name, self.endpoints[name], ", real-time priority" if real_time else "")
+        self._children[name].send("masters", self._masters)  # they may have been rotated since its first start
         for active in self._active.values():
             self._children[name].send("use", active)
         self._write_file()
@@ -202,6 +207,8 @@ class Corrector:
             "site": self._settings.site,
             "instance": self.instance,
             "endpoints": self.endpoints,
+            "stream_keys": str(self._settings.stream_keys_file),
+            "unsigned": self._unsigned,
             "zenoh_config": str(self._settings.zenoh_config) if self._settings.zenoh_config else None,
         }
         self._settings.data.mkdir(parents=True, exist_ok=True)
@@ -223,7 +230,23 @@ class Corrector:
                 child.stop()
                 child.launch()
                 self._take_child(name)
+        self._follow_masters()
         self._look()
+
+    def _follow_masters(self) -> None:
+        """Take a rotated master secret over; whatever the file says, sessions of those in use stay valid."""
+        try:
+            masters = masters_in(self._settings.stream_keys_file, make=False)
+        except (ServiceError, OSError) as error:
+            if self._keys_readable:
+                log.error("the secrets of the stream cannot be read, those in use stay: %s", error)
+            self._keys_readable = False
+            return
+        self._keys_readable = True
+        if masters != self._masters:
+            self._masters = masters
+            self._send_all("masters", masters)
+            log.info("the stream uses a new master secret; %d are valid", len(masters.all))
 
     def _look(self) -> None:
         """Take over what was activated."""

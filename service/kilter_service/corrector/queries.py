@@ -22,6 +22,8 @@ from kilter_service.corrector.active import Active
 from kilter_service.corrector.session import ENCODING, close, open_inside
 from kilter_service.corrector.specs import QuerySpec, Rules
 from kilter_service.corrector.wire import Flag, Floats, FrameError, Header, Kind, Status
+from kilter_service.signing import questions, sealed
+from kilter_service.signing.sealed import Session
 
 log = logging.getLogger("kilter.corrector.queries")
 
@@ -34,6 +36,12 @@ class Trajectory:
     version: int | None
     t: Floats
     values: Floats
+
+
+UNSIGNED = (
+    "Messages must be signed here (KLT2): ask for a session with POST /v1/robots/{robot}/stream/sessions, or update the "
+    "client library."
+)
 
 
 class QueryError(Exception):
@@ -116,12 +124,13 @@ def correct_trajectory(request: Trajectory, active: Active | None) -> bytes:
     return b"".join([head, verdict, wire.BLOCK.pack(len(walked.q), joints), request.t.tobytes(), walked.q.tobytes()])
 
 
-def describe(robot: str, active: Active | None) -> bytes:
+def describe(robot: str, active: Active | None, unsigned: bool) -> bytes:
     """JSON of what a stream of the robot expects and does."""
     rules = Rules()
     document = {
         "robot": robot,
         "frame": {"magic": wire.MAGIC.decode(), "header_bytes": wire.HEADER.size, "units": "rad, m, rad/s, m/s"},
+        "signed_frame": {"magic": sealed.MAGIC.decode(), "trailer_bytes": sealed.TRAILER, "required": not unsigned},
         "statuses": {status.name: int(status) for status in Status},
         "flags": {str(flag.name): int(flag) for flag in Flag},
         "max_age_ms": rules.max_age_ns / 1e6,
@@ -135,6 +144,8 @@ class Queries:
 
     def __init__(self, session: zenoh.Session, spec: QuerySpec, pipe: Connection) -> None:
         self.active: dict[str, Active] = {}
+        self._masters = spec.masters
+        self._spec = spec
         self._session = session
         self._pipe = pipe
         self._thread = threading.Thread(target=self._follow, name="versions")
@@ -150,11 +161,10 @@ class Queries:
                 try:
                     self._answer(query)
                 except QueryError as error:
-                    query.reply_err(json.dumps(error.document).encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
+                    self._refuse(query, error)
                 except Exception:
                     log.exception("query %s failed", query.key_expr)
-                    document = QueryError("internal_error", "Kilter failed; its log has the cause.").document
-                    query.reply_err(json.dumps(document).encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
+                    self._refuse(query, QueryError("internal_error", "Kilter failed; its log has the cause."))
         self._thread.join()
 
     def _answer(self, query: zenoh.Query) -> None:
@@ -162,16 +172,52 @@ class Queries:
         robot = keys.robot_of(key)
         active = self.active.get(robot)
         if key.endswith("/@rpc/describe"):
-            query.reply(key, describe(robot, active), encoding=zenoh.Encoding.APPLICATION_JSON)
+            document = self._signed(query, describe(robot, active, self._spec.unsigned))
+            query.reply(key, document, encoding=zenoh.Encoding.APPLICATION_JSON)
             return
         if not key.endswith("/@rpc/correct"):
             procedure = key.rpartition("/")[2]
             raise QueryError("not_found", f"There is no procedure {procedure!r}: correct and describe are.")
+        data = _payload(query)
+        session_key = self._session_key(query, data)
         try:
-            request = decode_trajectory(query.payload.to_bytes() if query.payload else b"")
+            request = decode_trajectory(sealed.unsealed(data) if session_key else data)
         except FrameError as error:
             raise QueryError(Status.BAD_FRAME.name, str(error)) from error
-        query.reply(key, correct_trajectory(request, active), encoding=zenoh.Encoding(ENCODING))
+        answer = correct_trajectory(request, active)
+        if session_key:
+            asked = data[-sealed.TAG_BYTES :]
+            answer = sealed.sealed(answer, sealed.session_of(data), session_key, sealed.REPLY, asked)
+        query.reply(key, answer, encoding=zenoh.Encoding(ENCODING))
+
+    def _session_key(self, query: zenoh.Query, data: bytes) -> bytes | None:
+        """Key of a signed request; None for a plain one, where those are taken."""
+        if not sealed.is_signed(data):
+            if self._spec.unsigned:
+                return None
+            raise QueryError(Status.UNSIGNED.name, UNSIGNED)
+        stream = query.parameters.get("stream") or ""
+        robot = keys.robot_of(str(query.key_expr))
+        key = self._masters.key_of(sealed.session_of(data), self._spec.site, robot, stream)
+        expires_s = Session(*sealed.ID.unpack(sealed.session_of(data))).expires_s
+        if key is None or not sealed.fits(key, sealed.QUESTION, data) or expires_s < time.time():
+            raise QueryError(
+                Status.NO_SESSION.name,
+                "The request is not signed with the key of a session that is valid here: name its stream in the selector "
+                "(`?stream=main`), or ask the API for a new session.",
+            )
+        return key
+
+    def _refuse(self, query: zenoh.Query, error: QueryError) -> None:
+        document = self._signed(query, json.dumps(error.document).encode())
+        query.reply_err(document, encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def _signed(self, query: zenoh.Query, document: bytes) -> bytes:
+        key, data = str(query.key_expr), _payload(query)
+        # The tag of a signed request is as good as a nonce: it covers a random sequence number and time.
+        question = data[-sealed.TRAILER :] if sealed.is_signed(data) else data
+        stream = query.parameters.get("stream")
+        return questions.reply(self._masters, question, key, self._spec.site, keys.robot_of(key), stream, document)
 
     def _follow(self) -> None:
         """Keep to the supervisor's versions; close the session when it says stop, or is gone."""
@@ -182,12 +228,18 @@ class Queries:
                     self.active[rest[0].robot] = rest[0]
                 elif message == "drop":
                     self.active.pop(rest[0], None)
+                elif message == "masters":
+                    self._masters = rest[0]
                 elif message == "stop":
                     return
         except (EOFError, OSError):
             return
         finally:
             close(self._session)
+
+
+def _payload(query: zenoh.Query) -> bytes:
+    return query.payload.to_bytes() if query.payload else b""
 
 
 def query_main(spec: QuerySpec, pipe: Connection) -> None:

@@ -1,7 +1,8 @@
 """The streams that are served: who gets a slot, and who gives it back.
 
 Anybody who reaches the corrector can make up names. So a robot without a version has no slots, a stream in good use keeps
-its own whatever else comes in; of all others, the one whose last good setpoint is the oldest loses its slot.
+its own whatever else comes in; of all others, the one whose last good setpoint is the oldest loses its slot. A stream that
+loses its slot loses its sequence, so the nonces given until then lose their use.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from dataclasses import dataclass
 import zenoh
 
 from kilter_service.corrector import keys
+from kilter_service.corrector.gate import Address, Gate
+from kilter_service.corrector.guard import Guard
 from kilter_service.corrector.session import ENCODING
 from kilter_service.corrector.specs import Rules
 from kilter_service.corrector.stream import Stream
@@ -22,6 +25,7 @@ class Served:
 
     robot: str
     stream: Stream
+    guard: Guard
     publisher: zenoh.Publisher
     status_key: str
     key: zenoh.KeyExpr
@@ -37,10 +41,11 @@ class Served:
 class Slots:
     """Streams by the key of their setpoints; a new dictionary with every change, because the housekeeping reads it too."""
 
-    def __init__(self, session: zenoh.Session, rules: Rules) -> None:
+    def __init__(self, session: zenoh.Session, rules: Rules, gate: Gate) -> None:
         self.served: dict[str, Served] = {}
         self._session = session
         self._rules = rules
+        self._gate = gate
 
     def take(self, key: str, names: tuple[str, str, str], arrival_ns: int) -> Served | None:
         """A slot for a stream (``names`` of its robot, answers and status), or None when all are in use."""
@@ -57,7 +62,9 @@ class Slots:
         # Once declared to the peers, the key travels as a number. Otherwise every setpoint carries its text, and a
         # subscription with wildcards is looked up again: 10 to 25 µs a round trip.
         declared = self._session.declare_keyexpr(key)
-        served = Served(robot, Stream(self._rules), publisher, status, declared)
+        stream = Stream(self._rules)
+        guard = Guard(self._gate, address_of(key), stream)
+        served = Served(robot, stream, guard, publisher, status, declared)
         self.served = {**self.served, key: served}
         return served
 
@@ -70,6 +77,8 @@ class Slots:
         self.served = {key: served for key, served in self.served.items() if key not in gone}
         for served in self.served.values():
             served.follower = None  # it may be one that is gone
+        if gone:
+            self._gate.forget()
         for served in gone.values():
             served.follower = None
             served.publisher.undeclare()  # type: ignore[no-untyped-call]
@@ -87,3 +96,9 @@ def names_of(key: str) -> tuple[str, str, str] | None:
         return parts[3], names.stream(parts[5], "out"), names.stream(parts[5], "status")
     except ValueError:
         return None
+
+
+def address_of(key: str) -> Address:
+    """Site, robot and stream of a key of setpoints."""
+    parts = key.split("/")
+    return Address(parts[2], parts[3], parts[5])

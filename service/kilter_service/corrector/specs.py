@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from kilter_service.signing.masters import Masters
+
 STREAM, QUERY = "kilter_service.corrector.loop:stream_main", "kilter_service.corrector.queries:query_main"
 
 
@@ -44,6 +46,8 @@ class StreamSpec:
     instance: str
     listen: str
     private_endpoint: str
+    masters: Masters
+    unsigned: bool
     zenoh_config: Path | None = None
     rules: Rules = field(default_factory=Rules)
 
@@ -54,6 +58,8 @@ class QuerySpec:
 
     site: str
     private_endpoint: str
+    masters: Masters
+    unsigned: bool
     zenoh_config: Path | None = None
 
 

@@ -67,6 +67,9 @@ class Status(IntEnum):
     NO_VERSION = 9
     VERSION_MISMATCH = 10
     OVERLOAD = 11
+    NO_SESSION = 12  # the message is of no session in use; the answer has the nonce to sign with
+    UNSIGNED = 13
+    SESSION_EXPIRED = 14
 
 
 class FrameError(ValueError):

@@ -1,8 +1,9 @@
 """Which answers a stream accepts: only echoes of what it sent, with corrections that are not too large.
 
-Everybody who reaches the corrector's network can publish on the key of the answers. The sequence number and the time of
-sending are drawn at random, so only somebody who reads the setpoints can echo them. Whoever does that can still only move
-the arm within the largest correction, and no faster than :mod:`kilter_client.carried` allows.
+Everybody who reaches the corrector's network can publish on the key of the answers. Where frames are signed, only an answer
+signed with the key in use comes as far as this. The sequence number and the time of sending are drawn at random, so only
+somebody who reads the setpoints can echo them. Whoever does that on an unsigned stream can still only move the arm within
+the largest correction, and no faster than :mod:`kilter_client.carried` allows.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from operator import le, sub
 from kilter_client.frames import CHUNK, POINT, Answer, decode, encode
 from kilter_client.in_use import InUse
 from kilter_client.setpoint import Statistics
+from kilter_client.signing import Signer
 
 RANDOM = 2**20 - 1  # ns of the time of sending: about a millisecond, while a setpoint may be 50 ms old
 DRAWS = struct.Struct("<128I")
@@ -26,7 +28,15 @@ WHOLE = 2**64 - 1
 class Acceptance:
     """Makes the frames of one stream and judges the answers to the last one."""
 
-    def __init__(self, statistics: Statistics, in_use: InUse, version: int | None, ask: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        statistics: Statistics,
+        in_use: InUse,
+        version: int | None,
+        ask: Callable[[], None],
+        signer: Signer | None = None,
+    ) -> None:
+        self._signer = signer
         self._statistics = statistics
         self._in_use = in_use
         self._version = version
@@ -34,7 +44,7 @@ class Acceptance:
         self._first = self._seq = secrets.randbits(62)
         self._zero_ns = secrets.randbits(61)  # the clock of the frames begins anywhere
         self._drawn: list[int] = []
-        self._echo = b""
+        self.echo = b""  # what an answer to the last setpoint repeats
         self._shape = (POINT, 0, 0, 0)  # kind, joints, points, step of the answer
         self._wanted: Sequence[float] = ()
 
@@ -61,12 +71,12 @@ class Acceptance:
         )  # fmt: skip
         self._wanted = wanted
         self._shape = (POINT if points is None else CHUNK, joints, points or 1, step_ns)
-        self._echo = data[8:32]
-        return data, now
+        self.echo = data[8:32]
+        return (data if self._signer is None else self._signer.sealed(data)), now
 
     def echoes(self, data: bytes) -> bool:
         """Whether bytes repeat sequence and times of the last setpoint; else they are counted."""
-        if data[8:32] == self._echo:
+        if data[8:32] == self.echo:
             return True
         if len(data) < 32:
             self._statistics.malformed += 1

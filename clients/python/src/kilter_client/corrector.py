@@ -51,9 +51,12 @@ def find_corrector(data: Path | None = None) -> dict[str, Any]:
     return document
 
 
-def session_config(zenoh: Any, endpoints: Sequence[str]) -> Any:
-    """Peer that connects to the endpoints and to nobody else, and comes back within half a second."""
-    config = zenoh.Config()
+def session_config(zenoh: Any, endpoints: Sequence[str], file: Path | None = None) -> Any:
+    """Peer that connects to the endpoints and to nobody else, and comes back within half a second.
+
+    ``file`` is a zenoh configuration with the certificates of this controller.
+    """
+    config = zenoh.Config.from_file(str(file)) if file else zenoh.Config()
     settings: dict[str, object] = {
         "mode": "peer",
         "listen/endpoints": [],

@@ -59,6 +59,7 @@ class Statistics:
     late: int = 0  # answers dropped because their cycle was over
     unknown_epoch: int = 0
     malformed: int = 0
+    forged: int = 0  # dropped: not signed with the key in use
     foreign: int = 0  # dropped: they do not echo a setpoint of this stream
     too_large: int = 0  # dropped: beyond the largest correction, or not finite
     slowed: int = 0  # corrections that changed faster than they may, and were followed more slowly

@@ -13,8 +13,6 @@ correction is being released. Nothing here needs numpy; zenoh is loaded when a s
 from __future__ import annotations
 
 import atexit
-import contextlib
-import itertools
 import math
 import queue
 import threading
@@ -25,20 +23,22 @@ from typing import Any
 
 from kilter_client.acceptance import Acceptance
 from kilter_client.carried import Carried, farthest
-from kilter_client.corrector import StreamError, find_corrector, root_of, session_config
+from kilter_client.corrector import StreamError, find_corrector, session_config
 from kilter_client.frames import QD, QDD, RESET, SETTLED, Answer
-from kilter_client.in_use import MOST_REPLIES, InUse
+from kilter_client.in_use import InUse
+from kilter_client.link import AGAIN, GONE, Link, Place
+from kilter_client.sessions import Sessions
 from kilter_client.setpoint import Setpoint, Statistics
+from kilter_client.signing import Session
 
 __all__ = ["CorrectedStream", "Setpoint", "Statistics", "StreamError", "corrected", "find_corrector"]
 
-_GONE = b""  # put into the queue when the corrector is gone, to end a wait
-_MOST_WAITING = 64  # answers to one setpoint; more of them are somebody else's
+_MISSES = 3  # answers missed in a row, after which the corrector is asked for its nonce
 _LOST_ITS_PLACE = ("STALE", "SEQ_BACK", "RATE_LIMIT")  # the corrector's past refuses, so it starts anew
 _LOST_FRAMES = ("SEQ_GAP", "OVERLOAD")  # so it does when these come twice in a row
 
 
-class CorrectedStream:
+class CorrectedStream(Link):
     """A stream to the corrector of one robot; use it in a ``with`` block.
 
     Args:
@@ -57,6 +57,10 @@ class CorrectedStream:
             it may change by a tenth of that besides.
         connect_timeout_s: how long to wait for the corrector and its version when the stream is opened.
         data: data folder of the server, to find the corrector file.
+        session: keys of a session (``kilter_client.signing.from_document`` of an answer of the API); default is a new one.
+        signed: False for unsigned setpoints, which a corrector may take on its own machine; default is signed wherever a
+            session can be had.
+        zenoh_config: zenoh configuration with the certificates of this controller, as `kilterd zenoh-config` writes it.
 
     """
 
@@ -77,34 +81,34 @@ class CorrectedStream:
         quickest_s: float = 0.2,
         connect_timeout_s: float = 5.0,
         data: Path | None = None,
+        session: Session | None = None,
+        signed: bool | None = None,
+        zenoh_config: Path | None = None,
         statistics: Statistics | None = None,
     ) -> None:
+        found: dict[str, Any] = {}
         if endpoints is None or site is None:
             found = find_corrector(data)
             endpoints = endpoints or list(found["endpoints"].values())
             site = site or str(found["site"])
+        self.statistics = statistics or Statistics()
+        in_use = InUse(math.radians(largest_deg), largest_mm / 1000.0)
+        sessions = Sessions(site, robot, stream, endpoints, found, signed)
+        super().__init__(
+            Place(site, robot, stream, endpoints), self.statistics, in_use, sessions, sessions.first(session)
+        )
         self.robot = robot
         self.deadline_s = deadline_s
         self.connect_timeout_s = connect_timeout_s
-        self.statistics = statistics or Statistics()
-        self.joints = 0  # known when the stream is open
-        self._in_use = InUse(math.radians(largest_deg), largest_mm / 1000.0)
-        self._ask_again = threading.Event()
-        self._acceptance = Acceptance(self.statistics, self._in_use, version, self._ask_again.set)
-        self._carried = Carried(self._in_use, self.statistics, settled, hold_cycles, release_s, quickest_s)
-        self._endpoints = endpoints
-        self._site = site
-        self._root = root_of(site, robot, stream)
-        self._stream = stream
+        self._acceptance = Acceptance(self.statistics, in_use, version, self._ask_again.set, self._signer)
+        self._carried = Carried(in_use, self.statistics, settled, hold_cycles, release_s, quickest_s)
+        self._zenoh_config = zenoh_config
         self._settled = settled
         self._flags = RESET | (SETTLED if settled else 0)
-        self._alive: set[str] = set()
-        self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._wanted: tuple[float, ...] = ()  # the last setpoint, and when it was sent
         self._sent_ns = 0
         self._lost = False  # the last answer said that frames are missing
-        self._follower: threading.Thread | None = None
-        self._session: Any = None
+        self._misses = 0  # in a row
 
     def __enter__(self) -> CorrectedStream:
         """Open the stream.
@@ -117,11 +121,11 @@ class CorrectedStream:
             import zenoh
         except ImportError as error:
             raise StreamError("Streams need zenoh: pip install 'kilter-client[stream]'.") from error
-        self._session = zenoh.open(session_config(zenoh, self._endpoints))
+        self._session = zenoh.open(session_config(zenoh, self._place.endpoints, self._zenoh_config))
         atexit.register(self.close)
         try:
             self._declare(zenoh)
-            self._wait_for_version()
+            self._wait_for_version(self.connect_timeout_s)
             self._follower = threading.Thread(target=self._follow, args=(self._session,), name="versions", daemon=True)
             self._follower.start()
         except BaseException:
@@ -132,105 +136,6 @@ class CorrectedStream:
     def __exit__(self, *_: object) -> None:
         """Close the stream."""
         self.close()
-
-    def close(self) -> None:
-        """Close the session; safe to call twice."""
-        atexit.unregister(self.close)
-        session, self._session = self._session, None
-        if session is not None:
-            session.close()
-            self._ask_again.set()  # the thread sees that there is no session any more
-            if self._follower is not None:
-                self._follower.join(1.0)
-
-    @property
-    def active(self) -> dict[str, Any] | None:
-        """The announcement of the version in use, as the corrector confirmed it; None when there is none."""
-        return self._in_use.active
-
-    @property
-    def alive(self) -> bool:
-        """Whether a corrector that serves the robot is known to be there."""
-        return bool(self._alive)
-
-    def _declare(self, zenoh: Any) -> None:
-        session = self._session
-        self._deleted = zenoh.SampleKind.DELETE
-        # Of everybody who answers, not of one whom the network thinks best.
-        self._question = {
-            "target": zenoh.QueryTarget.ALL,
-            "consolidation": zenoh.ConsolidationMode.NONE,
-            "timeout": 0.5,
-        }
-        # Direct callbacks only hand bytes over: no zenoh call, no thread of their own that could hang at exit.
-        direct = {"indirect": False}
-        session.declare_subscriber(
-            f"{self._root}/stream/{self._stream}/out",
-            zenoh.handlers.Callback(self._on_answer, **direct),
-        )
-        session.declare_subscriber(f"{self._root}/active", zenoh.handlers.Callback(self._on_active, **direct))
-        session.liveliness().declare_subscriber(
-            f"{self._root}/@alive/*", zenoh.handlers.Callback(self._on_liveliness, **direct), history=True
-        )
-        self._publisher = session.declare_publisher(
-            f"{self._root}/stream/{self._stream}/in",
-            priority=zenoh.Priority.REAL_TIME,
-            congestion_control=zenoh.CongestionControl.DROP,
-            express=False,
-        )
-
-    def _on_answer(self, sample: Any) -> None:
-        data = sample.payload.to_bytes()
-        # What is not an echo goes no further: it would wait in the queue before the answer.
-        if self._acceptance.echoes(data) and self._answers.qsize() < _MOST_WAITING:
-            self._answers.put(data)
-
-    def _on_active(self, sample: Any) -> None:
-        self._in_use.announce(sample.payload.to_bytes())
-        self._ask_again.set()
-
-    def _ask_for_version(self, session: Any) -> None:
-        replies = itertools.islice(session.get(f"{self._root}/active", **self._question), MOST_REPLIES)
-        self._in_use.confirm([reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None])
-
-    def _follow(self, session: Any) -> None:
-        """Ask which version is active whenever somebody says that it has changed; apart from the cycles."""
-        while True:
-            self._ask_again.wait()
-            self._ask_again.clear()
-            if self._session is None:
-                return
-            with contextlib.suppress(Exception):  # the session is being closed
-                self._ask_for_version(session)
-            time.sleep(0.02)  # however often somebody says so
-
-    def _on_liveliness(self, sample: Any) -> None:
-        if sample.kind == self._deleted:
-            self._alive.discard(str(sample.key_expr))
-            if not self._alive:
-                self._answers.put(_GONE)
-        else:
-            self._alive.add(str(sample.key_expr))
-            self._ask_again.set()
-
-    def _wait_for_version(self) -> None:
-        """Ask for the active version until somebody knows it and the way to the corrector is open."""
-        end = time.monotonic() + self.connect_timeout_s
-        while True:
-            self._ask_for_version(self._session)
-            if self.active is not None and self.alive and self._publisher.matching_status.matching:
-                self.joints = self.active["joints"]
-                return
-            if time.monotonic() > end:
-                break
-            time.sleep(0.02)
-        where = f"The corrector at {', '.join(self._endpoints)}"
-        if self._publisher.matching_status.matching:
-            raise StreamError(
-                f"{where} knows no active version of a robot {self.robot!r}: activate one with `kilter activate`, "
-                "or correct the robot's name."
-            )
-        raise StreamError(f"{where} does not answer: is `kilterd serve` up, and its site {self._site!r}?")
 
     def correct(
         self,
@@ -311,15 +216,26 @@ class CorrectedStream:
         data, sent = self._acceptance.frame(values, wanted, self.joints, flags, t_apply_ns, **chunk)
         self._sent_ns = sent
         self._publisher.put(data)
-        answer = self._wait(sent + int(self.deadline_s * 1e9))
-        if answer is None:
-            self.statistics.missed += 1
+        end_ns = sent + int(self.deadline_s * 1e9)
+        answer = self._wait(end_ns)
+        if answer == AGAIN:  # once: with the corrector's nonce it fits
+            self._publisher.put(self._acceptance.frame(values, wanted, self.joints, flags, t_apply_ns, **chunk)[0])
+            answer = self._wait(end_ns)
+        if not isinstance(answer, Answer):
+            self._miss()
             return None, math.nan
+        self._misses = 0
         trip = (time.monotonic_ns() - sent) * 1e-9
         self.statistics.round_trips_s.append(trip)
         return answer, trip
 
-    def _wait(self, end_ns: int) -> Answer | None:
+    def _miss(self) -> None:
+        self.statistics.missed += 1
+        self._misses += 1
+        if self._signer is not None and self._misses % _MISSES == 0:
+            self._publisher.put(self._signer.greeting())  # the corrector may have been restarted
+
+    def _wait(self, end_ns: int) -> Answer | bytes | None:
         """The answer to the setpoint just sent; None when it does not come in time, or the corrector is gone."""
         while True:
             left = (end_ns - time.monotonic_ns()) * 1e-9
@@ -327,10 +243,12 @@ class CorrectedStream:
                 data = self._answers.get(timeout=left) if left > 0 else self._answers.get_nowait()
             except queue.Empty:
                 return None
-            if data is _GONE:
+            if data is GONE:
                 if self._alive:
                     continue
                 return None
+            if data is AGAIN:
+                return data
             answer = self._accept(data)
             if answer is not None:
                 return answer

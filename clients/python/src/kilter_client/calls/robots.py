@@ -73,3 +73,8 @@ def do(name: str, what: str) -> Steps[Document]:
 def also(retired: bool) -> dict[str, str]:
     """Return what asks for retired ones too."""
     return {"retired": "true"} if retired else {}
+
+
+def stream_session(name: str, stream: str, lifetime_h: float) -> Steps[Document]:
+    """Ask for the keys of a stream."""
+    return post(address("robots", name, "stream", "sessions"), {"stream": stream, "lifetime_h": lifetime_h})

@@ -119,6 +119,7 @@ MODULE_OF = {
     "SetAside": "identifications",
     "ShuffledEffect": "hunt_numbers",
     "StageErrors": "fits",
+    "StreamSession": "others",
     "Testability": "checks",
     "Text": "fits",
     "Token": "others",

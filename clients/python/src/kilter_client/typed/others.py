@@ -153,3 +153,29 @@ class Token(Record):
     """Names of the robots it is limited to; None: all robots. A robot of that name may be added later."""
     role: str
     """`viewer` reads; `operator` also uploads, runs jobs, corrects and activates; `admin` also has robots, tokens, purging and the audit."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StreamSession(Record):
+    """Id and keys of a session. Whoever has them can send setpoints on this stream."""
+
+    announcement_key: str
+    """Key with which the corrector signs what it announces about the robot, hexadecimal; a secret."""
+    expires_at: str
+    """When the session ends."""
+    key: str
+    """Key of the session, hexadecimal; a secret."""
+    max_age_ms: float
+    """A setpoint that arrives later than this after it was sent is refused, ms."""
+    max_joints: int
+    """Largest number of joints of a setpoint."""
+    max_points: int
+    """Largest number of points of a chunk."""
+    robot: str
+    """Name of the robot."""
+    session: str
+    """Id of the session, which every frame carries, hexadecimal."""
+    site: str
+    """Site in the keys of the stream."""
+    stream: str
+    """Name of the stream."""

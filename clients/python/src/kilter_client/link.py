@@ -1,0 +1,204 @@
+"""The zenoh side of a stream: checks what arrives and hands it over; follows versions and sessions apart from the cycles."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import itertools
+import queue
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from kilter_client.acceptance import Acceptance
+from kilter_client.corrector import StreamError, root_of
+from kilter_client.in_use import MOST_REPLIES, InUse
+from kilter_client.sessions import Sessions
+from kilter_client.setpoint import Statistics
+from kilter_client.signing import SESSION_EXPIRED, Session, Signer
+
+GONE = b""  # put into the queue when the corrector is gone, to end a wait
+AGAIN = b"again"  # put there when the setpoint was not corrected, but the corrector has given its nonce
+MOST_WAITING = 64  # answers to one setpoint; more of them are somebody else's
+
+
+@dataclass(frozen=True)
+class Place:
+    """Names of a stream, and the endpoints of its corrector."""
+
+    site: str
+    robot: str
+    stream: str
+    endpoints: Sequence[str]
+
+    @property
+    def root(self) -> str:
+        """Keys of the robot begin so."""
+        return root_of(self.site, self.robot, self.stream)
+
+
+class Link:
+    """A stream's session with the corrector."""
+
+    _acceptance: Acceptance
+
+    def __init__(
+        self, place: Place, statistics: Statistics, in_use: InUse, sessions: Sessions, first: Session | None
+    ) -> None:
+        _ = place.root  # refuses names that nobody would ever answer
+        self.joints = 0  # known when the stream is open
+        self._place = place
+        self._statistics = statistics
+        self._in_use = in_use
+        self._sessions = sessions
+        self._signer = Signer(first) if first is not None else None
+        self._ask_again = threading.Event()
+        self._alive: set[str] = set()
+        self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._follower: threading.Thread | None = None
+        self._session: Any = None
+
+    def close(self) -> None:
+        """Close the session; safe to call twice."""
+        atexit.unregister(self.close)
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()
+            self._ask_again.set()  # the thread sees that there is no session any more
+            if self._follower is not None:
+                self._follower.join(1.0)
+
+    @property
+    def active(self) -> dict[str, Any] | None:
+        """The announcement of the version in use, as the corrector confirmed it; None when there is none."""
+        return self._in_use.active
+
+    @property
+    def alive(self) -> bool:
+        """Whether a corrector that serves the robot is known to be there."""
+        return bool(self._alive)
+
+    def _declare(self, zenoh: Any) -> None:
+        session = self._session
+        self._deleted = zenoh.SampleKind.DELETE
+        # Of everybody who answers, not of one whom the network thinks best.
+        self._question = {
+            "target": zenoh.QueryTarget.ALL,
+            "consolidation": zenoh.ConsolidationMode.NONE,
+            "timeout": 0.5,
+        }
+        # Direct callbacks only hand bytes over: no zenoh call, no thread of their own that could hang at exit.
+        direct = {"indirect": False}
+        session.declare_subscriber(
+            f"{self._place.root}/stream/{self._place.stream}/out",
+            zenoh.handlers.Callback(self._on_answer, **direct),
+        )
+        session.declare_subscriber(f"{self._place.root}/active", zenoh.handlers.Callback(self._on_active, **direct))
+        session.liveliness().declare_subscriber(
+            f"{self._place.root}/@alive/*", zenoh.handlers.Callback(self._on_liveliness, **direct), history=True
+        )
+        self._publisher = session.declare_publisher(
+            f"{self._place.root}/stream/{self._place.stream}/in",
+            priority=zenoh.Priority.REAL_TIME,
+            congestion_control=zenoh.CongestionControl.DROP,
+            express=False,
+        )
+
+    def _on_answer(self, sample: Any) -> None:
+        data = sample.payload.to_bytes()
+        if self._signer is not None:
+            data = self._opened(self._signer, data)
+        # What is not an echo goes no further: it would wait in the queue before the answer.
+        if data and self._acceptance.echoes(data) and self._answers.qsize() < MOST_WAITING:
+            self._answers.put(data)
+
+    def _opened(self, signer: Signer, data: bytes) -> bytes:
+        """The plain answer in a signed one; nothing when it is forged, or was not meant for the cycle."""
+        echo = self._acceptance.echo
+        status = signer.challenged(data, echo)
+        if status is None:
+            plain = signer.opened(data)
+            self._statistics.forged += int(plain is None)
+            return plain or b""
+        if status == SESSION_EXPIRED:
+            self._sessions.expired()
+            self._ask_again.set()
+        elif data[8:32] == echo:
+            self._answers.put(AGAIN)
+        return b""
+
+    def _on_active(self, sample: Any) -> None:
+        payload = sample.payload.to_bytes()
+        if self._signer is not None:
+            payload = self._signer.said(f"{self._place.root}/active", payload)
+        if payload is None:
+            self._statistics.forged += 1
+            return
+        self._in_use.announce(payload)
+        self._ask_again.set()
+
+    def _ask_for_version(self, session: Any) -> None:
+        key, signer = f"{self._place.root}/active", self._signer
+        if signer is None:
+            asked = session.get(key, **self._question)
+        else:
+            question = signer.question()
+            asked = session.get(f"{key}?stream={self._place.stream}", payload=question, **self._question)
+        found = [reply.ok.payload.to_bytes() for reply in itertools.islice(asked, MOST_REPLIES) if reply.ok is not None]
+        if signer is not None:
+            found = [body for reply in found if (body := signer.replied(question, key, reply)) is not None]
+        self._in_use.confirm(found)
+
+    def _follow(self, session: Any) -> None:
+        """Ask which version is active whenever somebody says that it has changed; apart from the cycles."""
+        while True:
+            self._ask_again.wait(30.0)
+            self._ask_again.clear()
+            if self._session is None:
+                return
+            if self._signer is not None and self._sessions.due():
+                self._renew(self._signer)
+            with contextlib.suppress(Exception):  # the session is being closed
+                self._ask_for_version(session)
+            time.sleep(0.02)  # however often somebody says so
+
+    def _renew(self, signer: Signer) -> None:
+        """Get another session; the stream changes to it when the corrector has answered its greeting."""
+        with contextlib.suppress(StreamError):
+            session = self._sessions.next()
+            if session is not None:
+                signer.renew(session)
+                self._publisher.put(signer.greeting())
+
+    def _on_liveliness(self, sample: Any) -> None:
+        if sample.kind == self._deleted:
+            self._alive.discard(str(sample.key_expr))
+            if not self._alive:
+                self._answers.put(GONE)
+        else:
+            self._alive.add(str(sample.key_expr))
+            self._ask_again.set()
+
+    def _wait_for_version(self, timeout_s: float) -> None:
+        """Ask for the active version until somebody knows it and the way to the corrector is open."""
+        end = time.monotonic() + timeout_s
+        while True:
+            if self._signer is not None and not self._signer.ready:
+                self._publisher.put(self._signer.greeting())
+            self._ask_for_version(self._session)
+            ready = self._signer is None or self._signer.ready
+            if ready and self.active is not None and self.alive and self._publisher.matching_status.matching:
+                self.joints = self.active["joints"]
+                return
+            if time.monotonic() > end:
+                break
+            time.sleep(0.02)
+        where = f"The corrector at {', '.join(self._place.endpoints)}"
+        if self._publisher.matching_status.matching:
+            raise StreamError(
+                f"{where} knows no active version of a robot {self._place.robot!r}: activate one with `kilter activate`, "
+                "or correct the robot's name."
+            )
+        raise StreamError(f"{where} does not answer: is `kilterd serve` up, and its site {self._place.site!r}?")
