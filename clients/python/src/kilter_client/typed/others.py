@@ -132,30 +132,6 @@ class ResidualRows(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Token(Record):
-    """A token; what is sent with requests is shown once, when it is made."""
-
-    created_at: str
-    """When it was made."""
-    created_by: str
-    """Who made it."""
-    expires_at: str | None
-    """When it expires; None: never."""
-    id: str
-    """Its id."""
-    name: str
-    """Whose token it is or what it is for; the records of changes show it."""
-    revoked_at: str | None
-    """When it was revoked; None: it was not."""
-    revoked_by: str
-    """Who revoked it; empty: nobody."""
-    robots: tuple[str, ...]
-    """Names of the robots it is limited to; None: all robots. A robot of that name may be added later."""
-    role: str
-    """`viewer` reads; `operator` also uploads, runs jobs, corrects and activates; `admin` also has robots, tokens, purging and the audit."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class StreamSession(Record):
     """Id and keys of a session. Whoever has them can send setpoints on this stream."""
 
@@ -179,3 +155,27 @@ class StreamSession(Record):
     """Site in the keys of the stream."""
     stream: str
     """Name of the stream."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Token(Record):
+    """A token; what is sent with requests is shown once, when it is made."""
+
+    created_at: str
+    """When it was made."""
+    created_by: str
+    """Who made it."""
+    expires_at: str | None
+    """When it expires; None: never."""
+    id: str
+    """Its id."""
+    name: str
+    """Whose token it is or what it is for; the records of changes show it."""
+    revoked_at: str | None
+    """When it was revoked; None: it was not."""
+    revoked_by: str
+    """Who revoked it; empty: nobody."""
+    robots: tuple[str, ...]
+    """Names of the robots it is limited to; None: all robots. A robot of that name may be added later."""
+    role: str
+    """`viewer` reads; `operator` also uploads, runs jobs, corrects and activates; `admin` also has robots, tokens, purging and the audit."""
