@@ -33,11 +33,6 @@ def driving_order(q: Floats, ranges: Floats) -> Ints:
     return order
 
 
-def path_length(q: Floats, ranges: Floats) -> float:
-    """Length of the path through ``q (N, n)`` in this order, in joint ranges."""
-    return float(np.abs(np.diff(q / np.where(ranges > 0.0, ranges, 1.0), axis=0)).max(axis=1).sum())
-
-
 def _nearest(cost: Floats) -> Ints:
     left = np.ones(len(cost), dtype=bool)
     order = [0]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from kilter_core.errors import OptionError
+from kilter_core.identify.options import known_options
 
 # The best laser trackers promise 15 um near by, and arms return to a pose within 20 to 100 um: 5 um does not matter.
 MATTERS_UM = 5.0
@@ -87,11 +88,4 @@ class GapOptions:
             OptionError: an option that does not exist or cannot be.
 
         """
-        known = {f.name for f in fields(GapOptions)}
-        unknown = sorted(set(document) - known)
-        if unknown:
-            raise OptionError(
-                f"gap has no option {unknown[0]!r}. It has: {', '.join(sorted(known))}.", option=unknown[0]
-            )
-        made: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in document.items()}
-        return GapOptions(**made)
+        return GapOptions(**known_options(GapOptions, "gap", document))

@@ -11,7 +11,7 @@ import numpy as np
 
 from kilter_core.effects import Batch
 from kilter_core.errors import NotConvergedError
-from kilter_core.identify.problem import ByDeviation, LeastSquares, linearised_residual
+from kilter_core.identify.problem import ByDeviation, LeastSquares, Whitened, linearised_residual
 from kilter_core.identify.solver import Minimum, StepProgress, minimise
 from kilter_core.measurement import Block, Measurement, Residual
 from kilter_core.measurement.kind import POINTS, TURNS
@@ -47,12 +47,9 @@ class Weights:
 
 
 @dataclass(frozen=True)
-class Linearised:
-    """A problem near some values: ``r (R,)`` and ``J (R, F)``, Jᵀr the downhill slope of the ``loss``; the raw residual."""
+class Linearised(Whitened):
+    """A problem near some values, with its raw residual."""
 
-    r: Floats
-    J: Floats
-    loss: float
     residual: Residual
 
 
@@ -129,10 +126,6 @@ class Problem(LeastSquares[Linearised]):
         """Linearise there."""
         return self.linearised(values)
 
-    def weighed(self, values: Floats) -> Floats:
-        """Residuals (R,) that have the slope of the loss."""
-        return self.linearised(values).r
-
     def current(self, values: Floats) -> Floats:
         """Values of the free parameters."""
         return values[self.free]
@@ -149,6 +142,11 @@ class Problem(LeastSquares[Linearised]):
         scaled = self._over_sigma(residual)
         r, exact = self._both(scaled, self._roots(scaled, _weight_root))
         return Linearised(r, here.J, self.loss_at(values, exact), residual)
+
+    def by_row(self, here: Linearised) -> tuple[Floats, Floats]:
+        """Jacobian (N, R, F) in prior sigmas and residuals (N, R), whitened, of all that each row measured."""
+        rows = len(self.measurement.observations)
+        return here.residual.by_row(here.J * self.prior_sigma, rows), here.residual.by_row(here.r, rows)
 
     def _both(self, scaled: list[Floats], roots: list[Floats | None]) -> tuple[Floats, Floats]:
         """Residuals that have the slope of the loss, and residuals whose squares are twice the loss."""

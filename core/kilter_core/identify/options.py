@@ -112,14 +112,7 @@ class IdentifyOptions:
             OptionError: an option that does not exist or cannot be.
 
         """
-        known = {f.name for f in fields(IdentifyOptions)}
-        unknown = sorted(set(document) - known)
-        if unknown:
-            raise OptionError(
-                f"identify has no option {unknown[0]!r}. It has: {', '.join(sorted(known))}.", option=unknown[0]
-            )
-        given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in document.items()}
-        return IdentifyOptions(**given)
+        return IdentifyOptions(**known_options(IdentifyOptions, "identify", document))
 
     def make_effects(self) -> tuple[Effect, ...]:
         """Effects of the model: those asked for, or full tilting at level 3."""
@@ -157,6 +150,20 @@ class IdentifyOptions:
         if value not in allowed:
             offered = ", ".join(str(a) for a in allowed if a is not None)
             raise OptionError(f"{name} is {value!r}: give {offered}.", option=name, value=value)
+
+
+def known_options(options: type, job: str, document: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of a class of options from a JSON object, lists as tuples.
+
+    Raises:
+        OptionError: an option that does not exist.
+
+    """
+    known = {f.name for f in fields(options)}
+    unknown = sorted(set(document) - known)
+    if unknown:
+        raise OptionError(f"{job} has no option {unknown[0]!r}. It has: {', '.join(sorted(known))}.", option=unknown[0])
+    return {k: tuple(v) if isinstance(v, list) else v for k, v in document.items()}
 
 
 FRAME_NAMES = ("x", "y", "z", "rx", "ry", "rz")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -79,26 +79,19 @@ def linearised_residual(
     return measurement.residual(*model.jacobian(batch, values, free, *sees))
 
 
-class Linearised(Protocol):
+@dataclass(frozen=True)
+class Whitened:
     """A problem near some values: ``r (R,)`` and ``J (R, F)``, Jᵀr the downhill slope of the ``loss``."""
 
-    @property
-    def r(self) -> Floats:
-        """Whitened residuals."""
-
-    @property
-    def J(self) -> Floats:
-        """Whitened derivatives of the prediction."""
-
-    @property
-    def loss(self) -> float:
-        """Half the sum of the squares of residuals and priors."""
+    r: Floats
+    J: Floats
+    loss: float
 
 
-L = TypeVar("L", bound=Linearised)
+W = TypeVar("W", bound=Whitened)
 
 
-class LeastSquares(ABC, Generic[L]):
+class LeastSquares(ABC, Generic[W]):
     """Whitened residuals under free parameters that each have a Gaussian prior, as the solver walks them.
 
     ``held (K, F)`` are orthonormal directions, in prior sigmas, along which the parameters stay at ``anchor (F,)``.
@@ -119,15 +112,15 @@ class LeastSquares(ABC, Generic[L]):
         """How much of ``loss`` a step must promise to be worth taking, beside rounding."""
 
     @abstractmethod
-    def at(self, values: Floats) -> L:
+    def at(self, values: Floats) -> W:
         """Linearise there."""
 
-    @abstractmethod
     def weighed(self, values: Floats) -> Floats:
         """The residuals (R,) that :meth:`at` has."""
+        return self.at(values).r
 
     @abstractmethod
-    def beyond(self, here: L, values: Floats, step: Floats) -> L:
+    def beyond(self, here: W, values: Floats, step: Floats) -> W:
         """What is at ``values``, a small ``step (F,)`` in prior sigmas from ``here``; the Jacobian stays."""
 
     @abstractmethod
@@ -148,29 +141,29 @@ class LeastSquares(ABC, Generic[L]):
         with np.errstate(over="ignore"):  # a residual beyond all bounds is said in words by the solver
             return 0.5 * (float(r @ r) + float(away @ away) + HOLD * float(np.sum(self._strayed(values) ** 2)))
 
-    def normal_equations(self, values: Floats, here: L) -> tuple[Floats, Floats]:
+    def normal_equations(self, values: Floats, here: W) -> tuple[Floats, Floats]:
         """Matrix (F, F) and slope (F,) in prior sigmas, the priors included, nothing held."""
         scale = self.prior_sigma
         H = (here.J.T @ here.J) * np.outer(scale, scale)
         H.flat[:: len(H) + 1] += 1.0
         return H, self._downhill(values, here)
 
-    def whole_step(self, values: Floats, here: L) -> Floats:
+    def whole_step(self, values: Floats, here: W) -> Floats:
         """The step (F,) in prior sigmas that Gauss and Newton take with nothing held, neither damped nor shortened."""
         return np.asarray(np.linalg.solve(*self.normal_equations(values, here)), dtype=np.float64)
 
-    def derivatives(self, values: Floats, here: L) -> tuple[Floats, Floats]:
+    def derivatives(self, values: Floats, here: W) -> tuple[Floats, Floats]:
         """Gauss-Newton matrix (F, F) and downhill slope (F,)."""
         H, g = self.normal_equations(values, here)
         if self.held is None:
             return H, g
         return H + HOLD * self.held.T @ self.held, g - self._pull_back(values)
 
-    def slope(self, values: Floats, here: L) -> Floats:
+    def slope(self, values: Floats, here: W) -> Floats:
         """Downhill slope (F,)."""
         return self._downhill(values, here) - self._pull_back(values)
 
-    def bend(self, values: Floats, here: L, step: Floats) -> Floats:
+    def bend(self, values: Floats, here: W, step: Floats) -> Floats:
         """How the prediction bends along a step."""
         there = self.weighed(self.moved(values, BEND * step))
         scaled = here.J * self.prior_sigma
@@ -180,7 +173,7 @@ class LeastSquares(ABC, Generic[L]):
         """How far (F,) the parameters are from their priors, in prior sigmas."""
         return np.asarray((self.current(values) - self.prior_mean) / self.prior_sigma)
 
-    def _downhill(self, values: Floats, here: L) -> Floats:
+    def _downhill(self, values: Floats, here: W) -> Floats:
         return np.asarray(self.prior_sigma * (here.J.T @ here.r) - self._away(values))
 
     def _strayed(self, values: Floats) -> Floats:

@@ -193,6 +193,37 @@ class Kind(ABC):
         return points[~np.isnan(points).any(axis=1)], None if turns is None else turns[~np.isnan(turns)]
 
 
+class ToolKind(Kind):
+    """A kind whose rows tell where the tool is, in one column (N, ..., 3) in the frame of an instrument."""
+
+    observes_tool = True
+    observes_base = True
+    with_orientation: ClassVar[bool] = False  # a pose's own, or that of several markers, which move together
+
+    @property
+    @abstractmethod
+    def column(self) -> Floats:
+        """What was measured, NaN where nothing was."""
+
+    @property
+    def observes_orientation(self) -> bool:
+        """Whether the tool's orientation was measured too."""
+        return self.with_orientation
+
+    @property
+    def equations_per_pose(self) -> int:
+        """Three of the position; three more of the orientation, however many markers tell it."""
+        return 6 if self.with_orientation else 3
+
+    def measured(self) -> Bools:
+        """Rows that have any of it."""
+        return seen_in(self.column)
+
+    def scalars(self) -> int:
+        """Coordinates that were seen."""
+        return int(np.count_nonzero(~np.isnan(self.column)))
+
+
 def anchor_of(name: str, rows: Rows) -> Kind | None:
     """The kind of this name among the rows that hold what it has of its own."""
     return next((kind for kind in rows.anchor if kind.name == name), None)

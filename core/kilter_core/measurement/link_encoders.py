@@ -8,37 +8,25 @@ of each: only differences count.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
-from kilter_core.measurement.kind import Block, Kind, Rows, anchor_of
-from kilter_core.measurement.referenced import Channels, referenced
-from kilter_core.model import Calibration, Prediction
+from kilter_core.measurement.kind import Block
+from kilter_core.measurement.referenced import Channels, Referenced, referenced
+from kilter_core.model import Prediction
 from kilter_core.model.prediction import ABOUT, JOINT_ROWS, TOOL_ROWS
-from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats
 
 STILL = 1e-6  # rad or m: a channel whose readings stay within this is dead
 
 
 @dataclass(frozen=True)
-class LinkEncoders(Kind):
+class LinkEncoders(Referenced):
     """Rows with link-side angles beside the motors'. ``anchor`` are the rows that say what the encoders read at zero."""
 
     name = "link_encoders"
     summary = "encoders on the links, behind gear and backlash"
-    unit = "rad"
-
-    observations: Observations
-    anchor: LinkEncoders | None = None
-
-    @classmethod
-    def of(cls, rows: Rows) -> LinkEncoders | None:
-        """Rows with columns of link-side encoders."""
-        if rows.observations.link_q is None:
-            return None
-        return cls(rows.observations, cast("LinkEncoders | None", anchor_of(cls.name, rows)))
+    column = "link_q"
 
     @property
     def live(self) -> Bools:
@@ -48,34 +36,11 @@ class LinkEncoders(Kind):
         high, low = np.nan_to_num(link, nan=-np.inf).max(axis=0), np.nan_to_num(link, nan=np.inf).min(axis=0)
         return np.asarray(high - low > STILL)
 
-    @property
-    def reads_joints(self) -> bool:
-        """Yes."""
-        return True
-
-    def measured(self) -> Bools:
-        """Rows that have an angle."""
-        return np.asarray(self._channels.seen.any(axis=1))
-
-    def scalars(self) -> int:
-        """Angles beyond those that the zeros take."""
-        return self._channels.scalars
-
     def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
         """Measured minus predicted angle (N, n, 1) rad of each joint, the mean of its session taken out; of prismatic
         joints apart, m.
         """
         return referenced(self.name, self._channels, self._raw(prediction), _columns(J), prediction.slides)
-
-    def errors(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
-        """Errors (K, 1) rad, from what the encoders of the anchor read at zero."""
-        left = self._raw(calibration.predict(self.observations))
-        if self.anchor is not None:
-            before = self.anchor._raw(calibration.predict(self.anchor.observations))
-            left = self._channels.from_zeros(left, self.anchor._channels, before)
-        else:
-            left = self._channels.centred(left)
-        return left[np.isfinite(left)][:, None], None
 
     @property
     def _channels(self) -> Channels:

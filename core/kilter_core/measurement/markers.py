@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, seen_in
+from kilter_core.measurement.kind import POINTS, Block, Rows, ToolKind
 from kilter_core.measurement.marker_checks import refuse_bad_markers
 from kilter_core.measurement.marker_shape import marker_shape
 from kilter_core.model import Prediction
 from kilter_core.observations import Observations
 from kilter_core.transforms import skew
-from kilter_core.types import Bools, Floats
+from kilter_core.types import Floats
 
 
 def shape_of(observations: Observations, known: Floats | None) -> Floats | None:
@@ -29,13 +29,12 @@ def shape_of(observations: Observations, known: Floats | None) -> Floats | None:
 
 
 @dataclass(frozen=True)
-class Markers(Kind):
+class Markers(ToolKind):
     """Rows with markers that stand at ``shape (m, 3)`` m in the tool frame."""
 
     name = "markers"
     summary = "markers on the tool"
-    observes_tool = True
-    observes_base = True
+    with_orientation = True
 
     observations: Observations
     shape: Floats
@@ -48,28 +47,14 @@ class Markers(Kind):
         return cls(rows.observations, rows.marker_points)
 
     @property
-    def observes_orientation(self) -> bool:
-        """Yes: three markers or more fix it."""
-        return True
-
-    @property
-    def equations_per_pose(self) -> int:
-        """Six, however many markers: they move together."""
-        return 6
-
-    def measured(self) -> Bools:
-        """Rows that have a marker."""
+    def column(self) -> Floats:
+        """Places of the markers; three or more fix the orientation."""
         assert self.observations.markers is not None
-        return seen_in(self.observations.markers)
-
-    def scalars(self) -> int:
-        """Coordinates of the markers that were seen."""
-        return int(np.count_nonzero(~np.isnan(self.observations.markers)))  # type: ignore[arg-type]
+        return self.observations.markers
 
     def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
         """Measured minus predicted markers (N, m, 3) m, NaN where one was not seen."""
-        assert self.observations.markers is not None
-        points, d_points = left_of(self.observations.markers, self.shape, prediction, J)
+        points, d_points = left_of(self.column, self.shape, prediction, J)
         return (Block(POINTS, points, d_points),)
 
 

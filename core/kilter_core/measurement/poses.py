@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from kilter_core.measurement.kind import POINTS, TURNS, Block, Kind, Rows, seen_in
+from kilter_core.measurement.kind import POINTS, TURNS, Block, Rows, ToolKind
 from kilter_core.model import Prediction
 from kilter_core.observations import Observations
 from kilter_core.transforms import right_jacobian_inverse, rotation_log
-from kilter_core.types import Bools, Floats
+from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class Poses(Kind):
+class Poses(ToolKind):
     """Rows with a position and an orientation."""
 
     name = "poses"
     summary = "position and orientation of the tool"
-    observes_tool = True
-    observes_base = True
+    with_orientation = True
 
     observations: Observations
 
@@ -33,32 +30,21 @@ class Poses(Kind):
         return cls(o)
 
     @property
-    def observes_orientation(self) -> bool:
-        """Yes."""
-        return True
-
-    @property
-    def equations_per_pose(self) -> int:
-        """Three of the position, three of the orientation."""
-        return 6
-
-    def measured(self) -> Bools:
-        """Rows that have a position."""
+    def column(self) -> Floats:
+        """Positions."""
         assert self.observations.position is not None
-        return seen_in(self.observations.position)
+        return self.observations.position
 
     def scalars(self) -> int:
         """Six of every measured pose."""
-        assert self.observations.position is not None
-        return 2 * int(np.count_nonzero(~np.isnan(self.observations.position)))
+        return 2 * super().scalars()
 
     def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
         """Position (N, 1, 3) m and rotation vector (N, 1, 3) rad, measured minus predicted."""
-        o = self.observations
-        assert o.position is not None
-        assert o.rotation is not None
-        points = (o.position - prediction.position)[:, None, :]
-        turns = rotation_log(o.rotation @ prediction.rotation.transpose(0, 2, 1))
+        rotation = self.observations.rotation
+        assert rotation is not None
+        points = (self.column - prediction.position)[:, None, :]
+        turns = rotation_log(rotation @ prediction.rotation.transpose(0, 2, 1))
         if J is None:
             return Block(POINTS, points), Block(TURNS, turns[:, None], None, "rad")
         d_turns = right_jacobian_inverse(turns) @ J[:, 3:6, :]

@@ -5,11 +5,15 @@ A zero is linear, so taking the mean out of residuals and Jacobian is what fitti
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar, Self, cast
 
 import numpy as np
 
-from kilter_core.measurement.kind import Block
+from kilter_core.measurement.kind import Block, Kind, Rows, anchor_of
+from kilter_core.model import Calibration, Prediction
+from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
 
 
@@ -55,6 +59,56 @@ class Channels:
         np.add.at(count, place.reshape(-1), self.seen)
         with np.errstate(invalid="ignore"):
             return names, np.asarray(sums / _wide(count, sums))
+
+
+@dataclass(frozen=True)
+class Referenced(Kind):
+    """A kind whose readings are known up to a constant. ``anchor`` are the rows that say what they read at zero."""
+
+    unit = "rad"
+    column: ClassVar[str]  # of the observations, that the kind reads
+
+    observations: Observations
+    anchor: Self | None = None
+
+    @classmethod
+    def of(cls, rows: Rows) -> Self | None:
+        """Rows that have the column."""
+        if getattr(rows.observations, cls.column) is None:
+            return None
+        return cls(rows.observations, cast("Self | None", anchor_of(cls.name, rows)))
+
+    @property
+    @abstractmethod
+    def _channels(self) -> Channels:
+        """What was read."""
+
+    @abstractmethod
+    def _raw(self, prediction: Prediction) -> Floats:
+        """Measured minus predicted (N, C), the zeros left in."""
+
+    @property
+    def reads_joints(self) -> bool:
+        """Yes."""
+        return True
+
+    def measured(self) -> Bools:
+        """Rows that have a reading."""
+        return np.asarray(self._channels.seen.any(axis=1))
+
+    def scalars(self) -> int:
+        """Readings beyond those that the zeros take."""
+        return self._channels.scalars
+
+    def errors(self, calibration: Calibration) -> tuple[Floats, Floats | None]:
+        """Errors (K, 1) rad, from what the sensors of the anchor read at zero."""
+        left = self._raw(calibration.predict(self.observations))
+        if self.anchor is not None:
+            before = self.anchor._raw(calibration.predict(self.anchor.observations))
+            left = self._channels.from_zeros(left, self.anchor._channels, before)
+        else:
+            left = self._channels.centred(left)
+        return left[np.isfinite(left)][:, None], None
 
 
 def referenced(

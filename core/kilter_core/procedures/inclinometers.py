@@ -17,10 +17,11 @@ from kilter_core.effects import make_effect
 from kilter_core.errors import ObservationError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
+from kilter_core.procedures.joint_fit import JointParameter, LinearFit, left_beside
 from kilter_core.types import Bools, Floats, Ints
 
 EFFECTS = ("clearance_tilt", "backlash_load", "axial_compliance")
-STEMS = ("clearance", "backlash_load", "compliance")
+NAMES = (("clearance", "rad"), ("backlash_load", "rad"), ("compliance", "rad/(N m)"))
 AXES = "xyz"
 UPRIGHT = 0.95  # cosine to the vertical from which an inclinometer does not see rotations about an axis (18 degrees)
 LEAST_MOMENT_NM = 0.01
@@ -71,19 +72,6 @@ class Log:
     def observations(self) -> Observations:
         """The configurations as rows."""
         return Observations(self.q, payload_kg=self.payload_kg, payload_com=self.payload_com)
-
-
-@dataclass(frozen=True)
-class JointParameter:
-    """One measured parameter, SI; ``reason`` says why it could not be measured."""
-
-    name: str
-    joint: int
-    unit: str
-    value: float | None
-    sigma: float | None
-    readings: int
-    reason: str | None = None
 
 
 def tilting(robot: Robot) -> RobotModel:
@@ -168,29 +156,12 @@ def _of_joint(robot: Robot, j: int, log: Log, columns: Floats, mine: Bools) -> t
     kinds = np.unique(np.stack([log.axis[mine], log.series[mine]], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
     offsets = np.eye(int(kinds.max()) + 1)[kinds]
     told = [k for k in range(3) if _apart(columns, k, offsets)]
-    A = np.hstack([columns[:, told], offsets])
-    solution = np.linalg.lstsq(A, log.reading[mine], rcond=None)[0]
-    freedom = max(len(A) - A.shape[1], 1)
-    scatter = float(np.sqrt(np.sum((log.reading[mine] - A @ solution) ** 2) / freedom))
+    fit = LinearFit.of(columns, told, offsets, log.reading[mine])
+    scatter = float(np.sqrt(np.sum(fit.left**2) / max(len(fit.A) - fit.A.shape[1], 1)))
     # Rounding to the resolution is uniform noise; few readings can look better than that by luck.
     noise = max(scatter, log.resolution / math.sqrt(12.0))
-    sigma = noise * np.sqrt(np.diag(np.linalg.pinv(A.T @ A)))
-    units = ("rad", "rad", "rad/(N m)")
-    out = []
-    for k, stem in enumerate(STEMS):
-        place = told.index(k) if k in told else None
-        out.append(
-            JointParameter(
-                name=f"{stem}_{j + 1}",
-                joint=j,
-                unit=units[k],
-                value=None if place is None else float(solution[place]),
-                sigma=None if place is None else float(sigma[place]),
-                readings=int(mine.sum()),
-                reason=None if place is not None else _reason(k, columns),
-            )
-        )
-    return out, scatter
+    sigma = noise * np.sqrt(np.diag(np.linalg.pinv(fit.A.T @ fit.A)))
+    return fit.parameters(j, NAMES, sigma, [_reason(k, columns) for k in range(3)]), scatter
 
 
 def _other_axis(robot: Robot, j: int, log: Log, every: Floats, mine: Bools, scatter: float) -> dict[str, str] | None:
@@ -239,8 +210,7 @@ def _apart(columns: Floats, k: int, offsets: Floats) -> bool:
         return False
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     others = np.hstack([np.delete(columns / scale, k, axis=1), offsets])
-    left = columns[:, k] - others @ np.linalg.lstsq(others, columns[:, k], rcond=None)[0]
-    return float(np.linalg.norm(left)) > APART * size
+    return left_beside(columns[:, k], others) > APART * size
 
 
 def _reason(k: int, columns: Floats) -> str:

@@ -17,11 +17,10 @@ from kilter_core.effects import make_effect
 from kilter_core.errors import ObservationError, TooFewPosesError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.procedures.inclinometers import JointParameter
+from kilter_core.procedures.joint_fit import JointParameter, LinearFit, left_beside
 from kilter_core.types import Bools, Floats, Ints
 
-STEMS = ("compliance", "backlash", "encoder_delay")
-UNITS = ("rad/(N m)", "rad", "s")
+NAMES = (("compliance", "rad/(N m)"), ("backlash", "rad"), ("encoder_delay", "s"))
 FEWEST_ROWS = 50
 STILL = 1e-6  # rad or m: a channel or a joint whose readings stay within this never moves
 RESTING = 1e-3  # share of the largest speed below which a joint without a direction column counts as resting
@@ -132,44 +131,22 @@ def _of_joint(robot: Robot, j: int, train: list[_Motion], held: list[_Motion]) -
     offsets = np.eye(len(moved))[owner]
     y = np.concatenate([m.apart[:, j] for m in moved])
     told, reasons = _told(columns, offsets), list(REASONS)
-    solution, sigma = _solved(columns[:, told], offsets, y, owner)
-    if 0 in told and solution[0] < 0.0:  # told is in order: compliance comes first
-        reasons[0] = NEGATIVE.format(solution[0], sigma[0])
-        told = told[1:]
-        solution, sigma = _solved(columns[:, told], offsets, y, owner)
+    fit = LinearFit.of(columns, told, offsets, y)
+    sigma = _sigma(fit, owner)
+    if 0 in told and fit.solution[0] < 0.0:  # told is in order: compliance comes first
+        reasons[0] = NEGATIVE.format(fit.solution[0], sigma[0])
+        fit = LinearFit.of(columns, told[1:], offsets, y)
+        sigma = _sigma(fit, owner)
     values = np.zeros(3)
-    values[told] = solution[: len(told)]
-    parameters = tuple(_parameter(j, k, told, solution, sigma, len(y), reasons[k]) for k in range(3))
+    values[list(fit.told)] = fit.solution[: len(fit.told)]
+    parameters = tuple(fit.parameters(j, NAMES, sigma, reasons))
     spreads = [[_spread(m, j, values) for m in motions] for motions in (train, held)]
     return LinkJoint(j, parameters, tuple(spreads[0]), tuple(spreads[1]))
 
 
-def _solved(columns: Floats, offsets: Floats, y: Floats, owner: Ints) -> tuple[Floats, Floats]:
-    """Least squares over columns and offsets, and its standard deviations."""
-    A = np.hstack([columns, offsets])
-    solution = np.asarray(np.linalg.lstsq(A, y, rcond=None)[0])
-    return solution, np.sqrt(np.diag(_covariance(A, y - A @ solution, owner)))
-
-
-def _parameter(
-    j: int, k: int, told: list[int], solution: Floats, sigma: Floats, rows: int, reason: str
-) -> JointParameter:
-    known = k in told
-    place = told.index(k) if known else 0
-    return JointParameter(
-        name=f"{STEMS[k]}_{j + 1}",
-        joint=j,
-        unit=UNITS[k],
-        value=float(solution[place]) if known else None,
-        sigma=float(sigma[place]) if known else None,
-        readings=rows,
-        reason=None if known else reason,
-    )
-
-
 def _without(j: int, train: list[_Motion], why: str) -> LinkJoint:
     rows = sum(len(m.apart) for m in train)
-    none = tuple(JointParameter(f"{s}_{j + 1}", j, u, None, None, rows, why) for s, u in zip(STEMS, UNITS, strict=True))
+    none = tuple(JointParameter(f"{s}_{j + 1}", j, u, None, None, rows, why) for s, u in NAMES)
     return LinkJoint(j, none, dead=why)
 
 
@@ -195,17 +172,17 @@ def _told(columns: Floats, offsets: Floats) -> list[int]:
     for k in moving:
         others = [c for c in moving if c != k]
         B = change[:, others] / size[others]
-        left = change[:, k] - B @ np.linalg.lstsq(B, change[:, k], rcond=None)[0]
-        if float(np.linalg.norm(left)) > APART * size[k]:
+        if left_beside(change[:, k], B) > APART * size[k]:
             told.append(k)
     return told
 
 
-def _covariance(A: Floats, left: Floats, owner: Ints) -> Floats:
-    """Covariance of least squares whose residuals follow each other in time (Newey and West, bandwidth of Andrews).
+def _sigma(fit: LinearFit, owner: Ints) -> Floats:
+    """Standard deviations of a fit whose residuals follow each other in time (Newey and West, bandwidth of Andrews).
 
     Rows of 4 ms are not independent: the plain formula gives sigmas several times too small.
     """
+    A, left = fit.A, fit.left
     bread = np.linalg.pinv(A.T @ A)
     meat = np.zeros_like(bread)
     for motion in np.unique(owner):
@@ -215,7 +192,7 @@ def _covariance(A: Floats, left: Floats, owner: Ints) -> Floats:
         for lag in range(1, lags + 1):
             cross = score[lag:].T @ score[:-lag]
             meat += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
-    return np.asarray(bread @ meat @ bread * (len(A) / max(len(A) - A.shape[1], 1)))
+    return np.asarray(np.sqrt(np.diag(bread @ meat @ bread * (len(A) / max(len(A) - A.shape[1], 1)))))
 
 
 def _bandwidth(left: Floats) -> int:

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from datetime import datetime
 from typing import Any, Literal, NamedTuple
 
-from sqlalchemy import ColumnElement, Select, and_, func, or_, select
+from sqlalchemy import ColumnElement, Select, and_, or_, select
 
 from kilter_service.caller import allowed_robots, may_see
 from kilter_service.contract.references import Kind
@@ -200,8 +200,3 @@ def gone(session: Session, kind: str, id_: str) -> str:
 def _tombstone(row: TombstoneRow) -> TombstoneRecord:
     kind: Whose = row.kind  # type: ignore[assignment]  # checked when it was stored, and again by the model
     return TombstoneRecord(row.id, kind, row.robot, row.name, row.sha256, row.by, row.at)
-
-
-def count_of(session: Session, kind: Kind, robot_id: int) -> int:
-    """Return how many a robot has."""
-    return session.execute(select(func.count()).where(TABLES[kind].robot_id == robot_id)).scalar_one()

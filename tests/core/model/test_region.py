@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.driving_order import driving_order, path_length
+from kilter_core.arm.driving_order import driving_order
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
 from kilter_core.model.region import BESIDE_M, Hull, Region, arm_points
+from kilter_core.types import Floats
 from tests.core.truth import ur10
 
 ROBOT = robot_from_document(ur10().document())
@@ -63,6 +64,11 @@ def test_hulls_of_flat_clouds(rank: int) -> None:
     assert hull.holds(inside.mean(axis=0)[None]).all()
     for k in range(3):
         assert not hull.holds((inside.mean(axis=0) + (2.0 if k < rank else 0.1) * axes[:, k])[None]).any()
+
+
+def path_length(q: Floats, ranges: Floats) -> float:
+    """Length of the path through ``q (N, n)`` in this order, in joint ranges."""
+    return float(np.sum(np.max(np.abs(q[1:] - q[:-1]) / ranges, axis=1)))
 
 
 def test_a_driving_order_is_as_short_as_the_shortest() -> None:

@@ -16,11 +16,11 @@ import numpy as np
 from kilter_core.effects import Batch
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.bases import lengths, orthonormal, seen
-from kilter_core.gap.search.gram import VISIBLE, Gram
+from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.projection import Projection, Stacked
 from kilter_core.gap.search.soft import Soft
 from kilter_core.gap.search.source import Source
-from kilter_core.identify.problem import ByCovariance, LeastSquares
+from kilter_core.identify.problem import ByCovariance, LeastSquares, Whitened
 from kilter_core.identify.solver import minimise
 from kilter_core.types import Bools, Floats, Ints
 
@@ -294,15 +294,6 @@ def solved(
 
 
 @dataclass(frozen=True)
-class Whitened:
-    """A fit at some values: whitened residual ``r (R,)``, columns ``J (R, F)`` of one prior sigma each, and the loss."""
-
-    r: Floats
-    J: Floats
-    loss: float
-
-
-@dataclass(frozen=True)
 class SearchProblem(LeastSquares[Whitened]):
     """Geometry and the library columns ``free``, stepped as an identification is; every one has its prior.
 
@@ -366,11 +357,4 @@ def fitted(problem: LinearizedProblem, columns: Sequence[int]) -> tuple[Floats, 
     """Parameters (d,) of the columns and their covariance (d, d), geometry re-optimised, no prior on them."""
     index = list(columns)
     scale = problem.scale[index]
-    covariance = _pinv(problem.A[np.ix_(index, index)])
-    return problem.gram.solve(index) * scale, covariance * np.outer(scale, scale)
-
-
-def _pinv(A: Floats) -> Floats:
-    w, V = np.linalg.eigh(A)
-    keep = w > VISIBLE
-    return np.asarray((V[:, keep] / w[keep]) @ V[:, keep].T)
+    return problem.gram.solve(index) * scale, problem.gram.inverse(index)[0] * np.outer(scale, scale)

@@ -13,7 +13,6 @@ import numpy as np
 from kilter_core.errors import NotConvergedError, OptionError
 from kilter_core.identify.estimate import near, prepared, unobservable_directions, weights_of
 from kilter_core.identify.least_squares import Fit, Problem, fit_at
-from kilter_core.identify.methods.per_pose import stacked_by_row
 from kilter_core.identify.noise import repeat_sigma
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
@@ -96,7 +95,7 @@ def filtered(problem: Problem, values: Floats, x0: Floats, P0: Floats) -> tuple[
     The rows are linearised together at ``values (P,)`` and enter one after the other, so a pass ends where the batch
     solution of the same linearised rows ends. The mean square of the innovations is one when noise and P are right.
     """
-    J, r = stacked_by_row(problem, problem.linearised(values))
+    J, r = problem.by_row(problem.linearised(values))
     scale = problem.prior_sigma
     here, x, P = values[problem.free] / scale, x0 / scale, P0
     total, count = 0.0, 0

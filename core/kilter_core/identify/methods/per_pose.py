@@ -15,7 +15,7 @@ import numpy as np
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.estimate import prepared, weights_of
 from kilter_core.identify.influence import relative_influence, step_of
-from kilter_core.identify.least_squares import Fit, Linearised, Problem, fit_at
+from kilter_core.identify.least_squares import Fit, Problem, fit_at
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.measurement import Measurement
@@ -72,7 +72,7 @@ def _by_poses(
     problem, values = prepared(start, measurement, options)
     resolution = RESOLUTION_M / float(np.mean(problem.weights.points))
     for sweep in range(1, SWEEPS + 1):
-        J, r = stacked_by_row(problem, problem.linearised(values))
+        J, r = problem.by_row(problem.linearised(values))
         k = weigh(problem, J)
         steps = pose_solutions(J, r, k, gain, resolution)
         mean = steps.mean(axis=0)
@@ -84,12 +84,6 @@ def _by_poses(
         if np.max(np.abs(mean), initial=0.0) < SETTLED:
             break
     return _finished(problem, values, sweep, steps, options)
-
-
-def stacked_by_row(problem: Problem, here: Linearised) -> tuple[Floats, Floats]:
-    """Jacobian (N, R, F) by prior sigmas and residuals (N, R), whitened, of all that each row measured."""
-    rows = len(problem.measurement.observations)
-    return here.residual.by_row(here.J * problem.prior_sigma, rows), here.residual.by_row(here.r, rows)
 
 
 def _influence_weights(problem: Problem, J: Floats) -> Floats:

@@ -40,7 +40,7 @@ def clustered(fit: Fit) -> Fit:
     groups = problem.measurement.observations.pose_groups()
     if not problem.measurement.observes_places:
         return fit
-    A, r = by_row(fit)
+    A, r = problem.by_row(problem.linearised(fit.values, fit.residual))
     if len(fit.J) > A.shape[0] * A.shape[1]:
         return fit  # a filter goes on from what it knew, and takes the noise it is given
     total = _products(A, A)
@@ -67,13 +67,6 @@ def bend_of(fit: Fit) -> float:
     weight = loss.weight(size)
     bend = (1.0 - 1.0 / dimension) * weight + loss.slope(size) / dimension
     return float(np.mean(bend) / np.mean(weight))
-
-
-def by_row(fit: Fit) -> tuple[Floats, Floats]:
-    """Jacobian (N, R, F) in prior sigmas and residuals (N, R), whitened, of all that each row measured."""
-    here = fit.problem.linearised(fit.values, fit.residual)
-    rows = len(fit.problem.measurement.observations)
-    return here.residual.by_row(here.J * fit.problem.prior_sigma, rows), here.residual.by_row(here.r, rows)
 
 
 def _seen(fit: Fit) -> Floats | None:

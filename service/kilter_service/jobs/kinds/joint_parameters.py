@@ -16,7 +16,8 @@ from kilter_service.wire import joint_scale, joint_scale_back, joint_units, to_d
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
     from kilter_core.model import Calibration
-    from kilter_core.procedures.inclinometers import JointParameter, Log
+    from kilter_core.procedures.inclinometers import Log
+    from kilter_core.procedures.joint_fit import JointParameter
     from kilter_core.procedures.link_encoders import LinkJoint
 
 AXES = "xyz"
