@@ -44,6 +44,7 @@ def test_taken(shared_client: httpx.Client, columns: dict[str, Any]) -> None:
         ({"socket_id": [1, 0]}, "Row 2, column 'socket_id' and its neighbours must name the one thing"),
         ({"socket_id": [1, 1], "plane_id": [0, 1]}, "Row 2, column 'socket_id'"),
         ({"socket_id": [1, 1.5]}, "is not a whole number"),
+        ({"socket_id": [1, 1], "sx_mm": [0.1, 0.1], "sy_mm": [0.1, 0.1], "sz_mm": [0.1, 0.1]}, "these rows have none: leave"),
         ({"socket_id": [1, -1]}, "is negative"),
         ({"bar_id": [1, 1]}, "'bar' is missing"),
         ({"bar_id": [1, 1], "bar_mm": [250, 0]}, "Row 2, column 'bar_mm' is not the length"),

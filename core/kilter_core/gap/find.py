@@ -12,6 +12,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
 from kilter_core.gap.evidence.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.aliases import SAME, Alias, aliases_of
+from kilter_core.gap.evidence.by_kind import by_kind
 from kilter_core.gap.evidence.control import Control, controls, false_names
 from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator, gap_document, noise_document
 from kilter_core.gap.evidence.holding_out import parted
@@ -179,7 +180,8 @@ class _Run:
         self.progress(0.95, "next poses and pictures")
         return GapReport(
             stored=kept, verdict=verdict, sentence=sentence(verdict, effects, fit, left), effects=effects, where=places,
-            gap=gap, adequacy=fit, misfit=left, predictive=judging.predictive,
+            gap=gap, measurements=by_kind(prepared, found, held, judging), adequacy=fit, misfit=left,
+            predictive=judging.predictive,
             not_testable=untestable(prepared.library, judged, problem, rows),
             smallest_detectable=smallest_rows(prepared.library, judged),
             next_poses=self._next_poses(found, effects), negative_control=control,

@@ -72,7 +72,12 @@ class Contacts(Kind):
         return contacts_of(self.observations)
 
     def check(self) -> None:
-        """Refuse a contact with fewer rows than it has unknowns, and a distance of a socket that has none."""
+        """Refuse a contact with fewer rows than it has unknowns, a distance of a socket that has none, and stated sigmas."""
+        if self.observations.sigma is not None:
+            raise ObservationError(
+                "Rows held by contacts measure no position whose deviation sx_mm, sy_mm and sz_mm could state: give them "
+                "without these columns, and state the play of the ball with noise_mm."
+            )
         _refuse_small(self.contacts, self.anchor)
         numbers = {c.number for c in self.contacts if c.kind == "socket"}
         for pair in self.distances:

@@ -96,11 +96,22 @@ class RowRules:
         if column.quantity == "payload":
             self._refuse(cells < 0, column.name, "is negative", cells)
         if column.quantity in ("sx", "sy", "sz"):
+            self._check_position(column)
             self._refuse(cells <= 0, column.name, "is not a standard deviation: it must be above 0", cells)
         if column.quantity == "temperature":
             self._refuse(cells < ABSOLUTE_ZERO_C, column.name, "is below absolute zero", cells)
         if column.quantity == "q" and column.number is not None:
             self._limits.check(column, self.robot.joints[column.number], cells, self.rows + 1)
+
+    def _check_position(self, column: Column) -> None:
+        """Refuse the deviation of a position that no column measures: it would count for nothing, and nobody would see it."""
+        if not any(c.quantity in ("x", "marker_x") for c in self.columns):
+            raise ObservationError(
+                f"Column {column.name!r} states the deviation of a measured position, and these rows have none: leave sx_mm, "
+                "sy_mm and sz_mm out. The noise of contacts, link encoders and inclinometers comes from repeats of poses, "
+                "else from what the fit leaves; --noise-mm states that of contacts.",
+                column=column.name,
+            )
 
     def _check_markers(self, cells: dict[str, Floats]) -> None:
         for x in (c for c in self.columns if c.quantity == "marker_x"):

@@ -205,6 +205,22 @@ class RepeatDrift(Stored):
     timed: bool | None = Field(None, description="Whether by a clock; false: by the order of the rows.")
 
 
+class GapKind(Stored):
+    """What a search says of one kind of measurement, in the kind's unit. Errors of the tool are rms lengths in space."""
+
+    kind: str = Field(description="`points`, `poses`, `markers`, `contacts`, `link_encoders` or `inclination`.")
+    unit: str | None = Field(None, description="Unit of its noise and errors: mm or deg.")
+    numbers: int | None = Field(None, description="Numbers that the visits searched measured of it.")
+    noise: float | None = Field(
+        None, description="Standard deviation by which a number of a row was weighed, in `unit`."
+    )
+    repeats: float | None = Field(None, description="The same from repeats of a pose; null: no repeats of this kind.")
+    before: float | None = Field(None, description="Rms error before, on the rows fitted.")
+    after: float | None = Field(None, description="Rms error after, on the rows fitted.")
+    validation_before: float | None = Field(None, description="Rms error before, on the held-out rows.")
+    validation_after: float | None = Field(None, description="Rms error after, on the held-out rows.")
+
+
 class GapNoise(Stored):
     """The noise: standard deviations of a coordinate. Joint data have the `_deg` fields."""
 

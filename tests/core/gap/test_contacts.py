@@ -103,6 +103,15 @@ def test_the_noise_is_that_of_repeats_in_the_same_placement(named: GapReport) ->
     assert named.noise["re_approach_mm"] == pytest.approx(PLAY * 1e3, rel=0.15)
 
 
+def test_errors_are_said_by_kind(named: GapReport) -> None:
+    (contacts,) = named.measurements
+    gap = named.gap
+    assert (contacts["kind"], contacts["unit"]) == ("contacts", "mm")
+    assert contacts["noise"] == pytest.approx(PLAY * 1e3, rel=0.15)
+    for key in ("before", "after", "validation_before", "validation_after"):
+        assert contacts[key] == pytest.approx(gap[f"{key}_mm"], rel=1e-6)
+
+
 def test_the_gap_closes_on_placements_that_were_held_out_whole(named: GapReport) -> None:
     gap = named.to_document()["gap"]
     assert gap["held_out"].endswith("contacts and ball fitted to them")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -224,6 +225,8 @@ def test_what_cannot_be_calibrated_is_refused() -> None:
         IdentifyOptions(socket_distances_mm={"one-two": 100.0})
     with pytest.raises(OptionError, match="least_squares only"):
         identify(robot, rows, None, IdentifyOptions(method="influence"))
+    with pytest.raises(ObservationError, match="noise_mm"):
+        identify(robot, replace(rows, sigma=np.full((len(rows), 3), 1e-5)))
     lone = rows.select(np.flatnonzero(rows.socket != 3))
     with pytest.raises(ObservationError, match="Socket 3 is only in the rows held out and holds 1 rows"):
         identify(robot, lone, rows.select(np.flatnonzero(rows.socket == 3)[:1]))

@@ -12,7 +12,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import find_gap
 from kilter_core.gap.options import GapOptions
 from kilter_core.observations import Observations
-from tests.core.measurement.test_together import ARM, campaign
+from tests.core.measurement.test_together import ARM, JOINT_RAD, campaign
 
 CANDIDATES = ("axial_compliance", "radial_compliance", "encoder_scale", "eccentricity", "second_harmonic")
 HIDDEN = {("radial_compliance", 1), ("axial_compliance", 2), ("axial_compliance", 3)}
@@ -40,6 +40,18 @@ def test_links_and_tool_name_what_the_tool_alone_does_not(rows: Observations) ->
     # The gap is that of the tool, whatever was measured beside it.
     assert both["gap"]["before_mm"] == pytest.approx(alone["gap"]["before_mm"], rel=1e-3)
     assert both["gap"]["noise_mm"] == pytest.approx(0.1, rel=0.2)
+    tool, links = both["measurements"]
+    assert [(k["kind"], k["unit"]) for k in (tool, links)] == [("points", "mm"), ("link_encoders", "deg")]
+    for kind, true, size in ((tool, 0.1, 3.0), (links, np.degrees(JOINT_RAD), 1.0)):
+        assert kind["repeats"] == pytest.approx(true, rel=0.2)
+        assert kind["noise"] == pytest.approx(true, rel=0.2)
+        for where in ("", "validation_"):
+            assert kind[f"{where}before"] > 2.0 * kind[f"{where}after"]
+            assert kind[f"{where}after"] == pytest.approx(true * np.sqrt(size), rel=0.25)
+    assert tool["after"] == pytest.approx(both["gap"]["after_mm"], rel=1e-6)
+    assert tool["validation_before"] == pytest.approx(both["gap"]["validation_before_mm"], rel=1e-6)
+    (one,) = alone["measurements"]
+    assert (one["kind"], one["after"]) == ("points", pytest.approx(alone["gap"]["after_mm"], rel=1e-6))
 
 
 def test_readings_that_are_missing_count_for_nothing(rows: Observations) -> None:

@@ -167,6 +167,11 @@ class HoldoutEvaluator:
         poses = [list(pose) for pose in zip(*by_pose, strict=True) if pose[1]]
         return {"inside": int(inside.sum()), "of": int(seen.sum()), "poses": poses}
 
+    @property
+    def seen(self) -> Bools:
+        """Which numbers (N, m) of the held-out rows that are measurements were read."""
+        return np.isfinite(self._measured())[self.kept]
+
     def _measured(self) -> Floats:
         """Residuals (N, m) of the held-out rows, NaN where nothing was seen."""
         assert self.rows is not None

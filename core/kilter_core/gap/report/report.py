@@ -32,6 +32,7 @@ class GapReport:
     effects: tuple[Judged, ...]
     where: tuple[Place, ...]
     gap: dict[str, Any]
+    measurements: list[dict[str, Any]]
     adequacy: Adequacy
     misfit: Misfit
     predictive: dict[str, Any] | None
@@ -58,6 +59,7 @@ class GapReport:
             "effects": [effect_row(j, self.library, self.misfit) for j in self.effects],
             "where": [place_row(p) for p in _shown(self.where)],
             "gap": self.gap,
+            "measurements": self.measurements,
             "predictive": self.predictive,
             "adequacy": self.adequacy.to_document() | self.misfit.to_document(),
             "noise": self.noise,

@@ -12,6 +12,7 @@ from kilter_service.contract.gap_details import (
     Adequacy,
     AliasMatrix,
     Detectable,
+    GapKind,
     GapNoise,
     GapSize,
     NamedEffect,
@@ -82,6 +83,9 @@ class GapResult(MadeVersion):
     effects: list[NamedEffect] | None = Field(None, description="Effects that were named.")
     where: list[Place] | None = Field(None, description="Where the model was wrong before.")
     gap: GapSize | None = Field(None, description="How large the gap was and is, on rows fitted and held out.")
+    measurements: list[GapKind] | None = Field(
+        None, description="Noise and errors, before and after, of each kind of measurement."
+    )
     predictive: Predictive | None = Field(None, description="How the held-out rows lie in their 95 % intervals.")
     adequacy: Adequacy | None = Field(None, description="Whether the model now agrees with the rows.")
     noise: GapNoise | None = Field(None, description="The noise that the gap is compared with.")

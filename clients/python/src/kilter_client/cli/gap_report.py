@@ -29,6 +29,7 @@ def show_gap(result: Mapping[str, Any]) -> None:
     _where(result.get("where") or [])
     _effects(result.get("effects") or [], unit)
     _gap(result, unit)
+    _kinds(result.get("measurements") or [])
     _control(result)
     show_load_model(result.get("load_model") or [])
     _not_testable(result.get("not_testable") or [])
@@ -124,6 +125,19 @@ def _bar(names: Sequence[str], values: Sequence[float]) -> None:
     width = max(len(name) for name in names)
     for name, value in zip(names, values, strict=True):
         say(f"  {name:<{width}} {'#' * max(1, round(BAR * value / longest))} {number(value, 3)}")
+
+
+def _kinds(kinds: Sequence[Mapping[str, Any]]) -> None:
+    """Noise and errors of each kind of measurement, where there are several."""
+    if len(kinds) < 2:
+        return
+    keys = ("noise", "before", "after", "validation_before", "validation_after")
+    rows = [(str(k["kind"]), str(k["unit"]), *(number(k.get(key), 3) for key in keys)) for k in kinds]
+    show_rows(
+        ("measured", "unit", "noise", "before", "after", "held out before", "held out after"),
+        rows,
+        title="By kind of measurement (rms)",
+    )
 
 
 def _control(result: Mapping[str, Any]) -> None:

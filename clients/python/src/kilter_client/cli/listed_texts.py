@@ -340,7 +340,10 @@ COLUMNS: list[dict[str, str]] = [
     {"columns": "temperature_c", "meaning": "temperature"},
     {"columns": "session", "meaning": "integer: one setting-up of tracker and markers"},
     {"columns": "pose_id", "meaning": "integer shared by repeats of one pose"},
-    {"columns": "sx_mm, sy_mm, sz_mm", "meaning": "standard deviation of the position of this row"},
+    {
+        "columns": "sx_mm, sy_mm, sz_mm",
+        "meaning": "standard deviation of the position of this row. Only a measured position takes it: the noise of contacts, link encoders and inclinometers comes from repeats, or from what the fit leaves (--noise-mm states that of contacts)",
+    },
 ]
 EXPORTS: list[dict[str, str]] = [
     {"id": "json", "ending": ".json"},

@@ -39,6 +39,30 @@ class Detectable(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GapKind(Record):
+    """What a search says of one kind of measurement, in the kind's unit. Errors of the tool are rms lengths in space."""
+
+    after: float | None
+    """Rms error after, on the rows fitted."""
+    before: float | None
+    """Rms error before, on the rows fitted."""
+    kind: str
+    """`points`, `poses`, `markers`, `contacts`, `link_encoders` or `inclination`."""
+    noise: float | None
+    """Standard deviation by which a number of a row was weighed, in `unit`."""
+    numbers: int | None
+    """Numbers that the visits searched measured of it."""
+    repeats: float | None
+    """The same from repeats of a pose; None: no repeats of this kind."""
+    unit: str | None
+    """Unit of its noise and errors: mm or deg."""
+    validation_after: float | None
+    """Rms error after, on the held-out rows."""
+    validation_before: float | None
+    """Rms error before, on the held-out rows."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Alias(Record):
     """A rival that does as well."""
 
@@ -207,6 +231,8 @@ class GapResult(ShownHunt, Record):
     """How large the gap was and is, on rows fitted and held out."""
     load_model: Records[LoadNumber]
     """Masses and centres as stated and as found."""
+    measurements: Records[GapKind]
+    """Noise and errors, before and after, of each kind of measurement."""
     negative_control: NegativeControl | None
     """What shuffled rows would name."""
     next_poses: Records[NextPose]

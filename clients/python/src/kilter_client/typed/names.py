@@ -43,6 +43,7 @@ MODULE_OF = {
     "Frame": "robots",
     "GapCheck": "checks",
     "GapJob": "jobs",
+    "GapKind": "hunts",
     "GapNoise": "hunt_numbers",
     "GapResult": "hunts",
     "GapSize": "hunt_numbers",
