@@ -60,7 +60,7 @@ class Link(Strict):
     on_axis: Annotated[int, Field(ge=1, le=MAX_ELEMENTS)] | None = Field(
         None,
         description="Moving axis that the body moves with, counted from the base from 1, where a joint drives several "
-        "(mimic, parallelogram) and it is not the joint's own; null: the link of the joint in its place.",
+        "(mimic, parallelogram) and it is not the joint's own; null: the link of a joint, in their order.",
     )
     com_mm: PointMm = Field((0.0, 0.0, 0.0), description="Centre of mass in the link's frame, mm.")
     inertia_kg_m2: tuple[KgM2, KgM2, KgM2, KgM2, KgM2, KgM2] = Field(

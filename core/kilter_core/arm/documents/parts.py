@@ -79,8 +79,8 @@ def _other_axis(i: int, link: Document, frames: tuple[int, ...], chain: Chain) -
     element = axes[number - 1]
     if element in frames or element in chain.primary:
         raise RobotError(
-            f"links[{i}] is on axis {number}, which is that of a joint itself: leave on_axis out and give the link in the "
-            "place of its joint. Only further axes of a joint (mimic) have bodies of their own.",
+            f"links[{i}] is on axis {number}, which is that of a joint itself: leave on_axis out, and give it as "
+            "the link of that joint. Only further axes of a joint (mimic) have bodies of their own.",
             field=f"links[{i}].on_axis",
         )
     return element
