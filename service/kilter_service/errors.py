@@ -66,6 +66,8 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "activation_overtaken": (409, "Other versions were activated meanwhile"),
     "nothing_to_roll_back": (409, "There is no earlier version to return to"),
     "audit_broken": (409, "The audit is not whole"),
+    "request_too_slow": (408, "The request was sent too slowly"),
+    "rate_limited": (429, "Too many requests"),
     "upload_too_large": (413, "The body is larger than its limit"),
     "media_type_unsupported": (415, "This media type is not read, or the body is packed"),
     "payload_invalid": (422, "The payload does not have the right shape"),

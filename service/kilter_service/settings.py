@@ -71,6 +71,7 @@ class Settings(BaseSettings):
     max_document_mb: Annotated[int, Field(ge=1, le=64, description="largest robot, job or other JSON document")] = 4
     max_requests: Annotated[int, Field(ge=1, description="requests with a document that are inside at once")] = 32
     max_computing: Annotated[int, Field(ge=1, le=16, description="documents, and files, worked on at once")] = 2
+    rate: Annotated[float, Field(gt=0, description="requests a second that compute, of one token or address")] = 100.0
     hosts: str = Field(default="", description="further names this server is reached by, with commas between them")
     proxy: str = Field(default="", description="addresses or networks of the proxy in front, with commas between them")
     tls_certificate: Path | None = Field(default=None, description="PEM file of the certificate: HTTPS")
@@ -157,6 +158,7 @@ class Settings(BaseSettings):
             "MAX_DOCUMENT_MB": str(self.max_document_mb),
             "MAX_REQUESTS": str(self.max_requests),
             "MAX_COMPUTING": str(self.max_computing),
+            "RATE": str(self.rate),
             "HOSTS": self.hosts,
             "PROXY": self.proxy,
             "TLS_CERTIFICATE": str(self.tls_certificate) if self.tls_certificate else None,
