@@ -11,6 +11,8 @@ from kilter_service import problems
 from kilter_service.audit.routes import router as audit
 from kilter_service.auth.described import described
 from kilter_service.auth.gate import Gate
+from kilter_service.auth.rates import Rates
+from kilter_service.auth.slow import Unhurried
 from kilter_service.auth.token import admin_token
 from kilter_service.campaigns.routes import router as campaigns
 from kilter_service.correction.routes import router as correction
@@ -51,6 +53,8 @@ def create_app(settings: Settings) -> FastAPI:
         redoc_url=None,
     )
     app.state.slots = Slots(settings)
+    app.state.rates = Rates(settings.rate)
+    app.add_middleware(Unhurried)
     app.add_middleware(Gate, settings=settings)
     problems.install(app)
     app.add_middleware(Observed)

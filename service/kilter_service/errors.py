@@ -70,6 +70,8 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "nothing_to_roll_back": (409, "There is no earlier version to return to"),
     "audit_broken": (409, "The audit is not whole"),
     "activation_changed": (412, "Another version was activated meanwhile"),
+    "request_too_slow": (408, "The request was sent too slowly"),
+    "rate_limited": (429, "Too many requests"),
     "upload_too_large": (413, "The body is larger than its limit"),
     "media_type_unsupported": (415, "This media type is not read, or the body is packed"),
     "idempotency_mismatch": (422, "The key was sent before with another body"),

@@ -69,7 +69,7 @@ def problem(
         "context": _bounded(context),
         "request_id": getattr(request.state, "request_id", new_request_id()),
     }
-    return Response(json.dumps(document, default=plain), status, _headers(code, status), MEDIA_TYPE)
+    return Response(json.dumps(document, default=plain), status, _headers(code, status, context), MEDIA_TYPE)
 
 
 def _bounded(context: Mapping[str, Any]) -> dict[str, Any]:
@@ -77,10 +77,13 @@ def _bounded(context: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in context.items() if len(json.dumps(value, default=plain)) <= MOST_CONTEXT}
 
 
-def _headers(code: str, status: int) -> dict[str, str] | None:
+def _headers(code: str, status: int, context: Mapping[str, Any]) -> dict[str, str] | None:
     if status == 401:
         return {"WWW-Authenticate": "Bearer"}
-    return {"Retry-After": str(RETRY_AFTER_S)} if code == "busy" else None
+    if code == "busy" or "retry_after_s" in context:
+        again = {"Retry-After": str(context.get("retry_after_s", RETRY_AFTER_S))}
+        return again | {"Connection": "close"} if status == 408 else again  # what is left of its body is not read
+    return None
 
 
 async def on_core_error(request: Request, error: Exception) -> Response:

@@ -103,6 +103,7 @@ def serve(settings: Settings, opened: socket.socket) -> None:
         import uvicorn
 
         from kilter_service.app import create_app
+        from kilter_service.connections import TimedConnection
 
         app = create_app(settings)
     check_database(settings, MIGRATION_WAIT_S)
@@ -110,6 +111,7 @@ def serve(settings: Settings, opened: socket.socket) -> None:
         app,
         log_config=None,
         access_log=False,
+        http=TimedConnection,
         # It would believe what any program on this machine says about where a request comes from (auth/direct.py).
         proxy_headers=False,
         ssl_certfile=settings.tls_certificate,

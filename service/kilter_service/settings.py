@@ -77,6 +77,7 @@ class Settings(BaseSettings):
     max_computing: Annotated[int, Field(ge=1, le=16, description="documents, and files, worked on at once")] = 2
     log_format: Literal["text", "json"] = Field(default="text", description="lines of the log")
     access_log: str | None = Field(default=None, description="file of the access log, - for the log itself")
+    rate: Annotated[float, Field(gt=0, description="requests a second that compute, of one token or address")] = 100.0
     hosts: str = Field(default="", description="further names this server is reached by, with commas between them")
     proxy: str = Field(default="", description="addresses or networks of the proxy in front, with commas between them")
     tls_certificate: Path | None = Field(default=None, description="PEM file of the certificate: HTTPS")
@@ -172,6 +173,7 @@ class Settings(BaseSettings):
             "MAX_COMPUTING": str(self.max_computing),
             "LOG_FORMAT": self.log_format,
             "ACCESS_LOG": self.access_log,
+            "RATE": str(self.rate),
             "HOSTS": self.hosts,
             "PROXY": self.proxy,
             "TLS_CERTIFICATE": str(self.tls_certificate) if self.tls_certificate else None,

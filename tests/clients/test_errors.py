@@ -138,7 +138,7 @@ def test_codes_of_the_service_have_their_class() -> None:
     for code, (status, _) in PROBLEMS.items():
         error = from_problem({"code": code}, status)
         assert error.code == code
-        assert status >= 500 or status in (405, 413, 415) or type(error) is not ApiError
+        assert status >= 500 or status in (405, 408, 413, 415, 421, 429) or type(error) is not ApiError
 
 
 def test_what_is_exported() -> None:

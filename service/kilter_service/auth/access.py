@@ -23,7 +23,7 @@ async def admit(request: Request, path: str) -> Rule:
     """Let a request in, or refuse it; whoever sends it is its caller from then on.
 
     Raises:
-        ServiceError: no token or one that does not hold, a role that is too low, or another robot.
+        ServiceError: no token or one that does not hold, a role that is too low, another robot, or too often.
 
     """
     route = f"{request.method} {path}"
@@ -34,6 +34,9 @@ async def admit(request: Request, path: str) -> Rule:
     if rule.role is None:
         return rule
     _check_role(caller, rule, route)
+    if rule.computes:
+        sender = caller.address if caller.actor == ANYBODY else caller.token_id or caller.actor
+        request.app.state.rates.take(sender)
     if caller.robots is not None:
         if rule.server:
             raise ServiceError(

@@ -22,7 +22,8 @@ Document = dict[str, Any]
 Sent = Callable[[int, int], None]
 
 TIMEOUT_S = 60.0
-BUSY, BUSY_TRIES, LONGEST_WAIT_S = 503, 6, 10.0  # a busy server says after how many seconds to come again
+# A busy server, and one that was asked too often, say after how many seconds to come again.
+BUSY, BUSY_TRIES, LONGEST_WAIT_S = (408, 429, 503), 6, 60.0
 PIECE = 1 << 18  # bytes of a body that are sent before the sender is told
 
 
@@ -98,7 +99,7 @@ def answer_of(request: Request) -> Steps[Answer]:
     for left in reversed(range(BUSY_TRIES)):
         answer: Answer = yield request
         wait_s = answer.headers.get("retry-after", "")
-        if answer.status != BUSY or not wait_s.isdecimal() or not left:
+        if answer.status not in BUSY or not wait_s.isdecimal() or not left:
             break
         yield Pause(min(float(wait_s), LONGEST_WAIT_S))
     refuse(answer.status, answer.content)
