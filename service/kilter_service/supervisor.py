@@ -35,6 +35,7 @@ READY_S = 300.0  # the first start on a machine compiles the kernels, on a busy 
 STOP_S = 8.0
 REFUSED = 2  # what a process ends with when its settings cannot be: the same again would end the same
 FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S = 0.2, 10.0, 30.0
+KILLED = (-signal.SIGKILL, -signal.SIGTERM)
 MOST_QUICK_ENDS = 3  # at the start of the server; a process that ended so often ends the same the next time
 
 
@@ -115,7 +116,10 @@ class Child:
 
     def _how_it_ended(self) -> str:
         assert self._process is not None
-        return f"ended with {self._process.returncode} ({self._said.last()})"
+        code = self._process.returncode
+        if code in KILLED:  # from outside: it had nothing to say about it
+            return f"was killed ({signal.Signals(-code).name})"
+        return f"ended with {code} ({self._said.last()})"
 
     def ask_to_stop(self) -> None:
         """Send SIGTERM."""
