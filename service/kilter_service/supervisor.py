@@ -83,6 +83,8 @@ class Child:
                 self._pause, self.quick_ends = FIRST_PAUSE_S, 0
             self.quick_ends += 1
             log.error("%s %s: it starts again", self.name, self._how_it_ended())
+            if self._process.returncode in KILLED:  # by somebody, not by its own failure: it need not be slowed down
+                self._pause = FIRST_PAUSE_S
             self._again_at = time_s + self._pause
             self._pause = min(2 * self._pause, LONGEST_PAUSE_S)
         if time_s >= self._again_at:

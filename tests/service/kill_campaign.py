@@ -32,7 +32,8 @@ from kilter_service.settings import Settings
 from tests.service.conftest import Katana
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-VICTIMS = ("api", "api", "api", "worker", "worker", "corrector", "serve")
+VICTIMS = ("api", "worker", "corrector")
+SUPERVISOR = 0.1  # of the moments hit the supervisor
 PATIENCE_S = 280.0
 CLIENTS, ROWS = 3, 40
 HEAVY = 3  # one job in so many operations
@@ -86,26 +87,32 @@ class Server:
                         found[command[command.index(b"kilter_service") + 1].decode()] = int(pid)
         return found
 
-    def kill(self, victim: str) -> float | None:
-        """Kill a process as a power cut would; returns the seconds until all is as before, None when it was not there."""
+    def kill_supervisor(self) -> float:
+        """Kill the supervisor, start it again; returns the seconds until all is as before."""
         assert self.process is not None
-        if victim == "serve":
-            begin = time.monotonic()
-            self.process.kill()
-            self.process.wait()
-            self.start()
-            return time.monotonic() - begin
-        pid = self.children().get(victim)
-        if pid is None:
-            return None
         begin = time.monotonic()
-        with suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
-        while not self._is_back(victim, pid):
-            assert time.monotonic() - begin < PATIENCE_S, f"{victim} did not come back: see server.log"
+        self.process.kill()
+        self.process.wait()
+        self.start()
+        return time.monotonic() - begin
+
+    def kill(self, victims: list[str]) -> dict[str, float]:
+        """Kill processes at one moment, as the system does; returns the seconds until each was noticed to be back."""
+        there = self.children()
+        killed = {victim: there[victim] for victim in victims if victim in there}
+        begin, took = time.monotonic(), {}
+        for pid in killed.values():
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        while len(took) < len(killed):
+            for victim, pid in killed.items():
+                if victim not in took and self._is_back(victim, pid):
+                    took[victim] = time.monotonic() - begin
+            assert time.monotonic() - begin < PATIENCE_S, f"{killed} did not come back: see server.log"
+            assert self.process is not None
             assert self.process.poll() is None, "the server ended: see server.log"
             time.sleep(0.02)
-        return time.monotonic() - begin
+        return took
 
     def _is_back(self, victim: str, killed: int) -> bool:
         pid = self.children().get(victim, killed)
@@ -290,13 +297,14 @@ def _kill(server: Server, clients: list[Client], kills: int, rng: random.Random,
         for client in clients:
             if client.error is not None:
                 raise client.error
-        victim = rng.choice(VICTIMS)
-        took = server.kill(victim)
-        if took is not None:
-            done += 1
-            recovered.setdefault(victim, []).append(took)
-            if done % 25 == 0:
-                told(f"{done} kills")
+        if rng.random() < SUPERVISOR:
+            took = {"supervisor": server.kill_supervisor()}
+        else:
+            took = server.kill(rng.sample(VICTIMS, min(rng.randint(1, len(VICTIMS)), kills - done)))
+        done += len(took)
+        for victim, seconds in took.items():
+            recovered.setdefault(victim, []).append(seconds)
+        told(f"{done} kills: {', '.join(f'{victim} back after {seconds:.1f} s' for victim, seconds in took.items())}")
     return recovered
 
 
