@@ -38,6 +38,7 @@ READY_S = 300.0  # the first start on a machine compiles the kernels, on a busy 
 STOP_S = 8.0
 REFUSED = 2  # what a process ends with when its settings cannot be: the same again would end the same
 FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S = 0.2, 10.0, 30.0
+KILLED = (-signal.SIGKILL, -signal.SIGTERM)
 MOST_QUICK_ENDS = 3  # at the start of the server; a process that ended so often ends the same the next time
 
 
@@ -85,6 +86,8 @@ class Child:
                 self._pause, self.quick_ends = FIRST_PAUSE_S, 0
             self.quick_ends += 1
             log.error("%s %s: it starts again", self.name, self._how_it_ended())
+            if self._process.returncode in KILLED:  # by somebody, not by its own failure: it need not be slowed down
+                self._pause = FIRST_PAUSE_S
             self._again_at = time_s + self._pause
             self._pause = min(2 * self._pause, LONGEST_PAUSE_S)
         if time_s >= self._again_at:
@@ -118,7 +121,10 @@ class Child:
 
     def _how_it_ended(self) -> str:
         assert self._process is not None
-        return f"ended with {self._process.returncode} ({self._said.last()})"
+        code = self._process.returncode
+        if code in KILLED:  # from outside: it had nothing to say about it
+            return f"was killed ({signal.Signals(-code).name})"
+        return f"ended with {code} ({self._said.last()})"
 
     def ask_to_stop(self) -> None:
         """Send SIGTERM."""

@@ -92,6 +92,6 @@ def test_a_database_that_is_away_and_configurations(prepared: Settings, tmp_path
     assert set(found) == {"database", "schema", "hashes", "clock"}
     bad = tmp_path / "zenoh.json5"
     bad.write_text("{ this is not")
-    assert "is no zenoh configuration" in wrong(prepared.model_copy(update={"zenoh_config": bad}))["zenoh config"]
+    assert "is not a zenoh configuration" in wrong(prepared.model_copy(update={"zenoh_config": bad}))["zenoh config"]
     gone = prepared.model_copy(update={"zenoh_config": tmp_path / "gone"})
     assert "does not exist: correct KILTER_ZENOH_CONFIG" in wrong(gone)["zenoh config"]

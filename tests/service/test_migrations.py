@@ -42,6 +42,7 @@ def test_sqlite_runs_in_wal_with_foreign_keys(database: Database) -> None:
     with database.engine.connect() as connection:
         assert connection.execute(text("PRAGMA journal_mode")).scalar_one() == "wal"
         assert connection.execute(text("PRAGMA foreign_keys")).scalar_one() == 1
+        assert connection.execute(text("PRAGMA synchronous")).scalar_one() == 2  # FULL
 
 
 def test_file_names_of_migrations_carry_their_date() -> None:

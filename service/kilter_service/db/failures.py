@@ -63,7 +63,7 @@ POSTGRESQL = (
 
 
 def in_words(error: BaseException | None) -> CoreError | None:
-    """Return what an error says as a refusal of Kilter; None when it is no failure of the database or its disk.
+    """Return what an error says as a refusal of Kilter; None when neither the database nor its disk failed.
 
     The causes of an error are looked through too: the job engine wraps what its database said.
     """

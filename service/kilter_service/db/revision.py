@@ -73,7 +73,7 @@ def check_known(database: Database) -> None:
     found = current(database)
     _refuse_newer(found)
     if found is None:
-        raise ServiceError("This is no database of Kilter: it has none of its tables.", code="database_outdated")
+        raise ServiceError("This is not a database of Kilter: it has none of its tables.", code="database_outdated")
 
 
 def known() -> frozenset[str]:

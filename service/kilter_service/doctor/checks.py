@@ -148,7 +148,7 @@ def zenoh_config(settings: Settings) -> tuple[bool, str]:
     try:
         zenoh.Config.from_file(str(settings.zenoh_config))
     except Exception as error:  # zenoh raises its own without a name
-        return _wrong(f"{settings.zenoh_config} is no zenoh configuration ({str(error)[:200]}): correct it (JSON5)")
+        return _wrong(f"{settings.zenoh_config} is not a zenoh configuration ({str(error)[:200]}): correct it (JSON5)")
     return _ok(str(settings.zenoh_config))
 
 
