@@ -10,7 +10,7 @@ TESTERS ?= 2
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract licences rooms coverage bench bench-gap bench-peers bench-stream bench-beside fuzz fuzz-stream attack-stream soak-stream test-faults kills blind blind-pairs blind-thresholds frozen thesis silent-rows image fmt clean
+.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract licences rooms coverage bench bench-gap bench-peers bench-stream bench-beside load fuzz fuzz-stream attack-stream soak-stream test-faults kills blind blind-pairs blind-thresholds frozen thesis silent-rows image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -101,6 +101,9 @@ bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo,
 
 bench-beside: $(KERNELS) ## measure the kernels beside those of another commit, in turns (BASE=HEAD~1 ROUNDS=5)
 	sh tools/bench_beside.sh $(or $(BASE),HEAD~1) $(or $(ROUNDS),5)
+
+load: $(KERNELS) ## put a whole server under load on SQLite and PostgreSQL: clients, probe, followers, memory, a million rows (MINUTES=5)
+	$(BIN)/python -m benchmarks.load --minutes $(or $(MINUTES),5)
 
 fuzz: $(KERNELS) ## send 20 000 requests of every kind to the HTTP interface, 2 000 of them on PostgreSQL too (CASES=20000 PG_CASES=2000 SEED=0)
 	$(BIN)/python -W ignore::RuntimeWarning -m tests.fuzz.run --cases $(or $(CASES),20000) --postgresql $(or $(PG_CASES),2000) --seed $(or $(SEED),0)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from kilter_service.errors import ServiceError
+from kilter_service.memory import keep_small
 from kilter_service.settings import Settings
 
 log = logging.getLogger("kilter.api")
@@ -99,6 +100,7 @@ def serve(settings: Settings, opened: socket.socket) -> None:
         ServiceError: the database is not of the revision of this Kilter.
 
     """
+    keep_small()
     with lasting():
         import uvicorn
 

@@ -42,7 +42,11 @@ def fuzz(world: World, cases: int, seed_: int = 0) -> Outcome:
     )
     @given(requests.case())
     def send(case: Case) -> None:
-        answer = _sent(world.client, case)
+        try:
+            answer = _sent(world.client, case)
+        except httpx.TransportError as error:
+            outcome.faults.setdefault(f"{case.method} {case.path}: {type(error).__name__}", f"{case!r:.1500}")
+            return
         outcome.statuses[answer.status_code] += 1
         fault = answers.fault(case.method, case.path, answer)
         if fault is not None:

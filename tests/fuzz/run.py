@@ -6,12 +6,15 @@ import argparse
 import sys
 import tempfile
 import time
+from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
 
 from tests.fuzz.fuzz import fuzz
 from tests.fuzz.world import world
 from tests.service.postgresql import programs, running_postgresql
+
+ROUND = 500  # requests that one line of the output tells of
 
 
 def main() -> int:
@@ -32,18 +35,22 @@ def main() -> int:
 
 
 def _run(name: str, cases: int, seed: int, url: str | None) -> int:
-    if not cases:
-        return 0
-    began = time.monotonic()
+    began, statuses, faults = time.monotonic(), Counter[int](), dict[str, str]()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="kilter-fuzz-")))
-        outcome = fuzz(stack.enter_context(world(folder, url)), cases, seed)
-    statuses = ", ".join(f"{count} x {status}" for status, count in sorted(outcome.statuses.items()))
-    total, took = sum(outcome.statuses.values()), time.monotonic() - began
-    print(f"{name}: {total} requests in {took:.0f} s, seed {seed}: {statuses}; {len(outcome.faults)} faults")
-    for where, example in outcome.faults.items():
-        print(f"- {where}\n    {example}")
-    return len(outcome.faults)
+        filled = stack.enter_context(world(folder, url))
+        for number, first in enumerate(range(0, cases, ROUND)):
+            outcome = fuzz(filled, min(ROUND, cases - first), 1000 * seed + number)
+            statuses += outcome.statuses
+            for where, example in outcome.faults.items():
+                if faults.setdefault(where, example) is example:
+                    print(f"- {where}\n    {example}")
+            said = ", ".join(f"{count} x {status}" for status, count in sorted(statuses.items()))
+            took = time.monotonic() - began
+            print(
+                f"{name}: {sum(statuses.values())} requests in {took:.0f} s: {said}; {len(faults)} faults", flush=True
+            )
+    return len(faults)
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ ARM = {"name": "arm", "convention": "preset", "preset": "katana450-chapter5"}
 FOUND = {"names": [], "matrix": [], "units": "SI"}
 SAID: dict[str, Any] = {"parameters": [], "metrics": {"train": {"n": 1}}, "noise_mm": 0.01}
 LIMITS = {"max_joint_deg": 1.0, "max_position_mm": 5.0}
+ANSWER_S = 300.0  # the first request of its kind may compile kernels, on a busy machine for a minute
 
 
 class World:
@@ -80,6 +81,7 @@ def world(folder: Path, database_url: str | None = None) -> Iterator[World]:
     try:
         revision.migrate(database)
         with served(create_app(settings)) as client:
+            client.timeout = httpx.Timeout(ANSWER_S)
             client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
             found = World(client, database)
             found.fill()

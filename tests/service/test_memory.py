@@ -33,3 +33,12 @@ def test_memory_of_a_job_goes_back_to_the_system() -> None:
     assert used > 250
     assert kept > 250  # the C library keeps freed pieces: without this the test would show nothing
     assert left < 30
+
+
+def test_the_api_process_shares_the_memory_of_its_threads() -> None:
+    program = (
+        "from kilter_service.memory import keep_small; keep_small(); import pyarrow as pa; "
+        "print(pa.default_memory_pool().backend_name)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "system"
