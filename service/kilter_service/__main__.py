@@ -18,6 +18,7 @@ from kilter_core.errors import CoreError
 from kilter_service.settings import Settings
 from kilter_service.signing import command
 from kilter_service.version import code_version
+from kilter_service.zenoh_config import command as zenoh_command
 
 USAGE_CODES = frozenset({"binding_refused", "token_file_open", "stream_keys_damaged"})
 Command = Callable[[Settings, argparse.Namespace], None]
@@ -88,12 +89,18 @@ def stream_keys(settings: Settings, arguments: argparse.Namespace) -> None:
     command.run(settings, arguments)
 
 
+def zenoh_config(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Write zenoh configurations with TLS and access control, one folder per role, or rotate their certificates."""
+    zenoh_command.run(settings, arguments)
+
+
 COMMANDS: dict[str, tuple[Command, str]] = {
     "serve": (serve, "kilterd serve --data ~/kilter --port 8730"),
     "api": (api, "kilterd api --port 0"),
     "worker": (worker, "KILTER_WORKER_NAME=second kilterd worker"),
     "corrector": (corrector, "KILTER_ZENOH_LISTEN=tcp/127.0.0.1:7447 kilterd corrector"),
     "ros2": (ros2, "KILTER_ROS2='{...}' kilterd ros2"),
+    "zenoh-config": (zenoh_config, zenoh_command.EXAMPLE),
     "stream-keys": (stream_keys, command.EXAMPLE),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
 }
@@ -101,7 +108,8 @@ ENVIRONMENT = (
     "Every setting is also an environment variable: KILTER_DATA, KILTER_DATABASE_URL, KILTER_HOST, KILTER_PORT, "
     "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_STREAM_KEYS, "
     "KILTER_STREAM_UNSIGNED, KILTER_SITE, KILTER_TEMPERATURE_C, KILTER_ROS2, "
-    "KILTER_ROS2_DOMAIN, KILTER_ROS2_CONNECT, KILTER_ROS2_DIALECT, KILTER_MAX_UPLOAD_MB, "
+    "KILTER_ROS2_DOMAIN, KILTER_ROS2_CONNECT, KILTER_ROS2_DIALECT, KILTER_ROS2_ZENOH_CONFIG, "
+    "KILTER_MAX_UPLOAD_MB, "
     "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_WORKER_NAME."
 )
 
@@ -125,6 +133,8 @@ def parser() -> argparse.ArgumentParser:
             added.add_argument("--fd", type=int, help=argparse.SUPPRESS)
         if name == "stream-keys":
             command.add_options(added)
+        if name == "zenoh-config":
+            zenoh_command.add_options(added)
     return root
 
 
