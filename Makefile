@@ -96,8 +96,8 @@ bench-peers: .venv-peers/.ready .venv-peers-poe/.ready ## install the tools that
 	.venv-peers-poe/bin/pip install --disable-pip-version-check -q --constraint benchmarks/peers-poe-constraints.txt robotkinecal
 	touch $@
 
-bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run
-	$(BIN)/python -m benchmarks.stream
+bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run (TLS=1: signed, both with TLS)
+	$(BIN)/python -m benchmarks.stream $(if $(TLS),--tls)
 
 bench-beside: $(KERNELS) ## measure the kernels beside those of another commit, in turns (BASE=HEAD~1 ROUNDS=5)
 	sh tools/bench_beside.sh $(or $(BASE),HEAD~1) $(or $(ROUNDS),5)

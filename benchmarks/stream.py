@@ -1,6 +1,8 @@
 """What the correction costs: corrected round trip against a bare zenoh echo, interleaved in one run.
 
-    python -m benchmarks.stream [--samples 20000] [--rounds 4] [--rate 1000] [--save samples.npz]
+    python -m benchmarks.stream [--samples 20000] [--rounds 4] [--rate 1000] [--tls] [--save samples.npz]
+
+With ``--tls`` both have TLS with certificates on both sides and access control, and the corrected setpoints are signed.
 
 Echo and corrector have the same session settings, ring, thread and priority, and take turns in blocks of a quarter of a
 second, so that whatever else the machine does meets both. Two processes of the same program differ by several per cent,
@@ -29,6 +31,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
+from kilter_client.signing import Signer, on_this_machine
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.program import CorrectionOptions, CorrectionProgram, Track, compile_program
 from kilter_core.effects import make_effect
@@ -40,10 +43,14 @@ from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.session import config, open_listening
 from kilter_service.corrector.wire import Flag
 from kilter_service.settings import Settings
+from kilter_service.zenoh_config.folders import authority_in, write_folders
 
 ROBOT, SITE = "ur10", "bench"
+BARE_SITE = "bare"
 STREAMS = f"kilter/@v1/{SITE}/{ROBOT}/stream"
-ECHO = f"bare/@v1/{SITE}/{ROBOT}/stream/echo"  # as long as a stream's, and none: the corrector would answer it, too
+ECHO = (
+    f"kilter/@v1/{BARE_SITE}/{ROBOT}/stream/echo"  # as long as a stream's, of a site that the corrector does not serve
+)
 BLOCK_S = 0.25
 POSTURE = np.array([0.3, -1.2, 1.4, -0.5, 0.9, 0.2])
 REAL_TIME: dict[str, Any] = {
@@ -88,11 +95,33 @@ class Fixed:
         """Nothing is open."""
 
 
+@dataclass(frozen=True)
+class Guarded:
+    """Zenoh configurations with TLS and access control, as `kilterd zenoh-config` writes them."""
+
+    folder: Path
+
+    def write(self) -> None:
+        """Write them, for the corrector's site and for that of the echo."""
+        authority, trusted = authority_in(self.folder, rotate=False)
+        for site in (SITE, BARE_SITE):
+            folder = self.folder / site
+            write_folders(folder, site, ("127.0.0.1",), 7447, {"main": ("*",)}, 0, authority, trusted)
+
+    def file(self, site: str, role: str) -> Path:
+        """Configuration of a role."""
+        return self.folder / site / role / "zenoh.json5"
+
+
 @contextmanager
-def running(source: Fixed) -> Iterator[Corrector]:
+def running(source: Fixed, guarded: Guarded | None = None) -> Iterator[Corrector]:
     """A corrector in a folder of its own."""
     with tempfile.TemporaryDirectory() as folder:
-        corrector = Corrector(Settings(data=Path(folder), zenoh_listen="tcp/127.0.0.1:0", site=SITE), source)
+        settings = Settings(data=Path(folder), zenoh_listen="tcp/127.0.0.1:0", site=SITE)
+        if guarded:
+            secured = {"zenoh_listen": "tls/127.0.0.1:0", "zenoh_config": guarded.file(SITE, "corrector")}
+            settings = settings.model_copy(update=secured)
+        corrector = Corrector(settings, source)
         corrector.start()
         try:
             yield corrector
@@ -100,11 +129,12 @@ def running(source: Fixed) -> Iterator[Corrector]:
             corrector.stop()
 
 
-def echo_main(pipe: Connection) -> None:
+def echo_main(pipe: Connection, guarded: Guarded | None = None) -> None:
     """A process that sends back what it gets, built like the stream process without the correction."""
     sys.setswitchinterval(0.0005)
     ask_for_real_time()
-    session, endpoint = open_listening("tcp/127.0.0.1:0", None)
+    listen, file = ("tls/127.0.0.1:0", guarded.file(BARE_SITE, "corrector")) if guarded else ("tcp/127.0.0.1:0", None)
+    session, endpoint = open_listening(listen, file)
     with session:
         subscriber = session.declare_subscriber(f"{ECHO}/in", zenoh.handlers.RingChannel(256))
         publisher = session.declare_publisher(f"{ECHO}/out", **REAL_TIME)
@@ -120,7 +150,8 @@ def echo_main(pipe: Connection) -> None:
 class Line:
     """One direction there and back, with the round trips of its frames."""
 
-    def __init__(self, session: zenoh.Session, key: str) -> None:
+    def __init__(self, session: zenoh.Session, key: str, signer: Signer | None = None) -> None:
+        self.signer = signer
         self.arrived: list[tuple[int, bytes]] = []
         self.sent: dict[int, int] = {}
         self.seq = 0
@@ -131,6 +162,18 @@ class Line:
             if time.monotonic() > end:
                 raise SystemExit(f"nobody listens to {key}")
             time.sleep(0.01)
+        if signer is not None:
+            self._publisher.put(signer.greeting())
+            while not any(signer.challenged(data, b"") for _, data in self.arrived):
+                if time.monotonic() > end:
+                    raise SystemExit(f"no nonce for {key}")
+                time.sleep(0.01)
+            self.arrived.clear()
+
+    def answers(self, first: int = 0) -> list[wire.Answer]:
+        """What came back, without signatures; those of the wrong key count as lost."""
+        found = [data if self.signer is None else self.signer.opened(data) for _, data in self.arrived[first:]]
+        return [wire.decode_answer(data) for data in found if data is not None]
 
     def _take(self, sample: zenoh.Sample) -> None:
         self.arrived.append((time.perf_counter_ns(), sample.payload.to_bytes()))
@@ -142,8 +185,8 @@ class Line:
         data = wire.encode_setpoints(
             values, joints=6, seq=self.seq, t_send_ns=time.monotonic_ns(), t_apply_ns=0, flags=flags, step_ns=step_ns
         )
-        self.sent[self.seq] = time.perf_counter_ns()
-        self._publisher.put(data)
+        self.sent[self.seq] = time.perf_counter_ns()  # a controller signs, too: it counts
+        self._publisher.put(data if self.signer is None else self.signer.sealed(data))
 
     def wait(self, seconds: float = 3.0) -> None:
         """Wait for the answers that are under way."""
@@ -153,7 +196,7 @@ class Line:
 
     def round_trips_us(self) -> np.ndarray:
         """Round trips of the frames that came back, µs."""
-        trips = [at - self.sent[wire.decode_header(data).seq] for at, data in self.arrived]
+        trips = [at - self.sent[int.from_bytes(data[8:16], "little")] for at, data in self.arrived]
         return np.array(trips[100:]) / 1000.0  # the first ones meet cold caches
 
 
@@ -187,7 +230,7 @@ def throughput(line: Line, points: int = 200, window: int = 8, seconds: float = 
         else:
             time.sleep(0.0001)
     line.wait()
-    good = sum(wire.decode_answer(data).status == 0 for _, data in line.arrived[first:])
+    good = sum(answer.status == 0 for answer in line.answers(first))
     return points * good / (time.perf_counter() - begin)
 
 
@@ -257,26 +300,45 @@ def quiet() -> None:
     print(f"other programs use {busy:.0%} of the machine" + (": these figures are not worth keeping" * (busy > 0.1)))
 
 
+def client_config(endpoints: tuple[str, ...], guarded: Guarded | None) -> zenoh.Config:
+    """A peer of both, with a controller's certificate where there is TLS."""
+    if guarded is None:
+        return config("tcp/127.0.0.1:0", endpoints)
+    made = config(None, endpoints, guarded.file(SITE, "controller-main"))
+    made.insert_json5("mode", '"peer"')
+    return made
+
+
+def signer_of(corrector: Corrector, stream: str, guarded: Guarded | None) -> Signer | None:
+    """Keys for a stream, where setpoints are signed."""
+    session = on_this_machine(corrector.file.with_name("stream-keys.json"), SITE, ROBOT, stream) if guarded else None
+    return Signer(session) if session else None
+
+
 @contextmanager
 def beside_an_echo(
-    active: Active, entry: Callable[[Connection], None], door: str, wake: Callable[[zenoh.Session], object]
-) -> Iterator[zenoh.Session]:
+    active: Active,
+    entry: Callable[..., None],
+    door: str,
+    wake: Callable[[zenoh.Session], object],
+    guarded: Guarded | None = None,
+) -> Iterator[tuple[zenoh.Session, Corrector]]:
     """A session with a corrector (its ``door``, "stream" or "query") and an echo in a process of its own.
 
     The echo's ``entry`` sends its endpoint and ends when the pipe has something for it, which ``wake`` makes it look at.
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    echo = context.Process(target=entry, args=(theirs,))
+    echo = context.Process(target=entry, args=(theirs, guarded) if guarded else (theirs,))
     echo.start()
     endpoint = ours.recv()
     try:
         with (
-            running(Fixed(active)) as corrector,
-            zenoh.open(config("tcp/127.0.0.1:0", (endpoint, corrector.endpoints[door]))) as session,
+            running(Fixed(active), guarded) as corrector,
+            zenoh.open(client_config((endpoint, corrector.endpoints[door]), guarded)) as session,
         ):
             time.sleep(0.5)
-            yield session
+            yield session, corrector
             ours.send("stop")
             wake(session)
             echo.join(5)
@@ -297,24 +359,29 @@ class Round:
     chunks_per_s: float
 
 
-def run_round(active: Active, samples: int, rate: float) -> Round:
+def run_round(active: Active, samples: int, rate: float, guarded: Guarded | None = None) -> Round:
     """Start both, send ``samples`` setpoints to each, then chunks to the corrector."""
-    with beside_an_echo(active, echo_main, "stream", lambda session: session.put(f"{ECHO}/in", b"")) as session:
+
+    def wake(session: zenoh.Session) -> None:
+        session.put(f"{ECHO}/in", b"")
+
+    with beside_an_echo(active, echo_main, "stream", wake, guarded) as (session, corrector):
         gc.collect()
         gc.freeze()
         gc.disable()
-        lines = [Line(session, ECHO), Line(session, f"{STREAMS}/corrected")]
+        signers = {name: signer_of(corrector, name, guarded) for name in ("corrected", "chunks")}
+        lines = [Line(session, ECHO), Line(session, f"{STREAMS}/corrected", signers["corrected"])]
         take_turns(lines, samples, rate)
         for line in lines:
             line.wait()
-        answers = [wire.decode_answer(data) for _, data in lines[1].arrived]
+        answers = lines[1].answers()
         done = Round(
             lines[0].round_trips_us(),
             lines[1].round_trips_us(),
             np.array([answer.processing_ns for answer in answers]) / 1000.0,
-            (lines[0].seq - len(lines[0].arrived), lines[1].seq - len(lines[1].arrived)),
+            (lines[0].seq - len(lines[0].arrived), lines[1].seq - len(answers)),
             Counter(answer.status.name for answer in answers),
-            throughput(Line(session, f"{STREAMS}/chunks")),
+            throughput(Line(session, f"{STREAMS}/chunks", signers["chunks"])),
         )
         gc.enable()
     p50, p99 = (np.percentile(done.corrected_us, q) / np.percentile(done.echo_us, q) for q in (50, 99))
@@ -332,6 +399,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=20_000, help="setpoints per line")
     parser.add_argument("--rounds", type=int, default=4, help="pairs of processes that share them")
     parser.add_argument("--rate", type=float, default=1000.0, help="setpoints per second")
+    parser.add_argument("--tls", action="store_true", help="TLS and access control for both; setpoints are signed")
     parser.add_argument("--save", type=Path, help="file for the samples, as benchmarks.latency_page reads them (.npz)")
     arguments = parser.parse_args()
     quiet()
@@ -339,7 +407,11 @@ def main() -> None:
     kernel_times(program)
     active = Active(ROBOT, "ver_bench", version_number(program.digest), 1, program)
     share = math.ceil(arguments.samples / arguments.rounds)
-    rounds = [run_round(active, share, arguments.rate) for _ in range(arguments.rounds)]
+    with tempfile.TemporaryDirectory() as folder:
+        guarded = Guarded(Path(folder)) if arguments.tls else None
+        if guarded:
+            guarded.write()
+        rounds = [run_round(active, share, arguments.rate, guarded) for _ in range(arguments.rounds)]
     echo_us, corrected_us, inside_us = (
         np.concatenate([getattr(done, name) for done in rounds]) for name in ("echo_us", "corrected_us", "inside_us")
     )

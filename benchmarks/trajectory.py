@@ -84,7 +84,7 @@ def main() -> None:
     rounds = parser.parse_args().rounds
     program = compile_program(calibration(), CorrectionOptions())
     active = Active(ROBOT, "ver_bench", version_number(program.digest), 1, program)
-    with beside_an_echo(active, echo_main, "query", lambda session: ask(session, ECHO, b"")) as session:
+    with beside_an_echo(active, echo_main, "query", lambda session: ask(session, ECHO, b"")) as (session, _):
         measure(session, active, rounds)
 
 

@@ -1,6 +1,7 @@
 /* Reads and writes messages of the stream on standard input and output: a line "q ..." prints the setpoint to send in
  * hexadecimal, a line "a <hex>" what an answer says, a line "c <epoch> <version> <hex>" whether an answer to the last
- * setpoint may be used. A real controller begins seq and clock at random, as kilter_frames.h says.
+ * setpoint may be used. "k <id> <key>" begins a signed session and prints the greeting, "n <hex>" takes the corrector's nonce;
+ * from there on setpoints and answers are signed. "t" says whether BLAKE2s passes its self-test. A real controller begins seq and clock at random, as kilter_frames.h says.
  * Build: cc -std=c99 -Wall -Wextra -o controller controller.c */
 #include <stdio.h>
 #include <stdlib.h>
@@ -9,6 +10,13 @@
 
 static double q[KILTER_MAX_JOINTS]; /* the last setpoint */
 static int n;
+static kilter_session session;
+static int signs;
+
+static void print(const uint8_t *data, size_t length) {
+    for (size_t i = 0; i < length; i++) printf("%02x", data[i]);
+    printf("\n");
+}
 
 static void setpoint(char *numbers, uint64_t seq) {
     uint8_t frame[KILTER_SETPOINT_BYTES];
@@ -19,8 +27,8 @@ static void setpoint(char *numbers, uint64_t seq) {
         numbers = end;
     }
     size_t length = kilter_encode(frame, q, NULL, NULL, n, 0, seq, 100, 200, 0);
-    for (size_t i = 0; i < length; i++) printf("%02x", frame[i]);
-    printf("\n");
+    if (signs) length = kilter_seal(frame, length, &session);
+    print(frame, length);
 }
 
 static size_t bytes_of(const char *hex, uint8_t *data, size_t most) {
@@ -30,10 +38,28 @@ static size_t bytes_of(const char *hex, uint8_t *data, size_t most) {
     return length;
 }
 
+static size_t opened(const char *hex, uint8_t *data, size_t most) {
+    size_t length = bytes_of(hex, data, most);
+    return signs ? kilter_open(data, length, &session) : length;
+}
+
+static void greet(const char *hex) {
+    uint8_t frame[KILTER_HEADER_BYTES + KILTER_TRAILER_BYTES];
+    bytes_of(hex, session.id, sizeof session.id);
+    bytes_of(hex + 33, session.key, sizeof session.key);
+    print(frame, kilter_greet(frame, &session, 5, 6));
+}
+
+static void nonce(const char *hex) {
+    uint8_t data[1024];
+    signs = kilter_challenged(data, bytes_of(hex, data, sizeof data), &session, 5, 6);
+    printf("%s\n", signs ? "signs" : "not a nonce");
+}
+
 static void answer(const char *hex) {
     uint8_t data[1024];
     kilter_answer said;
-    if (!kilter_decode(data, bytes_of(hex, data, sizeof data), &said)) {
+    if (!kilter_decode(data, opened(hex, data, sizeof data), &said)) {
         printf("not an answer\n");
         return;
     }
@@ -52,7 +78,7 @@ static void check(const char *line, uint64_t seq) {
     int at = 0;
     for (int i = 0; i < KILTER_MAX_JOINTS; i++) largest[i] = 0.0174533; /* 1 deg */
     if (sscanf(line, "%u %llx %n", &epoch, &version, &at) != 2) return;
-    int good = kilter_decode(data, bytes_of(line + at, data, sizeof data), &said) &&
+    int good = kilter_decode(data, opened(line + at, data, sizeof data), &said) &&
                kilter_accept(&said, seq, 100, 200, q, largest, n, epoch, version);
     printf("%s\n", good ? "accepted" : "dropped");
 }
@@ -60,6 +86,9 @@ static void check(const char *line, uint64_t seq) {
 int main(void) {
     char line[4096];
     for (uint64_t seq = 7; fgets(line, sizeof line, stdin);) {
+        if (line[0] == 't') printf("%s\n", kilter_blake2s_good() ? "good" : "wrong");
+        if (line[0] == 'k') greet(line + 2);
+        if (line[0] == 'n') nonce(line + 2);
         if (line[0] == 'q') setpoint(line + 1, seq++);
         if (line[0] == 'a') answer(line + 2);
         if (line[0] == 'c') check(line + 2, seq - 1);

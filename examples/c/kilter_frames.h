@@ -4,7 +4,7 @@
  * Every number is little-endian. A message begins with 32 bytes:
  *
  *   offset  bytes  type     field
- *        0      4  char[4]  magic, "KLT1"
+ *        0      4  char[4]  magic, "KLT1"; "KLT2" when signed
  *        4      1  uint8    kind: 0 a setpoint or its answer (1 chunk, 2 trajectory: not in this file)
  *        5      1  uint8    joints n, 1 to 16; in an answer 0 unless the status is KILTER_OK
  *        6      2  uint16   flags
@@ -25,6 +25,12 @@
  *       48      4  uint32   processing_ns
  *       52      4  int32    reserved, 0
  *
+ * A signed message has the magic "KLT2" and 32 more bytes: session id and tag. Beyond the corrector's own machine no others are
+ * taken. Ask the API for a session (POST /v1/robots/{robot}/stream/sessions), fill a kilter_session with its id and key, send
+ * kilter_greet and give what comes back to kilter_challenged, until it returns 1. Then kilter_seal what kilter_encode wrote,
+ * and kilter_open each answer before kilter_decode. When a signed setpoint is answered with KILTER_NO_SESSION, kilter_challenged
+ * takes the new nonce; after a few cycles without any answer send kilter_greet again. seq grows with every setpoint of a session.
+ *
  * What a controller must do: wait, up to its own deadline, for an answer that kilter_accept accepts. Anybody can publish
  * on the key of the answers, so begin seq at a random number, add a random offset to the clock of both times, draw new
  * random last 20 bits of t_send_ns for every setpoint, and always set t_apply_ns. In time and KILTER_OK: send q.
@@ -38,10 +44,14 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "kilter_blake2s.h"
+
 #define KILTER_MAX_JOINTS 16
 #define KILTER_HEADER_BYTES 32
 #define KILTER_VERDICT_BYTES 24
-#define KILTER_SETPOINT_BYTES (KILTER_HEADER_BYTES + 8 + 8 * 3 * KILTER_MAX_JOINTS)
+#define KILTER_TAG_BYTES 16
+#define KILTER_TRAILER_BYTES 32
+#define KILTER_SETPOINT_BYTES (KILTER_HEADER_BYTES + 8 + 8 * 3 * KILTER_MAX_JOINTS + KILTER_TRAILER_BYTES)
 
 enum { KILTER_QD = 0x0001, KILTER_QDD = 0x0002, KILTER_VERSION = 0x0004, KILTER_RESET = 0x0008, KILTER_SETTLED = 0x0010 };
 enum {
@@ -50,7 +60,8 @@ enum {
 };
 enum {
     KILTER_OK, KILTER_STALE, KILTER_SEQ_GAP, KILTER_SEQ_BACK, KILTER_BAD_FRAME, KILTER_NOT_FINITE, KILTER_JOINT_LIMIT,
-    KILTER_CORRECTION_TOO_LARGE, KILTER_RATE_LIMIT, KILTER_NO_VERSION, KILTER_VERSION_MISMATCH, KILTER_OVERLOAD
+    KILTER_CORRECTION_TOO_LARGE, KILTER_RATE_LIMIT, KILTER_NO_VERSION, KILTER_VERSION_MISMATCH, KILTER_OVERLOAD,
+    KILTER_NO_SESSION, KILTER_UNSIGNED, KILTER_SESSION_EXPIRED
 };
 
 typedef struct {
@@ -116,7 +127,7 @@ static inline int kilter_decode(const uint8_t *data, size_t length, kilter_answe
     if (length < head || memcmp(data, "KLT1", 4) != 0 || data[4] != 0) return 0;
     joints = data[5];
     answer->status = (uint16_t)kilter_get(data + 44, 2);
-    if (joints > KILTER_MAX_JOINTS || answer->status > KILTER_OVERLOAD) return 0;
+    if (joints > KILTER_MAX_JOINTS || answer->status > KILTER_SESSION_EXPIRED) return 0;
     if ((answer->status == KILTER_OK) != (joints > 0) || length != head + 8 * (size_t)joints) return 0;
     answer->joints = (uint8_t)joints;
     answer->flags = (uint16_t)kilter_get(data + 6, 2);
@@ -147,6 +158,66 @@ static inline int kilter_accept(const kilter_answer *answer, uint64_t seq, uint6
         if (!(delta <= largest[i] && delta >= -largest[i])) return 0; /* nor when it is not a number */
     }
     return 1;
+}
+
+typedef struct {
+    uint8_t id[16], key[32]; /* of the API */
+    uint8_t in_use[32];      /* made by kilter_challenged */
+} kilter_session;
+
+static inline void kilter_tag(uint8_t *tag, const uint8_t key[32], const char *use, const uint8_t *data, size_t length) {
+    kilter_blake2s(tag, KILTER_TAG_BYTES, key, 32, use, data, length);
+}
+
+/* Whether the last 16 bytes are the tag of those before, compared in constant time. */
+static inline int kilter_fits(const uint8_t key[32], const char *use, const uint8_t *data, size_t length) {
+    uint8_t tag[KILTER_TAG_BYTES], differ = 0;
+    kilter_tag(tag, key, use, data, length - KILTER_TAG_BYTES);
+    for (int i = 0; i < KILTER_TAG_BYTES; i++) differ |= (uint8_t)(tag[i] ^ data[length - KILTER_TAG_BYTES + i]);
+    return differ == 0;
+}
+
+static inline size_t kilter_signed(uint8_t *frame, size_t length, const kilter_session *session, const uint8_t *key,
+                                   const char *use) {
+    memcpy(frame, "KLT2", 4);
+    memcpy(frame + length, session->id, 16);
+    kilter_tag(frame + length + 16, key, use, frame, length + 16);
+    return length + KILTER_TRAILER_BYTES;
+}
+
+/* Sign what kilter_encode wrote; there must be room for KILTER_TRAILER_BYTES more. Returns the new length. */
+static inline size_t kilter_seal(uint8_t *frame, size_t length, const kilter_session *session) {
+    return kilter_signed(frame, length, session, session->in_use, "KLT2in");
+}
+
+/* Write the message that asks for the corrector's nonce; seq and t_send_ns at random. Returns its length. */
+static inline size_t kilter_greet(uint8_t *out, const kilter_session *session, uint64_t seq, uint64_t t_send_ns) {
+    memset(out, 0, KILTER_HEADER_BYTES);
+    out[4] = 3;
+    kilter_put(out + 8, seq, 8);
+    kilter_put(out + 16, t_send_ns, 8);
+    return kilter_signed(out, KILTER_HEADER_BYTES, session, session->key, "KLT2helo");
+}
+
+/* Take the nonce from the answer to a greeting or a setpoint with this seq and t_send_ns. Returns 1 when it is one. */
+static inline int kilter_challenged(const uint8_t *data, size_t length, kilter_session *session, uint64_t seq,
+                                    uint64_t t_send_ns) {
+    const size_t head = KILTER_HEADER_BYTES + KILTER_VERDICT_BYTES;
+    if (length != head + 16 + KILTER_TRAILER_BYTES || memcmp(data, "KLT2", 4) != 0) return 0;
+    if (memcmp(data + length - KILTER_TRAILER_BYTES, session->id, 16) != 0) return 0;
+    if (kilter_get(data + 8, 8) != seq || kilter_get(data + 16, 8) != t_send_ns) return 0;
+    if (kilter_get(data + 44, 2) != KILTER_NO_SESSION || !kilter_fits(session->key, "KLT2chal", data, length)) return 0;
+    kilter_blake2s(session->in_use, 32, session->key, 32, "KLT2work", data + head, 16);
+    return 1;
+}
+
+/* Check the tag of an answer and make it a plain one for kilter_decode. Returns its length, 0 when it is not signed so. */
+static inline size_t kilter_open(uint8_t *data, size_t length, const kilter_session *session) {
+    if (length < KILTER_HEADER_BYTES + KILTER_TRAILER_BYTES || memcmp(data, "KLT2", 4) != 0) return 0;
+    if (memcmp(data + length - KILTER_TRAILER_BYTES, session->id, 16) != 0) return 0;
+    if (!kilter_fits(session->in_use, "KLT2out", data, length)) return 0;
+    memcpy(data, "KLT1", 4);
+    return length - KILTER_TRAILER_BYTES;
 }
 
 #endif

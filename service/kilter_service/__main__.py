@@ -19,6 +19,7 @@ from kilter_service.private_files import UMASK, protect
 from kilter_service.settings import DATABASE_FILE, JOBS_FILE, Settings
 from kilter_service.signing import command
 from kilter_service.version import code_version
+from kilter_service.zenoh_config import command as zenoh_command
 
 TRACED = frozenset({"api", "worker"})
 USAGE_CODES = frozenset({"binding_refused", "token_file_open", "token_weak", "stream_keys_damaged"})
@@ -143,6 +144,11 @@ def stream_keys(settings: Settings, arguments: argparse.Namespace) -> None:
     command.run(settings, arguments)
 
 
+def zenoh_config(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Write zenoh configurations with TLS and access control, one folder per role, or rotate their certificates."""
+    zenoh_command.run(settings, arguments)
+
+
 COMMANDS: dict[str, tuple[Command, str]] = {
     "serve": (serve, "kilterd serve --data ~/kilter --port 8730"),
     "api": (api, "kilterd api --port 0"),
@@ -150,6 +156,7 @@ COMMANDS: dict[str, tuple[Command, str]] = {
     "corrector": (corrector, "KILTER_ZENOH_LISTEN=tcp/127.0.0.1:7447 kilterd corrector"),
     "ros2": (ros2, "KILTER_ROS2='{...}' kilterd ros2"),
     "audit": (audit, "kilterd audit --data /backup/kilter"),
+    "zenoh-config": (zenoh_config, zenoh_command.EXAMPLE),
     "stream-keys": (stream_keys, command.EXAMPLE),
     "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
     "backup": (backup, "kilterd backup /backups"),
@@ -162,15 +169,8 @@ PATHS = {
     "restore": ("FILE", None, "file that `kilterd backup` wrote"),
     "verify": ("FILE", "?", "a backup to check (default: the database of the server)"),
 }
-ENVIRONMENT = (
-    "Every setting is also an environment variable: KILTER_DATA, KILTER_DATABASE_URL, KILTER_HOST, KILTER_PORT, "
-    "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_STREAM_KEYS, "
-    "KILTER_STREAM_UNSIGNED, KILTER_SITE, KILTER_TEMPERATURE_C, KILTER_ROS2, "
-    "KILTER_ROS2_DOMAIN, KILTER_ROS2_CONNECT, KILTER_ROS2_DIALECT, KILTER_MAX_UPLOAD_MB, "
-    "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_RATE, KILTER_HOSTS, KILTER_PROXY, "
-    "KILTER_TLS_CERTIFICATE, KILTER_TLS_KEY, KILTER_WORKER_NAME, "
-    "KILTER_LOG_FORMAT, KILTER_ACCESS_LOG."
-)
+NAMES = ", ".join(f"KILTER_{name.upper()}" for name in Settings.model_fields)
+ENVIRONMENT = f"Every setting is also an environment variable: {NAMES}."
 
 
 def parser() -> argparse.ArgumentParser:
@@ -199,6 +199,8 @@ def parser() -> argparse.ArgumentParser:
             added.add_argument("--fd", type=int, help=argparse.SUPPRESS)
         if name == "stream-keys":
             command.add_options(added)
+        if name == "zenoh-config":
+            zenoh_command.add_options(added)
     return root
 
 

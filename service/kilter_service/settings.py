@@ -70,6 +70,7 @@ class Settings(BaseSettings):
     ros2: dict[str, RobotTopics] = Field(default={}, description="topics of ROS 2 by robot, JSON; none: off")
     ros2_domain: Annotated[int, Field(ge=0, le=232, description="ROS_DOMAIN_ID")] = 0
     ros2_connect: str = Field(default="tcp/127.0.0.1:7447", description="zenoh router of ROS 2")
+    ros2_zenoh_config: Path | None = Field(default=None, description="zenoh JSON5 configuration for the router of ROS")
     ros2_dialect: Literal["rmw_zenoh", "ros2dds"] = Field(default="rmw_zenoh", description="how ROS speaks zenoh")
     max_upload_mb: Annotated[int, Field(ge=1, description="largest file of observations or trajectory")] = 256
     max_document_mb: Annotated[int, Field(ge=1, le=64, description="largest robot, job or other JSON document")] = 4
@@ -166,6 +167,7 @@ class Settings(BaseSettings):
             "ROS2": json.dumps({robot: topics.model_dump() for robot, topics in self.ros2.items()}),
             "ROS2_DOMAIN": str(self.ros2_domain),
             "ROS2_CONNECT": self.ros2_connect,
+            "ROS2_ZENOH_CONFIG": str(self.ros2_zenoh_config) if self.ros2_zenoh_config else None,
             "ROS2_DIALECT": self.ros2_dialect,
             "MAX_UPLOAD_MB": str(self.max_upload_mb),
             "MAX_DOCUMENT_MB": str(self.max_document_mb),

@@ -23,7 +23,7 @@ from kilter_service.corrector.active import Active
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.session import config
 from kilter_service.corrector.wire import Flag
-from tests.corrector import forger
+from tests.corrector import forger, sealer
 from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
 
 
@@ -238,3 +238,61 @@ def test_one_bad_frame_on_the_way_in_costs_one_cycle_at_most(corrector: Correcto
                     cycles = [stream.correct(Q) for _ in range(20)]
                     assert sum(setpoint.source != "corrected" for setpoint in cycles) <= 1, (flags, seq_by, time_by)
                     assert np.abs(np.array(cycles[-1].delta) - right).max() < 2e-4
+
+
+@pytest.mark.parametrize("count", [3000, pytest.param(50_000, marks=pytest.mark.slow)])
+@pytest.mark.timeout(1800)
+def test_attacked_setpoints_of_a_signed_stream_cost_no_cycle(
+    corrector: Corrector, intruder: zenoh.Session, count: int
+) -> None:
+    """Recorded, repeated, damaged, invented and unsigned setpoints, beside a controller: none is corrected."""
+    rng = random.Random(count)
+    name = f"signed{count}"
+    heard: list[bytes] = []
+    answers: list[bytes] = []
+    own: set[bytes] = set()  # a session hears what it sends itself
+
+    def hear(sample: zenoh.Sample) -> None:
+        data = sample.payload.to_bytes()
+        if data not in own:
+            heard.append(data)
+
+    with (
+        open_stream(corrector, name) as stream,
+        intruder.declare_subscriber(f"{ROOT}/stream/{name}/in", hear),
+        intruder.declare_subscriber(f"{ROOT}/stream/{name}/out", lambda s: answers.append(s.payload.to_bytes())),
+    ):
+        right = truth(stream)
+        until(lambda: stream.correct(Q).source == "corrected" and len(heard) > 50)
+        way = way_out(intruder, f"{ROOT}/stream/{name}/in")
+        recorded = heard[:50]
+        before = stream.statistics.sent
+        answers.clear()
+
+        def attack(stop: threading.Event) -> None:
+            for k in range(count // 4):
+                if stop.is_set():
+                    return
+                last = heard[-1]
+                plain = b"KLT1" + last[4:-32]
+                for data in (rng.choice(recorded), last, sealer.damaged(last, rng), plain):
+                    own.add(data)
+                    way.put(data)
+                if k % 10 == 0:
+                    time.sleep(0.001)
+
+        with beside(attack) as ended:
+            while not ended.is_set():
+                setpoint = stream.correct(Q)
+                assert setpoint.source == "corrected"
+                assert np.abs(np.array(setpoint.delta) - right).max() < 1e-9
+        assert stream.correct(Q).source == "corrected"
+        sent = stream.statistics.sent - before
+        until(lambda: sum(is_corrected(data) for data in answers) >= sent)
+        time.sleep(0.1)
+        assert sum(is_corrected(data) for data in answers) == sent  # each of the controller's own, and nothing else
+    print(f"{count} attacked setpoints over zenoh: 0 corrected")
+
+
+def is_corrected(data: bytes) -> bool:
+    return len(data) > 48 and data[44:46] == b"\0\0"

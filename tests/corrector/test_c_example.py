@@ -14,7 +14,7 @@ import pytest
 
 from kilter_service.corrector import wire
 from kilter_service.corrector.wire import Status
-from tests.corrector import forger
+from tests.corrector import forger, sealer
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "c" / "controller.c"
 HEADER = EXAMPLE.with_name("kilter_frames.h")
@@ -94,3 +94,36 @@ def test_c_acts_on_the_right_answer_only(controller: Path) -> None:
     assert said[1:3] == ["accepted", "accepted"]
     assert set(said[3:]) == {"dropped"}
     assert len(said) == 3003
+
+
+def test_blake2s_in_c_is_that_of_the_rfc(controller: Path) -> None:
+    assert talk(controller, ["t"]) == ["good"]
+
+
+def test_c_signs_and_checks_as_the_tables_say(controller: Path) -> None:
+    session, key, nonce = bytes(range(16)), bytes(range(32, 64)), bytes(range(100, 116))
+    q = [0.1, -0.5, 0.7]
+    greeting = sealer.seal(sealer.HEADER.pack(b"KLT2", 3, 0, 0, 5, 6, 0), session, key, "KLT2helo")
+    head = sealer.HEADER.pack(b"KLT2", 3, 0, 0, 5, 6, 0) + wire.VERDICT.pack(0, 0, Status.NO_SESSION, 0, 0, 0)
+    challenge = sealer.seal(head + nonce, session, key, "KLT2chal")
+    in_use = sealer.derive(key, "KLT2work", nonce)
+    plain = wire.encode_setpoints(np.array([q]), joints=3, seq=7, t_send_ns=100, t_apply_ns=200)
+    rng = random.Random(6)
+    good = sealer.seal(
+        forger.answer(7, 100, 200, [x + 0.001 for x in q], version=0xABC, epoch=5), session, in_use, "KLT2out"
+    )
+    forged = [sealer.damaged(good, rng) for _ in range(2000)]
+    forged += [sealer.seal(b"KLT1" + good[4:-32], session, rng.randbytes(32), "KLT2out") for _ in range(500)]
+    bad_nonces = [sealer.damaged(challenge, rng) for _ in range(200)]
+    lines = [
+        f"k {session.hex()} {key.hex()}", *(f"n {data.hex()}" for data in (*bad_nonces, challenge)),
+        "q " + " ".join(map(repr, q)), *(f"c 5 abc {data.hex()}" for data in (good, *forged)),
+    ]  # fmt: skip
+    said = talk(controller, lines)
+    assert said[0] == greeting.hex()
+    assert set(said[1:201]) == {"not a nonce"}
+    assert said[201] == "signs"
+    assert said[202] == sealer.seal(plain, session, in_use, "KLT2in").hex()
+    assert said[203] == "accepted"
+    assert set(said[204:]) == {"dropped"}
+    assert len(said) == 204 + 2500

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from kilter_service.corrector.endpoints import is_local
+from kilter_service.corrector.endpoints import check_ros2, is_local
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.session import config
 from kilter_service.errors import ServiceError
@@ -137,3 +137,17 @@ def test_a_failed_start_says_why(tmp_path: Path, source: object) -> None:
     with pytest.raises(ServiceError, match="KILTER_ZENOH_CONFIG"):
         refused.start()
     refused.stop()
+
+
+@pytest.mark.parametrize(("connect", "configured", "taken"), [
+    ("tcp/127.0.0.1:7447", False, True), ("tcp/10.0.0.1:7447", False, False), ("tls/10.0.0.1:7447", False, False),
+    ("tcp/10.0.0.1:7447", True, False), ("tls/10.0.0.1:7447", True, True),
+])  # fmt: skip
+def test_ros_beyond_this_machine_needs_tls(tmp_path: Path, connect: str, configured: bool, taken: bool) -> None:
+    file = tmp_path / "zenoh.json5" if configured else None
+    settings = Settings(data=tmp_path, ros2_connect=connect, ros2_zenoh_config=file)
+    if taken:
+        check_ros2(settings)
+        return
+    with pytest.raises(ServiceError, match="KILTER_ROS2_ZENOH_CONFIG"):
+        check_ros2(settings)

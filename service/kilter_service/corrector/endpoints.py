@@ -46,6 +46,25 @@ def check_listening(settings: Settings) -> None:
     )
 
 
+def check_ros2(settings: Settings) -> None:
+    """Refuse a router of ROS beyond this machine without TLS: its messages have no room for a signature.
+
+    Raises:
+        ServiceError: the router is elsewhere, and the way to it is not TLS with a zenoh configuration.
+
+    """
+    endpoint = settings.ros2_connect
+    if is_local(endpoint) or (settings.ros2_zenoh_config is not None and endpoint.startswith(("tls/", "quic/"))):
+        return
+    raise ServiceError(
+        f"Messages of ROS 2 are not signed, so they go to {endpoint} only behind TLS and access control: set "
+        "KILTER_ROS2_ZENOH_CONFIG to the zenoh.json5 of the folder `ros` that `kilterd zenoh-config` writes, and "
+        "KILTER_ROS2_CONNECT to a tls/ endpoint, or run the adaptor on the machine of the router.",
+        code="binding_refused",
+        connect=endpoint,
+    )
+
+
 def cannot_listen(endpoint: str, reason: str) -> ServiceError:
     """What to say when an endpoint is refused by the system."""
     why = "another program listens there" if "Address already in use" in reason else reason.partition(" at /")[0]

@@ -14,6 +14,7 @@ from kilter_service.corrector.wire import Status
 from kilter_service.signing import sealed
 
 SEQ = slice(8, 16)
+from_bytes = int.from_bytes
 
 
 class Guard:
@@ -47,6 +48,27 @@ class Guard:
         """Bytes to publish for what arrived, or None: no answer."""
         if data[:4] != sealed.MAGIC:
             return self._plain(data, arrival_ns, active, overloaded)
+        # The next setpoint of the session in use, as nearly all are, in as few steps as possible: between two setpoints the
+        # caches go cold, and every further call costs a microsecond.
+        signed, session = data[: -sealed.TAG_BYTES], self._session
+        if signed[-sealed.SESSION_BYTES :] == session:
+            state = self._setpoints.copy()
+            state.update(signed)
+            if compare_digest(state.digest(), data[-sealed.TAG_BYTES :]):
+                seq = from_bytes(data[SEQ], "little")
+                if seq > self._highest and arrival_ns <= self._ends_ns:
+                    self._highest = seq
+                    plain = sealed.PLAIN + signed[4 : -sealed.SESSION_BYTES]
+                    answer = self.stream.answer(plain, arrival_ns, active, overloaded)
+                    if answer is None:
+                        return None
+                    out = sealed.MAGIC + answer[4:] + session
+                    state = self._answers.copy()
+                    state.update(out)
+                    return out + bytes(state.digest())
+        return self._full_path(data, arrival_ns, active, overloaded)
+
+    def _full_path(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool) -> bytes | None:
         if len(data) < sealed.HEADER + sealed.TRAILER:
             self._gate.dropped["forged"] += 1
             return None

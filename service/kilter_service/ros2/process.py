@@ -21,6 +21,7 @@ from kilter_core.correct.program import warm_up
 from kilter_service.corrector import keys
 from kilter_service.corrector.active import Active, VersionSource
 from kilter_service.corrector.database_source import DatabaseSource
+from kilter_service.corrector.endpoints import check_ros2
 from kilter_service.corrector.session import close, config
 from kilter_service.errors import ServiceError
 from kilter_service.health.pulse import Pulse
@@ -153,7 +154,7 @@ def _samples(subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]])
 
 def opened(settings: Settings, stopped: Callable[[float], bool]) -> zenoh.Session | None:
     """A session with the router of ROS, tried until there is one; None when stopped first."""
-    made = config(None, (settings.ros2_connect,))
+    made = config(None, (settings.ros2_connect,), settings.ros2_zenoh_config)
     made.insert_json5("mode", '"client"')  # a router passes everything on to a client, but not always to a peer
     said = False
     while True:
@@ -220,13 +221,14 @@ def run(settings: Settings) -> None:
     """Relay until SIGTERM or Ctrl-C.
 
     Raises:
-        ServiceError: no topics are set.
+        ServiceError: no topics are set, or the router is elsewhere without TLS.
 
     """
     if not settings.ros2:
         raise ServiceError(
             "No topics are set: give KILTER_ROS2, as docs/how-to/use-ros2.md shows.", code="option_invalid"
         )
+    check_ros2(settings)
     ended = threading.Event()
 
     def stop(_signal: int, _frame: FrameType | None) -> None:

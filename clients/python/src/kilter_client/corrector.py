@@ -58,7 +58,6 @@ def session_config(zenoh: Any, endpoints: Sequence[str], file: Path | None = Non
     """
     config = zenoh.Config.from_file(str(file)) if file else zenoh.Config()
     settings: dict[str, object] = {
-        "mode": "peer",
         "listen/endpoints": [],
         "connect/endpoints": list(dict.fromkeys(endpoints)),
         "connect/timeout_ms": 0,
@@ -67,6 +66,8 @@ def session_config(zenoh: Any, endpoints: Sequence[str], file: Path | None = Non
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": 1000,
     }
+    if not file:
+        settings["mode"] = "peer"
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config

@@ -1,0 +1,78 @@
+"""Sessions of signed streams: over HTTP, on this machine, and after a rotation of the master secret."""
+
+from __future__ import annotations
+
+import json
+import stat
+import time
+from pathlib import Path
+
+import httpx
+import pytest
+
+from kilter_client.signing import from_document, on_this_machine
+from kilter_service.__main__ import main
+from kilter_service.errors import ServiceError
+from kilter_service.settings import Settings
+from kilter_service.signing.masters import masters_in
+from tests.corrector import sealer
+
+PRESET = {"name": "arm", "convention": "preset", "preset": "katana450-chapter4"}
+
+
+def secrets_of(file: Path) -> list[bytes]:
+    return [bytes.fromhex(row["secret"]) for row in json.loads(file.read_text())["keys"]]
+
+
+def test_a_session_of_the_api_has_the_keys_of_the_tables(client: httpx.Client, settings: Settings) -> None:
+    client.post("/v1/robots", json=PRESET)
+    answer = client.post("/v1/robots/arm/stream/sessions", json={"stream": "left", "lifetime_h": 2.0})
+    assert answer.status_code == 201
+    assert answer.headers["Cache-Control"] == "no-store"
+    session = from_document(answer.json())
+    (secret,) = secrets_of(settings.stream_keys_file)
+    assert session.key == sealer.session_key(secret, session.id, "local", "arm", "left")
+    assert session.robot_key == sealer.derive(secret, "KLT2robt", b"local\0arm")
+    assert abs(session.expires_s - time.time() - 7200) < 60
+    assert stat.S_IMODE(settings.stream_keys_file.stat().st_mode) == 0o600
+    other = client.post("/v1/robots/arm/stream/sessions", json={"stream": "left"}).json()
+    assert from_document(other).key != session.key
+
+
+def test_a_session_needs_the_token_and_a_robot(client: httpx.Client) -> None:
+    assert client.post("/v1/robots/nobody/stream/sessions", json={}).status_code == 404
+    bare = client.post("/v1/robots/arm/stream/sessions", json={}, headers={"Authorization": ""})
+    assert bare.status_code == 401
+    assert client.post("/v1/robots/arm/stream/sessions", json={"stream": "a/b"}).status_code == 422
+
+
+def test_a_rotation_keeps_the_secret_before_it_for_the_overlap(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "stream-keys.json"
+    before = masters_in(file)
+    old = on_this_machine(file, "local", "arm", "main")
+    main(["stream-keys", "--data", str(tmp_path), "--rotate", "--overlap-h", "1"])
+    assert "valid for 1.0 h" in capsys.readouterr().out
+    after = masters_in(file)
+    assert after.all[0].secret == before.all[0].secret
+    new = on_this_machine(file, "local", "arm", "main")
+    assert old is not None
+    assert new is not None
+    for session in (old, new):
+        assert after.key_of(session.id, "local", "arm", "main") == session.key
+    main(["stream-keys", "--data", str(tmp_path), "--rotate", "--overlap-h", "0"])
+    ended = masters_in(file)
+    assert ended.key_of(new.id, "local", "arm", "main") is None
+
+
+def test_a_secret_that_others_can_read_or_that_is_damaged_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "stream-keys.json"
+    masters_in(file)
+    file.chmod(0o644)
+    with pytest.raises(ServiceError, match="chmod 600"):
+        masters_in(file)
+    file.chmod(0o600)
+    file.write_text('{"keys": []}')
+    with pytest.raises(ServiceError, match="damaged"):
+        masters_in(file)
