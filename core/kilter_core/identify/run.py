@@ -156,10 +156,7 @@ def identify(
     kinds: KindErrors = {}
     if isinstance(validation, Folds):
         held, compared, by_row, kinds = _cross_validated(nominal, begin, train, validation, options, progress, prior)
-    if isinstance(validation, float):
-        measurement_for(train, options, begin.marker_points)  # what is wrong with all rows is said of all of them
-    train, validation, inside, outside = _parted(train, validation, options.seed)
-    options = options if inside is None else between_rows(options, train)
+    train, validation, options, (inside, outside) = _parted(train, validation, options, begin)
     measurement = measurement_for(train, options, begin.marker_points)
     of_tool = measurement.of_tool()
     remarks = _implausible(begin, of_tool, train)
@@ -215,18 +212,20 @@ def _last(progress: Progress) -> Progress:
 
 
 def _parted(
-    train: Observations, validation: Validation, seed: int
-) -> tuple[Observations, Validation, Ints | None, Ints | None]:
-    """Rows to fit and to hold out, and which of those given they are where a fraction was to be held out."""
+    train: Observations, validation: Validation, options: IdentifyOptions, begin: Calibration
+) -> tuple[Observations, Validation, IdentifyOptions, tuple[Ints | None, Ints | None]]:
+    """Rows to fit and to hold out, the options for them, and which of the rows given they are of a fraction."""
     if not isinstance(validation, Observations | float | Folds | None):
         raise OptionError(
             f"validation is {type(validation).__name__}: give observations, a fraction of the poses, Folds, or None.",
             option="validation",
         )
     if not isinstance(validation, float):
-        return train, validation, None, None
-    inside, outside = split(train, validation, seed)
-    return train.select(inside), train.select(outside), inside, outside
+        return train, validation, options, (None, None)
+    measurement_for(train, options, begin.marker_points)  # what is wrong with all rows is said of all of them
+    inside, outside = split(train, validation, options.seed)
+    fitted = train.select(inside)
+    return fitted, train.select(outside), between_rows(options, fitted), (inside, outside)
 
 
 def _reported(

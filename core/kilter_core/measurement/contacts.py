@@ -76,7 +76,7 @@ class Contacts(Kind):
         if self.observations.sigma is not None:
             raise ObservationError(
                 "Rows held by contacts measure no position whose deviation sx_mm, sy_mm and sz_mm could state: give them "
-                "without these columns, and state the play of the ball with noise_mm."
+                "without these columns, and state how closely a contact holds the ball with noise_mm."
             )
         _refuse_small(self.contacts, self.anchor)
         numbers = {c.number for c in self.contacts if c.kind == "socket"}

@@ -78,7 +78,7 @@ class Source(ABC):
 
     @property
     def left_share(self) -> float:
-        """Share of the numbers of held-out rows that is left when what is no part of the arm was fitted to them."""
+        """Share of the numbers of held-out rows that is left when what does not belong to the arm was fitted to them."""
         return 1.0
 
     def model_values(self, values: Floats) -> Floats:
