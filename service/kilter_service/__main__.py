@@ -18,7 +18,7 @@ from kilter_core.errors import CoreError
 from kilter_service.settings import Settings
 from kilter_service.version import code_version
 
-USAGE_CODES = frozenset({"binding_refused", "token_file_open"})
+USAGE_CODES = frozenset({"binding_refused", "token_file_open", "jobs_taken"})
 Command = Callable[[Settings, argparse.Namespace], None]
 
 
@@ -94,7 +94,8 @@ ENVIRONMENT = (
     "Every setting is also an environment variable: KILTER_DATA, KILTER_DATABASE_URL, KILTER_HOST, KILTER_PORT, "
     "KILTER_TOKEN, KILTER_ZENOH_CONFIG, KILTER_ZENOH_LISTEN, KILTER_SITE, KILTER_TEMPERATURE_C, KILTER_ROS2, "
     "KILTER_ROS2_DOMAIN, KILTER_ROS2_CONNECT, KILTER_ROS2_DIALECT, KILTER_MAX_UPLOAD_MB, "
-    "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_WORKER_NAME."
+    "KILTER_MAX_DOCUMENT_MB, KILTER_MAX_REQUESTS, KILTER_MAX_COMPUTING, KILTER_WORKER_NAME, "
+    "KILTER_WORKER_PROCESSES, KILTER_WORKER_QUEUES."
 )
 
 

@@ -63,6 +63,8 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "internal_error": (500, "Kilter failed"),
     "busy": (503, "The server answers as many requests as it can"),
     "not_ready": (503, "Kilter is not ready"),
+    "database_unavailable": (503, "The database does not answer"),
+    "jobs_taken": (409, "Another worker runs the jobs of this database"),
     "data_in_use": (409, "A server runs in this data folder already"),
     "database_outdated": (503, "The database is not of this version of Kilter"),
 }

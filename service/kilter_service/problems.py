@@ -67,7 +67,7 @@ def _bounded(context: Mapping[str, Any]) -> dict[str, Any]:
 def _headers(code: str, status: int) -> dict[str, str] | None:
     if status == 401:
         return {"WWW-Authenticate": "Bearer"}
-    return {"Retry-After": str(RETRY_AFTER_S)} if code == "busy" else None
+    return {"Retry-After": str(RETRY_AFTER_S)} if code in ("busy", "database_unavailable") else None
 
 
 async def on_core_error(request: Request, error: Exception) -> Response:

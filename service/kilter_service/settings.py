@@ -12,8 +12,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from kilter_service.ros2.topics import RobotTopics
 
+Queue = Literal["short", "long"]
 DATABASE_FILE = "kilter.sqlite"
-JOBS_FILE = "jobs.sqlite"
 TOKEN_FILE = "token"
 SERVER_FILE = "server.json"
 CORRECTOR_FILE = "corrector.json"
@@ -48,7 +48,11 @@ class Settings(BaseSettings):
     max_document_mb: Annotated[int, Field(ge=1, le=64, description="largest robot, job or other JSON document")] = 4
     max_requests: Annotated[int, Field(ge=1, description="requests with a document that are inside at once")] = 32
     max_computing: Annotated[int, Field(ge=1, le=16, description="documents, and files, worked on at once")] = 2
-    worker_name: str | None = Field(default=None, description="stable name of this worker; default is the host name")
+    worker_name: str | None = Field(default=None, description="name of this worker; default is the host name")
+    worker_processes: Annotated[int, Field(ge=1, le=256, description="processes for the folds of one job")] = 1
+    worker_queues: list[Queue] = Field(
+        default=["short", "long"], min_length=1, description="queues this worker takes jobs from, JSON"
+    )
 
     @property
     def database(self) -> str:
@@ -56,11 +60,11 @@ class Settings(BaseSettings):
         return self.database_url or f"sqlite:///{self.data / DATABASE_FILE}"
 
     @property
-    def jobs_database(self) -> str:
-        """URL of the job engine's database: PostgreSQL when Kilter's is, else its own SQLite file."""
-        if self.database.startswith("postgresql"):
-            return self.database
-        return f"sqlite:///{self.data / JOBS_FILE}"
+    def sqlite_file(self) -> Path | None:
+        """File of the database when it is SQLite, None when it is PostgreSQL."""
+        if not self.database.startswith("sqlite"):
+            return None
+        return Path(self.database.partition("///")[2].partition("?")[0])
 
     @property
     def token_file(self) -> Path:
@@ -108,5 +112,7 @@ class Settings(BaseSettings):
             "MAX_REQUESTS": str(self.max_requests),
             "MAX_COMPUTING": str(self.max_computing),
             "WORKER_NAME": self.worker_name,
+            "WORKER_PROCESSES": str(self.worker_processes),
+            "WORKER_QUEUES": json.dumps(self.worker_queues),
         }
         return {f"KILTER_{name}": value for name, value in values.items() if value is not None}

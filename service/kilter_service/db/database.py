@@ -15,8 +15,16 @@ from typing import Any
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session, sessionmaker
 
+from kilter_service.db.outages import outages
+
 BUSY_TIMEOUT_MS = 15_000
+CONNECT_TIMEOUT_S = 5
+# A machine that loses its power says nothing. PostgreSQL asks after this long, and frees the write lock that it held.
+KEEPALIVES = {"tcp_keepalives_idle": 10, "tcp_keepalives_interval": 5, "tcp_keepalives_count": 3}
+# A frozen process answers such questions and still holds the lock; a change takes milliseconds between its queries.
+MOST_IDLE_S = 30
 READS = "kilter_reads"  # execution option of connections that only read
+NOTES = "kilter_notes"  # of those that change one row by one statement
 WRITER = 0x4B_69_6C_74_65_72  # "Kilter": the advisory lock of PostgreSQL that whoever changes something holds
 
 
@@ -27,6 +35,7 @@ class Database:
         self.url = url
         self.engine = open_engine(url)
         self._changing = sessionmaker(self.engine, expire_on_commit=False)
+        self._noting = sessionmaker(self.engine.execution_options(**{NOTES: True}), expire_on_commit=False)
         self._reading = sessionmaker(self.engine.execution_options(**{READS: True}), expire_on_commit=False)
 
     def transaction(self) -> AbstractContextManager[Session]:
@@ -36,6 +45,13 @@ class Database:
         outside it, and never open one inside another.
         """
         return _session(self._changing)
+
+    def noting(self) -> AbstractContextManager[Session]:
+        """Open a session for one statement that changes one row, such as a job's progress.
+
+        On PostgreSQL it waits only for who changes the same row: many workers note their progress several times a second.
+        """
+        return _session(self._noting)
 
     def reading(self) -> AbstractContextManager[Session]:
         """Open a session that sees the database as it is at its first query. The database refuses its writes."""
@@ -48,7 +64,7 @@ class Database:
 
 @contextmanager
 def _session(sessions: sessionmaker[Session]) -> Iterator[Session]:
-    with sessions.begin() as session:
+    with outages(), sessions.begin() as session:
         yield session
 
 
@@ -56,7 +72,9 @@ def open_engine(url: str) -> Engine:
     """Create the engine of ``url`` and, for SQLite, the folder of its file. Its transactions may change something."""
     parsed = make_url(url)
     if parsed.get_backend_name() != "sqlite":
-        engine = create_engine(parsed.set(drivername="postgresql+psycopg"), pool_pre_ping=True)
+        url_ = parsed.set(drivername="postgresql+psycopg")
+        engine = create_engine(url_, pool_pre_ping=True, connect_args={"connect_timeout": CONNECT_TIMEOUT_S})
+        event.listen(engine, "connect", _prepare_postgresql)
         event.listen(engine, "begin", _begin_postgresql)
         return engine
     if parsed.database:
@@ -74,6 +92,14 @@ def _prepare_sqlite(connection: Any, _record: Any) -> None:
         connection.execute(f"PRAGMA {pragma}")
 
 
+def _prepare_postgresql(connection: Any, _record: Any) -> None:
+    words = [f"SET {name} = {value}" for name, value in KEEPALIVES.items()]
+    words.append("SET default_transaction_isolation = 'read committed'")
+    with connection.cursor() as cursor:
+        cursor.execute("; ".join(words))
+    connection.commit()
+
+
 def _begin_sqlite(connection: Connection) -> None:
     reads = connection.get_execution_options().get(READS, False)
     connection.exec_driver_sql(f"PRAGMA query_only={'ON' if reads else 'OFF'}")  # the pool hands out both kinds
@@ -85,6 +111,9 @@ def _begin_postgresql(connection: Connection) -> None:
     if connection.get_execution_options().get(READS, False):
         connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ, READ ONLY")
         return
+    if connection.get_execution_options().get(NOTES, False):
+        return  # a statement locks the row it changes
     # READ COMMITTED: every query after the lock sees what the holder before has stored.
     connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL READ COMMITTED")
+    connection.exec_driver_sql(f"SET LOCAL idle_in_transaction_session_timeout = '{MOST_IDLE_S}s'")
     connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({WRITER})")

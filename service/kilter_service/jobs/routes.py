@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
@@ -13,7 +11,6 @@ from kilter_service.contract.jobs.check import JobCheck
 from kilter_service.contract.jobs.job import Job, JobList, NewJob
 from kilter_service.jobs import checking, service
 from kilter_service.jobs.events import events
-from kilter_service.jobs.queue import JobQueue
 from kilter_service.jobs.request import JobRoute
 from kilter_service.page_query import PageOfJobs
 from kilter_service.state import DatabaseOfApp
@@ -21,19 +18,10 @@ from kilter_service.state import DatabaseOfApp
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=JobRoute)
 
 
-def queue_of(request: Request) -> JobQueue:
-    """Return the job queue of the application that serves this request."""
-    queue: JobQueue = request.app.state.queue
-    return queue
-
-
-QueueOfApp = Annotated[JobQueue, Depends(queue_of)]
-
-
 @router.post("", status_code=202)
-def submit(job: NewJob, response: Response, database: DatabaseOfApp, queue: QueueOfApp, _: Admin) -> Job:
+def submit(job: NewJob, response: Response, database: DatabaseOfApp, _: Admin) -> Job:
     """Queue a job."""
-    queued = service.submit(database, queue, job)
+    queued = service.submit(database, job)
     response.headers["Location"] = f"/v1/jobs/{queued.id}"
     return queued
 
@@ -69,6 +57,6 @@ async def follow(job: str, database: DatabaseOfApp) -> StreamingResponse:
 
 
 @router.post("/{job}/cancel")
-def cancel(job: str, database: DatabaseOfApp, queue: QueueOfApp, _: Admin) -> Job:
+def cancel(job: str, database: DatabaseOfApp, _: Admin) -> Job:
     """Stop a job."""
-    return service.cancel(database, queue, job)
+    return service.cancel(database, job)
