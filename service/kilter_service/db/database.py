@@ -12,10 +12,10 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session, sessionmaker
 
-from kilter_service.db.outages import outages
+from kilter_service.db.outages import DatabaseAwayError, outages
 
 BUSY_TIMEOUT_MS = 15_000
 CONNECT_TIMEOUT_S = 5
@@ -72,8 +72,7 @@ def open_engine(url: str) -> Engine:
     """Create the engine of ``url`` and, for SQLite, the folder of its file. Its transactions may change something."""
     parsed = make_url(url)
     if parsed.get_backend_name() != "sqlite":
-        url_ = parsed.set(drivername="postgresql+psycopg")
-        engine = create_engine(url_, pool_pre_ping=True, connect_args={"connect_timeout": CONNECT_TIMEOUT_S})
+        engine = _postgresql(parsed)
         event.listen(engine, "connect", _prepare_postgresql)
         event.listen(engine, "begin", _begin_postgresql)
         return engine
@@ -83,6 +82,20 @@ def open_engine(url: str) -> Engine:
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
+
+
+def _postgresql(url: URL) -> Engine:
+    try:
+        return create_engine(
+            url.set(drivername="postgresql+psycopg"),
+            pool_pre_ping=True,
+            connect_args={"connect_timeout": CONNECT_TIMEOUT_S},
+        )
+    except ModuleNotFoundError as error:
+        raise DatabaseAwayError(
+            f"KILTER_DATABASE_URL names a PostgreSQL database, and its driver is not installed ({error.name}): "
+            "pip install 'kilter[postgresql]'."
+        ) from error
 
 
 def _prepare_sqlite(connection: Any, _record: Any) -> None:

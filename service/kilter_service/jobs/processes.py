@@ -80,7 +80,7 @@ def _spread(
 def _answer(connection: Connection) -> Any:
     try:
         answer, error = connection.recv()
-    except EOFError:
+    except (EOFError, OSError):
         raise RuntimeError("A process that computed a part of the job has ended: the memory may be full.") from None
     if error is not None:
         raise error
@@ -112,7 +112,7 @@ def _serve(connection: Connection) -> None:
     while True:
         try:
             work, task = connection.recv()
-        except EOFError:
+        except (EOFError, OSError):
             return
         try:
             answer: tuple[Any, Exception | None] = (work(task, unheard), None)
@@ -120,5 +120,5 @@ def _serve(connection: Connection) -> None:
             answer = (None, error)
         try:
             connection.send(answer)
-        except BrokenPipeError:
+        except OSError:
             return
