@@ -10,7 +10,7 @@ TESTERS ?= 2
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract licences rooms coverage bench bench-gap bench-peers bench-stream bench-beside load fuzz fuzz-stream attack-stream soak-stream test-faults kills blind blind-pairs blind-thresholds frozen thesis silent-rows image fmt clean
+.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract licences rooms coverage bench bench-gap bench-peers bench-stream bench-beside load fuzz fuzz-stream attack-stream soak-stream test-many-jobs test-faults kills blind blind-pairs blind-thresholds frozen thesis silent-rows image fmt clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -122,6 +122,9 @@ test-faults: $(KERNELS) ## kill, stop and cut off everything around the stream, 
 
 kills: $(KERNELS) ## kill processes of a server at random while clients work, and look for what is lost (N=500 SEED=...)
 	$(BIN)/python -m tests.service.kill_campaign --n $(or $(N),500) $(if $(SEED),--seed $(SEED))
+
+test-many-jobs: $(KERNELS) ## run 1000 small jobs on four workers and PostgreSQL, kill two of them, and count (JOBS=1000)
+	JOBS=$(or $(JOBS),1000) $(BIN)/python -m pytest -m slow -q -s tests/service/test_many_jobs.py
 
 blind: $(READY) ## find hidden physics in N simulated campaigns and write docs/reference/gap-finder-benchmark.md (N=1000)
 	$(BIN)/python -m tests.blind.run --n $(or $(N),1000)

@@ -4,7 +4,7 @@
 # version of every dependency that the distributions allow. What is missing is named.
 set -eu
 [ $# -gt 0 ] || set -- 3.11 3.12 3.13
-QUICK="tests/core tests/service/test_engine_clock.py tests/service/test_jobs.py tests/clients/test_cli.py tests/corrector/test_stream.py"
+QUICK="tests/core tests/service/test_jobs.py tests/clients/test_cli.py tests/corrector/test_stream.py"
 # A shim of pyenv is there for every version and runs those that are switched on only: the interpreter itself is asked.
 find_python() {
     for found in "$(command -v "python$1" || true)" "$HOME"/.pyenv/versions/"$1".*/bin/python; do

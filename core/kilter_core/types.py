@@ -1,8 +1,9 @@
-"""Types that all rooms share: arrays, whose shapes docstrings state, and the callback that hears of progress."""
+"""Types that all rooms share: arrays, whose shapes docstrings state, and the callbacks of long computations."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,33 @@ Bools = NDArray[np.bool_]
 
 Progress = Callable[[float, str], None]
 """Hears the share done (0 to 1) and the stage in words; it may raise to cancel."""
+
+
+Task = TypeVar("Task")
+Answer = TypeVar("Answer")
+
+
+class Each(Protocol):
+    """Applies a computation to independent tasks. Both can be sent to another process, whose answer is the same."""
+
+    def __call__(
+        self, work: Callable[[Task, Progress], Answer], tasks: Sequence[Task], progress: Progress
+    ) -> list[Answer]:
+        """Return the answers in the order of the tasks; the stages that ``progress`` hears begin with "2 of 5"."""
+        ...
+
+
+def one_by_one(work: Callable[[Task, Progress], Answer], tasks: Sequence[Task], progress: Progress) -> list[Answer]:
+    """Compute the tasks here, one after the other."""
+    found = []
+    for k, task in enumerate(tasks):
+        progress(k / len(tasks), f"{k + 1} of {len(tasks)}")
+        found.append(work(task, _part(progress, k, len(tasks))))
+    return found
+
+
+def _part(progress: Progress, k: int, n: int) -> Progress:
+    return lambda fraction, stage: progress((k + fraction) / n, f"{k + 1} of {n}, {stage}")
 
 
 def unheard(fraction: float, stage: str) -> None:

@@ -22,7 +22,7 @@ from kilter_service.version import code_version
 from kilter_service.zenoh_config import command as zenoh_command
 
 TRACED = frozenset({"api", "worker"})
-USAGE_CODES = frozenset({"binding_refused", "token_file_open", "token_weak", "stream_keys_damaged"})
+USAGE_CODES = frozenset({"binding_refused", "token_file_open", "token_weak", "stream_keys_damaged", "jobs_taken"})
 Command = Callable[[Settings, argparse.Namespace], None]
 
 

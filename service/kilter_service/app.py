@@ -20,7 +20,6 @@ from kilter_service.db import Database, revision
 from kilter_service.docs_page import router as docs_page
 from kilter_service.frames.routes import router as frames
 from kilter_service.health.routes import router as health
-from kilter_service.jobs.queue import JobQueue
 from kilter_service.jobs.routes import router as jobs
 from kilter_service.observability.requests import Observed
 from kilter_service.observability.routes import router as metrics
@@ -71,12 +70,10 @@ async def _life(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     app.state.settings = settings
     app.state.token = admin_token(settings)
     app.state.database = Database(settings.database)
-    app.state.queue = JobQueue(settings)
     app.state.scratch = Scratch(settings.data / TEMPORARY)
     try:
         revision.check(app.state.database)
         yield
     finally:
         app.state.scratch.close()
-        app.state.queue.close()
         app.state.database.close()

@@ -80,7 +80,7 @@ def _bounded(context: Mapping[str, Any]) -> dict[str, Any]:
 def _headers(code: str, status: int, context: Mapping[str, Any]) -> dict[str, str] | None:
     if status == 401:
         return {"WWW-Authenticate": "Bearer"}
-    if code == "busy" or "retry_after_s" in context:
+    if code in ("busy", "database_away") or "retry_after_s" in context:
         again = {"Retry-After": str(context.get("retry_after_s", RETRY_AFTER_S))}
         return again | {"Connection": "close"} if status == 408 else again  # what is left of its body is not read
     return None

@@ -12,8 +12,9 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from kilter_service.ros2.topics import RobotTopics
 
+Queue = Literal["short", "long"]
 DATABASE_FILE = "kilter.sqlite"
-JOBS_FILE = "jobs.sqlite"
+JOBS_FILE = "jobs.sqlite"  # what older Kilters left: nobody reads it, and nobody else shall
 LOCK_FILE = "serve.lock"
 TOKEN_FILE = "token"  # noqa: S105 (the name of a file)
 SERVER_FILE = "server.json"
@@ -83,7 +84,11 @@ class Settings(BaseSettings):
     proxy: str = Field(default="", description="addresses or networks of the proxy in front, with commas between them")
     tls_certificate: Path | None = Field(default=None, description="PEM file of the certificate: HTTPS")
     tls_key: Path | None = Field(default=None, description="PEM file of the certificate's private key")
-    worker_name: str | None = Field(default=None, description="stable name of this worker; default is the host name")
+    worker_name: str | None = Field(default=None, description="name of this worker; default is the host name")
+    worker_processes: Annotated[int, Field(ge=1, le=256, description="processes for the folds of one job")] = 1
+    worker_queues: list[Queue] = Field(
+        default=["short", "long"], min_length=1, description="queues this worker takes jobs from, JSON"
+    )
 
     @field_validator("token")
     @classmethod
@@ -114,11 +119,11 @@ class Settings(BaseSettings):
         return self.database_url or f"sqlite:///{self.data / DATABASE_FILE}"
 
     @property
-    def jobs_database(self) -> str:
-        """URL of the job engine's database: PostgreSQL when Kilter's is, else its own SQLite file."""
-        if self.database.startswith("postgresql"):
-            return self.database
-        return f"sqlite:///{self.data / JOBS_FILE}"
+    def sqlite_file(self) -> Path | None:
+        """File of the database when it is SQLite, None when it is PostgreSQL."""
+        if not self.database.startswith("sqlite"):
+            return None
+        return Path(self.database.partition("///")[2].partition("?")[0])
 
     @property
     def token_file(self) -> Path:
@@ -181,5 +186,7 @@ class Settings(BaseSettings):
             "TLS_CERTIFICATE": str(self.tls_certificate) if self.tls_certificate else None,
             "TLS_KEY": str(self.tls_key) if self.tls_key else None,
             "WORKER_NAME": self.worker_name,
+            "WORKER_PROCESSES": str(self.worker_processes),
+            "WORKER_QUEUES": json.dumps(self.worker_queues),
         }
         return {f"KILTER_{name}": value for name, value in values.items() if value is not None}

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,13 +19,14 @@ import numpy as np
 import pytest
 import uvicorn
 from fastapi import FastAPI
-from sqlalchemy import create_engine, make_url, text
+from sqlalchemy import make_url
 
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database, revision
 from kilter_service.db.tables import HeartbeatRow
 from kilter_service.settings import DATABASE_FILE, Settings
+from tests.service.postgresql import database_of, programs, running_postgresql
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 Serve = Callable[[FastAPI], httpx.Client]
@@ -42,20 +42,52 @@ def new_database() -> Iterator[str | None]:
     if POSTGRESQL is None:
         yield None
         return
-    url, name = make_url(POSTGRESQL), f"kilter_{uuid.uuid4().hex[:12]}"
-    engine = create_engine(url.set(drivername="postgresql+psycopg"), isolation_level="AUTOCOMMIT")
-    with engine.connect() as connection:
-        connection.execute(text(f"CREATE DATABASE {name}"))
-        yield url.set(database=name).render_as_string(hide_password=False)
-        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
-    engine.dispose()
+    with database_of(POSTGRESQL) as url:
+        yield url
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run what is marked `both_databases` on SQLite and on PostgreSQL."""
+    if metafunc.definition.get_closest_marker("both_databases") is not None and "backend" in metafunc.fixturenames:
+        metafunc.parametrize("backend", ["sqlite", "postgresql"])
 
 
 @pytest.fixture
-def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Settings]:
+def backend() -> str:
+    """Return on which database a test runs."""
+    return "sqlite"
+
+
+@pytest.fixture(scope="session")
+def postgresql() -> Iterator[str]:
+    """URL of a PostgreSQL server for all tests."""
+    if programs() is None:
+        pytest.skip("no PostgreSQL server is installed: apt-get install postgresql")
+    with running_postgresql() as url:
+        yield url
+
+
+@pytest.fixture(scope="session")
+def postgresql_template(postgresql: str) -> Iterator[str]:
+    """Name of a migrated database to copy: migrating takes longer than most tests."""
+    with database_of(postgresql) as url:
+        database = Database(url)
+        revision.migrate(database)
+        database.close()
+        yield str(make_url(url).database)
+
+
+@pytest.fixture
+def settings(
+    request: pytest.FixtureRequest, backend: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Settings]:
     for name in Settings.model_fields:
         monkeypatch.delenv(f"KILTER_{name.upper()}", raising=False)
-    with new_database() as url:
+    place = new_database()
+    if backend == "postgresql":
+        template = request.getfixturevalue("postgresql_template")
+        place = database_of(request.getfixturevalue("postgresql"), template)
+    with place as url:
         yield Settings(data=tmp_path / "data", database_url=url, port=0, zenoh_listen="tcp/127.0.0.1:0")
 
 

@@ -19,6 +19,7 @@ from kilter_service.contract.jobs.job import NewIdentifyJob
 from kilter_service.db import Database
 from kilter_service.db.tables import JobRow, VersionRow
 from kilter_service.jobs import store as jobs
+from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.runner import Runner
 from kilter_service.robots import store as robots
 from kilter_service.versions import activation, guard, store
@@ -73,8 +74,10 @@ class Lab:
         )
         with self.database.transaction() as session:
             job_id = jobs.add(session, robots.get(session, "arm").id, job)
-        runner = Runner(self.database)
-        runner.finish(job_id, runner.compute(job_id))
+            claim = lease.claim(session, "here", ["identify"])
+        assert claim is not None
+        assert claim.job_id == job_id
+        Runner(self.database).run(claim)
         done: dict[str, Any] = self.client.get(f"/v1/jobs/{job_id}").raise_for_status().json()
         return done
 

@@ -83,12 +83,12 @@ def test_a_file_that_is_no_database(tmp_path: Path) -> None:
 
 
 def test_a_process_that_ends_at_every_start_ends_the_server(tmp_path: Path) -> None:
-    (tmp_path / "jobs.sqlite").write_bytes(b"this is no database, and never was one\n" * 200)
+    (tmp_path / "kilter.sqlite.worker.lock").mkdir()
     done = kilterd("serve", KILTER_DATA=str(tmp_path))
     assert done.returncode == 1
     assert done.stdout == ""
     last = done.stderr.splitlines()[-1]
-    assert last.startswith("kilterd: The worker process ended with 1 (The database is damaged"), last
+    assert last.startswith("kilterd: The worker process ended with 1 ("), last
     assert "3 times in a row: the server is not started." in last
     assert not (tmp_path / "server.json").exists()
 

@@ -21,6 +21,7 @@ from kilter_service.campaigns import store
 from kilter_service.db import Database
 from kilter_service.robots import store as robots
 
+pytestmark = pytest.mark.both_databases
 Columns = dict[str, list[Any]]
 CSV = {"content-type": "text/csv"}
 ROBOT = {

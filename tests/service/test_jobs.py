@@ -37,6 +37,7 @@ def finished(client: httpx.Client, job: dict[str, Any], until: Until) -> dict[st
     return found
 
 
+@pytest.mark.both_databases
 def test_identify_evaluate_and_follow(
     client: httpx.Client, database: Database, katana: Any, worker: Any, until: Until
 ) -> None:
@@ -144,6 +145,7 @@ def test_kill_9_resumes_and_leaves_one_version(client: httpx.Client, katana: Any
     assert len(client.get("/v1/robots/katana/versions").json()["versions"]) == 1
 
 
+@pytest.mark.both_databases
 def test_jobs_wait_for_a_worker_and_can_be_cancelled_before(
     client: httpx.Client, katana: Any, worker: Any, until: Until, database: Database
 ) -> None:
@@ -160,6 +162,7 @@ def test_jobs_wait_for_a_worker_and_can_be_cancelled_before(
         assert len(versions.of_robot(session, 1)) == 1
 
 
+@pytest.mark.both_databases
 def test_what_cannot_run_is_refused_at_once(client: httpx.Client, katana: Any) -> None:
     campaign = katana.campaign(client, 60)
     other = {**katana.document, "name": "other"}

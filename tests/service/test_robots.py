@@ -8,6 +8,7 @@ import pytest
 from kilter_service.db import Database
 from kilter_service.db.tables import CampaignRow
 
+pytestmark = pytest.mark.both_databases
 TWO_LINKS: dict[str, Any] = {
     "name": "arm",
     "convention": "dh",

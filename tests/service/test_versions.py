@@ -30,6 +30,8 @@ from kilter_service.db.tables import JobRow, VersionRow
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
 
+pytestmark = pytest.mark.both_databases
+
 
 @dataclass
 class Versions:

@@ -9,10 +9,11 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError, OptionError
-from kilter_core.identify.holdout import Folds, fold_splits, split
+from kilter_core.identify.folds import continues, cross_validated, in_fitted_frames
+from kilter_core.identify.holdout import Folds, split
 from kilter_core.identify.identifiability import NullDirection, null_directions
 from kilter_core.identify.influence import influence_of
-from kilter_core.identify.kinds import KindErrors, Shares, errors_of, pooled
+from kilter_core.identify.kinds import KindErrors, Shares, errors_of
 from kilter_core.identify.learned import Learned, gated
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.load_model import far_from_stated, load_rows
@@ -26,7 +27,7 @@ from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
 from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.redescending import set_aside
-from kilter_core.identify.reference import named, refuse_contradicted, registered, wanted_frames
+from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
 from kilter_core.identify.row_errors import RowErrors
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
@@ -38,9 +39,11 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.types import Floats, Ints, Progress, unheard
+from kilter_core.types import Each, Floats, Ints, Progress, one_by_one, unheard
 
 Validation = Observations | float | Folds | None
+HeldOut = tuple[dict[str, Errors], PoseErrors | None, RowErrors | None, KindErrors]
+NOTHING_HELD: HeldOut = ({}, None, None, {})
 
 
 @dataclass(frozen=True)
@@ -131,6 +134,7 @@ def identify(
     start: Calibration | None = None,
     progress: Progress | None = None,
     prior: Prior | None = None,
+    each: Each = one_by_one,
 ) -> Identification:
     """Identify a robot from observations.
 
@@ -138,6 +142,7 @@ def identify(
     predicted once by a model that never saw it, and the final fit uses all. Of contacts whole placements are held out,
     each judged where it fits its own rows best.
     ``start`` continues from a version; ``prior`` is its covariance, which ``kalman`` continues from.
+    ``each`` computes the folds; another may do so in several processes.
 
     Raises:
         TooFewPosesError: not enough distinct poses. OptionError: options that do not fit the robot or the data.
@@ -150,18 +155,16 @@ def identify(
     nominal = Calibration.nominal(robot)
     begin, train, validation, frames = _in_one_frame(begin, train, validation, options)
     progress(0.02, "splitting by pose")
-    held: dict[str, Errors] = {}
-    compared: PoseErrors | None = None
-    by_row: RowErrors | None = None
-    kinds: KindErrors = {}
+    held, compared, by_row, kinds = NOTHING_HELD
     if isinstance(validation, Folds):
-        held, compared, by_row, kinds = _cross_validated(nominal, begin, train, validation, options, progress, prior)
+        given = (nominal, begin, train, validation.folds, options, progress, prior, each)
+        held, compared, by_row, kinds = cross_validated(*given)
     train, validation, options, (inside, outside) = _parted(train, validation, options, begin)
     measurement = measurement_for(train, options, begin.marker_points)
     of_tool = measurement.of_tool()
     remarks = _implausible(begin, of_tool, train)
-    found = _registered(begin, of_tool, options, prior)
-    wanted = wanted_frames(begin, found, of_tool, options, _continues(options, prior))
+    found = in_fitted_frames(begin, of_tool, options, prior)
+    wanted = wanted_frames(begin, found, of_tool, options, continues(options, prior))
     begin, learned = gated(begin, train, options, prior)
     fit = fit_by_method(begin, measurement, options, lambda f, s: progress(0.5 + 0.4 * f, s), prior)
     calibration = fit.calibration(*wanted)
@@ -297,15 +300,6 @@ def begin_with(robot: Robot, train: Observations, options: IdentifyOptions, star
     return start.with_effects(effects or start.model.effects)
 
 
-def _registered(begin: Calibration, shown: Measurement, options: IdentifyOptions, prior: Prior | None) -> Calibration:
-    """The nominal robot in fitted frames; where a filter continues, in those of its start: two poses cannot fit any."""
-    return begin.wanted() if _continues(options, prior) else registered(begin, shown, options.loss)
-
-
-def _continues(options: IdentifyOptions, prior: Prior | None) -> bool:
-    return options.method == "kalman" and prior is not None
-
-
 def refuse_missing_columns(begin: Calibration, train: Observations) -> None:
     """Raise :class:`ObservationError` where an effect of the model needs a column that the rows do not have."""
     available = frozenset({"moments"} | set(train._present()))
@@ -318,48 +312,3 @@ def refuse_missing_columns(begin: Calibration, train: Observations) -> None:
                 effect=effect.id,
                 missing=sorted(missing),
             )
-
-
-def _cross_validated(
-    nominal: Calibration,
-    begin: Calibration,
-    train: Observations,
-    folds: Folds,
-    options: IdentifyOptions,
-    progress: Progress,
-    prior: Prior | None = None,
-) -> tuple[dict[str, Errors], PoseErrors, RowErrors, KindErrors]:
-    """Errors on held-out poses, pooled over the folds."""
-    shape = measurement_for(train, options, begin.marker_points).marker_points
-    parts: dict[str, list[Errors]] = {"nominal": [], "registration_only": [], "identified": []}
-    poses: list[PoseErrors] = []
-    by_row: list[RowErrors] = []
-    kinds: list[KindErrors] = []
-    whole = options
-    for k, (inside, outside) in enumerate(fold_splits(train, folds.folds, options.seed)):
-        progress(0.05 + 0.45 * k / folds.folds, f"fold {k + 1} of {folds.folds}")
-        report = _within(progress, k, folds.folds)
-        options = between_rows(whole, train.select(inside))
-        shown = measurement_for(train.select(inside), options, shape)
-        unseen = measurement_for(train.select(outside), options, shape, shown)
-        model = gated(begin, train.select(inside), options, prior)[0]
-        fit = fit_by_method(model, shown, options, report, prior)
-        stages = {
-            "nominal": nominal,
-            "registration_only": _registered(begin, shown.of_tool(), options, prior),
-            "identified": Calibration(fit.problem.model, fit.values, shape),
-        }
-        for name, stage in stages.items():
-            parts[name].append(Errors.of(stage, unseen))
-        poses.append(PoseErrors.of({**stages, "geometry": geometry_alone(model, shown, options)}, unseen))
-        by_row.append(RowErrors.of(stages, unseen, outside))
-        kinds.append(errors_of(stages, unseen))
-    held = {name: Errors.concatenate(errors) for name, errors in parts.items()}
-    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row), pooled(kinds)
-
-
-def _within(progress: Progress, fold: int, folds: int) -> Progress:
-    """Progress of one fold as part of the whole."""
-    return lambda fraction, stage: progress(
-        0.05 + 0.45 * (fold + fraction) / folds, f"fold {fold + 1} of {folds}, {stage}"
-    )

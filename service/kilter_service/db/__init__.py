@@ -5,5 +5,6 @@ from __future__ import annotations
 from sqlalchemy.orm import Session
 
 from kilter_service.db.database import Database
+from kilter_service.db.outages import DatabaseAwayError
 
-__all__ = ["Database", "Session"]
+__all__ = ["Database", "DatabaseAwayError", "Session"]

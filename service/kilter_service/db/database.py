@@ -12,14 +12,21 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session, sessionmaker
 
 from kilter_service.db import audited
+from kilter_service.db.outages import DatabaseAwayError, outages
 from kilter_service.private_files import private_file, private_folder
 
 BUSY_TIMEOUT_MS = 15_000
+CONNECT_TIMEOUT_S = 5
+# A machine that loses its power says nothing. PostgreSQL asks after this long, and frees the write lock that it held.
+KEEPALIVES = {"tcp_keepalives_idle": 10, "tcp_keepalives_interval": 5, "tcp_keepalives_count": 3}
+# A frozen process answers such questions and still holds the lock; a change takes milliseconds between its queries.
+MOST_IDLE_S = 30
 READS = "kilter_reads"  # execution option of connections that only read
+NOTES = "kilter_notes"  # of those that change one row by one statement
 WRITER = 0x4B_69_6C_74_65_72  # "Kilter": the advisory lock of PostgreSQL that whoever changes something holds
 
 
@@ -31,6 +38,7 @@ class Database:
         self.engine = open_engine(url)
         self._changing = sessionmaker(self.engine, expire_on_commit=False)
         audited.listen(self._changing)
+        self._noting = sessionmaker(self.engine.execution_options(**{NOTES: True}), expire_on_commit=False)
         self._reading = sessionmaker(self.engine.execution_options(**{READS: True}), expire_on_commit=False)
 
     def transaction(self) -> AbstractContextManager[Session]:
@@ -40,6 +48,13 @@ class Database:
         outside it, and never open one inside another.
         """
         return _session(self._changing)
+
+    def noting(self) -> AbstractContextManager[Session]:
+        """Open a session for one statement that changes one row, such as a job's progress.
+
+        On PostgreSQL it waits only for who changes the same row: many workers note their progress several times a second.
+        """
+        return _session(self._noting)
 
     def reading(self) -> AbstractContextManager[Session]:
         """Open a session that sees the database as it is at its first query. The database refuses its writes."""
@@ -52,7 +67,7 @@ class Database:
 
 @contextmanager
 def _session(sessions: sessionmaker[Session]) -> Iterator[Session]:
-    with sessions.begin() as session:
+    with outages(), sessions.begin() as session:
         yield session
 
 
@@ -60,7 +75,8 @@ def open_engine(url: str) -> Engine:
     """Create the engine of ``url`` and, for SQLite, the folder of its file. Its transactions may change something."""
     parsed = make_url(url)
     if parsed.get_backend_name() != "sqlite":
-        engine = create_engine(parsed.set(drivername="postgresql+psycopg"), pool_pre_ping=True)
+        engine = _postgresql(parsed)
+        event.listen(engine, "connect", _prepare_postgresql)
         event.listen(engine, "begin", _begin_postgresql)
         return engine
     if parsed.database:
@@ -72,12 +88,34 @@ def open_engine(url: str) -> Engine:
     return engine
 
 
+def _postgresql(url: URL) -> Engine:
+    try:
+        return create_engine(
+            url.set(drivername="postgresql+psycopg"),
+            pool_pre_ping=True,
+            connect_args={"connect_timeout": CONNECT_TIMEOUT_S},
+        )
+    except ModuleNotFoundError as error:
+        raise DatabaseAwayError(
+            f"KILTER_DATABASE_URL names a PostgreSQL database, and its driver is not installed ({error.name}): "
+            "pip install 'kilter[postgresql]'."
+        ) from error
+
+
 def _prepare_sqlite(connection: Any, _record: Any) -> None:
     # None: the driver begins no transaction by itself. It would do so at the first change, after all that was read.
     connection.isolation_level = None
     # FULL: what was acknowledged is on the disk, also when the power goes (docs/explanation/durability.md has the cost).
     for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={BUSY_TIMEOUT_MS}"):
         connection.execute(f"PRAGMA {pragma}")
+
+
+def _prepare_postgresql(connection: Any, _record: Any) -> None:
+    words = [f"SET {name} = {value}" for name, value in KEEPALIVES.items()]
+    words.append("SET default_transaction_isolation = 'read committed'")
+    with connection.cursor() as cursor:
+        cursor.execute("; ".join(words))
+    connection.commit()
 
 
 def _begin_sqlite(connection: Connection) -> None:
@@ -91,6 +129,9 @@ def _begin_postgresql(connection: Connection) -> None:
     if connection.get_execution_options().get(READS, False):
         connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ, READ ONLY")
         return
+    if connection.get_execution_options().get(NOTES, False):
+        return  # a statement locks the row it changes
     # READ COMMITTED: every query after the lock sees what the holder before has stored.
     connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL READ COMMITTED")
+    connection.exec_driver_sql(f"SET LOCAL idle_in_transaction_session_timeout = '{MOST_IDLE_S}s'")
     connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({WRITER})")

@@ -33,6 +33,8 @@ AWAY = (
     "The database cannot be reached ({reason}): see that it runs and that KILTER_DATABASE_URL is right "
     "(`kilterd doctor` tries it). Nothing was stored; send it again."
 )
+AWAY_CODE = "database_away"
+REFUSED_CODE = "database_refused"
 REFUSED = (
     "The database refuses this account ({reason}): see the user, the password and the name in KILTER_DATABASE_URL."
 )
@@ -99,11 +101,11 @@ def _of_driver(error: BaseException | None, *, away: bool = False) -> ServiceErr
     if state is not None and (found := _first(POSTGRESQL, state, str.startswith)):
         return found
     if state is not None and state.startswith(("28", "3D")):
-        return ServiceError(REFUSED.format(reason=_reason(error)), code="database_away")
+        return ServiceError(REFUSED.format(reason=_reason(error)), code=REFUSED_CODE)
     # psycopg gives no state to what fails before the server answers; 57P0x and 08 say that the server goes or is gone.
     operational = type(error).__name__ in ("OperationalError", "ConnectionTimeout")
-    if away or (operational and state is None) or (state or "").startswith(("57P", "08", "53300")):
-        return ServiceError(AWAY.format(reason=_reason(error)), code="database_away")
+    if away or (operational and state is None) or (state or "").startswith(("57P", "08", "53300", "25P03")):
+        return ServiceError(AWAY.format(reason=_reason(error)), code=AWAY_CODE)
     return None
 
 

@@ -112,7 +112,7 @@ class ChunkRow(Row):
 
 
 class JobRow(Row):
-    """A job: its request, its state, and how it ended."""
+    """A job: its request, its state, and how it ended. ``worker`` is the id of the process that runs it, or ran it last."""
 
     __tablename__ = "jobs"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -132,6 +132,7 @@ class JobRow(Row):
     name: Mapped[str] = mapped_column(String(200), default="", server_default="")
     request_id: Mapped[str] = mapped_column(String(64), default="", server_default="")
     traceparent: Mapped[str] = mapped_column(String(64), default="", server_default="")
+    worker: Mapped[str] = mapped_column(String(200), default="", server_default="")
 
 
 class VersionRow(Row):

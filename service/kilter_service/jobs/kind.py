@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.units import Asked
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.settings import Queue
 
 if TYPE_CHECKING:
     import numpy as np
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
+    from kilter_core.types import Each
     from kilter_service.jobs.foresight import Foresight
 
 Progress = Callable[[float, str], None]
@@ -28,6 +30,7 @@ class JobInput:
     ``validation`` is what the job names: rows, a fraction, folds.
     ``confirmation`` are campaigns in which what was found must be seen again.
 
+    ``each`` computes independent parts, in several processes where the worker has them; None: one after the other.
     ``default_load`` are the campaigns that state no payload, where the robot has a default load.
     ``devices`` and ``names`` are those of all campaigns, by id.
     ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
@@ -49,6 +52,7 @@ class JobInput:
     origin: dict[str, Any] | None = None
     confirmation: dict[str, Observations] = field(default_factory=dict)
     default_load: tuple[str, ...] = ()
+    each: Each | None = None
 
     @property
     def rows_by_campaign(self) -> dict[str, Observations]:
@@ -102,3 +106,8 @@ class JobKind:
     long: bool = False
     history: bool = False
     foresee: Callable[[JobInput, Foresight], None] | None = None
+
+    @property
+    def queue(self) -> Queue:
+        """Queue of its jobs; a worker runs one job of each at a time."""
+        return "long" if self.long else "short"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Header, Request, Response
+from fastapi import APIRouter, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
@@ -14,7 +14,6 @@ from kilter_service.contract.jobs.check import JobCheck
 from kilter_service.contract.jobs.job import FINAL, Job, JobList, NewJob
 from kilter_service.jobs import checking, service
 from kilter_service.jobs.events import ended, followers_of
-from kilter_service.jobs.queue import JobQueue
 from kilter_service.jobs.request import JobRoute
 from kilter_service.once.key import OnceOnly
 from kilter_service.page_query import PageOfJobs
@@ -23,21 +22,10 @@ from kilter_service.state import DatabaseOfApp
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=JobRoute)
 
 
-def queue_of(request: Request) -> JobQueue:
-    """Return the job queue of the application that serves this request."""
-    queue: JobQueue = request.app.state.queue
-    return queue
-
-
-QueueOfApp = Annotated[JobQueue, Depends(queue_of)]
-
-
 @router.post("", status_code=202)
-def submit(
-    job: NewJob, response: Response, database: DatabaseOfApp, queue: QueueOfApp, once: OnceOnly, _: Admin
-) -> Job:
+def submit(job: NewJob, response: Response, database: DatabaseOfApp, once: OnceOnly, _: Admin) -> Job:
     """Queue a job."""
-    queued = service.submit(database, queue, job, once)
+    queued = service.submit(database, job, once)
     response.headers["Location"] = f"/v1/jobs/{queued.id}"
     return queued
 
@@ -89,6 +77,6 @@ async def follow(
 
 
 @router.post("/{job}/cancel")
-def cancel(job: str, database: DatabaseOfApp, queue: QueueOfApp, _: Admin) -> Job:
+def cancel(job: str, database: DatabaseOfApp, _: Admin) -> Job:
     """Stop a job."""
-    return service.cancel(database, queue, job)
+    return service.cancel(database, job)

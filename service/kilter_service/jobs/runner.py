@@ -1,4 +1,4 @@
-"""The two steps of every job: compute its outcome, store its outcome. Both may run again after a crash."""
+"""One run of a job: load, compute, store. It may happen again after a crash, and stores its outcome once."""
 
 from __future__ import annotations
 
@@ -8,134 +8,152 @@ import logging
 import sys
 import threading
 import time
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from kilter_core.errors import CancelledError, CoreError
-from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.db import Database
+from kilter_service.db import Database, DatabaseAwayError, Session
 from kilter_service.jobs import store
 from kilter_service.jobs.default_load import with_load_warning
-from kilter_service.jobs.kind import JobKind, VersionContent
-from kilter_service.jobs.records import UsedRecord
+from kilter_service.jobs.kind import JobInput, JobOutput
+from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.lease.claim import Claim
+from kilter_service.jobs.processes import Processes
+from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import kind_of
 from kilter_service.observability import logs, tracing
 from kilter_service.versions.objections import objections_of
 
 log = logging.getLogger("kilter.worker")
 
-Outcome = dict[str, Any]
+T = TypeVar("T")
 
 REPORT_S = 0.2  # progress is stored, and cancellation looked for, at most this often
-MAX_ATTEMPTS = 10  # a job that has crashed the worker this often would go on doing so
+AGAIN_S = 1.0  # between two attempts to reach the database
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended: what the kind made and from which campaigns, or the code and the sentence of its failure."""
+
+    output: JobOutput | None = None
+    used: tuple[UsedRecord, ...] = ()
+    error: tuple[str, str] | None = None
 
 
 class Runner:
-    """Runs one long job and one other at a time, however many the engine dispatches at once."""
+    """Runs claimed jobs."""
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: Database, stop: threading.Event | None = None, processes: int = 1) -> None:
         self._database = database
-        self._slots = {long: threading.Lock() for long in (False, True)}
+        self._each = Processes(processes)
+        self._stop = stop or threading.Event()
 
-    def compute(self, job_id: str) -> Outcome:
-        """First step: the outcome of a job, JSON-able; it is checkpointed and not computed again."""
+    def run(self, claim: Claim) -> None:
+        """Compute a job and store its outcome, unless the claim has ended meanwhile."""
         try:
-            with self._database.reading() as session:
-                job = store.get(session, job_id)
-        except CoreError as error:
-            return _failed(error.code, error.message)
-        asked = job.asked
-        with (
-            logs.about(request_id=asked.request_id, job_id=job_id, robot=job.robot),
-            tracing.job(job.kind, job_id, job.robot, asked.traceparent),
-        ):
-            began = time.monotonic()
-            outcome = self._outcome(job_id)
-            log.info("%s %s after %.1f s", job.kind, outcome["state"], time.monotonic() - began)
-            return outcome
-
-    def _outcome(self, job_id: str) -> Outcome:
-        report = ProgressReporter(self._database, job_id)
-        try:
-            slot = self._slots[self._kind(job_id).long]
-            while not slot.acquire(timeout=REPORT_S):
-                report(0.0, "waiting for another job")
-            try:
-                return self._compute(job_id, report)
-            finally:
-                slot.release()
-                give_back()
+            job = self._patiently(lambda: self._record(claim))
+            with (
+                logs.about(request_id=job.asked.request_id, job_id=job.id, robot=job.robot),
+                tracing.job(job.kind, job.id, job.robot, job.asked.traceparent),
+            ):
+                began = time.monotonic()
+                outcome = self._compute(claim)
+                self._patiently(lambda: self._finish(claim, outcome))
+                state = "failed" if outcome.error else "succeeded"
+                log.info("%s %s after %.1f s", job.kind, state, time.monotonic() - began)
         except CancelledError:
-            return {"state": "cancelled"}
+            log.info("job %s was cancelled or given to another worker", claim.job_id)
+        finally:
+            give_back()
+
+    def _compute(self, claim: Claim) -> Outcome:
+        report = ProgressReporter(self._database, claim)
+        try:
+            report(0.0, "loading", now=True)
+            kind, job, used = self._patiently(lambda: self._loaded(claim))
+            output = with_load_warning(kind_of(kind).run(replace(job, each=self._each), report), job)
+            report(1.0, "storing", now=True)
+        except (CancelledError, DatabaseAwayError):
+            raise
         except CoreError as error:
-            return _failed(error.code, error.message)
+            return Outcome(error=(error.code, error.message))
         except Exception:
-            log.exception("job %s failed", job_id)
-            return _failed("internal_error", f"Kilter failed. The worker's log has the cause under job {job_id}.")
+            log.exception("job %s failed", claim.job_id)
+            message = f"Kilter failed. The worker's log has the cause under job {claim.job_id}."
+            return Outcome(error=("internal_error", message))
+        return Outcome(output, used)
 
-    def _kind(self, job_id: str) -> JobKind:
+    def _record(self, claim: Claim) -> JobRecord:
         with self._database.reading() as session:
-            return kind_of(store.get(session, job_id).kind)
+            return store.get(session, claim.job_id)
 
-    def _compute(self, job_id: str, report: ProgressReporter) -> Outcome:
-        kind = self._kind(job_id)
-        with self._database.transaction() as session:
-            attempt = store.begin(session, job_id)
-        if attempt == 0:
-            return {"state": "over"}
-        if attempt > MAX_ATTEMPTS:
-            return _failed("internal_error", f"The worker died {MAX_ATTEMPTS} times in this job: see its log.")
-        report(0.0, "loading", now=True)
+    def _loaded(self, claim: Claim) -> tuple[str, JobInput, tuple[UsedRecord, ...]]:
         with self._database.reading() as session:
-            job, used = store.load(session, job_id), store.used_by(session, job_id)
-        output = with_load_warning(kind.run(job, report), job)
-        report(1.0, "storing", now=True)
-        version = None if output.version is None else _as_document(output.version)
-        return {
-            "state": "succeeded",
-            "result": output.result,
-            "version": version,
-            "used": [asdict(one) for one in used],
-        }
+            kind, job = store.get(session, claim.job_id).kind, store.load(session, claim.job_id)
+            return kind, job, tuple(store.used_by(session, claim.job_id))
 
-    def finish(self, job_id: str, outcome: Outcome) -> None:
-        """Second step: store the outcome; a second time changes nothing."""
-        with self._database.transaction() as session:
-            if outcome["state"] == "succeeded":
-                version = _as_content(outcome["version"])
-                said = [] if version is None else objections_of(version.report, version.limits)
-                used = outcome.get("used")
-                records = None if used is None else [UsedRecord(**one) for one in used]
-                store.succeed(session, job_id, outcome["result"], version, records, said)
-            elif outcome["state"] == "failed":
-                store.fail(session, job_id, outcome["code"], outcome["message"])
-            elif outcome["state"] == "cancelled":
-                store.cancel(session, job_id)
+    def _finish(self, claim: Claim, outcome: Outcome) -> None:
+        try:
+            with self._database.transaction() as session:
+                _store(session, claim, outcome)
+        except DatabaseAwayError:
+            raise
+        except Exception:
+            log.exception("the result of job %s could not be stored", claim.job_id)
+            message = f"The result could not be stored. The worker's log has the cause under job {claim.job_id}."
+            with self._database.transaction() as session:
+                _store(session, claim, Outcome(error=("internal_error", message)))
+
+    def _patiently(self, ask: Callable[[], T]) -> T:
+        """Ask again while the database is away: hours of computing do not depend on its restart."""
+        while True:
+            try:
+                return ask()
+            except DatabaseAwayError:
+                if self._stop.wait(AGAIN_S):
+                    raise
+
+
+def _store(session: Session, claim: Claim, outcome: Outcome) -> None:
+    if not lease.holds(session, claim):
+        log.warning("job %s is no longer this worker's: what it computed is dropped", claim.job_id)
+    elif outcome.error is not None:
+        store.fail(session, claim.job_id, *outcome.error)
+    elif outcome.output is not None:
+        version = outcome.output.version
+        said = [] if version is None else objections_of(version.report, version.limits)
+        store.succeed(session, claim.job_id, outcome.output.result, version, outcome.used, said)
 
 
 class ProgressReporter:
-    """The progress callback of one job."""
+    """The progress callback of one run."""
 
-    def __init__(self, database: Database, job_id: str) -> None:
+    def __init__(self, database: Database, claim: Claim) -> None:
         self._database = database
-        self._job_id = job_id
+        self._claim = claim
         self._next = 0.0
 
     def __call__(self, fraction: float, stage: str, *, now: bool = False) -> None:
-        """Store the progress.
+        """Store the progress; while the database is away nothing is stored and the computation goes on.
 
         Raises:
-            CancelledError: the job was cancelled.
+            CancelledError: the job was cancelled, or another worker has it.
 
         """
         time_s = time.monotonic()
         if time_s < self._next and not now:
             return
         self._next = time_s + REPORT_S
-        with self._database.transaction() as session:
-            stop = store.advance(session, self._job_id, fraction, stage)
-        if stop:
-            raise CancelledError(f"Job {self._job_id} was cancelled.")
+        try:
+            with self._database.noting() as session:
+                held = lease.advance(session, self._claim, fraction, stage)
+        except DatabaseAwayError:
+            self._next = time.monotonic() + AGAIN_S
+            return
+        if not held:
+            raise CancelledError(f"Job {self._claim.job_id} was cancelled.")
 
 
 def give_back() -> None:
@@ -144,18 +162,3 @@ def give_back() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
     if trim is not None:
         trim(0)
-
-
-def _failed(code: str, message: str) -> Outcome:
-    return {"state": "failed", "code": code, "message": message}
-
-
-def _as_document(content: VersionContent) -> dict[str, Any]:
-    fields = {key: value for key, value in asdict(content).items() if key != "limits"}
-    return {**fields, "limits": content.limits.model_dump(mode="json")}
-
-
-def _as_content(document: dict[str, Any] | None) -> VersionContent | None:
-    if document is None:
-        return None
-    return VersionContent(**{**document, "limits": CorrectionLimits(**document["limits"])})

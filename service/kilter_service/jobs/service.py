@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-
 from pydantic import TypeAdapter
 
 from kilter_service.campaigns import store as campaigns
@@ -12,7 +10,6 @@ from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.jobs import store, wire
 from kilter_service.jobs.kind import JobKind
-from kilter_service.jobs.queue import JobQueue
 from kilter_service.jobs.records import Asked
 from kilter_service.jobs.registry import kind_of
 from kilter_service.observability import logs, tracing
@@ -23,10 +20,9 @@ from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 
 JOB: TypeAdapter[Job] = TypeAdapter(Job)
-log = logging.getLogger("kilter.api")
 
 
-def submit(database: Database, queue: JobQueue, job: NewJob, once: Once = NOT_REPEATED) -> Job:
+def submit(database: Database, job: NewJob, once: Once = NOT_REPEATED) -> Job:
     """Check a job and queue it.
 
     Raises:
@@ -49,10 +45,6 @@ def submit(database: Database, queue: JobQueue, job: NewJob, once: Once = NOT_RE
         asked = Asked(logs.request_id(), tracing.traceparent())
         job_id = store.add(session, checked(session, job, kind), job, asked)  # robot and campaigns are still there
         queued = once.keep(session, body, wire.job(store.get(session, job_id)))
-    try:
-        queue.enqueue(job_id, long=kind.long)
-    except Exception:  # whatever the job engine lacks (it has not started yet), the worker's sweep finds the row
-        log.warning("job %s waits for the worker to find it", job_id, exc_info=True)
     return queued
 
 
@@ -154,7 +146,7 @@ def listed(database: Database, robot: str | None, page: Page) -> JobList:
     return JobList(jobs=[wire.summary(job) for job in shown], next=cursor)
 
 
-def cancel(database: Database, queue: JobQueue, job_id: str) -> Job:
+def cancel(database: Database, job_id: str) -> Job:
     """Stop a job; one that was cancelled before stays so.
 
     Raises:
@@ -165,10 +157,5 @@ def cancel(database: Database, queue: JobQueue, job_id: str) -> Job:
         row = store.get(session, job_id)
         if row.state in FINAL and row.state != "cancelled":
             raise ServiceError(f"Job {job_id} has {row.state}: nothing is left to cancel.", code="job_finished")
-        never_began = store.request_cancel(session, job_id)
-    if never_began:
-        try:
-            queue.cancel(job_id)
-        except Exception:  # the row says cancelled, so the worker will not compute even if the engine hands it out
-            log.warning("job %s was cancelled before the job engine knew it", job_id, exc_info=True)
+        store.cancel(session, job_id)  # the worker, if one lives, notices at its next progress report
     return get(database, job_id)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import uuid
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import timedelta
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import ColumnElement, and_, or_, select, update
+from sqlalchemy import ColumnElement, and_, or_, select
 
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL, NewJob
@@ -110,37 +109,6 @@ def _record(session: Session, row: JobRow) -> JobRecord:
         result=row.result,
         asked=Asked(row.request_id, row.traceparent),
     )
-
-
-def request_cancel(session: Session, job_id: str) -> bool:
-    """Ask a job to stop; returns whether it had not begun, so that it is cancelled already."""
-    session.execute(update(JobRow).where(JobRow.id == job_id).values(cancel_requested=True))
-    waiting = update(JobRow).where(JobRow.id == job_id, JobRow.state == "queued")
-    done = session.execute(waiting.values(state="cancelled", stage="cancelled", finished_at=now()).returning(JobRow.id))
-    return done.scalar_one_or_none() is not None
-
-
-def begin(session: Session, job_id: str) -> int:
-    """Note that a worker works on the job now; returns which attempt this is, 0 when the job is over already."""
-    row = _row(session, job_id)
-    if row.state in FINAL:
-        return 0
-    row.state, row.attempts, row.started_at = "running", row.attempts + 1, row.started_at or now()
-    return row.attempts
-
-
-def advance(session: Session, job_id: str, fraction: float, stage: str) -> bool:
-    """Store the progress; returns whether the job shall stop."""
-    values = {"fraction": min(max(fraction, 0.0), 1.0), "stage": stage[:200]}
-    changed = update(JobRow).where(JobRow.id == job_id).values(**values).returning(JobRow.cancel_requested)
-    return session.execute(changed).scalar_one()
-
-
-def unfinished(session: Session, older_than_s: float) -> list[tuple[str, str]]:
-    """Return id and kind of the jobs that are not over and not brand-new."""
-    before = now() - timedelta(seconds=older_than_s)
-    query = select(JobRow.id, JobRow.kind).where(JobRow.state.not_in(FINAL), JobRow.created_at < before)
-    return [(job_id, kind) for job_id, kind in session.execute(query)]
 
 
 def load(session: Session, job_id: str) -> JobInput:
@@ -256,6 +224,7 @@ def cancel(session: Session, job_id: str) -> None:
     """Store that a job was cancelled; a job that is over already is left alone."""
     row = _row(session, job_id)
     if row.state not in FINAL:
+        row.cancel_requested = True
         _finish(row, "cancelled", "cancelled", row.fraction)
 
 

@@ -7,119 +7,139 @@ import os
 import signal
 import socket
 import threading
-from typing import TYPE_CHECKING
+import time
+import uuid
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
 
-from kilter_service.db import Database, revision
+from kilter_service.db import Database, DatabaseAwayError, revision
+from kilter_service.errors import ServiceError
 from kilter_service.health import store as health
-from kilter_service.jobs import store
-from kilter_service.jobs.engine_clock import keep_time
-from kilter_service.jobs.engine_rows import json_only
-from kilter_service.jobs.queue import APPLICATION, APPLICATION_VERSION, LONG_QUEUE, QUEUE, WORKFLOW, EngineRow, JobQueue
-from kilter_service.jobs.registry import kind_of
-from kilter_service.jobs.runner import Outcome, Runner
+from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.lease.sole import sole
+from kilter_service.jobs.lease.watch import Watch
+from kilter_service.jobs.registry import KINDS
+from kilter_service.jobs.runner import Runner
+from kilter_service.jobs.taker import Taker
 from kilter_service.settings import Settings
-
-if TYPE_CHECKING:
-    from dbos import DBOSConfig
 
 log = logging.getLogger("kilter.worker")
 
 BEAT_S = 1.0
-QUEUE_POLL_S = 0.2
-FOUND_AFTER_S = 3.0  # a job the API could not hand to the engine is found by the sweep after this
+SILENT_S = 15.0  # a worker whose heartbeat has not changed for this long is gone; beats come late on a busy machine
+CHECK_S = 10.0  # how often the revision of the database is looked at
 MIGRATION_WAIT_S = 30.0
+LOCK_WAIT_S = 10.0  # the worker of a server that was killed needs a moment to notice
 
 
 def run(settings: Settings) -> None:
-    """Execute jobs until SIGTERM or SIGINT; a job that is cut off goes on at the next start."""
+    """Execute jobs until SIGTERM or SIGINT; a job that is cut off goes back into the queue.
+
+    Raises:
+        ServiceError: another process runs the jobs of this SQLite database, or the database is of another revision.
+
+    """
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     database = Database(settings.database)
-    revision.wait(database, MIGRATION_WAIT_S)
-    name = settings.worker_name or socket.gethostname()
-    _launch(settings, Runner(database), name)
-    queue = JobQueue(settings)
-    if older := queue.forget_older():
-        log.warning("jobs of an older Kilter are restarted: %s", ", ".join(older))
-    while not stop.is_set():
-        _beat(database, name)
-        _sweep(database, queue)
-        stop.wait(BEAT_S)
-    with database.transaction() as session:
-        health.silence(session, "worker", name)
-    # A thread inside a long computation cannot be joined; its job is durable and goes on at the next start.
-    logging.shutdown()
-    os._exit(0)
+    with alone(settings):
+        revision.wait(database, MIGRATION_WAIT_S)
+        code = _execute(settings, database, stop)
+        # A thread inside a long computation cannot be joined; its job is in the queue again.
+        logging.shutdown()
+        os._exit(code)
 
 
-def _launch(settings: Settings, runner: Runner, name: str) -> None:
-    from dbos import DBOS
-
-    config: DBOSConfig = {
-        "name": APPLICATION,
-        "system_database_url": settings.jobs_database,
-        "application_version": APPLICATION_VERSION,
-        # A worker resumes the jobs of its own name only, so the name must be the same after a restart.
-        "executor_id": name,
-        "log_level": "WARNING",
-        "notification_listener_polling_interval_sec": 0.5,
-        "serializer": json_only(),
-    }
-    keep_time()
-    DBOS(config=config)
-
-    @DBOS.step(name="compute")
-    def compute(job_id: str) -> Outcome:
-        return runner.compute(job_id)
-
-    @DBOS.step(name="finish", retries_allowed=True, max_attempts=5)
-    def finish(job_id: str, outcome: Outcome) -> None:
-        runner.finish(job_id, outcome)
-
-    @DBOS.workflow(name=WORKFLOW)
-    def job(job_id: str) -> None:
-        finish(job_id, compute(job_id))
-
-    DBOS.launch()
-    for queue in (QUEUE, LONG_QUEUE):
-        DBOS.register_queue(queue, worker_concurrency=1, polling_interval_sec=QUEUE_POLL_S)
-    log.info("worker %s takes jobs", name)
+def alone(settings: Settings, wait_s: float = LOCK_WAIT_S) -> AbstractContextManager[None]:
+    """Hold what makes this the only worker, where there may be one only: on SQLite."""
+    path = settings.sqlite_file
+    return nullcontext() if path is None else sole(Path(path), wait_s)
 
 
-def _beat(database: Database, name: str) -> None:
-    with database.transaction() as session:
-        health.beat(session, "worker", name, os.getpid())
+def _execute(settings: Settings, database: Database, stop: threading.Event) -> int:
+    member = Member(database, settings.worker_name or socket.gethostname())
+    member.join(alone=settings.sqlite_file is not None)
+    for queue in settings.worker_queues:
+        kinds = [kind.name for kind in KINDS.values() if kind.queue == queue]
+        runner = Runner(database, stop, settings.worker_processes)
+        Taker(database, runner, member.id, kinds, stop).start(queue)
+    log.info("worker %s takes jobs: %s", member.id, ", ".join(settings.worker_queues))
+    try:
+        while not stop.wait(BEAT_S):
+            member.beat()
+    except ServiceError as error:
+        log.error("worker %s ends: %s", member.id, error.message)
+        return 1
+    finally:
+        stop.set()
+        member.leave()
+    return 0
 
 
-def _sweep(database: Database, queue: JobQueue) -> None:
-    """Hand over jobs the engine does not know, and close those it gave up."""
-    with database.reading() as session:
-        waiting = store.unfinished(session, FOUND_AFTER_S)
-    for job_id, kind in waiting:
-        row = queue.row(job_id)
-        if row is None:
-            log.warning("job %s was missing from the queue and has been queued", job_id)
-            queue.enqueue(job_id, long=kind_of(kind).long)
-        elif row.status == "CANCELLED":
-            with database.transaction() as session:
-                store.cancel(session, job_id)
-        elif message := _given_up(job_id, row):
-            log.error("job %s: %s", job_id, message)
-            with database.transaction() as session:
-                store.fail(session, job_id, "internal_error", message)
-            if not row.readable:
-                queue.forget(job_id)
+class Member:
+    """This process among the workers: it says that it lives, and notices those that do not."""
 
+    def __init__(self, database: Database, name: str) -> None:
+        # Unique: of two workers with one name each must be missed, and a restarted one does not hold what it held.
+        self.id = f"{name[:180]}-{uuid.uuid4().hex[:8]}"
+        self._database = database
+        self._watch = Watch(SILENT_S)
+        self._away = False
+        self._check_at = 0.0
 
-def _given_up(job_id: str, row: EngineRow) -> str | None:
-    """Why the engine will never finish a job; None when it may."""
-    if not row.readable:
-        return (
-            f"The row of job {job_id} in the jobs database was changed or is in a format that Kilter does not read. "
-            "Give the job again, and check who can write to that database."
-        )
-    if row.status in ("ERROR", "MAX_RECOVERY_ATTEMPTS_EXCEEDED"):
-        cause = f": {row.error}" if row.error else "."
-        return f"The job engine gave up the job ({row.status}){cause} The worker's log has more under job {job_id}."
-    return None
+    def join(self, *, alone: bool) -> None:
+        """Say so the first time. Where there is one worker only, whatever ran before has ended."""
+        with self._database.transaction() as session:
+            if alone:
+                lease.bury(session, lease.beats(session))
+            health.beat(session, lease.WORKER, self.id, os.getpid())
+            if back := lease.orphans(session):
+                log.warning("queued again, their worker had ended: %s", ", ".join(back))
+
+    def beat(self) -> None:
+        """Say that this worker lives, and put the jobs of silent ones back.
+
+        Raises:
+            ServiceError: the database was migrated: this code would not understand it.
+
+        """
+        try:
+            with self._database.transaction() as session:
+                health.beat(session, lease.WORKER, self.id, os.getpid())
+            if time.monotonic() > self._check_at:
+                revision.check(self._database)
+                self._check_at = time.monotonic() + CHECK_S
+            self._sweep()
+        except DatabaseAwayError as error:
+            if not self._away:
+                log.warning("%s This worker goes on when it does.", error.message)
+            self._away = True
+            self._watch.forget()
+            return
+        if self._away:
+            log.warning("the database answers again")
+        self._away = False
+
+    def _sweep(self) -> None:
+        with self._database.reading() as session:
+            beats, holders = lease.beats(session), lease.holders(session)
+        silent = self._watch.silent({name: at for name, at in beats.items() if name != self.id})
+        if not silent and holders <= set(beats):
+            return
+        with self._database.transaction() as session:
+            lease.bury(session, silent)
+            back = lease.orphans(session)
+        for name in silent:
+            log.warning("worker %s has been silent for %.0f s", name, SILENT_S)
+        if back:
+            log.warning("queued again, their worker has ended: %s", ", ".join(back))
+
+    def leave(self) -> None:
+        """Give back what this worker has; when that cannot be written, the others notice its silence."""
+        try:
+            with self._database.transaction() as session:
+                health.silence(session, lease.WORKER, self.id)
+                lease.give_back(session, self.id)
+        except DatabaseAwayError:
+            log.warning("worker %s could not say that it ends", self.id)

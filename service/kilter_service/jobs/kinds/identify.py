@@ -35,13 +35,15 @@ def check(options: IdentifyOptions) -> None:
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Identify the robot from all campaigns together."""
     from kilter_core.identify import identify  # compiled kernels: only the worker needs them
+    from kilter_core.types import one_by_one
 
     options = _core(job.options)
     setups = Setups(options.refit, job.devices)
     named = _named(job)
     remarks = doubts(job.robot, named, job.devices, job.options.sheet_order) + bar_lengths(job.robot, named)
     train, validation = _rows(job, setups)
-    found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job))
+    each = job.each or one_by_one
+    found = identify(job.robot, train, validation, options, job.calibration, progress, _prior(job), each)
     report = found.to_document()
     report["base_refitted"] = setups.named(report["base_refitted"])
     counts = {name: len(rows) for name, rows in job.campaigns.items()}

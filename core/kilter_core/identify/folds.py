@@ -1,0 +1,100 @@
+"""Cross-validation: each fold is a computation of its own, and whoever calls may compute them beside each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_core.identify.holdout import fold_splits
+from kilter_core.identify.kinds import KindErrors, errors_of, pooled
+from kilter_core.identify.learned import gated
+from kilter_core.identify.measuring import between_rows, measurement_for
+from kilter_core.identify.methods.fit import fit_by_method
+from kilter_core.identify.methods.kalman import Prior
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.reference import registered
+from kilter_core.identify.row_errors import RowErrors
+from kilter_core.identify.worse import PoseErrors, geometry_alone
+from kilter_core.measurement import Measurement
+from kilter_core.measurement.metrics import Errors
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.types import Each, Floats, Ints, Progress
+
+STAGES = ("nominal", "registration_only", "identified")
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One fold: everything it needs, so that another process can compute it."""
+
+    nominal: Calibration
+    begin: Calibration
+    shown: Observations
+    unseen: Observations
+    outside: Ints
+    shape: Floats | None
+    options: IdentifyOptions
+    prior: Prior | None
+
+
+@dataclass(frozen=True)
+class Held:
+    """Errors on the poses that a fold held out."""
+
+    errors: dict[str, Errors]
+    poses: PoseErrors
+    rows: RowErrors
+    kinds: KindErrors
+
+
+def cross_validated(
+    nominal: Calibration,
+    begin: Calibration,
+    train: Observations,
+    folds: int,
+    options: IdentifyOptions,
+    progress: Progress,
+    prior: Prior | None,
+    each: Each,
+) -> tuple[dict[str, Errors], PoseErrors, RowErrors, KindErrors]:
+    """Errors on held-out poses, pooled over the folds."""
+    shape = measurement_for(train, options, begin.marker_points).marker_points
+    tasks = []
+    for inside, outside in fold_splits(train, folds, options.seed):
+        shown, unseen = train.select(inside), train.select(outside)
+        tasks.append(Fold(nominal, begin, shown, unseen, outside, shape, between_rows(options, shown), prior))
+    found = each(held_of, tasks, lambda fraction, stage: progress(0.05 + 0.45 * fraction, f"fold {stage}"))
+    errors = {name: Errors.concatenate([one.errors[name] for one in found]) for name in STAGES}
+    poses, rows = (PoseErrors.concatenate([one.poses for one in found]), RowErrors.concatenate([h.rows for h in found]))
+    return errors, poses, rows, pooled([one.kinds for one in found])
+
+
+def held_of(fold: Fold, progress: Progress) -> Held:
+    """Fit what a fold shows and predict what it holds out."""
+    shown = measurement_for(fold.shown, fold.options, fold.shape)
+    unseen = measurement_for(fold.unseen, fold.options, fold.shape, shown)
+    model = gated(fold.begin, fold.shown, fold.options, fold.prior)[0]
+    fit = fit_by_method(model, shown, fold.options, progress, fold.prior)
+    stages = {
+        "nominal": fold.nominal,
+        "registration_only": in_fitted_frames(fold.begin, shown.of_tool(), fold.options, fold.prior),
+        "identified": Calibration(fit.problem.model, fit.values, fold.shape),
+    }
+    return Held(
+        errors={name: Errors.of(stage, unseen) for name, stage in stages.items()},
+        poses=PoseErrors.of({**stages, "geometry": geometry_alone(model, shown, fold.options)}, unseen),
+        rows=RowErrors.of(stages, unseen, fold.outside),
+        kinds=errors_of(stages, unseen),
+    )
+
+
+def in_fitted_frames(
+    begin: Calibration, shown: Measurement, options: IdentifyOptions, prior: Prior | None
+) -> Calibration:
+    """The nominal robot in fitted frames; where a filter continues, in those of its start: two poses cannot fit any."""
+    return begin.wanted() if continues(options, prior) else registered(begin, shown, options.loss)
+
+
+def continues(options: IdentifyOptions, prior: Prior | None) -> bool:
+    """Whether a filter goes on from what is known."""
+    return options.method == "kalman" and prior is not None

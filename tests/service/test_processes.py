@@ -1,0 +1,78 @@
+"""Folds in several processes: the same numbers, cancelled at once, and no process left."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kilter_core.errors import CancelledError, OptionError
+from kilter_core.identify import Folds, IdentifyOptions, identify
+from kilter_core.twin import thesis_katana
+from kilter_service.jobs import processes
+from kilter_service.jobs.processes import Processes
+from tests.service.parts import where
+
+
+def alive(pid: int) -> bool:
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and " Z " not in stat.read_text(encoding="ascii")
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "START_S", -1e9)
+
+
+def test_folds_in_processes_give_the_same_numbers(at_once: None) -> None:
+    twin = thesis_katana()
+    limits = twin.robot.limits
+    q = np.random.default_rng(3).uniform(limits[:, 0], limits[:, 1], (60, twin.robot.n_joints))
+    rows, options = twin.observe(q, noise_m=1e-5, seed=3), IdentifyOptions(level=2)
+    heard: list[tuple[float, str]] = []
+    alone = identify(twin.robot, rows, Folds(4), options)
+    spread = identify(twin.robot, rows, Folds(4), options, progress=lambda *told: heard.append(told), each=Processes(2))
+    assert spread.metrics == alone.metrics
+    assert alone.held_rows is not None
+    assert spread.held_rows is not None
+    for name, left in alone.held_rows.left.items():
+        np.testing.assert_array_equal(spread.held_rows.left[name], left)
+    folds = [stage for _, stage in heard if stage.startswith("fold ")]
+    assert {stage.partition(",")[0] for stage in folds} >= {"fold 1 of 4", "fold 2 of 4"}
+    begun = [fraction for fraction, stage in heard if stage.startswith("fold ") and "," not in stage]
+    assert begun == sorted(begun)
+
+
+def test_parts_run_beside_each_other_and_their_processes_end(at_once: None) -> None:
+    found = Processes(2)(where, [(0.0, "")] + [(0.5, "")] * 4, lambda *_: None)
+    assert found[0] == os.getpid()
+    assert len(set(found[1:])) == 2
+    assert os.getpid() not in found[1:]
+    assert not any(alive(pid) for pid in set(found[1:]))
+
+
+def test_short_parts_stay_in_the_worker() -> None:
+    assert set(Processes(2)(where, [(0.0, "")] * 5, lambda *_: None)) == {os.getpid()}
+    assert Processes(2)(where, [], lambda *_: None) == []
+
+
+def test_a_cancel_does_not_wait_for_a_part(at_once: None) -> None:
+    begun = time.monotonic()
+
+    def told(fraction: float, stage: str) -> None:
+        if fraction > 0 and time.monotonic() - begun > 1.0:
+            raise CancelledError("enough")
+
+    with pytest.raises(CancelledError):
+        Processes(2)(where, [(0.0, ""), (600.0, ""), (600.0, "")], told)
+
+
+def test_what_a_part_raises_is_raised_here_and_a_killed_one_is_noticed(at_once: None) -> None:
+    with pytest.raises(OptionError, match="there is none") as raised:
+        Processes(2)(where, [(0.0, ""), (0.0, "wrong"), (0.0, "")], lambda *_: None)
+    assert raised.value.context == {"option": "x"}
+    with pytest.raises(RuntimeError, match="memory may be full"):
+        Processes(2)(where, [(0.0, ""), (0.0, "killed"), (0.0, "")], lambda *_: None)
