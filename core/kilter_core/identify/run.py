@@ -138,9 +138,8 @@ def identify(
 ) -> Identification:
     """Identify a robot from observations.
 
-    ``validation`` is other observations, a fraction of the poses to hold out, folds, or None. With folds every pose is
-    predicted once by a model that never saw it, and the final fit uses all. Of contacts whole placements are held out,
-    each judged where it fits its own rows best.
+    ``validation`` is other observations, a fraction of the poses (of contacts the placements) to hold out, folds, or None.
+    With folds each of them is predicted once by a model that never saw it, and the final fit uses all.
     ``start`` continues from a version; ``prior`` is its covariance, which ``kalman`` continues from.
     ``each`` computes the folds; another may do so in several processes.
 
