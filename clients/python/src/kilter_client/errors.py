@@ -118,6 +118,7 @@ BY_STATUS: Mapping[int, type[ApiError]] = {
     403: NotAuthorisedError,
     404: NotFoundError,
     409: ConflictError,
+    412: ConflictError,
     422: PayloadError,
 }
 
