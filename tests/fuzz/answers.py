@@ -40,7 +40,9 @@ class Answers:
         except ValueError as error:
             return f"status {answer.status_code} is not JSON: {error}"
         wrong = next(self._validator(schema).iter_errors(document), None)
-        return wrong and f"status {answer.status_code}: {list(wrong.instance_path)} {wrong.message[:200]}"
+        return (
+            None if wrong is None else f"status {answer.status_code}: {list(wrong.instance_path)} {wrong.message[:200]}"
+        )
 
     def _validator(self, schema: Mapping[str, Any]) -> jsonschema_rs.Validator:
         key = json.dumps(schema, sort_keys=True)
