@@ -8,7 +8,8 @@ import json
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from kilter_service.errors import PROBLEMS
-from kilter_service.problems import MEDIA_TYPE, new_request_id
+from kilter_service.observability.requests import new_request_id
+from kilter_service.problems import MEDIA_TYPE
 
 HEAD_S = 20.0
 CODE = "request_too_slow"

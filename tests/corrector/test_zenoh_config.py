@@ -15,7 +15,7 @@ import zenoh
 
 from kilter_client.stream import CorrectedStream
 from kilter_service.corrector.process import Corrector
-from kilter_service.corrector.session import config
+from kilter_service.corrector.session import config, with_free_port
 from kilter_service.corrector.specs import Rules
 from kilter_service.settings import Settings
 from tests.corrector.live import ROBOT, ROOT, Q, until
@@ -182,8 +182,6 @@ def test_a_rotation_costs_no_setpoint(folder: Path, guarded: Corrector, tmp_path
 
 
 def listening(made: zenoh.Config) -> tuple[zenoh.Session, str]:
-    from kilter_service.corrector.session import with_free_port
-
     (endpoint,) = json.loads(made.get_json("listen/endpoints"))
     free = with_free_port(endpoint)
     made.insert_json5("listen/endpoints", json.dumps([free]))
@@ -194,3 +192,24 @@ def test_only_their_owner_can_read_the_files(folder: Path) -> None:
     files = [file for file in (folder / "zenoh").rglob("*") if file.is_file() and file.name != "roles.json"]
     assert files
     assert {stat.S_IMODE(file.stat().st_mode) for file in files} == {0o600}
+
+
+def test_the_adaptor_reaches_nodes_behind_a_router_of_ros(folder: Path) -> None:
+    """Nodes on the router's machine speak TCP, the adaptor TLS with its certificate."""
+    made = zenoh.Config.from_file(str(folder / "zenoh" / "ros-router" / "zenoh.json5"))
+    plain, secure = with_free_port("tcp/127.0.0.1:0"), with_free_port("tls/127.0.0.1:0")
+    made.insert_json5("listen/endpoints", json.dumps([plain, secure]))
+    adaptor = zenoh.Config.from_file(str(folder / "zenoh" / "ros" / "zenoh.json5"))
+    adaptor.insert_json5("connect/endpoints", json.dumps([secure]))
+    node = config(None, (plain,))
+    node.insert_json5("mode", '"client"')
+    heard: list[bytes] = []
+    with zenoh.open(made), zenoh.open(adaptor) as ours, zenoh.open(node) as theirs:
+        theirs.declare_subscriber("0/commands/Type/Hash", lambda s: heard.append(s.payload.to_bytes()))
+
+        def arrives() -> bool:
+            ours.put("0/commands/Type/Hash", b"corrected")
+            ours.put("elsewhere", b"not allowed")
+            return bool(heard)
+
+        until(arrives)

@@ -22,6 +22,7 @@ from kilter_service.zenoh_config.authority import Authority, Issued, issue, key_
 
 AUTHORITY = "authority"
 CERTIFICATE, KEY, TRUSTED, CONFIG = "certificate.pem", "key.pem", "authorities.pem", "zenoh.json5"
+ROS_ENDPOINTS = ("tcp/127.0.0.1:7447", "tls/0.0.0.0:7448")
 HEADER = "// Written by `kilterd zenoh-config`. It contains a private key: keep it readable by its owner only.\n"
 
 
@@ -90,10 +91,11 @@ def tls(issued: Issued, trusted: bytes, listens: bool) -> dict[str, Any]:
 
 
 def _config(tls_of_role: dict[str, Any], mode: str, connect: str | None, more: dict[str, Any]) -> bytes:
+    protocols = ["tls", "tcp"] if mode == "router" else ["tls", "unixsock-stream"]
     document: dict[str, Any] = {
         "mode": mode,
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "transport": {"link": {"protocols": ["tls", "unixsock-stream"], "tx": {"lease": 1000}, "tls": tls_of_role}},
+        "transport": {"link": {"protocols": protocols, "tx": {"lease": 1000}, "tls": tls_of_role}},
         **more,
     }
     if connect is not None:
@@ -116,7 +118,8 @@ def write_folders(
         own = issue(authority, common_name)
         made[role] = (own, _config(tls(own, trusted, False), "client", connect, {}))
     ros, router = issue(authority, access.ROS), issue(authority, "kilter-ros-router", hosts)
-    rules = {"access_control": access.ros_access_control(domain)}
+    # Nodes of the router's own machine connect without TLS, as they do by default.
+    rules = {"access_control": access.ros_access_control(domain), "listen": {"endpoints": list(ROS_ENDPOINTS)}}
     made["ros"] = (ros, _config(tls(ros, trusted, False), "client", None, {}))
     made["ros-router"] = (router, _config(tls(router, trusted, True), "router", None, rules))
     for role, (own, config) in made.items():
