@@ -24,7 +24,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
 # Packages that name no licence in a form that a program reads: read in their own licence files.
 READ_BY_HAND = {"reportlab": "BSD-3-Clause"}
 LESSER_GPL_TAKEN = {
-    "psycopg": "the driver of PostgreSQL, with the extra `postgresql` only. Used unchanged as a library, it may be exchanged.",
+    "psycopg": "the driver of PostgreSQL, with the extra `postgresql` only; used unchanged, it may be exchanged.",
     "psycopg-binary": "the compiled part of psycopg.",
     "nptdms": "reads TDMS files, with the extra `formats` only; used unchanged as a library, it may be exchanged.",
 }
