@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from kilter_core.errors import CancelledError, CoreError
 from kilter_service.db import Database, DatabaseAwayError, Session
+from kilter_service.db.failures import in_words
 from kilter_service.jobs import store
 from kilter_service.jobs.default_load import with_load_warning
 from kilter_service.jobs.kind import JobInput, JobOutput
@@ -79,8 +80,10 @@ class Runner:
             raise
         except CoreError as error:
             return Outcome(error=(error.code, error.message))
-        except Exception:
+        except Exception as error:
             log.exception("job %s failed", claim.job_id)
+            if known := in_words(error):  # the disk is full, say
+                return Outcome(error=(known.code, known.message))
             message = f"Kilter failed. The worker's log has the cause under job {claim.job_id}."
             return Outcome(error=("internal_error", message))
         return Outcome(output, used)
