@@ -7,7 +7,7 @@ import re
 # NUL ends a text in PostgreSQL; half a surrogate pair has no UTF-8.
 _NEVER = r"\x00\ud800-\udfff"
 # What makes a terminal or a page show another text than is stored: other control characters, line separators, and marks
-# of no width that turn the direction or hide between letters.
+# of no width that change the direction or hide between letters.
 _HIDDEN = (
     r"\x01-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
     r"\U000e0000-\U000e007f"

@@ -200,7 +200,7 @@ def test_request_and_job_share_their_identifiers_from_client_to_worker(
     asked = next(line for line in access if line["request_id"] == "run-42")
     assert asked["message"] == "POST /v1/jobs 202"
     assert asked["client"] == "127.0.0.1"
-    assert asked["duration_ms"] > 0
+    assert asked["duration_s"] > 0
     ours = {span.name: span for span in spans if span.trace_id.hex() == TRACE}
     assert set(ours) == {"POST /v1/jobs", "job identify"}
     assert ours["job identify"].parent_span_id == ours["POST /v1/jobs"].span_id

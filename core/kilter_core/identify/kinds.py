@@ -28,6 +28,11 @@ KindErrors = dict[str, dict[str, Floats]]
 """Squared errors (K,) of each stage, by kind."""
 
 
+def shown_in(unit: str) -> tuple[str, float]:
+    """Unit of a report for an SI unit, and the factor to it."""
+    return WIRE[unit]
+
+
 def errors_of(stages: Stages, measurement: Measurement) -> KindErrors:
     """What each stage leaves of each kind."""
     return {
@@ -93,7 +98,7 @@ class Shares:
         """The ``measurements`` of the result, in mm or degrees, and what they tell together."""
         rows = []
         for share in self.each:
-            unit, scale = WIRE[share.kind.unit]
+            unit, scale = shown_in(share.kind.unit)
             rows.append({
                 "kind": share.kind.name,
                 "unit": unit,

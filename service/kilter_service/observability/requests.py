@@ -90,7 +90,7 @@ def _note(scope: Scope, answer: _Answer, seconds: float, request_id: str) -> Non
                 "request_id": request_id,
                 "client": client[0] if client else None,
                 "actor": getattr(scope["state"].get("caller"), "actor", None),
-                "duration_ms": round(1e3 * seconds, 3),
+                "duration_s": round(seconds, 6),
                 "bytes": answer.bytes,
             },
         )

@@ -155,7 +155,7 @@ def _row(
             limits[quantity] = value or 0.0
         else:
             row[f"{quantity}_{word}"] = value
-    # Before what a spreadsheet would compute, an exporter writes an apostrophe, which is no part of the name.
+    # Before what a spreadsheet would compute, an exporter writes an apostrophe, which does not belong to the name.
     joint: dict[str, Any] = {"name": (texts.get("joint") or "").removeprefix("'") or None}
     if len(limits) == 2:
         joint["limits_mm" if kind == "prismatic" else "limits_deg"] = [limits["lower"], limits["upper"]]
