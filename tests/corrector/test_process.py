@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -168,6 +169,22 @@ def test_status_is_published(corrector: Corrector) -> None:
             until(listen)
     assert heard[0]["last_status"] == "OK"
     assert heard[0]["instance"] == corrector.instance
+
+
+def test_the_supervisor_knows_what_its_streams_count(corrector: Corrector) -> None:
+    known: dict[str, dict[str, Any]] = {}
+    with open_stream(corrector, "counted") as stream:
+
+        def told() -> bool:
+            stream.correct(Q)
+            corrector.poll()
+            known.update({one["stream"]: one for one in corrector.details["streams"]})
+            return "counted" in known
+
+        until(told)
+    assert known["counted"]["robot"] == ROBOT
+    assert known["counted"]["counters"]["OK"] >= 1
+    json.dumps(corrector.details)
 
 
 def test_a_trajectory_by_query_equals_the_kernel(corrector: Corrector, source: object) -> None:

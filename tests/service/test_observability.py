@@ -21,6 +21,7 @@ from sqlalchemy import text
 
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database
+from kilter_service.health import store as health
 from kilter_service.observability import logs, tracing
 from kilter_service.observability.requests import UNKNOWN
 from kilter_service.settings import Settings
@@ -77,6 +78,21 @@ def test_metrics_say_that_the_database_does_not_answer(client: httpx.Client, dat
         session.execute(text("ALTER TABLE heartbeats RENAME TO away"))
     assert sample(client, "kilter_database_up") == 0
     assert sample(client, "process_resident_memory_bytes") > 1e7
+
+
+def test_streams_are_counted_by_robot_and_status(client: httpx.Client, database: Database) -> None:
+    said = {
+        "robot": "arm", "stream": "main", "received": 12, "counters": {"OK": 10, "STALE": 2}, "version_id": "ver_1",
+        "epoch": 3, "processing_us": {"mean": 5.0, "max": 40.0},
+    }  # fmt: skip
+    with database.transaction() as session:
+        health.beat(session, "corrector", "local", 1, {"streams": [said]})
+    place = {"robot": "arm", "stream": "main"}
+    assert sample(client, "kilter_stream_answers_total", **place, status="OK") == 10
+    assert sample(client, "kilter_stream_answers_total", **place, status="STALE") == 2
+    assert sample(client, "kilter_stream_processing_seconds_count", **place) == 12
+    assert sample(client, "kilter_stream_processing_seconds_sum", **place) == pytest.approx(60e-6)
+    assert sample(client, "kilter_stream_epoch", **place, version_id="ver_1") == 3
 
 
 def test_a_request_keeps_the_name_that_its_caller_gave(client: httpx.Client) -> None:

@@ -88,3 +88,16 @@ def robot_of(key: str) -> str:
     if len(parts) < 5 or parts[0] != "kilter" or parts[1] != "@v1":
         raise ValueError(f"{key!r} is not a key of the stream")
     return parts[3]
+
+
+def stream_of(key: str) -> str:
+    """Stream named by a key of a stream's direction.
+
+    Raises:
+        ValueError: not such a key.
+
+    """
+    parts = key.split("/")
+    if len(parts) != 7 or parts[4] != "stream":
+        raise ValueError(f"{key!r} is not the key of a stream")
+    return parts[5]

@@ -9,6 +9,7 @@ import gc
 import json
 import logging
 import os
+import select
 import signal
 import sys
 import threading
@@ -259,6 +260,7 @@ class HousekeepingThread(threading.Thread):
         due = time.monotonic() - self._reported_s >= STATUS_PERIOD_S
         if due:
             self._reported_s = time.monotonic()
+        told: list[dict[str, Any]] = []
         for served in self._loop.slots.served.values():
             counters = served.stream.counters
             now = (counters.last, sum(counters.by_status))
@@ -283,6 +285,10 @@ class HousekeepingThread(threading.Thread):
                 served.status_key, signed, encoding=zenoh.Encoding.APPLICATION_JSON,
                 priority=zenoh.Priority.DATA_LOW, congestion_control=zenoh.CongestionControl.DROP,
             )  # fmt: skip
+            told.append({"robot": served.robot, "stream": keys.stream_of(served.status_key), **document})
+        # A supervisor that does not read must not hold up this thread: then it is not told.
+        if told and select.select([], [self._pipe], [], 0)[1]:
+            self._pipe.send(("status", told))
 
 
 def ask_for_real_time() -> bool:

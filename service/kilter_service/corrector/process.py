@@ -14,7 +14,7 @@ import secrets
 import signal
 import threading
 import time
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -37,6 +37,7 @@ CORRECTOR_FILE = "corrector.json"
 POLL_S = 0.25
 START_S = 300.0  # the first start on a machine compiles the kernel, on a busy one for minutes
 STOP_S = 5.0
+MOST_STREAMS = 200
 
 
 class StoppedError(Exception):
@@ -118,6 +119,14 @@ class Child:
             except OSError:
                 log.warning("the %s process is gone", self.name)
 
+    def heard(self) -> Iterator[tuple[Any, ...]]:
+        """What the process has said since; a process that is gone says nothing."""
+        try:
+            while self._pipe is not None and self._listens and self._pipe.poll():
+                yield self._pipe.recv()
+        except (EOFError, OSError):
+            return
+
     def stop(self) -> None:
         """Ask the process to stop, and end it when it does not."""
         if self._process is None:
@@ -161,6 +170,12 @@ class Corrector:
         self._masters: Masters | None = None
         self._keys_readable = True
         self._unsigned = settings.stream_unsigned and is_local(settings.zenoh_listen)
+        self._streams: dict[tuple[str, str], dict[str, Any]] = {}
+
+    @property
+    def details(self) -> dict[str, Any]:
+        """What the streams have last said of themselves, for the metrics."""
+        return {"streams": list(self._streams.values())}
 
     @property
     def file(self) -> Path:
@@ -230,8 +245,18 @@ class Corrector:
                 child.stop()
                 child.launch()
                 self._take_child(name)
+        for _, documents in self._children["stream"].heard():
+            self._note(documents)
         self._follow_masters()
         self._look()
+
+    def _note(self, documents: list[dict[str, Any]]) -> None:
+        for document in documents:
+            place = (document["robot"], document["stream"])
+            self._streams.pop(place, None)
+            self._streams[place] = document
+        while len(self._streams) > MOST_STREAMS:  # whoever sends chooses the names
+            del self._streams[next(iter(self._streams))]
 
     def _follow_masters(self) -> None:
         """Take a rotated master secret over; whatever the file says, sessions of those in use stay valid."""
@@ -304,7 +329,7 @@ def run(settings: Settings) -> None:
     corrector = Corrector(settings, DatabaseSource(settings.database, settings.temperature_c), stopped=stopped.is_set)
     try:
         corrector.start()
-        with Pulse(settings, "corrector", settings.site, lambda: corrector.well) as pulse:
+        with Pulse(settings, "corrector", settings.site, lambda: corrector.well, lambda: corrector.details) as pulse:
             while not stopped.wait(POLL_S):
                 corrector.poll()
                 pulse.round()

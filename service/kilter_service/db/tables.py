@@ -188,6 +188,7 @@ class HeartbeatRow(Row):
     name: Mapped[str] = mapped_column(String(200), primary_key=True)
     pid: Mapped[int]
     at: Mapped[datetime]
+    details: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict, server_default="{}")
 
 
 class TombstoneRow(Row):

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kilter_service.settings import Settings
 
@@ -27,8 +27,15 @@ class Pulse:
     It has a thread of its own: a database that is slow or away never holds up the process.
     """
 
-    def __init__(self, settings: Settings, process: str, name: str, well: Callable[[], bool] = lambda: True) -> None:
-        self._settings, self._process, self._name, self._well = settings, process, name, well
+    def __init__(
+        self,
+        settings: Settings,
+        process: str,
+        name: str,
+        well: Callable[[], bool] = lambda: True,
+        details: Callable[[], dict[str, Any]] = dict,
+    ) -> None:
+        self._settings, self._process, self._name, self._well, self._details = settings, process, name, well, details
         self._ended, self._round_at = threading.Event(), time.monotonic()
         self._said, self._heard = False, True
         self._thread = threading.Thread(target=self._run, name=f"pulse of {process}", daemon=True)
@@ -66,7 +73,7 @@ class Pulse:
                 if stopped:
                     store.silence(session, self._process, self._name)
                 else:
-                    store.beat(session, self._process, self._name, os.getpid())
+                    store.beat(session, self._process, self._name, os.getpid(), self._details())
             self._heard = True
         except Exception:  # whatever the database says, the process goes on
             if self._heard:  # said once, not every two seconds

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from sqlalchemy import select
 
@@ -17,9 +19,11 @@ class Heartbeat(NamedTuple):
     age_s: float
 
 
-def beat(session: Session, process: str, name: str, pid: int) -> None:
-    """Say that a process ("worker", "corrector", "ros2") called ``name`` is alive now."""
-    session.merge(HeartbeatRow(process=process, name=name, pid=pid, at=now()))
+def beat(
+    session: Session, process: str, name: str, pid: int, details: Mapping[str, Any] = MappingProxyType({})
+) -> None:
+    """Say that a process ("worker", "corrector", "ros2") called ``name`` is alive now, and what it does."""
+    session.merge(HeartbeatRow(process=process, name=name, pid=pid, at=now(), details=dict(details)))
 
 
 def silence(session: Session, process: str, name: str) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from prometheus_client import CollectorRegistry, generate_latest
-from prometheus_client.core import GaugeMetricFamily, Metric, SummaryMetricFamily
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric, SummaryMetricFamily
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
 from prometheus_client.registry import Collector
 
@@ -67,6 +68,29 @@ def _of(session: Session) -> Iterable[Metric]:
     beats = [((process, name), age_s) for process, name, age_s in store.beats(session)]
     text = "Time since a process last said that it is alive."
     yield _gauge("kilter_heartbeat_age_seconds", text, ("process", "name"), beats)
+    yield from _of_streams(store.streams(session))
+
+
+def _of_streams(streams: Sequence[Mapping[str, Any]]) -> Iterable[Metric]:
+    """What the corrector's streams have counted; a restarted corrector begins at zero."""
+    answers = CounterMetricFamily("kilter_stream_answers", "Setpoints answered.", labels=("robot", "stream", "status"))
+    text = "Time in the corrector from the arrival of a setpoint to its answer."
+    spent = SummaryMetricFamily("kilter_stream_processing_seconds", text, labels=("robot", "stream"))
+    longest, versions = [], []
+    for one in streams:
+        place, times = (one["robot"], one["stream"]), one["processing_us"]
+        for status, count in one["counters"].items():
+            answers.add_metric((*place, status), count)
+        spent.add_metric(place, count_value=one["received"], sum_value=one["received"] * (times["mean"] or 0.0) * 1e-6)
+        longest.append((place, times["max"] * 1e-6))
+        versions.append(((*place, one["version_id"] or ""), float(one["epoch"] or 0)))
+    yield answers
+    yield spent
+    yield _gauge(
+        "kilter_stream_processing_longest_seconds", "The longest of these times.", ("robot", "stream"), longest
+    )
+    text = "Epoch of the version that a stream corrects with."
+    yield _gauge("kilter_stream_epoch", text, ("robot", "stream", "version_id"), versions)
 
 
 def _gauge(name: str, text: str, labels: Sequence[str], values: Iterable[tuple[Sequence[str], float]]) -> Metric:

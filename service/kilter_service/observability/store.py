@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
+from typing import Any
 
 from sqlalchemy import func, select
 
@@ -52,3 +53,9 @@ def beats(session: Session) -> list[tuple[str, str, float]]:
     moment = now()
     rows = session.execute(select(HeartbeatRow)).scalars()
     return [(row.process, row.name, (moment - row.at).total_seconds()) for row in rows]
+
+
+def streams(session: Session) -> list[dict[str, Any]]:
+    """Return what every stream of every corrector that runs has last said of itself."""
+    query = select(HeartbeatRow.details).where(HeartbeatRow.process == "corrector")
+    return [stream for details in session.execute(query).scalars() for stream in details.get("streams", [])]
