@@ -77,6 +77,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "version", "activate", "rollback", "diff",
         "residuals", "activations", "export", "correct", "status",
         "effects", "methods", "presets", "formats", "columns",
+        "whoami", "audit", "token add", "token list", "token revoke",
     )} == set(COMMANDS)  # fmt: skip
 
 

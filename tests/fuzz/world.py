@@ -41,9 +41,12 @@ class World:
         campaigns = [self._campaign(seed, rows=20) for seed in range(3)]
         campaigns.append(self._campaign(9, rows=0, staged=True))
         versions, jobs = self._versions(campaigns)
+        wanted = {"name": "somebody", "role": "viewer", "robots": ["arm"]}
+        token = str(self.client.post("/v1/tokens", json=wanted).raise_for_status().json()["id"])
         self.known = {
             "robot": ["arm", "arm", "empty"], "campaign": campaigns, "version": versions, "job": jobs,
-            "a": [*versions, "nominal"], "b": [*versions, "nominal"], "reference": [*campaigns, *versions, *jobs, "latest"],
+            "a": [*versions, "nominal"], "b": [*versions, "nominal"], "token": [token],
+            "reference": [*campaigns, *versions, *jobs, "latest"],
         }  # fmt: skip
 
     def _campaign(self, seed: int, rows: int, **more: Any) -> str:

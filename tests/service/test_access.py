@@ -33,20 +33,20 @@ NEEDED = {
         GET /v1/robots/{robot}/versions GET /v1/robots/{robot}/activations GET /v1/campaigns/{campaign} GET /v1/jobs
         GET /v1/jobs/{job} GET /v1/jobs/{job}/events GET /v1/versions/{version} GET /v1/resolve GET /v1/tombstones
         GET /v1/versions/{version}/preview GET /v1/versions/{a}/diff/{b} GET /v1/versions/{version}/residuals
-        GET /v1/versions/{version}/export""",
+        GET /v1/versions/{version}/export GET /metrics""",
     "operator": """POST /v1/robots/check POST /v1/robots/convert POST /v1/robots/from-circles POST /v1/frames
         POST /v1/robots/{robot}/correct POST /v1/robots/{robot}/campaigns PATCH /v1/campaigns/{campaign}
         POST /v1/campaigns/{campaign}/commit POST /v1/campaigns/{campaign}/observations
         POST /v1/campaigns/{campaign}/retire POST /v1/campaigns/{campaign}/restore DELETE /v1/campaigns/{campaign}
         POST /v1/jobs POST /v1/jobs/check POST /v1/jobs/{job}/cancel PATCH /v1/versions/{version}
         POST /v1/versions/{version}/retire POST /v1/versions/{version}/restore POST /v1/versions/{version}/activate
-        POST /v1/robots/{robot}/rollback""",
+        POST /v1/robots/{robot}/rollback POST /v1/robots/{robot}/stream/sessions""",
     "admin": """POST /v1/robots PATCH /v1/robots/{robot} DELETE /v1/robots/{robot} POST /v1/robots/{robot}/retire
         POST /v1/robots/{robot}/restore POST /v1/robots/{robot}/purge POST /v1/campaigns/{campaign}/purge
         POST /v1/versions/{version}/purge GET /v1/tokens POST /v1/tokens DELETE /v1/tokens/{token} GET /v1/audit""",
 }
 ROLES = ("viewer", "operator", "admin")
-WHOLE_SERVER = ("GET /v1/tokens", "POST /v1/tokens", "DELETE /v1/tokens/{token}", "GET /v1/audit")
+WHOLE_SERVER = ("GET /v1/tokens", "POST /v1/tokens", "DELETE /v1/tokens/{token}", "GET /v1/audit", "GET /metrics")
 
 
 def routes(role: str) -> list[str]:

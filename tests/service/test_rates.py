@@ -163,7 +163,10 @@ def test_a_connection_on_which_nothing_comes_is_closed(quick: tuple[httpx.Client
 def test_the_second_head_on_a_connection_is_watched_too(quick: tuple[httpx.Client, dict[str, str]]) -> None:
     with connected(quick[0]) as connection:
         connection.sendall(b"GET /v1/health/live HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        assert connection.recv(65536).startswith(b"HTTP/1.1 200")
+        first = b""
+        while not first.endswith(b"}}"):  # head and body may come apart
+            first += connection.recv(65536)
+        assert first.startswith(b"HTTP/1.1 200")
         said, _ = refusal(dripped(connection, b"GET /v1/robots HTTP/1.1\r\nX-A: ", b"a"))
     assert said.startswith(b"HTTP/1.1 408 ")
 

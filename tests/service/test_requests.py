@@ -34,7 +34,7 @@ OPEN = {
     "GET /v1/robots/{robot}/versions", "GET /v1/robots/{robot}/activations", "GET /v1/versions/{version}",
     "GET /v1/versions/{a}/diff/{b}", "GET /v1/versions/{version}/export",
     "GET /v1/versions/{version}/residuals", "GET /v1/resolve", "GET /v1/tombstones",
-    "GET /v1/versions/{version}/preview", "GET /v1/whoami",
+    "GET /v1/versions/{version}/preview", "GET /v1/whoami", "GET /metrics",
 }  # fmt: skip
 POINTS = [{"known_mm": [k, k * k, 0], "measured_mm": [k, k * k, 5]} for k in range(4)]
 
@@ -161,8 +161,8 @@ def test_a_sender_that_falls_silent_is_let_go(limited: httpx.Client, monkeypatch
 @pytest.mark.parametrize(
     ("body", "said"),
     [
-        (b"[" * 100_000, "nested too deeply"),
-        (b'{"a":' * 100_000, "nested too deeply"),
+        (b"[" * 100_000, "nested deeper than 32 levels"),
+        (b'{"a":' * 100_000, "nested deeper than 32 levels"),
         (b"[" + b"{}," * 250_000 + b"{}]", "more than 200000"),
         (b"{", "not JSON"),
         (b"\xff", "not JSON"),

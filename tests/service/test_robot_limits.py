@@ -140,7 +140,7 @@ LARGE = [
     *(document(convention=kind, rows=[{}] * 33) for kind in ("dh", "mdh", "s_model", "mcpc")),
     document(convention="cpc", rows=[{"b": [0, 0, 1]}] * 33),
     document(convention="poe", axes=[{"direction": [0, 0, 1]}] * 200),
-    document(convention="dh", rows=[{}], links=[{}] * 33),
+    document(convention="dh", rows=[{}], links=[{}] * 600),
     document(convention="urdf", urdf="<robot/>", base_link="b" * 200, tip_link="t"),
 ]
 

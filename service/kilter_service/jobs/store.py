@@ -31,10 +31,11 @@ if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
     from kilter_core.observations import Observations
 
+NOBODY = Asked()
 MOST_PAST = 20  # earlier jobs that tell how long one takes
 
 
-def add(session: Session, robot_id: int, job: NewJob, asked: Asked) -> str:
+def add(session: Session, robot_id: int, job: NewJob, asked: Asked = NOBODY) -> str:
     """Store a queued job and return its id."""
     row = JobRow(
         id=f"job_{uuid.uuid4().hex[:16]}",

@@ -15,6 +15,7 @@ from kilter_service.settings import Settings
 
 ABOUT = ("request_id", "job_id", "robot")
 ACCESS = "kilter.access"
+logging.getLogger(ACCESS).disabled = True  # until `configure` is told where it goes
 TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s%(about)s"
 
 _about: ContextVar[dict[str, str] | None] = ContextVar("about", default=None)
