@@ -5,7 +5,7 @@ READY := .venv/.ready
 KERNELS := .venv/.kernels
 IMAGE ?= kilter
 # Processes that share the tests, module by module.
-TESTERS ?= 2
+TESTERS ?= 3
 # Small fits gain nothing from threads of the linear algebra library and lose tenfold to them on two busy cores.
 export OPENBLAS_NUM_THREADS ?= 1
 

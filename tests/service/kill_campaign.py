@@ -179,6 +179,8 @@ class Client(threading.Thread):
                 self._random.choice((self._measure, self._measure, self._identify, self._activate, self._look))()
         except BaseException as error:
             self.error = error
+        finally:
+            self._http.close()
 
     def _ask(self, method: str, path: str, headers: dict[str, str] | None = None, **given: Any) -> httpx.Response:
         """Send a request under one key until there is an answer below 500."""
