@@ -11,7 +11,7 @@ RUN /opt/kilter/bin/pip install --no-cache-dir --no-build-isolation --constraint
 
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --create-home kilter \
-    && install --directory --owner kilter --group kilter /data
+    && install --directory --owner kilter --group kilter /data /keys
 COPY --from=build /opt/kilter /opt/kilter
 # A container is reached from outside it, so the server listens on every address and asks for KILTER_TOKEN. The corrector
 # listens inside only: whoever reaches it can move the arm. docs/how-to/run-a-server.md says how to let controllers in.
