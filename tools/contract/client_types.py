@@ -18,7 +18,7 @@ MODULES: Mapping[str, Sequence[str]] = {
     "identifications": ("IdentifyResult", "JointParametersResult"),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
     "comparisons": ("VersionDiff", "VersionPreview", "Tombstone"),
-    "hunt_numbers": (
+    "search_numbers": (
         "Adequacy",
         "AliasMatrix",
         "GapNoise",
@@ -28,7 +28,7 @@ MODULES: Mapping[str, Sequence[str]] = {
         "Gates",
         "Amplitude",
     ),
-    "hunts": ("GapResult",),
+    "searches": ("GapResult",),
     "evaluations": ("EvaluateResult",),
     "plans": ("PlanResult",),
     "checks": ("IdentifyCheck", "GapCheck", "EvaluateCheck", "PlanCheck", "JointParametersCheck"),
@@ -41,7 +41,7 @@ SHOWN: Mapping[str, tuple[str, str]] = {
     "Campaign": ("ShownCampaign", "shown_jobs"),
     "EvaluateResult": ("ShownEvaluation", "shown_jobs"),
     "Figure": ("ShownFigure", "shown"),
-    "GapResult": ("ShownHunt", "shown_jobs"),
+    "GapResult": ("ShownSearch", "shown_jobs"),
     "IdentifyResult": ("ShownFit", "shown_jobs"),
     "JointParametersResult": ("ShownFit", "shown_jobs"),
     "Metrics": ("ShownMetrics", "shown"),

@@ -166,12 +166,12 @@ def gap(
         reference=reference,
         seed=seed,
     )
-    files = partial(_write_hunt, poses, figures, as_json)
+    files = partial(_write_search, poses, figures, as_json)
     again = arguments.split_names(confirmation)
     run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, True, files, again, name, check)
 
 
-def _write_hunt(poses: Path | None, figures: Path | None, as_json: bool, job: dict[str, Any]) -> None:
+def _write_search(poses: Path | None, figures: Path | None, as_json: bool, job: dict[str, Any]) -> None:
     if poses is not None:
         write_poses(poses, (job.get("result") or {}).get("next_poses_csv"), as_json)
     write_figures(figures, as_json, job)

@@ -66,7 +66,7 @@ class ShownVersion(ShownFit):
         )
 
 
-class ShownHunt(Shown, Asking):
+class ShownSearch(Shown, Asking):
     """A gap search: what it names, and how the gap shrank."""
 
     verdict: str | None

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.typed.fits import NullDirection
-from kilter_client.typed.hunts import Detectable, Untestable
+from kilter_client.typed.searches import Detectable, Untestable
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -16,7 +16,6 @@ from kilter_client.verbs.things import Thing, reference, references
 
 if TYPE_CHECKING:
     from kilter_client.typed.evaluations import EvaluateResult
-    from kilter_client.typed.hunts import GapResult
     from kilter_client.typed.identifications import IdentifyResult, JointParametersResult
     from kilter_client.typed.options import (
         EvaluateOptions,
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
         PlanOptions,
     )
     from kilter_client.typed.plans import PlanResult
+    from kilter_client.typed.searches import GapResult
     from kilter_client.typed.server import JobSummary
 
 # A share of the poses, campaigns, or {"folds": 5}.

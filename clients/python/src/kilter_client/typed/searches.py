@@ -1,4 +1,4 @@
-"""What the server answers about hunts, made from the interface by `make contract`: change it there."""
+"""What the server answers about searches, made from the interface by `make contract`: change it there."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from kilter_client.results.record import Record, Records
-from kilter_client.results.shown_jobs import ShownHunt
+from kilter_client.results.shown_jobs import ShownSearch
 from kilter_client.typed.fits import Figure, LoadNumber, Objection, Reference, Remark
-from kilter_client.typed.hunt_numbers import (
+from kilter_client.typed.search_numbers import (
     Adequacy,
     AliasMatrix,
     Amplitude,
@@ -216,7 +216,7 @@ class Untestable(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class GapResult(ShownHunt, Record):
+class GapResult(ShownSearch, Record):
     """What a gap search found. The version holds the named effects and the geometry fitted with them."""
 
     adequacy: Adequacy | None

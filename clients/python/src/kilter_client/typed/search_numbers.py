@@ -1,4 +1,4 @@
-"""What the server answers about hunt numbers, made from the interface by `make contract`: change it there."""
+"""What the server answers about search numbers, made from the interface by `make contract`: change it there."""
 
 from __future__ import annotations
 
