@@ -18,6 +18,8 @@ log = logging.getLogger("kilter.api")
 
 BACKLOG = 512
 GRACE_S = 3
+# Longer than clients keep an idle connection (httpx 5 s): whoever sends must not meet a server that is just closing it.
+KEEP_ALIVE_S = 15
 MIGRATION_WAIT_S = 30.0  # for `kilterd serve`, which migrates the database while the API starts
 
 
@@ -120,5 +122,6 @@ def serve(settings: Settings, opened: socket.socket) -> None:
         ssl_keyfile=settings.tls_key,
         # A client that follows a job's events would otherwise keep the server from stopping.
         timeout_graceful_shutdown=GRACE_S,
+        timeout_keep_alive=KEEP_ALIVE_S,
     )
     uvicorn.Server(config).run(sockets=[opened])
