@@ -43,7 +43,7 @@ def interrupted(process: subprocess.Popen[str]) -> tuple[str, str]:
 @pytest.mark.parametrize("command", ["gap", "watch"])
 def test_while_a_job_runs(robot: str, kilter: Kilter, write_campaign: Write, command: str) -> None:
     campaign = kilter.campaigns.add(robot, "monday")["id"]
-    kilter.campaigns.upload(campaign, write_campaign(60))
+    kilter.campaigns.upload(campaign, write_campaign(400))  # the search must not be over before the interruption
     if command == "watch":
         job = kilter.jobs.submit("gap", robot, [campaign])["id"]
         process = started("jobs", "watch", "latest", "--robot", robot)

@@ -25,6 +25,7 @@ from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database, revision
 from kilter_service.db.tables import HeartbeatRow
+from kilter_service.serving import KEEP_ALIVE_S
 from kilter_service.settings import DATABASE_FILE, Settings
 from tests.service.postgresql import database_of, programs, running_postgresql
 
@@ -124,7 +125,8 @@ def ready(settings: Settings, migrated: Path) -> None:
 def served(app: FastAPI, **config: Any) -> Iterator[httpx.Client]:
     """Serve the application on a free port in a thread of this process."""
     listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=2, **config))
+    kept = {"timeout_keep_alive": KEEP_ALIVE_S, "timeout_graceful_shutdown": 2, **config}
+    server = uvicorn.Server(uvicorn.Config(app, log_level="error", **kept))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
     deadline = time.monotonic() + 10
