@@ -62,7 +62,11 @@ class RowErrors:
 
 def _mean(stage: Calibration, measurement: Measurement) -> Floats:
     """Error (N, 3) m of each row in the frame of the measurements: of its point, or the mean of the markers it shows."""
-    points = measurement.residual(stage.predict(measurement.observations)).points
+    return mean_of(measurement.residual(stage.predict(measurement.observations)).points)
+
+
+def mean_of(points: Floats) -> Floats:
+    """Mean (N, 3) of what markers (N, m, 3) are off by, over those that a row shows; NaN where it shows none."""
     seen = np.asarray(~np.isnan(points).any(axis=2))
     count = np.where(seen.any(axis=1), seen.sum(axis=1), np.nan)
     return np.asarray(np.where(seen[:, :, None], points, 0.0).sum(axis=1) / count[:, None])

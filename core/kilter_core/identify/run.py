@@ -141,7 +141,7 @@ def identify(
     ``validation`` is other observations, a fraction of the poses (of contacts the placements) to hold out, folds, or None.
     With folds each of them is predicted once by a model that never saw it, and the final fit uses all.
     ``start`` continues from a version; ``prior`` is its covariance, which ``kalman`` continues from.
-    ``each`` computes the folds; another may do so in several processes.
+    ``each`` computes the folds and the profiles of intervals; another may do so in several processes.
 
     Raises:
         TooFewPosesError: not enough distinct poses. OptionError: options that do not fit the robot or the data.
@@ -179,7 +179,7 @@ def identify(
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
     told, last = metrics_document(errors, held), _last(progress)
-    result = _reported(without_frames(calibration), fit, train, told, options, last, learned)
+    result = _reported(without_frames(calibration), fit, train, told, options, last, each, learned)
     said = (*result.warnings, *remarks, *(compared.warnings() if compared else ()))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
@@ -237,6 +237,7 @@ def _reported(
     metrics: dict[str, Any],
     options: IdentifyOptions,
     progress: Progress,
+    each: Each,
     learned: Learned | None = None,
 ) -> Identification:
     """What was found, with all that is said about it."""
@@ -244,7 +245,7 @@ def _reported(
     sigma = repeats.between
     shares = Shares.of(fit, marginal(fit).names)
     plain, fit = fit, clustered(fit)
-    intervals = _intervals(plain, fit, options, progress)
+    intervals = _intervals(plain, fit, options, progress, each)
     fit = marginal(fit)
     return Identification(
         calibration=calibration,
@@ -268,12 +269,12 @@ def _reported(
     )
 
 
-def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, progress: Progress) -> Intervals | None:
+def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, progress: Progress, each: Each) -> Intervals | None:
     """Intervals of a fit; a profile, whose likelihood takes rows as independent, is widened to what the poses show."""
     if options.intervals is None:
         return None
     if options.intervals == "profile":
-        found = profile(plain, progress).widened(fit.sigma / plain.sigma)
+        found = profile(plain, progress, each).widened(fit.sigma / plain.sigma)
     else:
         found = bootstrap(plain, options.seed, progress)
     arm = of_the_arm(fit)

@@ -95,6 +95,12 @@ def test_the_gap_bar_falls_step_by_step_and_no_label_comes_twice(robot):
     assert len(steps) == 4
     assert (drops > 0).all()
     assert len({b["label"] for b in bars}) == len(bars)
+    ends = np.array([b["held_out_interval"] for b in bars[:-1]])
+    held = [b["held_out"] for b in bars]
+    assert np.all((ends[:, 0] < held[:-1]) & (held[:-1] < ends[:, 1]))
+    assert ends[0, 0] > ends[-1, 1]  # the gap is closed beyond what the choice of poses explains
+    assert ends[-1, 0] < held[-1] < ends[-1, 1]  # and what is left is noise
+    assert bars[-1]["held_out_interval"] is None
 
 
 def test_constant_temperature_and_what_nothing_shows_are_said_in_words(robot):

@@ -25,6 +25,8 @@ from kilter_core.types import Bools, Floats, Ints
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is not a measurement
 SPIKES = 0.02  # share of such rows, or that of the search, above which the model cannot predict them: all then count
+DRAWS = 999  # of the held-out poses, behind the interval of their error
+FEWEST_DRAWN = 5  # poses below which drawing them again says too little
 SPIKES_SURE = 0.99  # chance that so many interrupted laser beams at that share are no more than counted
 
 
@@ -91,6 +93,22 @@ class HoldoutEvaluator:
         """Rms error (m; rad of a joint) of the held-out rows that are measurements, by a set of columns."""
         source = self.search.problem.settings.source
         return source.rms(self.errors(columns)[self.kept] @ self._lower().T)
+
+    def rms_interval(self, columns: Sequence[int]) -> tuple[float, float] | None:
+        """95 % interval (m; rad of a joint) of that error, by drawing whole poses again; None with too few poses."""
+        group = np.unique(self._groups()[self.kept], return_inverse=True)[1]
+        errors, count = self.errors(columns)[self.kept] @ self._lower().T, np.bincount(group)
+        if len(count) < FEWEST_DRAWN:
+            return None
+        source = self.search.problem.settings.source
+        order = np.split(np.argsort(group, kind="stable"), np.cumsum(count)[:-1])
+        squares = np.array([source.rms(errors[own]) ** 2 for own in order])
+        rng, means = np.random.default_rng(0), np.zeros(DRAWS)
+        for k in range(DRAWS):  # one after the other: all at once would take memory by poses times draws
+            drawn = rng.integers(0, len(count), len(count))
+            means[k] = np.sum((squares * count)[drawn]) / np.sum(count[drawn])
+        low, high = np.sqrt(np.quantile(means, (0.025, 0.975)))
+        return float(low), float(high)
 
     @property
     def poses(self) -> int:

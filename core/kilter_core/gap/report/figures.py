@@ -130,7 +130,8 @@ def _by_label(search: SearchResult, rows: Observations, name: str) -> list[dict[
 def _gap_bar(search: SearchResult, gap: dict[str, Any], held: HoldoutEvaluator) -> list[dict[str, Any]]:
     """The error before, after each effect in the order of what it takes off, and the noise; no label twice.
 
-    ``held_out`` is the same on rows that took no part in the fit, None where there are none.
+    ``held_out`` is the same on rows that took no part in the fit, None where there are none, and ``held_out_interval``
+    its 95 % interval (of the noise: None).
     """
     unit = "deg" if "before_deg" in gap else "mm"
     bars = [{"label": "before", "value": gap[f"before_{unit}"]}]
@@ -148,9 +149,13 @@ def _gap_bar(search: SearchResult, gap: dict[str, Any], held: HoldoutEvaluator) 
         bars.append({"label": label if seen[label] == 1 else f"{label} ({seen[label]})", "value": value})
     bars.append({"label": "noise", "value": gap[f"noise_rms_{unit}"]})
     if held.rows is None:
-        return [{**bar, "held_out": None} for bar in bars]
+        return [{**bar, "held_out": None, "held_out_interval": None} for bar in bars]
     others = [*(held.rms(columns) * _unit(search) for columns in fitted), gap[f"validation_noise_rms_{unit}"]]
-    return [{**bar, "held_out": other} for bar, other in zip(bars, others, strict=True)]
+    ends = [*(held.rms_interval(columns) for columns in fitted), None]
+    return [
+        {**bar, "held_out": other, "held_out_interval": None if end is None else [v * _unit(search) for v in end]}
+        for bar, other, end in zip(bars, others, ends, strict=True)
+    ]
 
 
 def _left(search: SearchResult, chosen: Sequence[int]) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.least_squares import Fit, solve
-from kilter_core.types import Bools, Floats, Ints, Progress
+from kilter_core.types import Bools, Each, Floats, Ints, Progress, one_by_one
 
 CONFIDENCE = 0.95
 QUANTILE = 1.959963984540054  # of the standard normal at 97.5 %
@@ -58,17 +58,27 @@ def bootstrap(fit: Fit, seed: int, progress: Progress, resamples: int = RESAMPLE
     return Intervals("bootstrap", low, high, np.zeros(len(low), dtype=bool))
 
 
-def profile(fit: Fit, progress: Progress) -> Intervals:
-    """Where the loss, minimised over all other parameters, has risen by what 95 % allow (1.92), on either side."""
-    ends = np.zeros((2, len(fit.names)))
-    sigma, stands_in = fit.sigma, np.zeros(len(fit.names), dtype=bool)
-    for c in range(len(fit.names)):
-        progress(c / len(fit.names), f"profile of {fit.names[c]}")
-        for side, sign in enumerate((-1.0, 1.0)):
-            end = _end(fit, c, sign * float(sigma[c]))
-            stands_in[c] |= end is None
-            ends[side, c] = sign * QUANTILE * float(sigma[c]) if end is None else end
-    return Intervals("profile", ends[0], ends[1], stands_in)
+def profile(fit: Fit, progress: Progress, each: Each = one_by_one) -> Intervals:
+    """Where the loss, minimised over all other parameters, has risen by what 95 % allow (1.92), on either side.
+
+    Each parameter takes up to ``2 * TRIALS`` fits and knows nothing of the others: ``each`` computes them.
+    """
+    tasks = [(fit, c) for c in range(len(fit.names))]
+    found = each(ends_of, tasks, lambda fraction, stage: progress(fraction, f"profile {stage}"))
+    lower, upper, stands_in = zip(*found, strict=True)
+    return Intervals("profile", np.array(lower), np.array(upper), np.array(stands_in, dtype=bool))
+
+
+def ends_of(task: tuple[Fit, int], progress: Progress) -> tuple[float, float, bool]:
+    """Lower and upper end of one parameter's profile, and whether 1.96 sigma stand in for an end that is not there."""
+    fit, c = task
+    sigma, ends, stands_in = float(fit.sigma[c]), [], False
+    for side, sign in enumerate((-1.0, 1.0)):
+        progress(0.5 * side, fit.names[c])
+        end = _end(fit, c, sign * sigma)
+        stands_in |= end is None
+        ends.append(sign * QUANTILE * sigma if end is None else end)
+    return ends[0], ends[1], stands_in
 
 
 def _by_pose(fit: Fit, groups: Ints) -> tuple[Floats, Floats]:
