@@ -165,7 +165,22 @@ def test_a_busy_server_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
         client(busy_twice).campaigns.upload("cmp_" + "1" * 16, Prepared(b"q1_deg,x_mm\n1,2\n", "text/csv"))["rows"] == 1
     )
     assert len(set(bodies)) == 1
-    assert waits == [2.0, 2.0]
+    assert len(waits) == 2
+    assert all(2.0 < seconds <= 2.5 for seconds in waits)
+
+
+@pytest.mark.parametrize(("code", "tries"), [("busy", 6), ("database_away", 1)])
+def test_what_may_have_been_done_is_not_sent_again(monkeypatch: pytest.MonkeyPatch, code: str, tries: int) -> None:
+    monkeypatch.setattr("kilter_client.connection.time.sleep", lambda seconds: None)
+    asked: list[str] = []
+
+    def away(request: httpx.Request) -> httpx.Response:
+        asked.append(request.method)
+        return httpx.Response(503, headers={"Retry-After": "1"}, json={"code": code, "detail": "Later."})
+
+    with pytest.raises(ApiError, match="Later"):
+        client(away).robots.add({"name": "arm"})
+    assert len(asked) == tries
 
 
 def test_a_server_that_stays_busy_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -59,8 +59,10 @@ def test_while_a_job_runs(robot: str, kilter: Kilter, write_campaign: Write, com
     _, err = interrupted(process)
     assert f"job {job} continues at the server" in err
     assert f"`kilter jobs watch {job}` follows it, `kilter jobs cancel {job}` stops it." in err
-    assert kilter.jobs.get(job)["state"] in ("queued", "running")
-    assert run(["jobs", "cancel", job]) == 0
+    # The interruption stopped nothing: the job goes on, or is over on a machine that was slow to end the command.
+    assert kilter.jobs.get(job)["state"] in ("queued", "running", "succeeded")
+    if kilter.jobs.get(job)["state"] != "succeeded":
+        assert run(["jobs", "cancel", job]) == 0
 
 
 def test_with_json_it_is_one_document(robot: str, kilter: Kilter, write_campaign: Write) -> None:

@@ -43,7 +43,9 @@ def test_every_route_that_a_refusal_names_has_its_command() -> None:
             continue
         for line in path.read_text(encoding="utf-8").splitlines():
             named |= set(
-                re.findall(r"\b(?:GET|POST|PATCH|DELETE) /v1/[\w/{}]*[\w}]", line.replace("{{", "{").replace("}}", "}"))
+                re.findall(
+                    r"\b(?:GET|POST|PATCH|DELETE) /v1/[\w/{}-]*[\w}]", line.replace("{{", "{").replace("}}", "}")
+                )
             )
     assert named == set(ROUTES)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from kilter_client.calls import access, references, server
+from kilter_client.calls import access, fleet, references, server
 from kilter_client.connection import AsyncConnection
 from kilter_client.locate import locate
 from kilter_client.running import awaited
@@ -69,6 +69,11 @@ class AsyncKilter:
     wait = awaited(computed.wait)
     cancel = awaited(computed.cancel)
     jobs = awaited(computed.jobs)
+    identify_fleet = awaited(fleet.identify_fleet)
+    fleet_jobs = awaited(fleet.fleet_jobs)
+    fleet_job = awaited(fleet.fleet_job)
+    wait_for_fleet = awaited(fleet.wait_for_fleet)
+    cancel_fleet = awaited(fleet.cancel_fleet)
     version = awaited(made.version)
     activate = awaited(made.activate)
     rollback = awaited(made.rollback)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kilter_client.calls import access, references, server
+from kilter_client.calls import access, fleet, references, server
 from kilter_client.connection import Connection, Reword
 from kilter_client.jobs import Jobs
 from kilter_client.locate import locate
@@ -82,6 +82,11 @@ class Kilter:
     job = waiting(jobs.job)
     wait = waiting(jobs.wait)
     cancel = waiting(jobs.cancel)
+    identify_fleet = waiting(fleet.identify_fleet)
+    fleet_jobs = waiting(fleet.fleet_jobs)
+    fleet_job = waiting(fleet.fleet_job)
+    wait_for_fleet = waiting(fleet.wait_for_fleet)
+    cancel_fleet = waiting(fleet.cancel_fleet)
     version = waiting(versions.version)
     activate = waiting(versions.activate)
     rollback = waiting(versions.rollback)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from kilter_client.errors import KilterError, ServerUnreachableError, UsageError
 from kilter_client.locate import Place, locate
-from kilter_client.steps import Answer, Events, Follow, LookAgain, Pause, Request, Step, Steps, refuse
+from kilter_client.steps import Answer, Follow, LookAgain, Pause, Request, Step, Steps, refuse
 
 if TYPE_CHECKING:
     import httpx
@@ -30,6 +30,7 @@ class Connection:
         import httpx  # 0.2 s: not when the package is imported
 
         self.url, self._place, self._reword = place.url, place, reword
+        self._answered = False  # until then an address where nobody listens is a wrong one
         self._client = httpx.Client(transport=transport, **_settings(place))
 
     def close(self) -> None:
@@ -70,9 +71,11 @@ class Connection:
         if isinstance(step, LookAgain):
             self.url, self._place = _moved(self._client, self._place)
             return None
-        with reaching(self.url):
+        with reaching(self.url, self._answered):
             if isinstance(step, Request):
-                return self._sent(step)
+                answer = self._sent(step)
+                self._answered = True
+                return answer
             self._followed(step)
             return None
 
@@ -82,12 +85,12 @@ class Connection:
         return Answer(response.status_code, response.headers, response.content, str(response.url))
 
     def _followed(self, step: Follow) -> None:
-        events = Events()
-        with self._client.stream("GET", step.path, **_EVENTS) as response:
+        step.events.begin()
+        with self._client.stream("GET", step.path, headers=step.headers(), timeout=EVENTS_TIMEOUT_S) as response:
             if response.status_code >= 400:
                 refuse(response.status_code, response.read())
             for line in response.iter_lines():
-                if any(step.told(data) for data in events.take(line) if isinstance(data, dict)):
+                if any(step.told(data) for data in step.events.take(line) if isinstance(data, dict)):
                     return
 
 
@@ -100,6 +103,7 @@ class AsyncConnection:
         import httpx
 
         self.url, self._place, self._reword = place.url, place, reword
+        self._answered = False  # until then an address where nobody listens is a wrong one
         self._client = httpx.AsyncClient(transport=transport, **_settings(place))
 
     async def close(self) -> None:
@@ -136,8 +140,10 @@ class AsyncConnection:
         if isinstance(step, LookAgain):
             self.url, self._place = _moved(self._client, self._place)
             return None
-        with reaching(self.url):
-            return await (self._sent(step) if isinstance(step, Request) else self._followed(step))
+        with reaching(self.url, self._answered):
+            answer = await (self._sent(step) if isinstance(step, Request) else self._followed(step))
+            self._answered = True
+            return answer
 
     async def _sent(self, step: Request) -> Answer:
         content = None if step.content is None else _one_by_one(step)
@@ -145,16 +151,13 @@ class AsyncConnection:
         return Answer(response.status_code, response.headers, response.content, str(response.url))
 
     async def _followed(self, step: Follow) -> None:
-        events = Events()
-        async with self._client.stream("GET", step.path, **_EVENTS) as response:
+        step.events.begin()
+        async with self._client.stream("GET", step.path, headers=step.headers(), timeout=EVENTS_TIMEOUT_S) as response:
             if response.status_code >= 400:
                 refuse(response.status_code, await response.aread())
             async for line in response.aiter_lines():
-                if any(step.told(data) for data in events.take(line) if isinstance(data, dict)):
+                if any(step.told(data) for data in step.events.take(line) if isinstance(data, dict)):
                     return
-
-
-_EVENTS: Mapping[str, Any] = {"headers": {"Accept": "text/event-stream"}, "timeout": EVENTS_TIMEOUT_S}
 
 
 def _settings(place: Place) -> dict[str, Any]:
@@ -228,8 +231,8 @@ def _in_words(reword: Reword | None) -> Iterator[None]:
 
 
 @contextmanager
-def reaching(url: str) -> Iterator[None]:
-    """Raise errors of the connection to a server as the client's own."""
+def reaching(url: str, answered: bool) -> Iterator[None]:
+    """Raise errors of the connection to a server as the client's own; ``answered`` says that it was there before."""
     import httpx
 
     try:
@@ -243,7 +246,10 @@ def reaching(url: str) -> Iterator[None]:
                 "authority that signed it, and use a name that is in it.",
                 url=url,
             ) from error
-        raise ServerUnreachableError(
+        found = ServerUnreachableError(
             f"{url} does not answer ({error}). Is the server running (`kilterd serve`), and KILTER_URL right?",
             url=url,
-        ) from error
+        )
+        found.unsent = isinstance(error, httpx.ConnectError)
+        found.lost = answered if found.unsent else isinstance(error, httpx.NetworkError | httpx.RemoteProtocolError)
+        raise found from error

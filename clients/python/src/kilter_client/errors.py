@@ -35,6 +35,8 @@ class ServerUnreachableError(KilterError):
 
     default_code = "server_unreachable"
     default_title = "Server unreachable"
+    lost = False  # whether it was there before, so that the same request may have an answer soon
+    unsent = False  # whether it cannot have seen the request
 
 
 class ApiError(KilterError):

@@ -10,11 +10,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Generator, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias, TypeVar
 from urllib.parse import quote
 
-from kilter_client.errors import ApiError, from_problem
+from kilter_client.again import Waits
+from kilter_client.errors import ApiError, KilterError, ServerUnreachableError, from_problem
 
 T = TypeVar("T")
 
@@ -22,14 +23,16 @@ Document = dict[str, Any]
 Sent = Callable[[int, int], None]
 
 TIMEOUT_S = 60.0
-# A busy server, and one that was asked too often, say after how many seconds to come again.
-BUSY, BUSY_TRIES, LONGEST_WAIT_S = (408, 429, 503), 6, 60.0
+REQUEST_ID = "X-Request-ID"
 PIECE = 1 << 18  # bytes of a body that are sent before the sender is told
 
 
 @dataclass(frozen=True)
 class Request:
-    """A request to send; ``sent`` is told the bytes of ``content`` sent and their total."""
+    """A request to send; ``sent`` is told the bytes of ``content`` sent and their total.
+
+    ``again`` says of a change without a key that it does the same sent twice as sent once.
+    """
 
     method: str
     path: str
@@ -39,6 +42,8 @@ class Request:
     headers: Mapping[str, str] = field(default_factory=dict)
     timeout_s: float = TIMEOUT_S
     sent: Sent | None = None
+    again: bool = False
+    patience_s: float | None = None  # None: that of ``again``
 
     def pieces(self) -> Iterator[bytes]:
         """Yield the content piece by piece; what was sent is told after each."""
@@ -74,10 +79,20 @@ class LookAgain:
 
 @dataclass(frozen=True)
 class Follow:
-    """Follow a stream of events; ``told`` is given the document of each and answers whether that was enough."""
+    """Follow a stream of events; ``told`` is given the document of each and answers whether that was enough.
+
+    Done again after a break it goes on behind the last event that ``events`` has read.
+    """
 
     path: str
     told: Callable[[Document], bool]
+    events: Events = field(default_factory=lambda: Events())
+    request_id: str = field(default_factory=lambda: new_request_id())
+
+    def headers(self) -> dict[str, str]:
+        """Return what to send with the request."""
+        last = {"Last-Event-ID": self.events.last_id} if self.events.last_id else {}
+        return {"Accept": "text/event-stream", REQUEST_ID: self.request_id} | last
 
 
 Step = Request | Pause | LookAgain | Follow
@@ -89,21 +104,42 @@ def address(*parts: str) -> str:
     return "/v1/" + "/".join(quote(part, safe="") for part in parts)
 
 
+def new_request_id() -> str:
+    """Return an identifier for a request, by which the server's log and an error name it."""
+    return os.urandom(8).hex()
+
+
 def answer_of(request: Request) -> Steps[Answer]:
-    """Send a request; one that the server is too busy for is sent again after a while.
+    """Send a request. It is sent again when the server is busy, or when its connection was lost and that does no harm.
+
+    All that is sent of one request has one ``X-Request-ID``, which errors name.
 
     Raises:
         ApiError: the server refuses; a subclass by the problem's code.
+        ServerUnreachableError: no answer.
 
     """
-    for left in reversed(range(BUSY_TRIES)):
-        answer: Answer = yield request
-        wait_s = answer.headers.get("retry-after", "")
-        if answer.status not in BUSY or not wait_s.isdecimal() or not left:
-            break
-        yield Pause(min(float(wait_s), LONGEST_WAIT_S))
-    refuse(answer.status, answer.content)
-    return answer
+    request_id = request.headers.get(REQUEST_ID) or new_request_id()
+    request = replace(request, headers={**request.headers, REQUEST_ID: request_id})
+    waits = Waits(request.patience_s)
+    try:
+        while True:
+            try:
+                answer: Answer = yield request
+            except ServerUnreachableError as error:
+                wait_s = waits.after_loss(request, error)
+                if wait_s is None:
+                    raise
+            else:
+                wait_s = waits.after(request, answer)
+                if wait_s is None:
+                    refuse(answer.status, answer.content)
+                    return answer
+            yield Pause(wait_s)
+            yield LookAgain()
+    except KilterError as error:
+        error.request_id = error.request_id or request_id
+        raise
 
 
 def get(path: str, **params: Any) -> Steps[Document]:
@@ -111,9 +147,11 @@ def get(path: str, **params: Any) -> Steps[Document]:
     return read(Request("GET", path, params=params))
 
 
-def post(path: str, body: Mapping[str, Any] | None = None, headers: Mapping[str, str] | None = None) -> Steps[Document]:
-    """Send a JSON document and return the answer's."""
-    return read(Request("POST", path, body=body, headers=headers or {}))
+def post(
+    path: str, body: Mapping[str, Any] | None = None, headers: Mapping[str, str] | None = None, again: bool = False
+) -> Steps[Document]:
+    """Send a JSON document and return the answer's; ``again`` as in ``Request``."""
+    return read(Request("POST", path, body=body, headers=headers or {}, again=again))
 
 
 def once() -> dict[str, str]:
@@ -165,17 +203,25 @@ def event_data(lines: Iterator[str]) -> Iterator[Any]:
 
 
 class Events:
-    """Server-sent events, line by line."""
+    """Server-sent events, line by line, and the id of the last one that was whole."""
 
     def __init__(self) -> None:
+        self.last_id = ""
+        self._id = ""
         self._data: list[str] = []
+
+    def begin(self) -> None:
+        """Forget the beginning of an event that a break has cut."""
+        self._id, self._data = self.last_id, []
 
     def take(self, line: str) -> Iterator[Any]:
         """Yield the JSON of the event that ends with this line, if one does."""
         if line.startswith("data:"):
             self._data.append(line[5:].removeprefix(" "))
+        elif line.startswith("id:"):
+            self._id = line[3:].removeprefix(" ")
         elif not line and self._data:
-            text, self._data = "\n".join(self._data), []
+            text, self._data, self.last_id = "\n".join(self._data), [], self._id
             try:
                 yield json.loads(text)
             except ValueError:

@@ -31,7 +31,7 @@ def listed(robot: str, staged: bool = False, retired: bool = False) -> Steps[lis
 
 def commit(campaign_id: str, sha256: Sequence[str]) -> Steps[Document]:
     """Make a staged campaign visible."""
-    return post(address("campaigns", campaign_id, "commit"), {"sha256": [*sha256]})
+    return post(address("campaigns", campaign_id, "commit"), {"sha256": [*sha256]}, again=True)
 
 
 def discard(campaign_id: str) -> Steps[None]:

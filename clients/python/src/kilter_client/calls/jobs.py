@@ -22,6 +22,7 @@ Progress = Callable[[float, str], None]
 
 FINISHED = ("succeeded", "failed", "cancelled")
 POLL_S = (0.1, 0.2, 0.5, 1.0)
+MOST_BREAKS = 5  # of events, one after another without news: something on the way lets none through
 # How long a wait goes on without an answer: a server that is started again is ready within seconds, on a busy machine
 # that compiles its kernels within a minute or two.
 PATIENCE_S = 120.0
@@ -54,7 +55,7 @@ def submit(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
 def check(robot: str, body: Mapping[str, Any]) -> Steps[Document]:
     """Ask what a job would do; nothing is stored, nothing queued."""
     request = yield from resolved_request(robot, body)
-    return (yield from post("/v1/jobs/check", request))
+    return (yield from post("/v1/jobs/check", request, again=True))
 
 
 def listed(robot: str | None = None, limit: int = 100) -> Steps[list[Document]]:
@@ -77,33 +78,60 @@ def cancel(job: str, robot: str | None = None) -> Steps[Document]:
 
 
 def wait(job: str, progress: Progress | None, timeout_s: float | None, robot: str | None = None) -> Steps[Document]:
-    """Follow a job to its end and return its document: by its events; when they break or are refused, by looking."""
+    """Follow a job to its end and return its document, through breaks and restarts of the server.
+
+    It is followed by its events; when they are refused, or break off before they say anything, by looking.
+    """
     found = yield from id_of("job", job, robot)
-    watch = _Watch(found, progress, timeout_s)
-    try:
-        yield Follow(address("jobs", found, "events"), watch.told)
-    except (ServerUnreachableError, ApiError) as error:
-        if isinstance(error, NotFoundError | NotAuthorisedError):
-            raise
-    if watch.last.get("state") not in FINISHED:
-        yield from _looked_at(found, watch)
+    watch = Watch(found, progress, timeout_s)
+    yield from _followed(found, watch)
+    if not watch.over:
+        yield from looked_at(address("jobs", found), watch)
     return succeeded(watch.last if "result" in watch.last else (yield from one(found)))
 
 
-class _Watch:
+def _followed(job_id: str, watch: Watch) -> Steps[None]:
+    """Follow the events, each time from the last one that was heard, for as long as they bring news."""
+    follow, breaks = Follow(address("jobs", job_id, "events"), watch.told), 0
+    while True:
+        known = follow.events.last_id
+        try:
+            yield follow
+        except (ServerUnreachableError, ApiError) as error:
+            if isinstance(error, NotFoundError | NotAuthorisedError):
+                raise
+            if not _may_pass(error):
+                return
+        breaks = 0 if follow.events.last_id != known else breaks + 1
+        if watch.over or not follow.events.last_id or breaks > MOST_BREAKS:
+            return
+        yield from looked_at(address("jobs", job_id), watch, until_answered=True)
+        if watch.over:
+            return
+        yield Pause(POLL_S[min(breaks, len(POLL_S) - 1)])
+
+
+class Watch:
     """What was last heard of a job, handed on to whoever wants to see its progress."""
 
-    def __init__(self, job_id: str, progress: Progress | None, timeout_s: float | None) -> None:
+    def __init__(
+        self, job_id: str, progress: Progress | None, timeout_s: float | None, command: str = "kilter jobs watch"
+    ) -> None:
         self.last: Document = {}
-        self._job_id, self._progress, self._timeout_s = job_id, progress, timeout_s
+        self._job_id, self._progress, self._timeout_s, self._command = job_id, progress, timeout_s, command
         self._deadline = None if timeout_s is None else time.monotonic() + timeout_s
+
+    @property
+    def over(self) -> bool:
+        """Whether the job has ended, as far as was heard."""
+        return self.last.get("state") in FINISHED
 
     def told(self, document: Document) -> bool:
         """Take news of the job; whether it has ended."""
         self.last = document
         if self._progress is not None:
             self._progress(*progress_of(document))
-        if document.get("state") in FINISHED:
+        if self.over:
             return True
         self._in_time(str(document.get("state")))
         return False
@@ -114,6 +142,16 @@ class _Watch:
             self._progress(progress_of(self.last)[0], AWAY)
         self._in_time("without an answer")
 
+    def gone(self, request_id: str | None) -> ServerUnreachableError:
+        """Return what to raise when there was no answer for too long."""
+        error = ServerUnreachableError(
+            f"The server has not answered for {PATIENCE_S:.0f} s. Job {self._job_id} is stored there and continues when it "
+            f"is back: `{self._command} {self._job_id}` follows it.",
+            job_id=self._job_id,
+        )
+        error.request_id = request_id
+        return error
+
     def _in_time(self, state: str) -> None:
         if self._deadline is not None and time.monotonic() > self._deadline:
             raise JobTimeoutError(
@@ -121,21 +159,27 @@ class _Watch:
             )
 
 
-def _looked_at(job_id: str, watch: _Watch) -> Steps[None]:
-    """Look at the job's document until it has ended, through a restart of the server within ``PATIENCE_S``."""
+def looked_at(path: str, watch: Watch, until_answered: bool = False) -> Steps[None]:
+    """Look at the job's document until it has ended, through a restart of the server within ``PATIENCE_S``.
+
+    With ``until_answered`` only until the server is back: what a job that goes on does, its events tell.
+    """
     looks, heard = 0, time.monotonic()
+    request = Request("GET", path, timeout_s=LOOK_TIMEOUT_S, patience_s=0.0)
     while True:
         try:
-            job = yield from read(Request("GET", address("jobs", job_id), timeout_s=LOOK_TIMEOUT_S))
+            job = yield from read(request)
         except (ServerUnreachableError, ApiError) as error:
             if not _may_pass(error):
                 raise
             if time.monotonic() - heard > PATIENCE_S:
-                raise _gone(job_id) from error
+                raise watch.gone(error.request_id) from error
             yield LookAgain()
             watch.away()
         else:
             heard = time.monotonic()
+            if until_answered and job.get("state") not in FINISHED:
+                return
             if watch.told(job):
                 return
         yield Pause(POLL_S[min(looks, len(POLL_S) - 1)])
@@ -145,14 +189,6 @@ def _looked_at(job_id: str, watch: _Watch) -> Steps[None]:
 def _may_pass(error: ServerUnreachableError | ApiError) -> bool:
     """Whether an error is one of a server that starts, stops or is busy, so that asking again may help."""
     return isinstance(error, ServerUnreachableError) or (error.status or 0) >= 500
-
-
-def _gone(job_id: str) -> ServerUnreachableError:
-    return ServerUnreachableError(
-        f"The server has not answered for {PATIENCE_S:.0f} s. Job {job_id} is stored there and continues when it is back: "
-        f"`kilter jobs watch {job_id}` follows it.",
-        job_id=job_id,
-    )
 
 
 def succeeded(job: Document) -> Document:

@@ -18,12 +18,12 @@ def add(document: Mapping[str, Any]) -> Steps[Document]:
 
 def check(document: Mapping[str, Any]) -> Steps[Document]:
     """Look at a robot without adding it."""
-    return post("/v1/robots/check", document)
+    return post("/v1/robots/check", document, again=True)
 
 
 def convert(document: Mapping[str, Any], to: str) -> Steps[Document]:
     """Write a robot in another convention."""
-    return read(Request("POST", "/v1/robots/convert", params={"to": to}, body=document))
+    return read(Request("POST", "/v1/robots/convert", params={"to": to}, body=document, again=True))
 
 
 def from_circles(rows: Prepared, name: str, convention: str, base: str, follows: Sequence[str]) -> Steps[Document]:
@@ -35,13 +35,14 @@ def from_circles(rows: Prepared, name: str, convention: str, base: str, follows:
             content=rows.content,
             headers={"Content-Type": rows.content_type},
             params={"name": name, "to": convention, "base": base, "follows": [*follows]},
+            again=True,
         )
     )
 
 
 def frame(points: Mapping[str, Any]) -> Steps[Document]:
     """Find a frame from digitised points."""
-    return post("/v1/frames", points)
+    return post("/v1/frames", points, again=True)
 
 
 def listed(retired: bool = False) -> Steps[list[Document]]:

@@ -105,5 +105,6 @@ def correct(
         headers={"Content-Type": trajectory.content_type, "Accept": accepted},
         params={name: value for name, value in wanted.items() if value is not None},
         timeout_s=LONG_TIMEOUT_S,
+        again=True,
     )
     return (yield from answer_of(request))

@@ -37,6 +37,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
         "gap": Entry("analyse", "Find and name what the model lacks; makes a version."),
         "evaluate": Entry("analyse", "Compare a version with a campaign."),
         "joint-parameters": Entry("joints", "Measure clearance, backlash and stiffness directly."),
+        "fleet": Entry("fleet", "Identify many robots anew, and show what came out."),
         "jobs": Entry("jobs", "List, show, watch and cancel jobs."),
         "effects": Entry("lists", "List the physical effects that can be identified."),
         "methods": Entry("lists", "List the methods of an identification."),

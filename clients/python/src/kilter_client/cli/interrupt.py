@@ -41,3 +41,11 @@ def job_goes_on(job_id: str) -> str:
         f"job {job_id} continues at the server. `kilter jobs watch {job_id}` follows it, "
         f"`kilter jobs cancel {job_id}` stops it."
     )
+
+
+def fleet_goes_on(fleet_id: str) -> str:
+    """Say that a fleet job goes on, and the commands for it."""
+    return (
+        f"fleet job {fleet_id} continues at the server. `kilter fleet watch {fleet_id}` follows it, "
+        f"`kilter fleet cancel {fleet_id}` stops it."
+    )

@@ -14,6 +14,7 @@ from kilter_client.errors import KilterError
 
 # Where a message names a route as the remedy, the command that uses it.
 ROUTES: Mapping[str, str] = {
+    "GET /v1/fleet-jobs": "`kilter fleet list`",
     "GET /v1/jobs": "`kilter jobs`",
     "GET /v1/robots/{robot}/campaigns": "`kilter campaigns ROBOT`",
     "GET /v1/robots/{robot}/versions": "`kilter versions ROBOT`",

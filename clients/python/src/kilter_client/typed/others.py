@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
+from kilter_client.typed.fits import Objection, Remark
+from kilter_client.typed.server import JobError, Progress
+from kilter_client.typed.versions import Comparison
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -62,6 +65,102 @@ class AuditPage(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FleetCounts(Record):
+    """How many robots are in which state."""
+
+    cancelled: int
+    """Robots whose job was cancelled."""
+    failed: int
+    """Robots whose job failed."""
+    queued: int
+    """Robots whose job waits."""
+    refused: int
+    """Robots that no job was made for."""
+    running: int
+    """Robots whose job computes."""
+    succeeded: int
+    """Robots with a new version."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FleetRobot(Record):
+    """What became of a robot of a fleet job."""
+
+    campaigns: tuple[str, ...]
+    """Ids of the campaigns that are fitted."""
+    compared: Comparison | None
+    """How the two were compared; None: not yet, or not possible."""
+    error: JobError | None
+    """Why the robot was refused or its job failed."""
+    held_out_after_mm: float | None
+    """Mean error of the new version on the same poses, mm."""
+    held_out_before_mm: float | None
+    """Mean error of the version before, mm, on poses that neither it nor the new one was fitted to; None: not known, and `warnings` say why."""
+    job_id: str | None
+    """Id of its job; None: it was refused."""
+    objections: Records[Objection]
+    """What would refuse the activation of the new version."""
+    robot: str
+    """Name of the robot."""
+    state: str
+    """State of its job; `refused`: it has none, and `error` says why."""
+    validation: tuple[str, ...] | float | None
+    """What is held out: campaigns, or a fraction of the poses."""
+    version_before: str | None
+    """Version that was active when this was asked for; None: none."""
+    version_id: str | None
+    """The version that was made; None: none yet."""
+    warnings: Records[Remark]
+    """What the comparison left out."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FleetJob(Record):
+    """A fleet job with a row for each robot."""
+
+    counts: FleetCounts
+    """How many of them are in which state."""
+    created_at: str
+    """When it was asked for."""
+    finished_at: str | None
+    """When its last job was over; None: not yet."""
+    id: str
+    """Id of the fleet job, `flt_` and 16 hexadecimal digits."""
+    name: str
+    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
+    progress: Progress
+    """How far it is, over all robots."""
+    report: Records[FleetRobot]
+    """What became of each robot, by name."""
+    robots: int
+    """How many robots it is about."""
+    state: str
+    """`queued` and `running` become one of the other three; `succeeded`: at least one robot has a new version, `failed`: none has."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FleetJobSummary(Record):
+    """A fleet job in a list."""
+
+    counts: FleetCounts
+    """How many of them are in which state."""
+    created_at: str
+    """When it was asked for."""
+    finished_at: str | None
+    """When its last job was over; None: not yet."""
+    id: str
+    """Id of the fleet job, `flt_` and 16 hexadecimal digits."""
+    name: str
+    """What people call the job and the version it makes, at most 200 characters; empty: it has no name."""
+    progress: Progress
+    """How far it is, over all robots."""
+    robots: int
+    """How many robots it is about."""
+    state: str
+    """`queued` and `running` become one of the other three; `succeeded`: at least one robot has a new version, `failed`: none has."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Identity(Record):
     """Who sends this request, and what that allows."""
 
@@ -99,6 +198,26 @@ class MadeToken(Record):
     """`viewer` reads; `operator` also uploads, runs jobs, corrects and activates; `admin` also has robots, tokens, purging and the audit."""
     token: str
     """What to send with requests (KILTER_TOKEN); it is shown this once only."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Mesh(Record):
+    """The shape of a link. It is drawn only: no load and no identification uses it."""
+
+    created_at: str
+    """When it was stored."""
+    format: str
+    """Format of the file."""
+    link: str
+    """Name of the joint that moves the link, or `base`."""
+    robot: str
+    """Name of the robot."""
+    sha256: str
+    """SHA-256 of the file, 64 hexadecimal digits."""
+    triangles: int
+    """Number of triangles."""
+    unit: str
+    """Unit of the coordinates of the file: mm or m."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
