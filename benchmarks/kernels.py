@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.stream import POSTURE, calibration
+from benchmarks.stream_arm import POSTURE, calibration
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.program import CorrectionOptions, Track, compile_program
 from kilter_core.effects import make_effect

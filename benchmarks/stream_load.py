@@ -23,7 +23,8 @@ from pathlib import Path
 import numpy as np
 import zenoh
 
-from benchmarks.stream import POSTURE, ROBOT, SITE, Fixed, Line, calibration, path, running
+from benchmarks.stream import SITE, Fixed, Line, running
+from benchmarks.stream_arm import POSTURE, ROBOT, calibration, path
 from kilter_client.stream import CorrectedStream
 from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_service.corrector import wire

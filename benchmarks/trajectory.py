@@ -15,7 +15,8 @@ from multiprocessing.connection import Connection
 import numpy as np
 import zenoh
 
-from benchmarks.stream import POSTURE, ROBOT, SITE, beside_an_echo, calibration
+from benchmarks.stream import SITE, beside_an_echo
+from benchmarks.stream_arm import POSTURE, ROBOT, calibration
 from kilter_core.correct.program import CorrectionOptions, Track, compile_program
 from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active, version_number

@@ -19,10 +19,13 @@ OURS = ("kilter-core", "kilter-files", "kilter-client", "kilter")
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "kilter-files": ("formats", "sheet"),
     "kilter-client": ("files", "notebook", "plots", "sheet", "stream"),
-    "kilter": ("postgresql", "tracing"),
+    "kilter": ("files", "pdf", "postgresql", "tracing"),
 }
 # Packages that name no licence in a form that a program reads: read in their own licence files.
-READ_BY_HAND = {"reportlab": "BSD-3-Clause"}
+READ_BY_HAND = {
+    "pyphen": "MPL-1.1",  # or the GPL, or the LGPL: whoever uses it chooses
+    "reportlab": "BSD-3-Clause",
+}
 LESSER_GPL_TAKEN = {
     "psycopg": "the driver of PostgreSQL, with the extra `postgresql` only; used unchanged, it may be exchanged.",
     "psycopg-binary": "the compiled part of psycopg.",

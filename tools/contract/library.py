@@ -31,6 +31,7 @@ GROUPS = {
         "wait",
         "cancel",
     ),
+    "Fleets": ("identify_fleet", "fleet_jobs", "fleet_job", "wait_for_fleet", "cancel_fleet"),
     "Versions": (
         "version",
         "versions",

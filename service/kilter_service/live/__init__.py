@@ -1,0 +1,1 @@
+"""Streams as people look at them while they run."""

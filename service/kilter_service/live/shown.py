@@ -1,0 +1,70 @@
+"""What is shown of the streams of a robot, in the units that people read."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from typing import Literal
+
+Condition = Literal["corrected", "partly", "bypass", "silent"]
+Reach = Literal["connected", "connecting", "elsewhere", "away"]
+
+
+@dataclass(frozen=True)
+class JointShown:
+    """A joint at the last setpoint; ``unit`` is "deg" or "mm"."""
+
+    name: str
+    unit: str
+    wanted: float
+    correction: float
+
+
+@dataclass(frozen=True)
+class TimesShown:
+    """Time that answers took inside the corrector, over the last minute at most.
+
+    ``counts`` are of bins that begin at ``from_us``.
+    """
+
+    from_us: list[float]
+    counts: list[int]
+    p50_us: float | None
+    p99_us: float | None
+    largest_us: float | None  # since the stream began
+
+
+@dataclass(frozen=True)
+class StreamShown:
+    """A stream. ``refusals`` and ``received`` count since it began; ``tool_mm`` is how far the correction moves the tool."""
+
+    name: str
+    condition: Condition
+    words: str
+    rate_hz: float | None
+    received: int
+    corrected: int
+    refusals: dict[str, int]
+    version_id: str | None
+    seen_s: float
+    joints: list[JointShown]
+    tool_mm: float | None
+    made: list[str]  # how the last correction was made, in words
+    signed: bool
+    times: TimesShown | None
+
+
+@dataclass(frozen=True)
+class RobotShown:
+    """All streams of a robot. ``bypass`` says why nothing, or not everything, is corrected; empty when all is well."""
+
+    robot: str
+    reach: Reach
+    since: str | None  # when the corrector started
+    active_version: str | None
+    bypass: str
+    streams: list[StreamShown] = field(default_factory=list)
+
+    def text(self) -> str:
+        """Write it as JSON."""
+        return json.dumps(asdict(self))

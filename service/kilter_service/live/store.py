@@ -1,0 +1,27 @@
+"""What the database knows of the streams of a robot."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from kilter_service.db import Session
+from kilter_service.health import store as health
+from kilter_service.observability import store as reports
+from kilter_service.robots import store as robots
+from kilter_service.versions import store as versions
+
+
+class Known(NamedTuple):
+    """The active version, whether some corrector says that it is alive, and what it last said of the robot's streams."""
+
+    active_version: str | None = None
+    alive: bool = False
+    reports: tuple[dict[str, Any], ...] = ()
+
+
+def known(session: Session, robot: str, within_s: float) -> Known:
+    """Look up a robot."""
+    active = versions.active_entry(session, robots.get(session, robot).id)
+    alive = any(abs(beat.age_s) < within_s for beat in health.heartbeats(session, "corrector"))
+    told = tuple(report for report in reports.streams(session) if report["robot"] == robot) if alive else ()
+    return Known(None if active is None else active.version_id, alive, told)

@@ -1,0 +1,31 @@
+"""Rows of logins."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from sqlalchemy import delete, select
+
+from kilter_service.db import Session
+from kilter_service.db.tables import LoginRow, now
+
+
+def add(session: Session, sha256: str, token_sha256: str, expires_at: datetime) -> None:
+    """Store a login by the hash of its secret."""
+    session.add(LoginRow(sha256=sha256, token_sha256=token_sha256, expires_at=expires_at))
+
+
+def token_of(session: Session, sha256: str) -> str | None:
+    """Return the hash of a login's token; None: there is no such login any more."""
+    query = select(LoginRow.token_sha256).where(LoginRow.sha256 == sha256, LoginRow.expires_at > now())
+    return session.execute(query).scalar_one_or_none()
+
+
+def forget(session: Session, sha256: str) -> None:
+    """Delete a login."""
+    session.execute(delete(LoginRow).where(LoginRow.sha256 == sha256))
+
+
+def forget_ended(session: Session) -> None:
+    """Delete the logins that ended."""
+    session.execute(delete(LoginRow).where(LoginRow.expires_at <= now()))

@@ -1,0 +1,1 @@
+"""Shapes of a robot's links, for the picture of the arm."""

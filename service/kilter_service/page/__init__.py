@@ -1,0 +1,1 @@
+"""The page that people look at: views of what the HTTP interface gives, drawn on the server."""

@@ -1,0 +1,68 @@
+"""How accurate a version is, in a few numbers: its error on poses that were held out, beside what simpler models leave."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from kilter_service.contract.fits import Errors, Metrics, StageErrors
+
+QUANTILE = 1.96  # of the standard normal at 97.5 %
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Errors of a version on ``n`` points, mm; ``low`` and ``high`` are the ends of the 95 % interval of the mean.
+
+    The interval takes the points as independent. Without held-out rows the errors are those of the fit, which look too good.
+    """
+
+    held_out: bool
+    n: int | None
+    mean: float
+    low: float | None
+    high: float | None
+    p95: float | None
+    largest: float | None
+    nominal: float | None
+    registration: float | None
+
+    @property
+    def half(self) -> float | None:
+        """Half the width of the interval, mm."""
+        return None if self.low is None or self.high is None else (self.high - self.low) / 2
+
+    @property
+    def better(self) -> float | None:
+        """How many times smaller the error is than with base and tool alone."""
+        return self.registration / self.mean if self.registration and self.mean > 0 else None
+
+
+def accuracy_of(metrics: Metrics) -> Accuracy | None:
+    """Read the errors on held-out poses, else those on the rows that were fitted; None when no tool was measured."""
+    for held_out, block in ((True, metrics.validation), (False, metrics.train)):
+        if block is not None and block.identified is not None:
+            return _read(held_out, block, block.identified)
+    return None
+
+
+def interval(found: Errors, n: int | None) -> tuple[float, float] | None:
+    """Return the 95 % interval of a mean error over ``n`` points; None where the spread is not known."""
+    if not n or n < 2 or found.rms_mm is None:
+        return None
+    variance = max(found.rms_mm**2 - found.mean_mm**2, 0.0) * n / (n - 1)
+    half = QUANTILE * math.sqrt(variance / n)
+    return max(found.mean_mm - half, 0.0), found.mean_mm + half
+
+
+def _read(held_out: bool, block: StageErrors, found: Errors) -> Accuracy:
+    ends = interval(found, block.n)
+    low, high = ends or (None, None)
+    return Accuracy(
+        held_out, block.n, found.mean_mm, low, high, found.p95_mm, found.max_mm, _mean(block.nominal),
+        _mean(block.registration_only),
+    )  # fmt: skip
+
+
+def _mean(found: Errors | None) -> float | None:
+    return None if found is None else found.mean_mm

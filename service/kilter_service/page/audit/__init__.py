@@ -1,0 +1,1 @@
+"""Who changed what, and whether that record is whole."""

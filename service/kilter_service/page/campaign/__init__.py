@@ -1,0 +1,1 @@
+"""The campaigns of a robot, and what one of them holds."""

@@ -1,0 +1,57 @@
+"""What the corrector does for a robot, in a word and a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from kilter_service.db import Database
+from kilter_service.health import service as health
+from kilter_service.observability import service as observability
+from kilter_service.settings import Settings
+
+
+@dataclass(frozen=True)
+class Correcting:
+    """``look`` is the badge's: good, warn, bad or faint."""
+
+    word: str
+    look: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Corrector:
+    """The corrector process as the health of the server has it, and what its streams last said."""
+
+    runs: bool
+    detail: str
+    streams: Sequence[Mapping[str, Any]]
+
+    def of(self, robot: str, active: str | None) -> Correcting:
+        """Say what it does for a robot, whose active version is given."""
+        if not self.runs:
+            return Correcting("corrector stopped", "bad", f"The corrector does not run: {self.detail}.")
+        if active is None:
+            return Correcting("bypassed", "warn", "No version is active: setpoints are not corrected.")
+        mine = [one for one in self.streams if one["robot"] == robot]
+        if not mine:
+            return Correcting(
+                "ready", "faint", "The corrector runs. No controller has sent it setpoints of this robot."
+            )
+        others = {one["version_id"] for one in mine} - {active}
+        names = ", ".join(str(one["stream"]) for one in mine)
+        if others:
+            used = ", ".join(sorted(str(one or "no version") for one in others))
+            return Correcting(
+                "other version", "warn", f"Stream {names} last corrected with {used}, not the active one."
+            )
+        return Correcting("streaming", "good", f"Stream {names} is corrected with the active version.")
+
+
+def corrector(database: Database, settings: Settings) -> Corrector:
+    """Look at the corrector."""
+    check = health.report(database, settings).checks.get("corrector")
+    runs = check is not None and check.ok and "alive" in check.detail
+    return Corrector(runs, "it was not looked at" if check is None else check.detail, observability.streams(database))

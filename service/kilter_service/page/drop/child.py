@@ -1,0 +1,204 @@
+"""Reads a dropped file in a process of its own: ``python -m kilter_service.page.drop.child``, in the folder of the draft.
+
+Takes ``asked.json``, the file and perhaps ``map.toml``; writes ``understood.json`` and, where rows came out, ``rows``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from kilter_service.limited import confine
+
+MOST_ROWS = 2_000_000
+MOST_COLUMNS = 400  # of the file, that are described one by one
+MOST_TEXT = 300
+MOST_LINES = 200_000  # of which the place in the file is told row by row
+FIRST = 3
+MOST_REMARKS = 50
+Document = dict[str, Any]
+
+
+def main() -> None:
+    """Read the file that is asked for and say what came out, or why nothing did."""
+    confine()
+    asked = json.loads(Path("asked.json").read_text(encoding="utf-8"))
+    try:
+        found = understood(Path(asked["file"]), asked["read_as"])
+    except MemoryError:
+        raise
+    except Exception as error:
+        found = {"refusal": _refusal(error, asked["file"])}
+    text = json.dumps(_short(found), ensure_ascii=True, allow_nan=False)
+    Path("understood.json").write_text(text, encoding="ascii")
+
+
+def _refusal(error: Exception, name: str) -> str:
+    """Say what is wrong with the file; what no reader foresaw is said so."""
+    from kilter_files.errors import KilterError, MissingPackageError
+
+    if isinstance(error, MissingPackageError):
+        package = error.context.get("package", "a package")
+        return f"{name}: reading it needs {package}, which this server lacks. Install it there: pip install 'kilter[files]'."
+    if isinstance(error, KilterError):
+        return error.detail
+    return (
+        f"{name} cannot be read ({type(error).__name__}: {str(error)[:MOST_TEXT]}): it is damaged, or in a layout that no "
+        "reader knows. Export it again, as CSV with a line of names above the numbers."
+    )
+
+
+def understood(path: Path, read_as: str) -> Document:
+    """Read a file through its map, by its device, as it is, or with a map that is drafted now."""
+    chosen = Path("map.toml")
+    if read_as == "map" and chosen.exists():
+        return _described(path) | _mapped(path, chosen)
+    if read_as not in ("auto", "map"):
+        return _prepared(path, read_as)
+    seen = _looked(path)
+    if seen.get("ready"):
+        return seen | _prepared(path, "ballbar" if seen["kind"] == "ballbar" else None)
+    if read_as == "auto" and seen["kind"] in ALONE:
+        return seen | {"refusal": f"{path.name}: {ALONE[seen['kind']]}"}
+    return seen | _described(path) | _drafted(path, chosen)
+
+
+MARKERS_ALONE = (
+    "a recording of markers alone says nothing of the joints. Join it with the joint log first (`kilter match`), and drop "
+    "what comes out."
+)
+ALONE: Mapping[str, str] = {
+    "c3d": MARKERS_ALONE,
+    "n3d": MARKERS_ALONE,
+    "marker-csv": MARKERS_ALONE,
+    "inclinometer": "an inclinometer measures joints, not the tool. Join it with the joint log first (`kilter tilt-join`).",
+    "ballbar": "the log of this ball bar has no joint readings. Join it with the joint log first (`kilter ballbar-join`).",
+    "bag": "a bag of joint states alone has no measurement. Join it with the recording (`kilter match`).",
+}
+
+
+def _looked(path: Path) -> Document:
+    """What inspection says, as far as it can be had: a table that it does not know may still take a map."""
+    from kilter_files.errors import FileError
+
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        return {"kind": "JSON columns", "ready": True}
+    if suffix in (".xlsx", ".xlsm"):
+        return {"kind": "workbook", "ready": _is_contract_workbook(path)}
+    if suffix in (".mod", ".src", ".ls", ".script"):
+        return {"kind": "robot program", "ready": False}
+    try:
+        from kilter_files.inspection import inspect
+
+        found = inspect(path)
+    except FileError as error:
+        return {"kind": "table", "ready": False, "remarks": [error.detail]}
+    kind = "marker-csv" if found["kind"].endswith("csv") and found.get("markers") else found["kind"]
+    ready = kind == "contract-columns" or (kind == "parquet" and not found.get("warnings"))
+    ready |= kind == "ballbar" and any("ready for" in note for note in found["notes"])
+    remarks = [*found.get("notes", []), *found.get("warnings", []), *_problems(found)] if ready else []
+    return {"kind": kind, "ready": ready, "remarks": [text for text in remarks if not text.startswith("ready for")]}
+
+
+def _problems(found: Document) -> list[str]:
+    places = [({k: v for k, v in one.items() if k != "what"}, one["what"]) for one in found.get("problems", [])]
+    return [f"{', '.join(f'{k} {v}' for k, v in place.items())}: {what}".lstrip(": ") for place, what in places]
+
+
+def _is_contract_workbook(path: Path) -> bool:
+    from kilter_files.errors import FileError
+    from kilter_files.mapped import read_contract
+
+    try:
+        read_contract(path)
+    except FileError:
+        return False
+    return True
+
+
+def _prepared(path: Path, device: str | None) -> Document:
+    """Rows as the readers prepare them for an upload, and what they say of them."""
+    from kilter_files import prepare
+
+    return _kept(prepare(path, device), "as it is" if device is None else device)
+
+
+def _mapped(path: Path, chosen: Path) -> Document:
+    from kilter_files import prepare
+
+    return {"map": chosen.read_text(encoding="utf-8")} | _kept(prepare(path, None, chosen), "column map")
+
+
+def _drafted(path: Path, chosen: Path) -> Document:
+    """A drafted map, and what it makes of the file where nothing in it is open."""
+    from kilter_files.draft import draft
+    from kilter_files.errors import KilterError
+
+    found = draft(path)
+    chosen.write_text(found.text, encoding="utf-8")
+    said: Document = {"map": found.text, "open": found.open, "guessed": found.guessed, "unused": found.unused}
+    if found.open:
+        return said
+    try:
+        return said | _mapped(path, chosen)
+    except KilterError as error:
+        return said | {"refusal": error.detail}
+
+
+def _kept(prepared: Any, reader: str) -> Document:
+    """Write the rows beside the file."""
+    if prepared.rows is not None and prepared.rows > MOST_ROWS:
+        from kilter_files.errors import FileError
+
+        raise FileError(f"The file has {prepared.rows} rows, at most {MOST_ROWS} are read: split it.")
+    Path("rows").write_bytes(prepared.content)
+    return {
+        "media": prepared.content_type, "sha256": prepared.sha256, "reader": reader,
+        "notes": list(prepared.notes)[:MOST_REMARKS], "warnings": list(prepared.warnings)[:MOST_REMARKS],
+        "lines": list(prepared.lines[:MOST_LINES]),
+    }  # fmt: skip
+
+
+def _described(path: Path) -> Document:
+    """The columns of the file itself, so that a map can be chosen: names, units, first cells, ranges and gaps."""
+    from kilter_files.draft_guess import Columns
+    from kilter_files.source import FORMATS
+    from kilter_files.table_shape import shape_of
+
+    columns = Columns(shape_of(path))
+    rows = len(columns.shape.source.lines)
+    return {
+        "kind": FORMATS[columns.shape.form].title,
+        "source": [_one(columns, name, rows) for name in columns.names[:MOST_COLUMNS]],
+        "more": max(0, len(columns.names) - MOST_COLUMNS),
+    }
+
+
+def _one(columns: Any, name: str, rows: int) -> Document:
+    numbers = columns.numbers(name)
+    finite = [value for value in numbers or () if math.isfinite(value)]
+    return {
+        "name": name, "key": columns.key(name), "unit": columns.unit(name),
+        "first": [str(text)[:24] for text in columns.texts(name)[:FIRST]],
+        "low": min(finite) if finite else None, "high": max(finite) if finite else None,
+        "empty": None if numbers is None else max(0, rows - len(numbers)),
+    }  # fmt: skip
+
+
+def _short(value: Any, depth: int = 0) -> Any:
+    """Cut texts and drop numbers that JSON does not have: what a file says about itself is not trusted."""
+    if isinstance(value, str):
+        return value if depth == 1 else value[:2000]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(name)[:200]: _short(part, depth + 1) for name, part in value.items()}
+    return [_short(part, depth + 1) for part in value] if isinstance(value, list | tuple) else value
+
+
+if __name__ == "__main__":
+    main()

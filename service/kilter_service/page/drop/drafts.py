@@ -1,0 +1,131 @@
+"""Files that were dropped and are not stored: each in a folder for a while, for the login that dropped it."""
+
+from __future__ import annotations
+
+import re
+import secrets
+import shutil
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kilter_service.errors import ServiceError
+from kilter_service.private_files import Scratch, private_folder
+
+if TYPE_CHECKING:
+    from kilter_service.campaigns.facts import Facts
+
+KEPT_S = 3600.0  # after it was last looked at
+MOST_OF_ONE = 4  # drafts of one login; the oldest goes
+MOST = 24
+LONGEST_NAME = 100
+_ODD = re.compile(r"[^\w.+() -]", re.ASCII)
+
+
+@dataclass
+class Draft:
+    """A dropped file: whose it is, how it is read, what was understood, and the campaign that it became."""
+
+    id: str
+    robot: str
+    owner: str
+    name: str
+    folder: Path
+    read_as: str = "auto"
+    file_sha256: str = ""
+    understood: dict[str, Any] = field(default_factory=dict)
+    facts: Facts | None = None
+    refusal: str = ""
+    campaign: str = ""
+    used: float = field(default_factory=time.monotonic)
+    turn: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def file(self) -> Path:
+        """The file as it was dropped."""
+        return self.folder / self.name
+
+    @property
+    def rows(self) -> Path:
+        """What would be stored."""
+        return self.folder / "rows"
+
+    @property
+    def map(self) -> Path:
+        """The column map."""
+        return self.folder / "map.toml"
+
+
+class Drafts:
+    """The drafts of this process; they are gone when it ends."""
+
+    def __init__(self, scratch: Scratch) -> None:
+        self._folder = scratch.folder / "drafts"
+        self._kept: dict[str, Draft] = {}
+        self._lock = threading.Lock()
+
+    def new(self, robot: str, owner: str, name: str) -> Draft:
+        """Make room for a file."""
+        with self._lock:
+            self._forget(owner)
+            identity = secrets.token_hex(12)
+            folder = private_folder(private_folder(self._folder) / identity)
+            draft = Draft(identity, robot, owner, plain_name(name), folder)
+            self._kept[identity] = draft
+        return draft
+
+    def get(self, robot: str, owner: str, identity: str) -> Draft:
+        """Return a draft to the login that made it.
+
+        Raises:
+            ServiceError: there is none, it is of another login, or its time is over.
+
+        """
+        with self._lock:
+            self._forget()
+            draft = self._kept.get(identity)
+            if draft is None or draft.robot != robot or not secrets.compare_digest(draft.owner, owner):
+                raise ServiceError(
+                    "This file is no longer here: it is kept for an hour, for the login that dropped it. Drop it again; "
+                    "nothing of it was stored.",
+                    code="not_found",
+                )
+            draft.used = time.monotonic()
+        return draft
+
+    def discard(self, draft: Draft) -> None:
+        """Delete a draft."""
+        with self._lock:
+            self._remove(draft)
+
+    def _forget(self, owner: str | None = None) -> None:
+        now = time.monotonic()
+        for draft in [one for one in self._kept.values() if now - one.used > KEPT_S]:
+            self._remove(draft)
+        oldest = sorted(self._kept.values(), key=lambda one: one.used)
+        mine = [one for one in oldest if one.owner == owner]
+        if owner is not None:
+            for draft in mine[: max(0, len(mine) - MOST_OF_ONE + 1)]:
+                self._remove(draft)
+            for draft in oldest[: max(0, len(self._kept) - MOST + 1)]:
+                self._remove(draft)
+
+    def _remove(self, draft: Draft) -> None:
+        self._kept.pop(draft.id, None)
+        shutil.rmtree(draft.folder, ignore_errors=True)
+
+
+RESERVED = frozenset({"rows", "map.toml", "asked.json", "understood.json", "words"})
+
+
+def plain_name(name: str) -> str:
+    """Return a name that is a file's in its folder, whatever the browser said."""
+    last = _ODD.sub("_", name.replace("\\", "/").rpartition("/")[2]).strip(" .-")
+    if len(last) > LONGEST_NAME:
+        stem, _, ending = last.rpartition(".")
+        last = f"{stem[: LONGEST_NAME - 10]}.{ending[:8]}"
+    if not last or last.lower() in RESERVED or last.startswith("chunk-"):
+        last = f"file-{last or 'dropped'}"
+    return last

@@ -1,0 +1,72 @@
+"""Reading a dropped file: in a limited process, then looked at as an upload is."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from kilter_core.errors import CoreError
+from kilter_service import limited
+from kilter_service.campaigns import looking
+from kilter_service.db import Database
+from kilter_service.limited import Ended, Limits
+from kilter_service.page.drop.drafts import Draft
+
+CHILD = "kilter_service.page.drop.child"
+LIMITS = Limits(seconds=60, memory_mb=2048, output_mb=512)
+MOST_SAID = 32 << 20
+MOST_REFUSAL = 2000
+WRITTEN = ("understood.json", "rows")
+NOTHING: dict[str, Any] = {
+    "kind": "", "reader": "", "map": "", "more": 0, "open": [], "guessed": [], "unused": [], "notes": [], "warnings": [],
+    "remarks": [], "source": [], "lines": [],
+}  # fmt: skip
+ELSEWHERE = "`kilter upload` reads it on your own machine, without these limits."
+
+
+def read(database: Database, draft: Draft) -> None:
+    """Read a draft as it says; what is wrong with it is kept as its refusal."""
+    with draft.turn:
+        draft.facts, draft.refusal = None, ""
+        draft.understood = NOTHING | _understood(draft)
+        draft.refusal = str(draft.understood.get("refusal") or "")[:MOST_REFUSAL]
+        if "sha256" in draft.understood and not draft.refusal:
+            _look(database, draft)
+
+
+def _understood(draft: Draft) -> dict[str, Any]:
+    for name in WRITTEN:
+        (draft.folder / name).unlink(missing_ok=True)
+    asked = json.dumps({"file": draft.name, "read_as": draft.read_as})
+    (draft.folder / "asked.json").write_text(asked, encoding="utf-8")
+    ended = limited.run(CHILD, draft.folder, [], LIMITS)
+    said = draft.folder / "understood.json"
+    if ended.code != 0 or not said.exists() or said.stat().st_size > MOST_SAID:
+        return {"refusal": f"{draft.name} {_why(ended)}", "map": _kept_map(draft)}
+    found: dict[str, Any] = json.loads(said.read_bytes())
+    return {"map": _kept_map(draft)} | found
+
+
+def _kept_map(draft: Draft) -> str:
+    return draft.map.read_text(encoding="utf-8") if draft.map.exists() else ""
+
+
+def _why(ended: Ended) -> str:
+    if ended.late:
+        return f"took longer than {LIMITS.seconds} s to read: leave out what was not measured, or split it. {ELSEWHERE}"
+    if ended.lacked_memory:
+        return (
+            f"takes more than {LIMITS.memory_mb >> 10} GB of memory to read: leave out what was not measured, or split it. "
+            + ELSEWHERE
+        )
+    return "cannot be read: its reader ended before it was done. The file is damaged; export it again."
+
+
+def _look(database: Database, draft: Draft) -> None:
+    from kilter_service.campaigns.facts import facts  # compiled kernels: not at the start of the API process
+
+    try:
+        rows, draft.refusal = looking.of_file(database, draft.robot, draft.rows, draft.understood["media"])
+        draft.facts = facts(rows)
+    except CoreError as error:
+        draft.refusal = error.message

@@ -1,0 +1,159 @@
+"""Dropping a file, looking at what was understood, editing the column map, storing."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Form, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, JSONResponse
+
+from kilter_service.auth.access import caller_of
+from kilter_service.bodies import spool_upload
+from kilter_service.errors import ServiceError
+from kilter_service.logins import service as logins
+from kilter_service.page.drop import reading, service
+from kilter_service.page.drop.drafts import Draft, Drafts
+from kilter_service.page.measured import seen
+from kilter_service.page.route import PageRoute
+from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.robots import service as robots
+from kilter_service.slots import compute
+from kilter_service.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.tokens.service import hash_of
+
+router = APIRouter(include_in_schema=False, route_class=PageRoute)
+BODY = {"requestBody": {"required": True}}  # the endpoint receives the file itself
+Text = Annotated[str, Form(max_length=20_000)]
+UNDERSTOOD = "drop/understood.html"
+Short = Annotated[str, Form(max_length=200)]
+Texts = Annotated[list[str], Form(max_length=1000)]
+
+
+@router.get("/robots/{robot}/campaigns/new")
+def empty(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+    """Show where to drop a file."""
+    return render(request, "drop/new.html", robot=robots.get(database, robot).name)
+
+
+@router.post("/robots/{robot}/campaigns/new/file", openapi_extra=BODY)
+async def dropped(
+    robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, name: str = ""
+) -> Response:
+    """Take a file and read it; nothing is stored."""
+    await run_in_threadpool(robots.get, database, robot)
+    drafts = _drafts(request)
+    draft = drafts.new(robot, _owner(request), name[:500])
+    try:
+        draft.file_sha256 = await spool_upload(request, draft.file, settings.max_upload_mb)
+        await compute(request, reading.read, database, draft)
+    except BaseException:
+        drafts.discard(draft)
+        raise
+    return JSONResponse({"address": _place(request, draft)}, 201)
+
+
+@router.get("/robots/{robot}/campaigns/new/{draft}")
+def understood(robot: str, draft: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+    """Show what was understood of a file."""
+    return _shown(request, database, _draft(request, robot, draft), "drop/draft.html")
+
+
+@router.post("/robots/{robot}/campaigns/new/{draft}/columns")
+async def columns(
+    robot: str, draft: str, request: Request, database: DatabaseOfApp,
+    column: Texts, target: Texts, unit: Texts,
+) -> HTMLResponse:  # fmt: skip
+    """Read the file with another column map, as the form has it."""
+    found = _draft(request, robot, draft)
+    kinds = await run_in_threadpool(service.kinds_of, database, robot)
+    try:
+        service.choose(found, kinds, column, target, unit)
+    except ServiceError as error:
+        return await run_in_threadpool(_shown, request, database, found, UNDERSTOOD, error.message)
+    return await _anew(request, database, found)
+
+
+@router.post("/robots/{robot}/campaigns/new/{draft}/map")
+async def written(
+    robot: str, draft: str, request: Request, database: DatabaseOfApp,
+    text: Annotated[str, Form(max_length=service.LONGEST_MAP)],
+) -> HTMLResponse:  # fmt: skip
+    """Read the file with another column map, as it was written."""
+    found = _draft(request, robot, draft)
+    try:
+        service.write(found, text)
+    except ServiceError as error:
+        return await run_in_threadpool(_shown, request, database, found, UNDERSTOOD, error.message)
+    return await _anew(request, database, found)
+
+
+@router.post("/robots/{robot}/campaigns/new/{draft}/read")
+async def otherwise(robot: str, draft: str, request: Request, database: DatabaseOfApp, way: Short) -> HTMLResponse:
+    """Read the file in another way."""
+    found = _draft(request, robot, draft)
+    try:
+        service.read_as(found, way)
+    except ServiceError as error:
+        return await run_in_threadpool(_shown, request, database, found, UNDERSTOOD, error.message)
+    return await _anew(request, database, found)
+
+
+@router.post("/robots/{robot}/campaigns/new/{draft}/store")
+async def store(
+    robot: str, draft: str, request: Request, database: DatabaseOfApp, sha256: Short, name: Short,
+    role: Short = "train", device: Short = "", payload_kg: Short = "", temperature_c: Short = "", notes: Text = "",
+) -> Response:  # fmt: skip
+    """Store the rows as a campaign."""
+    found = _draft(request, robot, draft)
+    conditions = service.conditions(payload_kg=payload_kg, temperature_c=temperature_c)
+    campaign: dict[str, object] = {
+        "name": name,
+        "role": role,
+        "device": device,
+        "notes": notes,
+        "conditions": conditions,
+    }
+    stored = await compute(request, service.store, database, found, campaign, sha256)
+    return redirect(request, f"{root_of(request)}/campaigns/{stored.id}")
+
+
+@router.post("/robots/{robot}/campaigns/new/{draft}/discard")
+def discard(robot: str, draft: str, request: Request) -> Response:
+    """Forget a file."""
+    _drafts(request).discard(_draft(request, robot, draft))
+    return redirect(request, f"{root_of(request)}/robots/{robot}/campaigns/new")
+
+
+async def _anew(request: Request, database: DatabaseOfApp, draft: Draft) -> HTMLResponse:
+    await compute(request, reading.read, database, draft)
+    return await run_in_threadpool(_shown, request, database, draft, UNDERSTOOD)
+
+
+def _shown(request: Request, database: DatabaseOfApp, draft: Draft, template: str, problem: str = "") -> HTMLResponse:
+    kinds = service.kinds_of(database, draft.robot)
+    shown = None if draft.facts is None else seen(draft.facts, draft.understood.get("lines") or ())
+    return render(
+        request, template, robot=draft.robot, draft=draft, found=draft.understood, seen=shown, ways=service.ways(),
+        problem=problem, here=_place(request, draft), **service.form_of(draft, kinds),
+    )  # fmt: skip
+
+
+def _place(request: Request, draft: Draft) -> str:
+    return f"{root_of(request)}/robots/{draft.robot}/campaigns/new/{draft.id}"
+
+
+def _draft(request: Request, robot: str, identity: str) -> Draft:
+    return _drafts(request).get(robot, _owner(request), identity)
+
+
+def _drafts(request: Request) -> Drafts:
+    drafts: Drafts = request.app.state.drafts
+    return drafts
+
+
+def _owner(request: Request) -> str:
+    """Return whose drafts these are: a login's, else a token's."""
+    kept = request.cookies.get(logins.COOKIE, "")
+    caller = caller_of(request)
+    return hash_of(kept) if kept else f"{caller.actor} {caller.token_id}"

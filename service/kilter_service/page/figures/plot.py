@@ -1,0 +1,203 @@
+"""A plot with two axes: lines, points, bars and bands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from markupsafe import Markup, escape
+
+from kilter_service.page.figures.scale import Axis
+
+# Okabe and Ito's colours, which people with any colour vision tell apart; dashes and marks tell them apart without colour.
+GREY, BLUE, GREEN, ORANGE, RED, PURPLE = "#808080", "#0072b2", "#009e73", "#e69f00", "#d55e00", "#cc79a7"
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, RED, GREY)
+DASHES = ("", "6 3", "2 3", "8 3 2 3", "1 4", "12 4")
+LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 14.0, 44.0
+LEGEND_LINE, LETTER = 18.0, 6.6  # height of a line of the legend, width of a letter: pixels at 12
+FONT = 'font-family="system-ui, sans-serif" font-size="12"'
+
+
+@dataclass
+class Plot:
+    """A plot; what is added later is drawn above what was added before.
+
+    ``description`` says in a sentence what is to be seen, for whoever does not see it. ``table`` holds the same numbers.
+    """
+
+    title: str
+    x: Axis
+    y: Axis
+    width: float = 640.0
+    height: float = 320.0
+    description: str = ""
+    table: tuple[Sequence[str], Sequence[Sequence[str]]] = ((), ())
+    _drawn: list[str] = field(default_factory=list)
+    _legend: list[tuple[str, str]] = field(default_factory=list)
+
+    def line(
+        self, xs: Sequence[float], ys: Sequence[float], label: str = "", number: int = 0, colour: str = ""
+    ) -> Plot:
+        """Draw a line through points; a value that is not finite leaves a gap."""
+        style = _stroke(colour or COLOURS[number % len(COLOURS)], DASHES[number % len(DASHES)])
+        self._key(label, f'<line x1="0" y1="6" x2="22" y2="6" {style}/>')
+        for run in _runs(xs, ys):
+            where = " ".join(f"{self._px(x)},{self._py(y)}" for x, y in run)
+            self._drawn.append(f'<polyline points="{where}" fill="none" stroke-linejoin="round" {style}/>')
+        return self
+
+    def points(
+        self, xs: Sequence[float], ys: Sequence[float], label: str = "", number: int = 0, colour: str = "",
+        names: Sequence[str] = (),
+    ) -> Plot:  # fmt: skip
+        """Draw points; ``names`` are shown when one is pointed at."""
+        fill = colour or COLOURS[number % len(COLOURS)]
+        self._key(label, _mark(11, 6, fill, number))
+        for place, (x, y) in enumerate(zip(xs, ys, strict=True)):
+            if math.isfinite(x) and math.isfinite(y):
+                name = escape(names[place]) if names else ""
+                self._drawn.append(_mark(self._px(x), self._py(y), fill, number, name))
+        return self
+
+    def bars(
+        self, places: Sequence[float], values: Sequence[float], width: float, label: str = "", number: int = 0,
+        colour: str = "", errors: Sequence[tuple[float, float]] = (),
+    ) -> Plot:  # fmt: skip
+        """Draw bars from zero (the axis's low end where it is logarithmic); ``errors`` are the ends of intervals."""
+        fill = colour or COLOURS[number % len(COLOURS)]
+        self._key(label, f'<rect x="3" y="0" width="16" height="12" fill="{fill}"/>')
+        ground = self._py(max(self.y.low, 0.0) if not self.y.log else self.y.low)
+        for place, value in zip(places, values, strict=True):
+            if math.isfinite(value):
+                left, right, top = self._px(place - width / 2), self._px(place + width / 2), self._py(value)
+                self._drawn.append(
+                    f'<rect x="{left}" y="{min(top, ground)}" width="{round(right - left, 1)}" '
+                    f'height="{round(abs(ground - top), 1)}" fill="{fill}"><title>{escape(label)} {value:.4g}</title></rect>'
+                )
+        for place, (low, high) in zip(places, errors, strict=False):
+            self._whisker(self._px(place), self._py(low), self._py(high))
+        return self
+
+    def band(
+        self, xs: Sequence[float], low: Sequence[float], high: Sequence[float], label: str, number: int = 0
+    ) -> Plot:
+        """Fill what is between two lines."""
+        fill = f'fill="{COLOURS[number % len(COLOURS)]}" fill-opacity="0.25"'
+        self._key(label, f'<rect x="3" y="0" width="16" height="12" {fill}/>')
+        there = [f"{self._px(x)},{self._py(y)}" for x, y in zip(xs, high, strict=True)]
+        back = [f"{self._px(x)},{self._py(y)}" for x, y in zip(xs, low, strict=True)]
+        self._drawn.append(f'<polygon points="{" ".join(there + back[::-1])}" {fill}/>')
+        return self
+
+    def level(self, y: float, label: str) -> Plot:
+        """Draw a dotted line across at a value, such as the noise."""
+        style = 'stroke="currentColor" stroke-width="1.2" stroke-dasharray="2 3"'
+        self._key(label, f'<line x1="0" y1="6" x2="22" y2="6" {style}/>')
+        place = self._py(y)
+        self._drawn.append(f'<line x1="{LEFT}" x2="{self.width - RIGHT}" y1="{place}" y2="{place}" {style}/>')
+        return self
+
+    def svg(self) -> Markup:
+        """Return it as SVG."""
+        legend, lines = self._legend_drawn()
+        extra = lines * LEGEND_LINE
+        head = (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 {-extra} {self.width} {self.height + extra}" role="img" '
+            f'width="{self.width}" height="{self.height + extra}" {FONT} fill="currentColor">'
+            f"<title>{escape(self.title)}</title><desc>{escape(self.description or self.title)}</desc>"
+        )
+        return Markup(f"{head}{legend}{self._frame()}{''.join(self._drawn)}</svg>")  # noqa: S704 (texts are escaped above)
+
+    def _px(self, x: float) -> float:
+        return round(LEFT + self.x.share(x) * (self.width - LEFT - RIGHT), 1)
+
+    def _py(self, y: float) -> float:
+        share = min(max(self.y.share(y), -0.02), 1.02)
+        return round(self.height - BOTTOM - share * (self.height - TOP - BOTTOM), 1)
+
+    def _key(self, label: str, drawn: str) -> None:
+        if label:
+            self._legend.append((label, drawn))
+
+    def _whisker(self, x: float, low: float, high: float) -> None:
+        style = 'stroke="currentColor" stroke-width="1.2"'
+        self._drawn.append(f'<line x1="{x}" x2="{x}" y1="{low}" y2="{high}" {style}/>')
+        for y in (low, high):
+            self._drawn.append(f'<line x1="{x - 4}" x2="{x + 4}" y1="{y}" y2="{y}" {style}/>')
+
+    def _legend_drawn(self) -> tuple[str, int]:
+        """Return the legend above the plot, and over how many lines it runs."""
+        parts, x, line = [], 0.0, 1
+        room = self.width - LEFT - RIGHT
+        for label, drawn in self._legend:
+            width = 30 + LETTER * len(label) + 14
+            if x and x + width > room:
+                x, line = 0.0, line + 1
+            parts.append((x, line, label, drawn))
+            x += width
+        if not parts:
+            return "", 0
+        lines = line
+        placed = [
+            f'<g transform="translate({LEFT + x:.0f} {-(lines - at + 1) * LEGEND_LINE + 4:.0f})">{drawn}'
+            f'<text x="28" y="10">{escape(label)}</text></g>'
+            for x, at, label, drawn in parts
+        ]
+        return "".join(placed), lines
+
+    def _frame(self) -> str:
+        bottom, right = self.height - BOTTOM, self.width - RIGHT
+        faint = 'stroke="currentColor" stroke-opacity="0.15"'
+        parts = []
+        for value, text in self.y.ticks():
+            y = self._py(value)
+            parts.append(f'<line x1="{LEFT}" x2="{right}" y1="{y}" y2="{y}" {faint}/>')
+            parts.append(f'<text x="{LEFT - 6}" y="{y + 4}" text-anchor="end">{escape(text)}</text>')
+        for value, text in self._x_ticks():
+            x = self._px(value)
+            parts.append(f'<line x1="{x}" x2="{x}" y1="{bottom}" y2="{bottom + 4}" stroke="currentColor"/>')
+            parts.append(f'<text x="{x}" y="{bottom + 17}" text-anchor="middle">{escape(text)}</text>')
+        parts.append(f'<path d="M{LEFT} {TOP}V{bottom}H{right}" fill="none" stroke="currentColor"/>')
+        middle = (LEFT + right) / 2
+        parts.append(f'<text x="{middle}" y="{self.height - 8}" text-anchor="middle">{escape(self.x.label)}</text>')
+        centre = (TOP + bottom) / 2
+        parts.append(
+            f'<text transform="translate(14 {centre}) rotate(-90)" text-anchor="middle">{escape(self.y.label)}</text>'
+        )
+        return "".join(parts)
+
+    def _x_ticks(self) -> list[tuple[float, str]]:
+        """Return the ticks along x; names that would overlap are cut, then left out."""
+        ticks = self.x.ticks()
+        if not self.x.names:
+            return ticks
+        room = (self.width - LEFT - RIGHT) / len(ticks)
+        stride = max(1, math.ceil(24 / room))
+        letters = max(3, int(room * stride / LETTER) - 1)
+        short = [(place, text if len(text) <= letters else f"{text[: letters - 1]}…") for place, text in ticks]
+        return short[::stride]
+
+
+def _stroke(colour: str, dash: str) -> str:
+    dashes = f' stroke-dasharray="{dash}"' if dash else ""
+    return f'stroke="{colour}" stroke-width="1.8"{dashes}'
+
+
+def _mark(x: float, y: float, fill: str, number: int, name: str = "") -> str:
+    title = f"<title>{name}</title>" if name else ""
+    if number % 3 == 1:
+        return f'<rect x="{x - 3}" y="{y - 3}" width="6" height="6" fill="{fill}">{title}</rect>'
+    if number % 3 == 2:
+        return f'<path d="M{x} {y - 4}l4 7h-8z" fill="{fill}">{title}</path>'
+    return f'<circle cx="{x}" cy="{y}" r="3" fill="{fill}">{title}</circle>'
+
+
+def _runs(xs: Sequence[float], ys: Sequence[float]) -> list[list[tuple[float, float]]]:
+    runs: list[list[tuple[float, float]]] = [[]]
+    for x, y in zip(xs, ys, strict=True):
+        if math.isfinite(x) and math.isfinite(y):
+            runs[-1].append((x, y))
+        elif runs[-1]:
+            runs.append([])
+    return [run for run in runs if run]

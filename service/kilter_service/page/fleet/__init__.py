@@ -1,0 +1,1 @@
+"""The first view: all robots of the server."""

@@ -1,0 +1,19 @@
+"""The first view: all robots of the server, the least accurate first."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse
+
+from kilter_service.page.fleet import service
+from kilter_service.page.route import PageRoute
+from kilter_service.page.shell import render
+from kilter_service.state import DatabaseOfApp, SettingsOfApp
+
+router = APIRouter(include_in_schema=False, route_class=PageRoute)
+
+
+@router.get("/")
+def fleet(request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
+    """Show a card for each robot."""
+    return render(request, "fleet.html", cards=service.cards(database, settings))

@@ -1,0 +1,48 @@
+"""What people call effects, and how chances are written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from kilter_service.contract.gap_details import AtJoints
+from kilter_service.page.words import number
+
+JOINT = re.compile(r"_(\d+)$")
+SMALLEST_P = 1e-4
+
+
+def called(effect: AtJoints) -> str:
+    """Name an effect and its joints."""
+    return named(effect.id, effect.joints or [])
+
+
+def named(name: str, joints: Sequence[int]) -> str:
+    """Name an effect at some joints."""
+    plain = name.replace("_", " ")
+    if not joints:
+        return plain
+    return f"{plain} of joint{'s' if len(joints) > 1 else ''} {listed([str(joint) for joint in joints])}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Join names by commas and *and*."""
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
+
+
+def joint_of(parameter: str) -> int | None:
+    """Return the joint that a parameter's name ends with."""
+    found = JOINT.search(parameter)
+    return int(found[1]) if found else None
+
+
+def chance(p: float | None) -> str:
+    """Write a p-value; far below what anybody distinguishes, only its bound."""
+    if p is None:
+        return "–"
+    return f"< {SMALLEST_P:g}" if p < SMALLEST_P else number(p, 2)
+
+
+def plural(count: int, thing: str) -> str:
+    """Write a count with its thing."""
+    return f"{count} {thing}{'' if count == 1 else 's'}"

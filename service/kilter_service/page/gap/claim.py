@@ -1,0 +1,134 @@
+"""How sure a named effect is, in plain words: the level of the claim, the tests behind it, what would raise it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from kilter_service.contract.gap_details import Evidence, NamedEffect, Replication
+from kilter_service.page.gap.called import called, chance, plural
+from kilter_service.page.words import number, percent
+
+LEVELS: Mapping[str, str] = {
+    "provisional": "Likely, but a test was not passed.",
+    "class_confirmed": "Every test was passed, but these data cannot tell it from its aliases.",
+    "confirmed": "Every test was passed, on poses that took no part in the search.",
+    "replicated": "Every test was passed, and it was seen again in a campaign of another day or set-up.",
+}
+OUTCOMES: Mapping[str, str] = {
+    "replicated": "It was seen again with the same amplitude.",
+    "contradicted": "It has another amplitude there.",
+    "not_seen": "It does not stand out there.",
+    "not_testable": "It cannot be tested there.",
+}
+RAISED = {
+    "class_confirmed": "Tell it from its aliases: measure the poses asked for, or look at the joint itself.",
+    "confirmed": "Measure a campaign on another day, with the instrument set up anew, and take it in as a confirmation.",
+    "replicated": "This is the highest level.",
+}
+Say = Callable[[Evidence], str]
+
+
+def _of(value: float | None, write: Callable[[float], str]) -> str:
+    return "no number" if value is None else write(value)
+
+
+def _shape(evidence: Evidence) -> str:
+    if evidence.bumped:
+        return "a local bump of the joint does as well"
+    return _of(evidence.no_empirical_alias, lambda v: f"the best such curve is {number(v, 2)} points behind")
+
+
+GATES: Mapping[str, tuple[str, Say]] = {
+    "physical": ("It is a cause, not only a shape", lambda e: "a cause" if e.physical else "a shape"),
+    "adequate": ("With it the model agrees with the measurements", lambda e: f"p = {chance(e.adequate)}"),
+    "held_out": (
+        "Held-out poses gain by it",
+        lambda e: _of(e.held_out, lambda v: f"{number(v, 2)} standard deviations; more than 3 are needed"),
+    ),
+    "unseen_poses": (
+        "Poses that took no part in the search judged it",
+        lambda e: _of(e.unseen_poses, lambda v: plural(round(v), "pose")),
+    ),
+    "no_empirical_alias": ("No curve without a cause does as well", _shape),
+    "plausible": (
+        "Its amplitude is plausible for an arm",
+        lambda e: _of(
+            e.plausible, lambda v: "within" if v <= 0 else f"{number(v, 2)} standard deviations beyond what is plausible"
+        ),
+    ),
+    "seen": ("Its amplitude differs from zero", lambda e: "zero is outside" if e.seen else "zero is inside its interval"),
+    "inclusion": (
+        "It is named again on resampled poses",
+        lambda e: _of(e.inclusion, lambda v: f"in {percent(v)} of the resamples"),
+    ),
+    "negative_control": (
+        "It vanishes when its labels are shuffled",
+        lambda e: _of(e.negative_control, lambda v: f"still named in {percent(v)} of the shuffles"),
+    ),
+    "confirmation": (
+        "The confirmation does not contradict it",
+        lambda e: _of(e.confirmation, lambda v: f"amplitudes {number(v, 2)} standard deviations apart"),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Test:
+    """A test of an effect: whether it was passed, and the number that decided."""
+
+    name: str
+    passed: bool
+    number: str
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What is claimed of an effect."""
+
+    name: str
+    level: str
+    means: str
+    tests: list[Test]
+    raise_it: list[str]
+    remarks: list[str]
+
+    @property
+    def failed(self) -> list[str]:
+        """The tests that were not passed."""
+        return [test.name for test in self.tests if not test.passed]
+
+
+def claim_of(effect: NamedEffect) -> Claim:
+    """Say how sure an effect is."""
+    level = effect.verdict or "provisional"
+    higher = list(effect.to_confirm or []) or [RAISED[level]] if level in RAISED else list(effect.to_confirm or [])
+    return Claim(called(effect), level, LEVELS.get(level, ""), list(_tests(effect)), higher, list(_remarks(effect)))
+
+
+def _tests(effect: NamedEffect) -> Iterator[Test]:
+    gates = effect.gates.model_dump() if effect.gates is not None else {}
+    evidence = effect.evidence or Evidence()
+    for name, (words, say) in GATES.items():
+        if gates.get(name) is not None:
+            yield Test(words, bool(gates[name]), say(evidence))
+
+
+def _remarks(effect: NamedEffect) -> Iterator[str]:
+    unseen = sorted(set(effect.joints or []) - set(effect.seen_joints or effect.joints or []))
+    if unseen:
+        yield f"Not seen at joint {', '.join(map(str, unseen))}: zero is within the interval there."
+    if effect.too_small_to_matter:
+        yield f"It moves the tool by {number((effect.moves_mm or 0.0) * 1e3, 2)} µm: too small to matter."
+    if effect.class_:
+        yield f"It stands for its class: {effect.class_}."
+    if effect.empirical:
+        yield "It is a shape without a cause: never take it for physics."
+    if effect.replication is not None:
+        yield _replication(effect.replication)
+
+
+def _replication(told: Replication) -> str:
+    apart = "" if told.apart_sigma is None else f" ({number(told.apart_sigma, 2)} standard deviations apart)"
+    said = OUTCOMES.get(told.outcome or "", "").removesuffix(".")
+    return f"In the confirmation: {said[:1].lower()}{said[1:]}{apart}. {told.reason or ''}".rstrip()

@@ -1,0 +1,45 @@
+"""The story of a gap search in the browser."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Form, Request, Response
+from fastapi.responses import PlainTextResponse
+
+from kilter_service.auth.access import Admin
+from kilter_service.page.gap import next_steps, service
+from kilter_service.page.route import PageRoute
+from kilter_service.page.shell import redirect, root_of
+from kilter_service.state import DatabaseOfApp
+
+router = APIRouter(include_in_schema=False, route_class=PageRoute)
+
+
+@router.get("/jobs/{job}/gap/next-poses.csv")
+def next_poses(job: str, database: DatabaseOfApp) -> Response:
+    """Download the poses to measure next."""
+    found = service.job_of(database, job)
+    named = {"Content-Disposition": f'attachment; filename="next-poses-{found.id}.csv"'}
+    return PlainTextResponse(next_steps.csv_of(found), media_type="text/csv", headers=named)
+
+
+@router.post("/jobs/{job}/gap/plan")
+def plan(job: str, request: Request, database: DatabaseOfApp, _: Admin) -> Response:
+    """Queue a plan of poses that make the claims surer."""
+    queued = next_steps.plan(database, service.job_of(database, job))
+    return redirect(request, f"{root_of(request)}/jobs/{queued.id}")
+
+
+@router.post("/jobs/{job}/gap/again")
+def again(
+    job: str,
+    request: Request,
+    database: DatabaseOfApp,
+    _: Admin,
+    campaign: Annotated[str, Form(max_length=100)],
+    use: Annotated[next_steps.Use, Form()],
+) -> Response:
+    """Queue the search again with a further campaign."""
+    queued = next_steps.again(database, service.job_of(database, job), campaign, use)
+    return redirect(request, f"{root_of(request)}/jobs/{queued.id}")

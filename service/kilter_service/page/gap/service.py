@@ -1,0 +1,93 @@
+"""What the story of a gap search shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kilter_service.campaigns import service as campaigns
+from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.gap_details import GapSize
+from kilter_service.contract.jobs.gap import GapResult
+from kilter_service.contract.jobs.job import GapJob
+from kilter_service.db import Database
+from kilter_service.errors import ServiceError
+from kilter_service.jobs import service as jobs
+from kilter_service.page.gap import answers, claim, curves, rivals, steps, tested, where
+from kilter_service.page.gap.called import called
+from kilter_service.paging import Page
+
+VERDICTS = {
+    "closed": ("The gap is closed", "good"),
+    "no_gap": ("Nothing is missing", "good"),
+    "provisional": ("Likely explained, not yet confirmed", "warn"),
+    "unexplained": ("The gap is not explained", "bad"),
+}
+MOST_CAMPAIGNS = 50  # newest of the robot, from which one can be taken in
+
+
+def job_of(database: Database, job: str) -> GapJob:
+    """Return a gap search.
+
+    Raises:
+        ServiceError: no such job, or one of another kind.
+
+    """
+    found = jobs.get(database, job)
+    if not isinstance(found, GapJob):
+        raise ServiceError(
+            f"Job {job} is not a gap search: it is of kind {found.kind}.", code="option_invalid", job=job
+        )
+    return found
+
+
+def shown(database: Database, job: GapJob) -> dict[str, Any]:
+    """Return what ``gap/result.html`` shows of a search that has succeeded."""
+    result = job.result or GapResult()
+    unit = unit_of(result.gap)
+    read = steps.of(result.figures, unit)
+    return {
+        "version": result.version_id,
+        "result": result,
+        "unit": unit,
+        "verdict": VERDICTS.get(result.verdict or "", (result.verdict or "", "faint")),
+        "size": sizes(result.gap, unit),
+        "answers": answers.answers(result),
+        "set_aside": answers.set_aside(result),
+        "where": where.heat_map(result.where or []),
+        "where_table": where.table(result.where or []),
+        "clearest": where.clearest(result.where or []),
+        "effects": [(called(effect), effect) for effect in result.effects or []],
+        "candidates": tested.candidates(result, job.options, unit),
+        "untestable": tested.untestable(result.not_testable or []),
+        "curves": curves.curves(result.figures, unit),
+        "steps": None if read is None else steps.plot(read),
+        "steps_said": "" if read is None else steps.said(read),
+        "rivals": rivals.rivals(result),
+        "alias_map": rivals.heat_map(result.alias_matrix),
+        "claims": [claim.claim_of(effect) for effect in result.effects or []],
+        "levels": claim.LEVELS,
+        "newer": newer(database, job),
+    }
+
+
+def unit_of(gap: GapSize | None) -> str:
+    """Return the unit of the errors: joint data have degrees."""
+    return "deg" if gap is not None and gap.before_deg is not None else "mm"
+
+
+def sizes(gap: GapSize | None, unit: str) -> dict[str, float | None]:
+    """Return the errors before and after and the noise, of held-out poses, in one unit."""
+    if gap is None:
+        return dict.fromkeys(("before", "after", "noise"))
+    values = gap.model_dump()
+    names = {"before": "validation_before", "after": "validation_after", "noise": "validation_noise_rms"}
+    return {name: values[f"{field}_{unit}"] for name, field in names.items()}
+
+
+def newer(database: Database, job: GapJob) -> list[Campaign]:
+    """Return campaigns of the robot that the search did not use, the newest first."""
+    held = job.validation if isinstance(job.validation, list) else []
+    used = {*job.campaigns, *held, *job.confirmation}
+    found = campaigns.listed(database, job.robot, Page()).campaigns
+    rest = [campaign for campaign in found if campaign.id not in used]
+    return sorted(rest, key=lambda campaign: campaign.created_at, reverse=True)[:MOST_CAMPAIGNS]

@@ -1,0 +1,81 @@
+"""Which candidates were tested: named, refused or not testable, with the reason of each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+from kilter_service.contract.gap_details import AtJoints, Detectable, NamedEffect, Untestable
+from kilter_service.contract.jobs.gap import GapOptions, GapResult
+from kilter_service.page.gap.called import called, chance, joint_of, listed, named
+from kilter_service.page.words import number, percent
+
+MIMICKED = 0.1  # share of a signature that geometry leaves, below which it is said to imitate it
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate of the search and what became of it."""
+
+    name: str
+    outcome: str
+    look: str
+    reason: str
+
+
+def candidates(result: GapResult, options: GapOptions, unit: str) -> list[Candidate]:
+    """Return those named, their rivals, those refused."""
+    return [*_named(result.effects or [], unit), *_refused(result, options)]
+
+
+def _named(effects: Sequence[NamedEffect], unit: str) -> Iterator[Candidate]:
+    for effect in effects:
+        gain = f"takes {number(effect.gain_mm)} {unit} off the rms error; " if effect.gain_mm is not None else ""
+        level = (effect.verdict or "").replace("_", " ")
+        look = "warn" if effect.verdict == "provisional" else "good"
+        yield Candidate(
+            called(effect), f"named, {level}", look, f"{gain}p {chance(effect.p_value)} that chance does as much"
+        )
+        for rival in effect.alias_set or []:
+            behind = f"{number(rival.behind, 2)} points behind, " if rival.behind else "does as well, "
+            reason = f"{behind}its signature correlates {number(rival.correlation, 2)} with {called(effect)}"
+            yield Candidate(called(rival), "cannot be told apart", "warn", reason)
+
+
+def _refused(result: GapResult, options: GapOptions) -> Iterator[Candidate]:
+    effects = result.effects or []
+    known: list[AtJoints] = [*effects, *(rival for effect in effects for rival in effect.alias_set or [])]
+    taken: set[tuple[str, int | None]] = {(one.id, None) for one in known if not one.joints}
+    taken |= {(one.id, joint) for one in known for joint in one.joints or []}
+    rest = [one for one in result.smallest_detectable or [] if _key(one) not in taken]
+    for _, group in groupby(sorted(rest, key=lambda d: (d.id, joint_of(d.parameter or "") or 0)), key=_key):
+        yield _candidate(list(group), effects, options.alpha)
+
+
+def _key(one: Detectable) -> tuple[str, int | None]:
+    return one.id, joint_of(one.parameter or "")
+
+
+def _candidate(group: list[Detectable], effects: Sequence[NamedEffect], alpha: float) -> Candidate:
+    name, joint = _key(group[0])
+    seen = "; ".join(
+        f"{(one.parameter or '').replace('_', ' ')} {number(one.smallest_detectable, 2)}"
+        f"{'' if one.unit in (None, '1') else f' {one.unit}'}"
+        for one in group
+    )
+    rest = f" beside {listed([called(effect) for effect in effects])}" if effects else ""
+    reason = f"no better than chance{rest} (p above {percent(alpha)}); would be seen from {seen}"
+    share = max((one.visibility or 0.0) for one in group)
+    if share < MIMICKED:
+        reason += f"; geometry imitates {percent(1 - share)} of it"
+    return Candidate(named(name, [joint] if joint else []), "refused", "faint", reason)
+
+
+def untestable(rows: Sequence[Untestable]) -> list[tuple[str, str, str]]:
+    """Return what these rows cannot say: the effect, why, and what would help; equal reasons together."""
+    found: dict[tuple[str, str, str], list[int]] = {}
+    for row in rows:
+        key = (row.id, row.reason or "", row.remedy or "")
+        found.setdefault(key, []).extend(row.joints or [])
+    return [(named(name, joints), reason, remedy) for (name, reason, remedy), joints in found.items()]

@@ -1,0 +1,21 @@
+"""The jobs of the whole server, newest first."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse
+
+from kilter_service.jobs import service as jobs
+from kilter_service.page.route import PageRoute
+from kilter_service.page.shell import render
+from kilter_service.page_query import PageOfJobs
+from kilter_service.state import DatabaseOfApp
+
+router = APIRouter(include_in_schema=False, route_class=PageRoute)
+
+
+@router.get("/jobs")
+def listed(request: Request, database: DatabaseOfApp, page: PageOfJobs) -> HTMLResponse:
+    """List the newest jobs of every robot that may be seen."""
+    found = jobs.listed(database, None, page)
+    return render(request, "job_list/list.html", jobs=found.jobs, more=found.next)

@@ -1,0 +1,1 @@
+"""Jobs: the form with its check, how far a job is, and what came out."""

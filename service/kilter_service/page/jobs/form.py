@@ -1,0 +1,76 @@
+"""What was typed into the form of a new job, as the job that the HTTP interface takes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fastapi.exceptions import RequestValidationError
+from pydantic import TypeAdapter, ValidationError
+
+from kilter_service.contract.jobs.job import NewJob
+from kilter_service.errors import ServiceError
+from kilter_service.jobs.refusals import refusal, without_kind
+from kilter_service.jobs.registry import kind_of
+from kilter_service.page.jobs import options
+
+NEW_JOB: TypeAdapter[NewJob] = TypeAdapter(NewJob)
+USE = "use."
+USES = {"train": "campaigns", "validation": "validation", "confirmation": "confirmation"}
+
+
+def job_of(robot: str, typed: Mapping[str, str]) -> NewJob:
+    """Return the job that was asked for.
+
+    Raises:
+        ServiceError: an option or the hold-out is not what it must be.
+        RequestValidationError: the job does not fit the contract.
+
+    """
+    kind = typed.get("kind", "")
+    kind_of(kind)  # refuses one that does not exist
+    document: dict[str, Any] = {"kind": kind, "robot": robot, "name": typed.get("name", "").strip()}
+    document |= _used(typed)
+    document["options"] = options.given(kind, typed)
+    try:
+        return NEW_JOB.validate_json(json.dumps(document))
+    except ValidationError as error:
+        found = [{**one, "loc": ("body", *one["loc"])} for one in error.errors()]
+        refused = refusal(found, document)
+        if refused is not None:
+            raise refused from error
+        raise RequestValidationError(without_kind(found, document)) from error
+
+
+def _used(typed: Mapping[str, str]) -> dict[str, Any]:
+    named: dict[str, list[str]] = {name: [] for name in USES.values()}
+    for field, use in typed.items():
+        if field.startswith(USE) and use in USES:
+            named[USES[use]].append(field.removeprefix(USE))
+    part = _part(typed)
+    if named["validation"] and part is not None:
+        raise ServiceError(
+            "Campaigns are held out and so is a part of the poses: choose one of the two.",
+            code="option_invalid",
+            option="validation",
+        )
+    return {**named, "validation": named["validation"] or part}
+
+
+def _part(typed: Mapping[str, str]) -> dict[str, Any] | float | None:
+    how, text = typed.get("held_out", ""), typed.get("held_out_value", "").strip()
+    if not how:
+        return None
+    try:
+        return {"folds": int(text)} if how == "folds" else float(text)
+    except ValueError as error:
+        wanted = "a whole number of folds, such as 5" if how == "folds" else "a fraction from 0 to 1, such as 0.25"
+        raise ServiceError(
+            f"{text!r} is held out, which cannot be read: write {wanted}.", code="option_invalid", option="validation"
+        ) from error
+
+
+def uses(chosen: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Return what each campaign is preset for, by its id: an address may name campaigns by their use."""
+    return {campaign: use for use, field in USES.items() for campaign in chosen.get(field, ())}

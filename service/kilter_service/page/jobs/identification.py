@@ -1,0 +1,128 @@
+"""The result of an identification: how much better the robot is, what was found, and what the data cannot tell."""
+
+from __future__ import annotations
+
+import math
+from itertools import accumulate
+from typing import Any
+
+from kilter_service.contract.figures import IdentifyFigures, Scatter
+from kilter_service.contract.fits import CorrelatedGroup, Covariance, Influence, StageErrors
+from kilter_service.contract.jobs.identify import IdentifyResult
+from kilter_service.contract.jobs.job import IdentifyJob
+from kilter_service.db import Database
+from kilter_service.page.figures.heat_map import HeatMap
+from kilter_service.page.figures.plot import Plot
+from kilter_service.page.figures.scale import around, named
+from kilter_service.page.jobs import stages
+from kilter_service.page.words import mm, number
+from kilter_service.versions import service as versions
+
+MOST_NAMES = 20  # of a correlation map, and of an influence chart
+
+
+def shown(database: Database, job: IdentifyJob) -> dict[str, Any]:
+    """Return what ``jobs/identify.html`` shows."""
+    result = job.result or IdentifyResult()
+    held = result.metrics.validation if result.metrics else None
+    judged = held or (result.metrics.train if result.metrics else None)
+    where = "held-out rows" if held else "the rows that were fitted"
+    covariance = versions.get(database, result.version_id).covariance if result.version_id else None
+    groups = result.correlated_groups or []
+    return {
+        "result": result,
+        "version": result.version_id,
+        "held": held is not None,
+        "where": where,
+        "points": judged.n if judged else None,
+        "judged": {name: getattr(judged, name, None) for name, _ in stages.STAGES},
+        "stages": stages.there(judged),
+        "meaning": stages.MEANING,
+        "bars": stages.bars(judged, where),
+        "curve": cumulative(result.figures, where),
+        "effects": gain_of_effects(judged),
+        "seen": [row for row in result.parameters or [] if row.identifiable is not False],
+        "unseen": [row for row in result.parameters or [] if row.identifiable is False],
+        "groups": groups,
+        "map": correlation_map(groups, covariance),
+        "influence": influence_chart(result.influence or []),
+    }
+
+
+def gain_of_effects(errors: StageErrors | None) -> float | None:
+    """Return what the effects take off the mean error beyond the geometry, mm; None: there are none."""
+    if errors is None or errors.geometry_only is None or errors.identified is None:
+        return None
+    return errors.geometry_only.mean_mm - errors.identified.mean_mm
+
+
+def cumulative(figures: IdentifyFigures | None, where: str) -> Plot | None:
+    """Draw which share of the rows has at most which error; from the counts of the report's own histogram."""
+    figure = (figures.held_out_errors or figures.fitted_errors) if figures is not None else None
+    traces = [(one.name or "", *_shares(one)) for one in (figure.data or [] if figure is not None else [])]
+    traces = [one for one in traces if one[1]]
+    if not traces:
+        return None
+    plot = Plot(
+        f"Share of {where} with at most an error", around("error, mm", [x for one in traces for x in one[1]], log=True),
+        around("share of rows, %", [0.0, 100.0], zero=True),
+        description="The further left a curve rises, the smaller the errors.",
+        table=(["Model", "Half of the rows are below", "All are below"],
+               [[name, mm(_at(xs, ys, 50.0)), mm(xs[-1])] for name, xs, ys in traces]),
+    )  # fmt: skip
+    for place, (name, xs, ys) in enumerate(traces):
+        plot.line(xs, ys, name, place)
+    return plot
+
+
+def _shares(trace: Scatter) -> tuple[list[float], list[float]]:
+    """Return errors and the share of rows below each, from counts per bin: each is given with its lower edge."""
+    edges = [float(x) for x in trace.x if isinstance(x, int | float)]
+    counts = [y or 0.0 for y in trace.y]
+    total = sum(counts)
+    if not total or len(edges) != len(counts):
+        return [], []
+    shares = [100.0 * share / total for share in accumulate(counts)]
+    first = next(k for k, share in enumerate(shares) if share > 0)
+    last = next(k for k, share in enumerate(shares) if share >= 100.0 - 1e-9)
+    return edges[first : last + 2], [0.0, *shares[first : last + 1]]
+
+
+def _at(xs: list[float], ys: list[float], share: float) -> float:
+    return next(x for x, y in zip(xs, ys, strict=True) if y >= share - 1e-9)
+
+
+def correlation_map(groups: list[CorrelatedGroup], known: Covariance | None) -> HeatMap | None:
+    """Draw how the parameters that go together correlate; None: none do, or nothing is known of them."""
+    wanted = list(dict.fromkeys(name for group in groups for name in group.parameters))[:MOST_NAMES]
+    names, matrix = (known.names or [], known.matrix or []) if known is not None else ([], [])
+    places = {name: place for place, name in enumerate(names)}
+    wanted = [name for name in wanted if name in places and matrix[places[name]][places[name]] > 0]
+    if len(wanted) < 2:
+        return None
+    values = [[_correlation(matrix, places[a], places[b]) for b in wanted] for a in wanted]
+    return HeatMap(
+        "Correlation of parameters that go together", wanted, wanted, values, low=-1.0, high=1.0, diverging=True,
+        cell=34.0, description="Near 1 or -1 the data tell only a combination of the two.",
+    )  # fmt: skip
+
+
+def _correlation(matrix: list[list[float]], a: int, b: int) -> float:
+    return matrix[a][b] / math.sqrt(matrix[a][a] * matrix[b][b])
+
+
+def influence_chart(found: list[Influence]) -> Plot | None:
+    """Draw how far each parameter moves the tool: mean, with least and largest over the poses."""
+    rows = sorted((one for one in found if one.mean_mm is not None), key=lambda one: -(one.mean_mm or 0.0))[:MOST_NAMES]
+    if not rows:
+        return None
+    means = [one.mean_mm or 0.0 for one in rows]
+    ends = [(one.min_mm or 0.0, one.max_mm or 0.0) for one in rows]
+    plot = Plot(
+        "Influence of the parameters on the tool", named("parameter", [one.name for one in rows]),
+        around("movement of the tool, mm", [*means, *(high for _, high in ends)], zero=True), width=760.0,
+        table=(["Parameter", "Change", "Mean", "Least", "Largest"],
+               [[one.name, f"{number(one.step)} {one.unit or ''}", mm(one.mean_mm), mm(one.min_mm), mm(one.max_mm)]
+                for one in rows]),
+    )  # fmt: skip
+    return plot.bars([k + 0.5 for k in range(len(rows))], means, 0.6, "mean over the poses", errors=ends)

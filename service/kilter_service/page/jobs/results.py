@@ -1,0 +1,42 @@
+"""Which part of a page shows the result of each kind of job."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from kilter_service.contract.jobs.job import Job
+from kilter_service.db import Database
+from kilter_service.page.gap import service as story
+from kilter_service.page.jobs import evaluation, identification, planned
+
+Shown = Callable[[Database, Any], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Result:
+    """The template of a kind, and what fills it."""
+
+    template: str
+    shown: Shown
+
+
+def plain(database: Database, job: Job) -> dict[str, Any]:
+    """Return what is shown of a job whose kind has no view of its own: what it says in words."""
+    result = job.result
+    return {"sentence": getattr(result, "sentence", None), "version": getattr(result, "version_id", None)}
+
+
+PLAIN = Result("jobs/plain.html", plain)
+RESULTS: dict[str, Result] = {
+    "identify": Result("jobs/identify.html", identification.shown),
+    "gap": Result("gap/result.html", story.shown),
+    "evaluate": Result("jobs/evaluate.html", evaluation.shown),
+    "plan": Result("jobs/plan.html", planned.shown),
+}
+
+
+def result_of(kind: str) -> Result:
+    """Return how the result of a kind is shown."""
+    return RESULTS.get(kind, PLAIN)

@@ -1,0 +1,69 @@
+"""Jobs in the browser."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request, Response
+from fastapi.responses import HTMLResponse, PlainTextResponse
+
+from kilter_service.auth.access import Admin
+from kilter_service.jobs import service as jobs
+from kilter_service.page.jobs import form, planned, service
+from kilter_service.page.route import PageRoute
+from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.state import DatabaseOfApp
+
+router = APIRouter(include_in_schema=False, route_class=PageRoute)
+SEAL = "seal"
+
+
+async def typed(request: Request) -> dict[str, str]:
+    """Return the texts of a form."""
+    return {name: value for name, value in (await request.form()).items() if isinstance(value, str)}
+
+
+Typed = Annotated[dict[str, str], Depends(typed)]
+
+
+@router.get("/robots/{robot}/jobs")
+def new(robot: str, request: Request, database: DatabaseOfApp, kind: str = "identify") -> HTMLResponse:
+    """Show the form of a new job, and the robot's jobs."""
+    chosen = {name: request.query_params.getlist(name) for name in request.query_params}
+    return render(request, "jobs/new.html", **service.new(database, robot, kind, chosen))
+
+
+@router.post("/robots/{robot}/jobs/check")
+def check(robot: str, request: Request, database: DatabaseOfApp, texts: Typed) -> HTMLResponse:
+    """Say what the job would do; if it would run, hand out the seal that Run asks for."""
+    found, seal = service.checked(database, request.app.state.token, form.job_of(robot, texts))
+    return render(request, "jobs/check.html", check=found, seal=seal, robot=robot)
+
+
+@router.post("/robots/{robot}/jobs")
+def run(robot: str, request: Request, database: DatabaseOfApp, texts: Typed, _: Admin) -> Response:
+    """Queue a job whose check has passed."""
+    asked = form.job_of(robot, texts)
+    queued = service.run(database, request.app.state.token, asked, texts.get(SEAL, ""))
+    return redirect(request, f"{root_of(request)}/jobs/{queued.id}")
+
+
+@router.get("/jobs/{job}")
+def shown(job: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+    """Show a job: how far it is, why it failed, or what came out."""
+    found, template, filled = service.shown(database, job)
+    return render(request, "jobs/job.html", job=found, part=template, kinds=service.KINDS, **filled)
+
+
+@router.get("/jobs/{job}/poses.csv")
+def poses(job: str, database: DatabaseOfApp) -> Response:
+    """Download the poses of a plan."""
+    named = {"Content-Disposition": 'attachment; filename="poses.csv"'}
+    return PlainTextResponse(planned.csv_of(jobs.get(database, job)), media_type="text/csv", headers=named)
+
+
+@router.post("/jobs/{job}/cancel")
+def cancel(job: str, request: Request, database: DatabaseOfApp, _: Admin) -> Response:
+    """Stop a job."""
+    jobs.cancel(database, job)
+    return redirect(request, f"{root_of(request)}/jobs/{job}")

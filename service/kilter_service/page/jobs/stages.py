@@ -1,0 +1,56 @@
+"""Errors of several models on the same rows: bars, with the numbers beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from kilter_service.contract.fits import Errors, StageErrors
+from kilter_service.page.figures.plot import Plot
+from kilter_service.page.figures.scale import around, named
+from kilter_service.page.words import mm
+
+STAGES = (
+    ("nominal", "Before"),
+    ("registration_only", "Registration only"),
+    ("geometry_only", "Geometry only"),
+    ("identified", "After"),
+)
+BARS = (("mean_mm", "mean", -0.27), ("rms_mm", "rms", 0.0), ("p95_mm", "95 % are below", 0.27))
+NO_OTHER: Mapping[str, str] = {}
+MEANING = {
+    "Before": "the nominal robot, where it is said to stand",
+    "Registration only": "the nominal robot, base and tool fitted to the rows: what comes from the set-up alone is gone",
+    "Geometry only": "the fitted geometry, without effects",
+    "After": "the model that was identified",
+}
+
+
+def there(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> list[tuple[str, Errors]]:
+    """Return the models that were compared, in the order of what they know; ``other`` renames some."""
+    found = [(other.get(title, title), getattr(errors, name, None)) for name, title in STAGES]
+    return [(title, one) for title, one in found if one is not None]
+
+
+def bars(errors: StageErrors | None, where: str, other: Mapping[str, str] = NO_OTHER) -> Plot | None:
+    """Draw a bar for each model; None: nothing was measured."""
+    stages = there(errors, other)
+    if not stages:
+        return None
+    shown = [getattr(one, name) or 0.0 for _, one in stages for name, _, _ in BARS]
+    plot = Plot(
+        f"Errors of the tool on {where}", named("", [title for title, _ in stages]), around("error, mm", shown, zero=True),
+        description="; ".join(f"{title}: mean {mm(one.mean_mm)}" for title, one in stages), table=table(errors, other),
+    )  # fmt: skip
+    for number, (name, label, shift) in enumerate(BARS):
+        values = [getattr(one, name) for _, one in stages]
+        places = [k + 0.5 + shift for k, value in enumerate(values) if value is not None]
+        plot.bars(places, [value for value in values if value is not None], 0.25, label, number)
+    return plot
+
+
+def table(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> tuple[list[str], list[list[str]]]:
+    """Return the same numbers in words."""
+    rows = [
+        [title, mm(one.mean_mm), mm(one.rms_mm), mm(one.p95_mm), mm(one.max_mm)] for title, one in there(errors, other)
+    ]
+    return ["Model", "Mean", "Rms", "95 % are below", "Largest"], rows

@@ -1,0 +1,91 @@
+"""Logging in with a token, and out."""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import replace
+from typing import Annotated
+from urllib.parse import urlsplit
+
+from fastapi import APIRouter, Form, Request, Response
+from fastapi.responses import HTMLResponse
+
+from kilter_service.auth.access import caller_of
+from kilter_service.caller import ADMIN, CALLER, Caller
+from kilter_service.db import Database
+from kilter_service.errors import ServiceError
+from kilter_service.logins import service
+from kilter_service.page.route import PageRoute
+from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.settings import Settings
+from kilter_service.state import DatabaseOfApp
+from kilter_service.tokens import service as tokens
+
+router = APIRouter(include_in_schema=False, route_class=PageRoute)
+LONGEST = 500
+
+
+@router.get("/login")
+def form(request: Request, then: str = "/") -> HTMLResponse:
+    """Ask for a token."""
+    return render(request, "login.html", then=_within(then), problem="")
+
+
+@router.post("/login")
+def log_in(
+    request: Request,
+    database: DatabaseOfApp,
+    token: Annotated[str, Form(max_length=LONGEST)],
+    then: Annotated[str, Form(max_length=2000)] = "/",
+) -> Response:
+    """Give the browser a login, if the token holds."""
+    request.app.state.rates.take(caller_of(request).address)
+    sha256 = tokens.hash_of(token.strip())
+    try:
+        CALLER.set(_caller(request, database, sha256))
+    except ServiceError as error:
+        return render(request, "login.html", 401, then=_within(then), problem=error.message)
+    answer = redirect(request, root_of(request) + _within(then))
+    answer.set_cookie(
+        service.COOKIE, service.log_in(database, sha256), max_age=service.HOURS * 3600, httponly=True,
+        samesite="strict", secure=_is_secure(request), path=root_of(request) or "/",
+    )  # fmt: skip
+    return answer
+
+
+def _caller(request: Request, database: Database, sha256: str) -> Caller:
+    """Return who logs in, for the audit.
+
+    Raises:
+        ServiceError: the token does not hold.
+
+    """
+    asked = caller_of(request)
+    if secrets.compare_digest(sha256, tokens.hash_of(request.app.state.token)):
+        return replace(asked, actor=ADMIN, role="admin")
+    found = tokens.known(database, sha256)
+    return replace(asked, actor=found.name, role=found.role, token_id=found.id)
+
+
+def _is_secure(request: Request) -> bool:
+    """Whether the browser speaks HTTPS, to this server or to its proxy."""
+    settings: Settings = request.app.state.settings
+    peer = "" if request.client is None else request.client.host
+    forwarded = request.headers.get("x-forwarded-proto", "") if settings.trusts(peer) else ""
+    return request.url.scheme == "https" or forwarded.lower() == "https"
+
+
+@router.post("/logout")
+def log_out(request: Request, database: DatabaseOfApp) -> Response:
+    """End the login."""
+    service.log_out(database, request.cookies.get(service.COOKIE, ""))
+    answer = redirect(request, f"{root_of(request)}/login")
+    answer.delete_cookie(service.COOKIE, path=root_of(request) or "/")
+    return answer
+
+
+def _within(then: str) -> str:
+    """Return a path of this server: nobody is sent elsewhere by a link to the login."""
+    parts = urlsplit(then)
+    outside = parts.scheme or parts.netloc or not then.startswith("/") or then.startswith(("//", "/\\"))
+    return "/" if outside else then

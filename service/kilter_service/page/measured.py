@@ -1,0 +1,119 @@
+"""What views say of measured rows: the numbers in words, coverage, places, and rows that look wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from kilter_service.page import words
+from kilter_service.page.figures.coverage import Bar, Coverage
+from kilter_service.page.figures.plot import BLUE, RED, Plot
+from kilter_service.page.figures.scale import around
+from kilter_service.wire import to_mm
+
+if TYPE_CHECKING:
+    from kilter_service.campaigns.facts import Facts, JointFacts
+
+LITTLE = 0.3  # of a joint's range: little was measured of it
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a template shows of rows. ``lines``: the line of the file behind each row, where it is known."""
+
+    facts: Facts
+    headline: str
+    noise: str
+    noise_why: str
+    columns: Sequence[Sequence[str]]
+    coverage: Coverage
+    places: Sequence[Plot]
+    little: Sequence[str]
+    doubts: Sequence[tuple[str, str]]
+
+
+def seen(facts: Facts, lines: Sequence[int] = ()) -> Seen:
+    """Put facts in words and figures."""
+    noise, why = _noise(facts)
+    return Seen(
+        facts, _headline(facts), noise, why, [_column(one) for one in facts.columns], _coverage(facts.joints),
+        _places(facts), [_narrow(joint) for joint in facts.joints if joint.share is not None and joint.share < LITTLE],
+        [(_at(one.row, lines), one.why) for one in facts.doubtful.rows],
+    )  # fmt: skip
+
+
+def _at(row: int, lines: Sequence[int]) -> str:
+    return f"{row} (line {lines[row - 1]} of the file)" if row <= len(lines) else str(row)
+
+
+def _headline(facts: Facts) -> str:
+    found = facts.repeats
+    visits = "" if found.visits == found.poses else f", {words.count(found.visits)} visits"
+    return f"{words.count(facts.rows)} rows at {words.count(found.poses)} poses{visits}"
+
+
+def _noise(facts: Facts) -> tuple[str, str]:
+    """The noise that repeats show, and what it rests on."""
+    found = facts.repeats
+    if found.between is not None:
+        why = f"from {words.count(found.repeated)} poses that were visited again"
+        shots = "" if found.within is None else f"; {words.mm(to_mm(found.within))} between rows of one visit"
+        return words.mm(to_mm(found.between)), why + shots
+    if found.within is not None:
+        why = (
+            "between rows of one visit only: it leaves out what differs when the arm comes back. Visit some poses again"
+        )
+        return words.mm(to_mm(found.within)), why
+    return words.NONE, "no pose was measured twice, so the rows do not say it. Visit some poses again"
+
+
+def _column(one: object) -> Sequence[str]:
+    from kilter_service.campaigns.facts import ColumnFacts
+
+    assert isinstance(one, ColumnFacts)
+    gaps = "none" if one.empty == 0 else words.count(one.empty)
+    return [one.name, one.what, one.unit or "–", words.number(one.low, 5), words.number(one.high, 5), gaps]
+
+
+def _coverage(joints: Sequence[JointFacts]) -> Coverage:
+    bars, rows = [], []
+    for joint in joints:
+        low, high = words.number(joint.low, 4), words.number(joint.high, 4)
+        ends = [words.NONE if end is None else words.number(end, 4) for end in joint.limits]
+        share = "open limits" if joint.share is None else f"{100 * joint.share:.0f} % of the range"
+        said = f"{low} to {high} {joint.unit} (limits {ends[0]} to {ends[1]}): {share}"
+        bars.append(Bar(joint.name, joint.bin_low, joint.bin_high, joint.bins, joint.low, joint.high, said))
+        rows.append(
+            [joint.name, low, high, *ends, joint.unit, "–" if joint.share is None else words.percent(joint.share)]
+        )
+    head = ["Joint", "Lowest", "Highest", "Lower limit", "Upper limit", "Unit", "Share of the range"]
+    return Coverage("Readings of each joint within its limits", bars, (head, rows))
+
+
+def _narrow(joint: JointFacts) -> str:
+    return f"{joint.name} ({words.percent(joint.share)})"
+
+
+def _places(facts: Facts) -> list[Plot]:
+    """Where the tool was seen, from above and from the side; rows that look wrong stand out."""
+    if not facts.places:
+        return []
+    odd = {one.row for one in facts.doubtful.rows}
+    out = []
+    for title, across, up in (("From above", 0, 1), ("From the side", 0, 2)):
+        points = [(row, place[across], place[up]) for row, place in facts.places]
+        axes = [around(f"{'xyz'[k]}, mm", [point[n] for point in points]) for n, k in ((1, across), (2, up))]
+        plot = Plot(
+            title, axes[0], axes[1], width=420, height=320, description=f"{title}: places that were measured, mm"
+        )
+        plain = [point for point in points if point[0] not in odd]
+        plot.points([p[1] for p in plain], [p[2] for p in plain], "measured", 0, BLUE, [f"row {p[0]}" for p in plain])
+        marked = [point for point in points if point[0] in odd]
+        if marked:
+            names = [f"row {p[0]}, looks wrong" for p in marked]
+            plot.points([p[1] for p in marked], [p[2] for p in marked], "looks wrong", 2, RED, names)
+        numbers = [[f"row {row}", *(words.number(value, 6) for value in place)] for row, place in facts.places[:100]]
+        plot.table = (["Row", "x, mm", "y, mm", "z, mm"], numbers)
+        out.append(plot)
+    return out

@@ -1,0 +1,38 @@
+"""The plots of a report: told apart in black and white by shade, dash and mark."""
+
+from __future__ import annotations
+
+from kilter_service.contract.fits import StageErrors
+from kilter_service.page import words
+from kilter_service.page.figures.plot import Plot
+from kilter_service.page.figures.scale import around, named
+
+SHADES = ("#c8c8c8", "#828282", "#141414")
+STAGES = (
+    ("nominal", "nominal robot"),
+    ("registration_only", "base and tool fitted only"),
+    ("identified", "calibrated"),
+)
+SIZES = (("mean_mm", "mean"), ("rms_mm", "rms"), ("p95_mm", "95 %"), ("max_mm", "largest"))
+
+
+def before_and_after(errors: StageErrors, title: str) -> Plot | None:
+    """Bars of the errors of each model on the same rows."""
+    found = [(label, getattr(errors, name)) for name, label in STAGES if getattr(errors, name) is not None]
+    if not found:
+        return None
+    values = [getattr(one, size) for _, one in found for size, _ in SIZES if getattr(one, size) is not None]
+    if not values or min(values) <= 0:
+        return None
+    axis = around("error, mm (logarithmic)", values, log=True)
+    plot = Plot(title, named("", [label for _, label in SIZES]), axis, width=620, height=270, description=title)
+    width = 0.8 / len(found)
+    shades = SHADES[-len(found) :]
+    for k, (label, one) in enumerate(found):
+        sizes = [getattr(one, size) for size, _ in SIZES]
+        there = [(place, value) for place, value in enumerate(sizes) if value is not None]
+        places = [place + 0.1 + (k + 0.5) * width for place, _ in there]
+        plot.bars(places, [value for _, value in there], width * 0.92, label, colour=shades[k])
+    rows = [[label, *(words.mm(getattr(one, size)) for size, _ in SIZES)] for label, one in found]
+    plot.table = (["Model", *(label for _, label in SIZES)], rows)
+    return plot

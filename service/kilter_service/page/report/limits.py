@@ -1,0 +1,56 @@
+"""The limits of a claim in plain words: what is not known, what cannot be told apart, where it does not hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from kilter_service.contract.jobs.gap import GapResult
+from kilter_service.contract.versions import Version
+
+VERDICTS = {
+    "replicated": "seen again in a measurement of another day or set-up",
+    "confirmed": "confirmed within this measurement; another day or set-up has not shown it again",
+    "class_confirmed": "confirmed as one of several that these rows cannot tell apart",
+    "provisional": "provisional: not all tests were passed",
+}
+EXTRAPOLATES = (
+    "Outside the joint ranges, loads and temperatures that were measured the calibration extrapolates: the errors stated "
+    "here do not hold there."
+)
+
+
+def limits(version: Version, search: GapResult | None) -> list[str]:
+    """Return what the version does not claim, one sentence each."""
+    return [*_errors(version), *_unknown(version), *_named(search), EXTRAPOLATES]
+
+
+def _errors(version: Version) -> Iterator[str]:
+    if version.metrics.validation is None:
+        yield "No pose was held out: the errors stated here are of poses that were fitted, and are smaller than elsewhere."
+    yield from (one.message for one in version.objections)
+    yield from (one.message for one in version.warnings)
+
+
+def _unknown(version: Version) -> Iterator[str]:
+    blind = [one.name for one in version.parameters if one.identifiable is False]
+    if blind:
+        yield f"These poses cannot determine {', '.join(blind)}: their values are those of the nominal robot, or a guess."
+    yield from (one.sentence for one in version.null_directions if one.sentence)
+    odd = [one.name for one in version.parameters if one.plausible is False]
+    if odd:
+        yield f"The values of {', '.join(odd)} are larger than usual: check them before you rely on them."
+
+
+def _named(search: GapResult | None) -> Iterator[str]:
+    for effect in (search.effects if search is not None else None) or []:
+        verdict = VERDICTS.get(effect.verdict or "")
+        where = f" of joints {', '.join(map(str, effect.joints))}" if effect.joints else ""
+        if verdict:
+            yield f"The effect {effect.id}{where} is {verdict}."
+        alike = [one.id for one in effect.alias_set or []]
+        if alike:
+            yield f"These rows cannot tell {effect.id}{where} from {', '.join(alike)}: either would explain them."
+    for one in (search.not_testable if search is not None else None) or []:
+        yield f"{one.id} could not be tested: {one.reason or 'these rows do not show it'}" + (
+            f". Remedy: {one.remedy}." if one.remedy else "."
+        )

@@ -1,0 +1,55 @@
+"""The report of a job or a version, to read and print, and as PDF."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+from fastapi.responses import HTMLResponse
+
+from kilter_service.db import Database
+from kilter_service.page.report import service
+from kilter_service.page.report.pdf import pdf
+from kilter_service.page.report.service import Sheet
+from kilter_service.page.route import PageRoute
+from kilter_service.page.shell import environment, render, source
+from kilter_service.state import DatabaseOfApp, scratch_of
+
+router = APIRouter(include_in_schema=False, route_class=PageRoute)
+
+
+@router.get("/versions/{version}/report")
+def of_version(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+    """Show the report of a version."""
+    return render(
+        request, "report/page.html", sheet=service.of_version(database, version), place=f"/versions/{version}"
+    )
+
+
+@router.get("/jobs/{job}/report")
+def of_job(job: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+    """Show the report of a job."""
+    return render(request, "report/page.html", sheet=service.of_job(database, job), place=f"/jobs/{job}")
+
+
+@router.get("/versions/{version}/report.pdf")
+def version_pdf(version: str, request: Request, database: DatabaseOfApp) -> Response:
+    """Return the report of a version as PDF."""
+    return _pdf(request, database, service.of_version(database, version))
+
+
+@router.get("/jobs/{job}/report.pdf")
+def job_pdf(job: str, request: Request, database: DatabaseOfApp) -> Response:
+    """Return the report of a job as PDF."""
+    return _pdf(request, database, service.of_job(database, job))
+
+
+def _pdf(request: Request, database: Database, sheet: Sheet) -> Response:
+    shown: dict[str, Any] = {"sheet": sheet}
+    html = environment().get_template("report/printed.html").render(**shown)
+    with scratch_of(request).folder_for("report") as folder:
+        made = pdf(folder, html, source("report.css"))
+    name = sheet.version.id if sheet.version is not None else sheet.job.id
+    return Response(
+        made, media_type="application/pdf", headers={"Content-Disposition": f'inline; filename="{name}.pdf"'}
+    )

@@ -1,0 +1,235 @@
+"""What a report says, from what the interface says of a version, its job, its robot and its campaigns."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from kilter_core.errors import CoreError
+from kilter_service.campaigns import looking
+from kilter_service.campaigns import service as campaigns
+from kilter_service.contract.fits import Parameter, StageErrors
+from kilter_service.contract.jobs.evaluate import EvaluateResult, Iso9283
+from kilter_service.contract.jobs.gap import GapResult
+from kilter_service.contract.jobs.job import EvaluateJob, GapJob, Job
+from kilter_service.contract.robot_reports import RobotReport
+from kilter_service.contract.versions import Activation, Version
+from kilter_service.db import Database
+from kilter_service.errors import ServiceError
+from kilter_service.jobs import service as jobs
+from kilter_service.page import words
+from kilter_service.page.figures.plot import Plot
+from kilter_service.page.report.figures import SIZES, STAGES, before_and_after
+from kilter_service.page.report.limits import limits
+from kilter_service.paging import Page
+from kilter_service.robots import service as robots
+from kilter_service.versions import service as versions
+
+MOST_JOBS = 200  # newest, that are looked through for evaluations
+SIGMA95 = 1.96
+NEGATIVE_ZERO = re.compile(r"^-(?=0(\.0+)?( |$))")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Errors of the models on one set of rows: the table, and its plot."""
+
+    title: str
+    on: str
+    rows: list[list[str]]
+    plot: Plot | None
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """An evaluation of the version, with ISO 9283's criteria where they were asked for."""
+
+    job: Job
+    standard: str
+    criteria: list[tuple[str, Iso9283]]
+    judged: list[Judged]
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """All of a report."""
+
+    title: str
+    robot: RobotReport
+    job: Job
+    version: Version | None
+    headline: str
+    judged: list[Judged]
+    parameters: list[list[str]]
+    effects: list[tuple[str, str, str]]
+    search: GapResult | None
+    evaluated: list[Evaluated]
+    limits: list[str]
+    activations: list[Activation]
+    campaigns: Mapping[str, str]
+    ranges: list[list[str]]
+
+
+def of_version(database: Database, version_id: str) -> Sheet:
+    """Return the report of a version."""
+    version = versions.get(database, version_id)
+    return _sheet(database, version, jobs.get(database, version.job_id))
+
+
+def of_job(database: Database, job_id: str) -> Sheet:
+    """Return the report of a job: of the version that it made, or of what it found.
+
+    Raises:
+        ServiceError: it has not succeeded.
+
+    """
+    job = jobs.get(database, job_id)
+    if job.result is None:
+        raise ServiceError(
+            f"Job {job_id} is {job.state}: there is a report when it has succeeded.", code="payload_invalid"
+        )
+    made = None if isinstance(job, EvaluateJob) else getattr(job.result, "version_id", None)
+    return _sheet(database, None if made is None else versions.get(database, made), job)
+
+
+def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
+    robot = robots.get(database, job.robot)
+    search = job.result if isinstance(job, GapJob) else None
+    judged = [] if version is None else list(_judged(version))
+    named = version.name or version.id if version is not None else job.name or job.id
+    log = [] if version is None else versions.activations(database, job.robot, Page()).activations
+    return Sheet(
+        title=f"{job.robot}: {named}", robot=robot, job=job, version=version, headline=_headline(version, search),
+        judged=judged, parameters=[] if version is None else [_parameter(one) for one in version.parameters],
+        effects=[] if version is None else list(_effects(version, search)), search=search,
+        evaluated=list(_evaluated(database, job, version)), limits=[] if version is None else limits(version, search),
+        activations=[one for one in log if version is not None and one.version_id == version.id],
+        campaigns=_names(database, job), ranges=[] if version is None else _ranges(database, version, robot),
+    )  # fmt: skip
+
+
+def _names(database: Database, job: Job) -> dict[str, str]:
+    held = job.validation if isinstance(job.validation, list) else []
+    out = {}
+    for one in [*job.campaigns, *held, *job.confirmation]:
+        try:
+            out[one] = campaigns.get(database, one).name
+        except ServiceError:
+            out[one] = "purged"
+    return out
+
+
+def _ranges(database: Database, version: Version, robot: RobotReport) -> list[list[str]]:
+    """From where to where each joint was measured in what was fitted, in deg or mm: the calibration holds there."""
+    spans: dict[int, tuple[float, float]] = {}
+    for used in version.campaigns:
+        try:
+            found = looking.spans(database, used.id) if used.use == "train" else {}
+        except CoreError:  # it was purged, or is damaged: the hash of its file still says what it was
+            continue
+        for joint, (low, high) in found.items():
+            before = spans.get(joint, (low, high))
+            spans[joint] = min(low, before[0]), max(high, before[1])
+    out = []
+    for number, axis in enumerate(robot.joints):
+        if number in spans:
+            ends = axis.limits_deg or axis.limits_mm or (None, None)
+            unit = "deg" if axis.limits_deg is not None else "mm"
+            shown = (*spans[number], *ends)
+            out.append([axis.name, *(words.number(value, 4) for value in shown), unit])
+    return out
+
+
+def _headline(version: Version | None, search: GapResult | None) -> str:
+    """The answer in a sentence."""
+    if version is None:
+        return ""
+    errors = version.metrics.validation or version.metrics.train
+    if errors is None or errors.identified is None:
+        return (search.sentence if search is not None else None) or "No tool was measured: see the parameters."
+    on = "poses that were held out" if version.metrics.validation is not None else "the poses that were fitted"
+    before = errors.registration_only or errors.nominal
+    fell = "" if before is None else f", down from {words.mm(before.mean_mm)} with base and tool fitted only"
+    return f"The mean error of the tool is {words.mm(errors.identified.mean_mm)} on {on}{fell}."
+
+
+def _judged(version: Version) -> Iterator[Judged]:
+    for errors, title, on in (
+        (version.metrics.validation, "On held-out poses", "rows that were not fitted: this is the accuracy to expect"),
+        (version.metrics.train, "On fitted poses", "rows that were fitted: smaller than what is to be expected elsewhere"),
+    ):  # fmt: skip
+        if errors is not None:
+            yield _errors(errors, title, on)
+
+
+def _errors(errors: StageErrors, title: str, on: str) -> Judged:
+    found = [(label, getattr(errors, name)) for name, label in STAGES if getattr(errors, name) is not None]
+    rows = [
+        [label, *(words.mm(getattr(one, size)) for size, _ in SIZES), words.number(one.orientation_deg)]
+        for label, one in found
+    ]
+    count = "" if errors.n is None else f"{words.count(errors.n)} points; "
+    return Judged(title, count + on, rows, before_and_after(errors, f"Errors: {title.lower()}"))
+
+
+def _parameter(one: Parameter) -> list[str]:
+    unit = "" if one.unit in (None, "1") else str(one.unit)
+    if one.lower is not None and one.upper is not None:
+        interval = f"{_fine(one.lower, one.sigma)} to {_fine(one.upper, one.sigma)} ({one.interval_from or 'sigma'})"
+    elif one.value is not None and one.sigma:
+        low, high = one.value - SIGMA95 * one.sigma, one.value + SIGMA95 * one.sigma
+        interval = f"{_fine(low, one.sigma)} to {_fine(high, one.sigma)}"
+    else:
+        interval = words.NONE
+    known = "no" if one.identifiable is False else "unusually large" if one.plausible is False else "yes"
+    return [
+        one.name, unit, _fine(one.nominal, one.sigma), _unsigned(words.measured(one.value, one.sigma)),
+        _fine(one.change, one.sigma), interval, known,
+    ]  # fmt: skip
+
+
+def _fine(value: float | None, sigma: float | None) -> str:
+    """Write a value as finely as its uncertainty allows."""
+    text = words.number(value) if value is None or not sigma else words.measured(value, sigma).partition(" ±")[0]
+    return _unsigned(text)
+
+
+def _unsigned(text: str) -> str:
+    """Write a zero without a sign: -0.0 is what rounding leaves."""
+    return NEGATIVE_ZERO.sub("", text)
+
+
+def _effects(version: Version, search: GapResult | None) -> Iterator[tuple[str, str, str]]:
+    """Each effect: its name and joints, what it is, and what it does here."""
+    from kilter_core.effects.registry import EFFECTS  # compiled kernels: not at the start of the API process
+
+    named = {one.id: one for one in (search.effects if search is not None else None) or []}
+    for effect in version.effects:
+        found = named.get(effect)
+        joints = f" (joints {', '.join(map(str, found.joints))})" if found is not None and found.joints else ""
+        moves = "" if found is None or found.moves_mm is None else f"moves the tool by {words.mm(found.moves_mm)} (rms)"
+        kind = EFFECTS.get(effect)
+        yield f"{effect}{joints}", kind.summary if kind is not None else "", moves
+
+
+def _evaluated(database: Database, job: Job, version: Version | None) -> Iterator[Evaluated]:
+    """Evaluations of the version, newest first; of a job that is one, itself."""
+    if isinstance(job, EvaluateJob):
+        found = [job]
+    elif version is not None:
+        listed = jobs.listed(database, job.robot, Page(MOST_JOBS)).jobs
+        wanted = [one.id for one in listed if one.kind == "evaluate" and one.state == "succeeded"]
+        whole = [jobs.get(database, one) for one in wanted]
+        found = [one for one in whole if isinstance(one, EvaluateJob) and _of(one.result, version)]
+    else:
+        return
+    for one in found:
+        assert one.result is not None
+        errors = (one.result.metrics or {}).items()
+        judged = [_errors(part, f"Campaign {name}", f"evaluation {one.id}") for name, part in errors]
+        yield Evaluated(one, one.result.standard or "ISO 9283", list((one.result.iso9283 or {}).items()), judged)
+
+
+def _of(result: EvaluateResult | None, version: Version) -> bool:
+    return result is not None and result.version_id == version.id

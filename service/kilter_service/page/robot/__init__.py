@@ -1,0 +1,1 @@
+"""One robot: how good it is, what corrects it, and the arm in 3-D."""

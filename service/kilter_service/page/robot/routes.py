@@ -1,0 +1,59 @@
+"""The first view of a robot, and the numbers of its picture."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import HTMLResponse, JSONResponse
+
+from kilter_service.page.robot import scene, service
+from kilter_service.page.route import PageRoute
+from kilter_service.page.shell import render
+from kilter_service.state import DatabaseOfApp, SettingsOfApp
+
+router = APIRouter(include_in_schema=False, route_class=PageRoute)
+ID = Annotated[str, Query(max_length=64)]
+
+
+@router.get("/robots/{robot}")
+def overview(
+    robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, version: ID = "", campaign: ID = ""
+) -> HTMLResponse:
+    """Show how good a robot is, what corrects it, and what to do next."""
+    shown = service.of(database, settings, robot, version or None, campaign or None)
+    return render(request, "robot/overview.html", shown=shown)
+
+
+@router.get("/robots/{robot}/worst")
+def worst(robot: str, request: Request, database: DatabaseOfApp, version: ID, campaign: ID) -> HTMLResponse:
+    """Show the poses at which a version is worst."""
+    scene.check(database, robot, version)
+    found = scene.worst(database, version, campaign)
+    return render(request, "robot/worst.html", found=found, version=version, campaign=campaign)
+
+
+@router.get("/robots/{robot}/arm.json")
+def arm(robot: str, database: DatabaseOfApp) -> JSONResponse:
+    """Send the chain."""
+    return JSONResponse(scene.arm(database, robot))
+
+
+@router.get("/robots/{robot}/places.json")
+def places(robot: str, database: DatabaseOfApp, version: ID, campaign: ID) -> JSONResponse:
+    """Send the measured places with their errors."""
+    scene.check(database, robot, version)
+    return JSONResponse(scene.places(database, version, campaign))
+
+
+@router.get("/robots/{robot}/reach.json")
+def reach(robot: str, database: DatabaseOfApp, version: ID) -> JSONResponse:
+    """Send correction and uncertainty all over the joint limits."""
+    scene.check(database, robot, version)
+    return JSONResponse(scene.reach(database, version))
+
+
+@router.get("/robots/{robot}/meshes/{link}")
+def mesh(robot: str, link: str, database: DatabaseOfApp) -> Response:
+    """Send the triangles of a link."""
+    return Response(scene.mesh(database, robot, link), media_type="application/octet-stream")

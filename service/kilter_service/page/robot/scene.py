@@ -1,0 +1,125 @@
+"""The arm in 3-D as numbers for the browser: mm and degrees, rounded, in the frame of the robot's base."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from kilter_service.db import Database
+from kilter_service.errors import ServiceError
+from kilter_service.meshes import service as meshes
+from kilter_service.robots import service as robots
+from kilter_service.versions import service as versions
+from kilter_service.wire import joint_scale, joint_units, to_deg, to_mm
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+Document = dict[str, Any]
+NAMES = ("TX", "TY", "TZ", "RX", "RY", "RZ")
+FREE = {"deg": 180.0, "mm": 500.0}  # range of a slider of a joint without limits
+PLACE, ERROR, ANGLE = 2, 5, 4  # decimals: 0.01 mm, 0.01 µm, 0.0001 degrees
+
+
+def arm(database: Database, robot: str) -> Document:
+    """Return the nominal chain: elements with what moves them, joints with their limits, and the tool in the flange."""
+    import numpy as np
+
+    found = robots.arm(database, robot)
+    units = joint_units(found)
+    elements = []
+    for one in found.chain.elements:
+        value = to_deg(one.value) if one.axis.rotates else to_mm(one.value)
+        elements.append([NAMES[one.axis], round(value, 6), one.joint, one.ratio])
+    joints = []
+    for joint, unit, scale in zip(found.joints, units, joint_scale(found), strict=True):
+        low, high = (
+            round(float(end) * scale, ANGLE) if np.isfinite(end) else sign * FREE[unit]
+            for end, sign in ((joint.lower, -1.0), (joint.upper, 1.0))
+        )
+        joints.append({"name": joint.name, "unit": unit, "low": low, "high": high})
+    tool = np.array(found.T_tool, dtype=np.float64)
+    tool[:3, 3] = to_mm(tool[:3, 3])
+    return {
+        "elements": elements,
+        "joints": joints,
+        "primary": list(found.chain.primary),
+        "tool": np.round(tool, 6).tolist(),
+        "meshes": [mesh.link for mesh in meshes.listed(database, robot).meshes],
+    }
+
+
+def mesh(database: Database, robot: str, link: str) -> bytes:
+    """Return the corners of the triangles of a link, nine numbers each, mm, as little-endian floats of 32 bits."""
+    return meshes.corners(database, robot, link).astype("<f4").tobytes()
+
+
+def check(database: Database, robot: str, version: str) -> None:
+    """Refuse a version of another robot.
+
+    Raises:
+        ServiceError: it is one.
+
+    """
+    found = versions.get(database, version).robot
+    if found != robot:
+        raise ServiceError(
+            f"Version {version} is of robot {found!r}: choose one of {robot!r}.", code="option_invalid", version=version
+        )
+
+
+def places(database: Database, version: str, campaign: str) -> Document:
+    """Return the measured places with their errors; `total` counts what there is, the lists hold what is shown."""
+    import numpy as np
+
+    found = versions.places(database, version, campaign)
+    scale = np.asarray(joint_scale(found.robot))
+    return {
+        "total": found.total,
+        "row": found.row.tolist(),
+        "q": np.round(found.q * scale, ANGLE).tolist(),
+        "at": np.round(to_mm(found.at), PLACE).tolist(),
+        "left": {name: np.round(to_mm(left), ERROR).tolist() for name, left in found.left.items()},
+        "held_out": found.held_out.tolist(),
+        "set_aside": found.set_aside.tolist(),
+    }
+
+
+def reach(database: Database, version: str) -> Document:
+    """Return poses all over the joint limits: correction of the tool, and the standard deviation of where it is."""
+    import numpy as np
+
+    found = versions.reach(database, version)
+    after = None if found.after is None else np.round(to_mm(found.after), ERROR).tolist()
+    return {
+        "at": np.round(to_mm(found.points), PLACE).tolist(),
+        "before": np.round(to_mm(found.before), ERROR).tolist(),
+        "after": after,
+    }
+
+
+def worst(database: Database, version: str, campaign: str, most: int = 5) -> Document:
+    """Return the rows with the largest errors of a version, the worst first."""
+    import numpy as np
+
+    found = versions.places(database, version, campaign)
+    size = to_mm(np.linalg.norm(found.left["identified"], axis=1))
+    held = found.held_out if found.held_out.any() else np.ones(len(size), dtype=bool)
+    order = [k for k in np.argsort(-size) if held[k]][:most]
+    units = ["mm" if unit == "mm" else "°" for unit in joint_units(found.robot)]
+    readings = found.q * np.asarray(joint_scale(found.robot))
+    return {
+        "held_out": bool(found.held_out.any()),
+        "joints": [joint.name for joint in found.robot.joints],
+        "rows": [
+            {
+                "row": int(found.row[k]),
+                "error": float(size[k]),
+                "at": to_mm(found.at[k]).tolist(),
+                "q": [f"{v:.1f}{unit}" for v, unit in zip(readings[k], units, strict=True)],
+            }
+            for k in order
+        ],
+    }

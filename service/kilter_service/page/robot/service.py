@@ -1,0 +1,103 @@
+"""What the first view of a robot answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from kilter_service.campaigns import service as campaigns
+from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.jobs.gap import GapResult
+from kilter_service.contract.jobs.job import JobSummary
+from kilter_service.contract.robot_reports import RobotReport
+from kilter_service.contract.versions import Activation, Version, VersionSummary
+from kilter_service.db import Database
+from kilter_service.jobs import service as jobs
+from kilter_service.page.accuracy import Accuracy, accuracy_of
+from kilter_service.page.correcting import Correcting, corrector
+from kilter_service.paging import Page
+from kilter_service.robots import service as robots
+from kilter_service.settings import Settings
+from kilter_service.versions import service as versions
+
+NEWEST = Page(limit=50)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The newest gap search that was completed."""
+
+    job: JobSummary
+    result: GapResult
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A robot; ``version`` is the active one, ``candidate`` a newer one that is not, ``looked_at`` the one of the picture."""
+
+    robot: RobotReport
+    version: Version | None
+    accuracy: Accuracy | None
+    activation: Activation | None
+    candidate: VersionSummary | None
+    correcting: Correcting
+    latest: JobSummary | None
+    finding: Finding | None
+    campaigns: Sequence[Campaign]
+    versions: Sequence[VersionSummary]
+    looked_at: VersionSummary | None
+    campaign: Campaign | None
+
+    @property
+    def unseen(self) -> int:
+        """How many parameters the measurements of the active version could not tell."""
+        rows = [] if self.version is None else self.version.parameters
+        return sum(one.identifiable is False or one.value is None for one in rows)
+
+
+def of(database: Database, settings: Settings, name: str, version: str | None, campaign: str | None) -> Shown:
+    """Return what the view shows; ``version`` and ``campaign`` are those of the picture, where they were chosen."""
+    robot = robots.get(database, name)
+    active = None if robot.active_version is None else versions.get(database, robot.active_version)
+    log = versions.activations(database, name, Page(limit=1)).activations
+    made = versions.listed(database, name, NEWEST).versions
+    newest = jobs.listed(database, name, NEWEST).jobs
+    measured = [one for one in campaigns.listed(database, name, Page()).campaigns if one.rows]
+    looked_at = next((one for one in made if one.id == (version or robot.active_version)), made[0] if made else None)
+    return Shown(
+        robot=robot,
+        version=active,
+        accuracy=None if active is None else accuracy_of(active.metrics),
+        activation=log[0] if log else None,
+        candidate=next((one for one in made if not one.active), None) if made and not made[0].active else None,
+        correcting=corrector(database, settings).of(name, robot.active_version),
+        latest=newest[0] if newest else None,
+        finding=_finding(database, newest),
+        campaigns=measured,
+        versions=made,
+        looked_at=looked_at,
+        campaign=_campaign(database, measured, looked_at, campaign),
+    )
+
+
+def _finding(database: Database, newest: Sequence[JobSummary]) -> Finding | None:
+    for summary in newest:
+        if summary.kind == "gap" and summary.state == "succeeded":
+            result = jobs.get(database, summary.id).result
+            return Finding(summary, result) if isinstance(result, GapResult) else None
+    return None
+
+
+def _campaign(
+    database: Database, measured: Sequence[Campaign], version: VersionSummary | None, wanted: str | None
+) -> Campaign | None:
+    """The campaign that was chosen, else one that the version was not fitted to, else the newest."""
+    by_id = {one.id: one for one in measured}
+    if wanted in by_id:
+        return by_id[wanted]
+    used = [] if version is None else versions.get(database, version.id).campaigns
+    for use in ("validation", "confirmation", "train"):
+        for one in used:
+            if one.use == use and one.id in by_id:
+                return by_id[one.id]
+    return measured[-1] if measured else None

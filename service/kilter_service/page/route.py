@@ -1,0 +1,69 @@
+"""A route of the page: its answers are HTML, and so are its refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+from urllib.parse import quote
+
+from fastapi import Request, Response
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import RedirectResponse
+
+from kilter_core.errors import CoreError
+from kilter_service.db.failures import in_words
+from kilter_service.errors import PROBLEMS
+from kilter_service.page.shell import HEADERS, is_part, redirect, render, root_of
+from kilter_service.routing import GuardedRoute
+
+Handler = Callable[[Request], Awaitable[Response]]
+UNKNOWN = (400, "This cannot be done")
+LOG_IN_FIRST = frozenset({"token_missing", "token_wrong", "token_ended"})
+
+
+class PageRoute(GuardedRoute):
+    """A route whose reader is a person in front of a browser."""
+
+    def get_route_handler(self) -> Callable[[Request], Any]:
+        """Return what answers a request."""
+        answer: Handler = super().get_route_handler()
+
+        async def handle(request: Request) -> Response:
+            try:
+                response = await answer(request)
+            except (CoreError, RequestValidationError) as error:
+                response = refused(request, error)
+            except Exception as error:
+                known = in_words(error)
+                if known is None:
+                    raise
+                response = refused(request, known)
+            for name, value in HEADERS.items():
+                response.headers.setdefault(name, value)
+            return response
+
+        return handle
+
+
+def refused(request: Request, error: CoreError | RequestValidationError) -> Response:
+    """Say what is wrong: instead of the part that was asked for, or as a page. Who is not logged in is sent there."""
+    if isinstance(error, RequestValidationError):
+        code, message = "payload_invalid", "; ".join(_place(item) for item in error.errors()[:20])
+    else:
+        code, message = error.code, error.message
+    if code in LOG_IN_FIRST:
+        return _to_login(request)
+    status, title = PROBLEMS.get(code, UNKNOWN)
+    template = "refusal_part.html" if is_part(request) else "refusal.html"
+    return render(request, template, status=status, title=title, message=message, code=code)
+
+
+def _place(item: dict[str, Any]) -> str:
+    return f"{'.'.join(str(part) for part in item['loc'][1:])}: {item['msg']}"
+
+
+def _to_login(request: Request) -> Response:
+    if is_part(request) or request.method != "GET":
+        return redirect(request, f"{root_of(request)}/login")
+    back = quote(f"{request.url.path}{'?' + request.url.query if request.url.query else ''}", safe="")
+    return RedirectResponse(f"{root_of(request)}/login?then={back}", 303)

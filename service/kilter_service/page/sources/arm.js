@@ -1,0 +1,245 @@
+// The arm in 3-D (page/robot): fetches the chain, the measured places and the workspace, and draws what is asked for.
+import { AmbientLight, AxesHelper, DirectionalLight, GridHelper, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "three";
+import { posed } from "./arm/chain.js";
+import { Looking } from "./arm/camera.js";
+import { arm, arrows, cloud, colourOf, mesh, points, release } from "./arm/parts.js";
+import { fill, length, mm, quantile } from "./arm/words.js";
+
+const STAGES = { identified: "this version", registration_only: "registration only", nominal: "the nominal robot" };
+const COLOURS = { fitted: 0x808080, held: 0x009e73, aside: 0xd55e00, arrow: 0xd55e00 };
+const SHARE = 0.12; // of the workspace that a large error is drawn as
+const MOST_LISTED = 200;
+
+class Picture {
+  constructor(place) {
+    this.place = place;
+    this.canvas = place.querySelector("canvas");
+    this.scene = new Scene();
+    this.parts = {};
+    this.data = { places: null, reach: null };
+  }
+
+  find(name) {
+    return this.place.querySelector(`[data-${name}]`);
+  }
+
+  say(text) {
+    this.find("said").textContent = text;
+  }
+
+  async start() {
+    this.chain = await this.get("arm.json");
+    this.meshes = await this.loadMeshes();
+    this.readings = this.chain.joints.map(({ low, high }) => Math.min(Math.max(0, low), high));
+    this.size = this.reachOf();
+    this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    this.camera = new PerspectiveCamera(40, 1, this.size / 100, this.size * 30);
+    this.camera.up.set(0, 0, 1);
+    this.furnish();
+    this.sliders();
+    this.drawArm();
+    new ResizeObserver(() => this.fit()).observe(this.canvas.parentElement);
+    this.looking = new Looking(this.camera, this.canvas, new Vector3(0, 0, 0.1 * this.size), 2.6 * this.size, () => this.draw());
+    this.listen();
+    this.fit();
+    const { version, campaign } = this.place.dataset;
+    if (version && campaign) await this.loadPlaces(version, campaign);
+    else this.say("There are no measured errors to show yet: a version and a campaign are needed.");
+    this.place.dataset.ready = "yes";
+  }
+
+  async get(name, asked = {}) {
+    const answer = await fetch(`${this.place.dataset.arm}/${name}?${new URLSearchParams(asked)}`, { headers: { "HX-Request": "true" } });
+    if (answer.ok) return answer.json();
+    const refused = new DOMParser().parseFromString(await answer.text(), "text/html");
+    throw new Error(refused.body.textContent.trim());
+  }
+
+  reachOf() {
+    const { segments, flange, tool } = posed(this.chain, this.readings);
+    return segments.reduce((sum, [from, to]) => sum + from.distanceTo(to), flange.distanceTo(tool)) * 0.6 || 500;
+  }
+
+  furnish() {
+    const light = new DirectionalLight(0xffffff, 2.2);
+    light.position.set(1, -2, 3);
+    const grid = new GridHelper(4 * this.size, 16, 0x808080, 0x808080);
+    grid.rotation.x = Math.PI / 2;
+    grid.material.transparent = true;
+    grid.material.opacity = 0.35;
+    this.scene.add(new AmbientLight(0xffffff, 1.3), light, grid, new AxesHelper(0.35 * this.size));
+  }
+
+  show(name, object) {
+    release(this.parts[name]);
+    this.parts[name] = object;
+    if (object) this.scene.add(object);
+  }
+
+  fit() {
+    const width = this.canvas.parentElement.clientWidth;
+    const height = Math.round(Math.min(0.85 * width, 0.85 * window.innerHeight));
+    this.renderer.setSize(width, height);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.draw();
+  }
+
+  draw() {
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  sliders() {
+    const made = this.chain.joints.map(({ name, unit, low, high }, k) => {
+      const label = document.createElement("label");
+      const told = document.createElement("span"); // an output would take the label from the slider
+      const slider = Object.assign(document.createElement("input"), { type: "range", min: low, max: high, step: (high - low) / 1000 });
+      slider.value = this.readings[k];
+      slider.addEventListener("input", () => this.pose(this.readings.map((value, j) => (j === k ? Number(slider.value) : value))));
+      label.append(`${name} `, told, slider);
+      return { label, slider, told, unit };
+    });
+    this.joints = made;
+    this.find("joints").replaceChildren(...made.map(({ label }) => label));
+    this.tell();
+  }
+
+  tell() {
+    this.joints.forEach(({ slider, told, unit }, k) => {
+      slider.value = this.readings[k];
+      told.textContent = `${this.readings[k].toFixed(1)}${unit === "deg" ? "°" : " mm"}`;
+    });
+  }
+
+  pose(readings) {
+    this.readings = readings;
+    this.tell();
+    this.drawArm();
+    this.draw();
+  }
+
+  drawArm() {
+    const pose = posed(this.chain, this.readings);
+    this.show("arm", arm(pose, this.size, this.meshes));
+    this.place.dataset.tool = pose.tool.toArray().map((value) => value.toFixed(2)).join(" ");
+  }
+
+  listen() {
+    this.find("stage").addEventListener("change", () => this.measured());
+    this.find("scale").addEventListener("input", () => this.errors());
+    this.find("cloud").addEventListener("change", () => this.workspace());
+    this.find("row").addEventListener("change", (event) => this.toRow(Number(event.target.value)));
+    this.place.querySelectorAll("[data-view]").forEach((button) => button.addEventListener("click", () => this.looking.go(button.dataset.view)));
+  }
+
+  async loadMeshes() {
+    const loaded = await Promise.all(this.chain.meshes.map(async (link) => {
+      const answer = await fetch(`${this.place.dataset.arm}/meshes/${encodeURIComponent(link)}`);
+      return answer.ok ? [[link, mesh(new Float32Array(await answer.arrayBuffer()))]] : []; // else it stays a cylinder
+    }));
+    return Object.fromEntries(loaded.flat());
+  }
+
+  async loadPlaces(version, campaign) {
+    this.data.places = await this.get("places.json", { version, campaign });
+    this.find("row").value = this.data.places.row[0];
+    this.toRow(this.data.places.row[0]);
+    this.measured();
+  }
+
+  toRow(row) {
+    const k = this.data.places?.row.indexOf(row) ?? -1;
+    if (k < 0) return this.say(`Row ${row} is not among those shown.`);
+    this.pose(this.data.places.q[k]);
+    return this.say(`The arm is drawn at row ${row}, where ${STAGES[this.find("stage").value]} is wrong by ${mm(length(this.left()[k]))}.`);
+  }
+
+  left() {
+    return this.data.places.left[this.find("stage").value];
+  }
+
+  measured() {
+    if (!this.data.places) return;
+    const { at, held_out: held, set_aside: aside, row, total } = this.data.places;
+    const left = this.left();
+    const normal = held.map((one, k) => !one && !aside[k]);
+    this.show("fitted", points(at, normal, COLOURS.fitted, 6));
+    this.show("held", points(at, held.map((one, k) => one && !aside[k]), COLOURS.held, 8));
+    this.show("aside", points(at, aside, COLOURS.aside, 12));
+    const sizes = left.map(length);
+    const wanted = (SHARE * 2 * this.size) / (quantile(sizes, 0.95) || 1);
+    const times = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((one) => one <= wanted).pop() ?? 1;
+    this.find("scale").value = Math.log10(times);
+    this.errors();
+    const some = row.length < total ? `${row.length} of ${total} rows are shown, the worst and the outermost among them` : `${total} rows`;
+    const mean = sizes.reduce((sum, size) => sum + size, 0) / sizes.length;
+    this.find("legend").textContent = `Grey points: rows that were fitted (${normal.filter(Boolean).length}). Green: held out (${held.filter(Boolean).length}). Large orange: set aside (${aside.filter(Boolean).length}). Arrows: measured minus predicted.`;
+    this.say(`${some}: ${STAGES[this.find("stage").value]} leaves ${mm(mean)} on average, at most ${mm(Math.max(...sizes))}.`);
+    const order = sizes.map((_, k) => k).sort((a, b) => sizes[b] - sizes[a]).slice(0, MOST_LISTED);
+    fill(this.place.querySelector('[data-table="places"]'), ["row", "x", "y", "z", "error x", "error y", "error z", "error", "use"],
+      order.map((k) => [row[k], ...at[k].map((v) => v.toFixed(1)), ...left[k].map((v) => v.toFixed(4)), sizes[k].toFixed(4), aside[k] ? "set aside" : held[k] ? "held out" : "fitted"]));
+  }
+
+  errors() {
+    if (!this.data.places) return;
+    const times = Math.round(10 ** Number(this.find("scale").value));
+    this.find("times").textContent = times;
+    this.show("arrows", arrows(this.data.places.at, this.left(), times, COLOURS.arrow, this.size));
+    this.draw();
+  }
+
+  async workspace() {
+    const kind = this.find("cloud").value;
+    const words = this.find("scale-words");
+    this.show("cloud", null);
+    words.textContent = "";
+    this.find("colours").replaceChildren();
+    if (kind && !this.place.dataset.version) words.textContent = "There is no version yet.";
+    else if (kind) await this.coloured(kind, words);
+    this.draw();
+  }
+
+  async coloured(kind, words) {
+    words.textContent = "Computing …";
+    this.data.reach ??= await this.get("reach.json", { version: this.place.dataset.version });
+    const { at, before, after } = this.data.reach;
+    const values = this.data.reach[kind];
+    if (!values) {
+      words.textContent = "This version does not know how certain it is: it was made without a covariance.";
+      return;
+    }
+    const highest = quantile(values, 0.99) || 1;
+    this.show("cloud", cloud(at, values, highest, 4));
+    words.textContent = kind === "before"
+      ? `Each point is a pose within the joint limits. Yellow: the tool is ${mm(highest)} or more from where the nominal robot expects it; dark: where it expects it.`
+      : `Each point is a pose within the joint limits. Yellow: after the correction the tool is known to ${mm(highest)} (one standard deviation in the worst direction) or worse; dark: better. Errors that no effect describes are counted by what the fit left.`;
+    this.key(highest);
+    const line = (name, list) => [name, ...(list ? [quantile(list, 0.5), quantile(list, 0.95), Math.max(...list)].map(mm) : ["–", "–", "–"])];
+    fill(this.place.querySelector('[data-table="reach"]'), ["", "median", "95 %", "largest"].map((text) => text || "of the poses"),
+      [line("error before: movement by the correction", before), line("after: standard deviation", after)]);
+  }
+
+  key(highest) {
+    const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+    const put = (name, attributes, text = "") => {
+      const one = document.createElementNS("http://www.w3.org/2000/svg", name);
+      Object.entries(attributes).forEach(([key, value]) => one.setAttribute(key, value));
+      one.textContent = text;
+      svg.append(one);
+    };
+    Object.entries({ viewBox: "0 0 240 34", width: 240, height: 34, role: "img", "aria-label": `Colours from 0 to ${mm(highest)}` }).forEach(([key, value]) => svg.setAttribute(key, value));
+    for (let k = 0; k < 24; k++) put("rect", { x: 10 * k, y: 0, width: 10.5, height: 14, fill: `rgb(${colourOf((k + 0.5) / 24).join(",")})` });
+    put("text", { x: 0, y: 30, "font-size": 12, fill: "currentColor" }, "0");
+    put("text", { x: 240, y: 30, "font-size": 12, fill: "currentColor", "text-anchor": "end" }, mm(highest));
+    this.find("colours").replaceChildren(svg);
+  }
+}
+
+document.querySelectorAll("[data-arm]").forEach((place) => {
+  const picture = new Picture(place);
+  picture.start().catch((error) => {
+    picture.say(error.message);
+    place.dataset.ready = "refused";
+  });
+});

@@ -1,0 +1,41 @@
+// Looking at the arm: by mouse and touch (OrbitControls), by keyboard, and by buttons, which do the same.
+import { Spherical, Vector3 } from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+const STEP = Math.PI / 18;
+const KEYS = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "up", ArrowDown: "down", "+": "nearer", "-": "farther" };
+const SIDES = { front: [1, 0, 0.05], side: [0, -1, 0.05], top: [0.001, 0, 1], start: [1, -1.1, 0.6] };
+
+export class Looking {
+  constructor(camera, canvas, centre, distance, changed) {
+    this.camera = camera;
+    this.distance = distance;
+    this.controls = new OrbitControls(camera, canvas);
+    this.controls.target.copy(centre);
+    this.controls.addEventListener("change", changed);
+    canvas.addEventListener("keydown", (event) => {
+      if (!(event.key in KEYS)) return;
+      event.preventDefault();
+      this.go(KEYS[event.key]);
+    });
+    this.go("start");
+  }
+
+  go(where) {
+    const from = this.camera.position.clone().sub(this.controls.target);
+    if (where in SIDES) from.copy(new Vector3(...SIDES[where]).normalize().multiplyScalar(this.distance));
+    else if (where === "nearer" || where === "farther") from.multiplyScalar(where === "nearer" ? 0.85 : 1 / 0.85);
+    else this.turn(from, where);
+    this.camera.position.copy(this.controls.target).add(from);
+    this.controls.update();
+  }
+
+  turn(from, where) {
+    const flat = new Spherical().setFromVector3(new Vector3(from.x, from.z, -from.y)); // three's poles are along y
+    flat.theta += where === "left" ? -STEP : where === "right" ? STEP : 0;
+    flat.phi += where === "up" ? -STEP : where === "down" ? STEP : 0;
+    flat.makeSafe();
+    const to = new Vector3().setFromSpherical(flat);
+    from.set(to.x, -to.z, to.y);
+  }
+}

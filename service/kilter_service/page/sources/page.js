@@ -1,0 +1,100 @@
+// What every view needs: htmx, which asks for parts of the page, and four behaviours that are named in the markup.
+//   data-follow="JOB"       shows how far a job is (server-sent events) and loads the page anew when it is over
+//   data-confirm="ID"       opens the <dialog> with that id before its form is sent
+//   data-theme-switch       changes between light and dark
+//   data-drop               a place where files can be dropped: hands them to the file input within
+import htmx from "htmx.org";
+import "./versions.js";
+import "./drop.js";
+import "./jobs.js";
+
+htmx.config.allowEval = false;
+htmx.config.includeIndicatorStyles = false;
+htmx.config.historyCacheSize = 0; // measurements stay out of the browser's storage
+htmx.config.responseHandling = [{ code: "204", swap: false }, { code: "...", swap: true }]; // refusals are shown where they arise
+
+const root = document.documentElement.dataset.root || "";
+const csrf = document.querySelector('meta[name="csrf"]')?.content || "";
+
+document.addEventListener("htmx:configRequest", (event) => {
+  event.detail.headers["X-CSRF-Token"] = csrf;
+});
+
+/** Fetch as the page does: the change is sent with the page's own token. */
+export function send(address, options = {}) {
+  return fetch(root + address, { ...options, headers: { "X-CSRF-Token": csrf, ...(options.headers || {}) } });
+}
+window.kilter = { send, root };
+
+function follow(place) {
+  const source = new EventSource(`${root}/v1/jobs/${encodeURIComponent(place.dataset.follow)}/events`);
+  const bar = place.querySelector("progress");
+  const stage = place.querySelector("[data-stage]");
+  source.addEventListener("progress", (event) => {
+    const told = JSON.parse(event.data).progress;
+    bar.value = told.fraction;
+    stage.textContent = `${Math.round(100 * told.fraction)} % ${told.stage}`;
+  });
+  source.addEventListener("end", () => {
+    source.close();
+    window.location.reload();
+  });
+}
+
+function confirmBefore(button) {
+  button.addEventListener("click", () => document.getElementById(button.dataset.confirm).showModal());
+}
+
+function takeDrops(place) {
+  const input = place.querySelector('input[type="file"]');
+  place.addEventListener("dragover", (event) => {
+    event.preventDefault();
+    place.classList.add("over");
+  });
+  place.addEventListener("dragleave", () => place.classList.remove("over"));
+  place.addEventListener("drop", (event) => {
+    event.preventDefault();
+    place.classList.remove("over");
+    input.files = event.dataTransfer.files;
+    input.dispatchEvent(new Event("change", { bubbles: true }));
+  });
+}
+
+function switchTheme(button) {
+  button.addEventListener("click", () => {
+    const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+    const now = document.documentElement.dataset.theme || (dark ? "dark" : "light");
+    const next = now === "dark" ? "light" : "dark";
+    document.documentElement.dataset.theme = next;
+    localStorage.setItem("kilter-theme", next);
+  });
+}
+
+const BEHAVIOURS = {
+  "[data-follow]": follow,
+  "[data-confirm]": confirmBefore,
+  "[data-drop]": takeDrops,
+  "[data-theme-switch]": switchTheme,
+  "dialog [data-close]": closeDialog,
+};
+const started = new WeakSet(); // a part that is swapped in stands beside elements that have their behaviour already
+
+function closeDialog(button) {
+  button.addEventListener("click", () => button.closest("dialog").close());
+}
+
+function start(within) {
+  for (const [named, give] of Object.entries(BEHAVIOURS)) {
+    for (const element of within.querySelectorAll(named)) {
+      if (!started.has(element)) {
+        started.add(element);
+        give(element);
+      }
+    }
+  }
+}
+
+start(document);
+document.addEventListener("htmx:load", (event) => {
+  if (event.detail.elt !== document.body) start(event.detail.elt.parentElement || event.detail.elt);
+});

@@ -1,0 +1,98 @@
+// data-series="PATH"   a column of a campaign, row by row: the server sends the least and the greatest value of each pixel
+const TABLE_ROWS = 20;
+const MOST_MARKED = 500; // as many as the server takes
+
+function start(form) {
+  const card = form.parentElement;
+  const place = card.querySelector("[data-series-plot]");
+  const told = form.querySelector("[data-series-told]");
+  const body = card.querySelector("[data-series-table]");
+  const select = form.querySelector("select");
+  const marked = { doubtful: numbers(form.dataset.doubtful), aside: numbers(form.dataset.aside) };
+  const all = [1, Number(form.dataset.rows)];
+  let plot = null;
+  let shown = all;
+  let asked = 0;
+
+  async function load(first, last) {
+    const mine = ++asked;
+    const began = performance.now();
+    const keep = [...marked.aside, ...marked.doubtful].filter((row) => row >= first && row <= last).slice(0, MOST_MARKED);
+    const query = new URLSearchParams({ column: select.value, first, last, width: Math.max(200, Math.round(place.clientWidth)), keep });
+    const answer = await window.kilter.send(`${form.dataset.series}?${query}`);
+    if (mine !== asked) return;
+    if (!answer.ok) {
+      told.textContent = `This cannot be shown (${answer.status}).`;
+      return;
+    }
+    const found = await answer.json();
+    shown = [first, last];
+    draw(found);
+    table(found);
+    told.textContent = `Rows ${first} to ${last} of ${found.rows}`;
+    form.dataset.took = String(Math.round(performance.now() - began));
+    form.dataset.drawn = `${select.value} ${first} ${last}`;
+  }
+
+  function draw(found) {
+    const ink = getComputedStyle(document.body).color;
+    const at = new Map(found.x.map((row, k) => [row, found.y[k]]));
+    const marks = (rows) => found.x.map((row) => (rows.has(row) ? at.get(row) : null));
+    const axis = { stroke: ink, grid: { stroke: "#80808040" }, ticks: { stroke: "#80808080" } };
+    const label = select.selectedOptions[0].dataset.label;
+    const options = {
+      width: Math.max(280, place.clientWidth), height: 320, scales: { x: { time: false } }, cursor: { drag: { x: true, y: false } },
+      axes: [{ ...axis, label: "Row" }, { ...axis, label, size: 70 }],
+      series: [
+        { label: "Row" }, { label, stroke: "#0072b2", width: 1.2, points: { show: found.x.length < 400, size: 4 } },
+        { label: "Looks wrong", stroke: "#e69f00", paths: () => null, points: { show: true, size: 9, fill: "#e69f00" } },
+        { label: "Set aside", stroke: "#d55e00", paths: () => null, points: { show: true, size: 11, fill: "#d55e0000", width: 2 } },
+      ],
+      hooks: { setSelect: [(u) => zoom(u)] },
+    };
+    plot?.destroy();
+    place.replaceChildren();
+    plot = new window.kilter.uPlot(options, [found.x, found.y, marks(marked.doubtful), marks(marked.aside)], place);
+  }
+
+  function zoom(u) {
+    if (u.select.width < 4) return;
+    const first = Math.max(all[0], Math.floor(u.posToVal(u.select.left, "x")));
+    const last = Math.min(all[1], Math.ceil(u.posToVal(u.select.left + u.select.width, "x")));
+    if (last > first) load(first, last);
+  }
+
+  function table(found) {
+    const step = Math.max(1, Math.ceil(found.x.length / TABLE_ROWS));
+    const rows = [];
+    for (let k = 0; k < found.x.length; k += step) {
+      const part = found.y.slice(k, k + step).filter((value) => value !== null);
+      const row = document.createElement("tr");
+      const ends = part.length ? [Math.min(...part), Math.max(...part)].map((value) => value.toPrecision(6)) : ["–", "–"];
+      const names = `${found.x[k]} to ${found.x[Math.min(k + step, found.x.length) - 1]}`;
+      row.append(...[names, ...ends].map((text, n) => cell(text, n)));
+      rows.push(row);
+    }
+    body.replaceChildren(...rows);
+  }
+
+  select.addEventListener("change", () => load(...shown));
+  form.addEventListener("submit", (event) => event.preventDefault());
+  form.querySelector("[data-series-all]").addEventListener("click", () => load(...all));
+  window.addEventListener("resize", () => plot?.setSize({ width: Math.max(280, place.clientWidth), height: 320 }));
+  load(...all);
+}
+
+function cell(text, place) {
+  const made = document.createElement(place ? "td" : "th");
+  if (place) made.className = "number";
+  else made.scope = "row";
+  made.textContent = text;
+  return made;
+}
+
+function numbers(text) {
+  return new Set(text ? text.split(",").map(Number) : []);
+}
+
+document.querySelectorAll("[data-series]").forEach(start);

@@ -1,0 +1,1 @@
+"""The stream of a robot while it runs."""

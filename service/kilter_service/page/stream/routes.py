@@ -1,0 +1,31 @@
+"""The stream of a robot: the view, and what moves on it as server-sent events."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, StreamingResponse
+
+from kilter_service.live import service as live
+from kilter_service.live.followers import viewers_of
+from kilter_service.page.route import PageRoute
+from kilter_service.page.shell import render
+from kilter_service.page.stream import service
+from kilter_service.state import DatabaseOfApp, SettingsOfApp
+
+router = APIRouter(include_in_schema=False, route_class=PageRoute)
+
+
+@router.get("/robots/{robot}/stream")
+def stream(robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
+    """Show what is known of the streams of a robot now; the browser follows what comes after."""
+    return render(request, "stream/stream.html", view=service.view(database, settings, robot))
+
+
+@router.get("/robots/{robot}/stream/events")
+async def follow(robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> StreamingResponse:
+    """Tell several times a second what the streams of a robot do."""
+    await run_in_threadpool(live.now, database, settings, robot)  # refuses a robot that does not exist
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    events = viewers_of(request.app).events(robot)
+    return StreamingResponse(events, media_type="text/event-stream", headers=headers)

@@ -1,0 +1,39 @@
+"""What the view of a stream shows before the first news comes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_service.contract.versions import Activation
+from kilter_service.db import Database
+from kilter_service.live import service as live
+from kilter_service.live.heard import WHY
+from kilter_service.live.session import place_in
+from kilter_service.live.shown import RobotShown
+from kilter_service.paging import Page
+from kilter_service.settings import Settings
+from kilter_service.versions import service as versions
+
+
+@dataclass(frozen=True)
+class StreamView:
+    """Streams of a robot, who activated the active version, and what each reason of a refusal means."""
+
+    shown: RobotShown
+    activation: Activation | None
+    reasons: dict[str, str]
+    endpoint: str
+
+
+def view(database: Database, settings: Settings, robot: str) -> StreamView:
+    """Return what is shown.
+
+    Raises:
+        ServiceError: no such robot.
+
+    """
+    shown = live.now(database, settings, robot)
+    entries = versions.activations(database, robot, Page(limit=1)).activations
+    place = place_in(settings.corrector_file)
+    endpoint = place.endpoint if place else settings.zenoh_listen
+    return StreamView(shown, entries[0] if entries else None, WHY, endpoint)

@@ -1,0 +1,178 @@
+"""What a version leaves of its rows by what may cause it: joint readings, directions, load, temperature, order in time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from kilter_service.campaigns import looking
+from kilter_service.db import Database
+from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, Plot
+from kilter_service.page.figures.scale import around, named
+from kilter_service.page.versions.comparison import residuals, size_of
+from kilter_service.page.words import mm
+from kilter_service.versions import service
+from kilter_service.wire import joint_scale
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+MOST_POINTS, WORST = 1200, 100  # points that are drawn of a figure, and how many of them are the largest errors
+BINS, FEWEST = 10, 5  # bins of about as many rows each, and rows from which a mean is shown
+SURE = 1.96  # standard errors on each side of a mean: 95 %
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Something that varies from row to row; ``names`` where it has few values."""
+
+    title: str
+    label: str
+    values: Floats
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Rows by their causes: sizes of the errors, mm, and which rows were held out of the fit."""
+
+    causes: Sequence[Cause]
+    sizes: Floats
+    held_out: Any
+
+
+def figures(database: Database, version_id: str, wanted: Sequence[str]) -> list[tuple[str, Plot]]:
+    """Draw the errors of the rows of campaigns by each cause that varies; by default of those a version was made from.
+
+    Raises:
+        ServiceError: no such version, or one that was made from no campaign.
+        ObservationError: a campaign without a measured position.
+
+    """
+    seen = _seen(database, version_id, wanted)
+    return [(cause.title, _levels(seen, cause) if cause.names else _course(seen, cause)) for cause in seen.causes]
+
+
+def _seen(database: Database, version_id: str, wanted: Sequence[str]) -> Seen:
+    import numpy as np
+
+    version = service.get(database, version_id)
+    chosen = list(dict.fromkeys(wanted or (used.id for used in version.campaigns)))
+    table = residuals(database, version_id, chosen)
+    every = [_causes(looking.stored(database, campaign)) for campaign in chosen]
+    shared = [cause.title for cause in every[0] if all(any(o.title == cause.title for o in one) for one in every)]
+    joined = [
+        Cause(found[0].title, found[0].label, np.concatenate([one.values for one in found]), found[0].names)
+        for found in ([next(o for o in one if o.title == title) for one in every] for title in shared)
+    ]
+    sizes = size_of(table)
+    order = Cause("in the order of the rows", "row, the campaigns one after the other", np.arange(1.0, len(sizes) + 1))
+    varying = [cause for cause in [*joined, order] if len(np.unique(cause.values[~np.isnan(cause.values)])) > 1]
+    return Seen(varying, sizes, np.asarray(table["held_out"], dtype=bool))
+
+
+def _causes(rows: looking.Rows) -> list[Cause]:
+    import numpy as np
+
+    from kilter_core.observations.repeats import last_motion
+    from kilter_service.campaigns.assemble import observations
+
+    seen = observations(rows.table, rows.columns, rows.conditions)
+    out = []
+    signs = seen.direction if seen.direction is not None else last_motion(seen.q)
+    for k, joint in enumerate(rows.robot.joints):
+        unit = "mm" if joint.kind == "prismatic" else "deg"
+        out.append(
+            Cause(f"by the reading of {joint.name}", f"{joint.name}, {unit}", seen.q[:, k] * joint_scale(rows.robot)[k])
+        )
+    for k, joint in enumerate(rows.robot.joints):
+        sign = np.sign(np.asarray(signs[:, k], dtype=np.float64))
+        where = np.where(sign < 0, 0.0, np.where(sign > 0, 1.0, np.nan))
+        out.append(Cause(f"by the direction {joint.name} came from", joint.name, where, ("from above", "from below")))
+    for title, label, values in (
+        ("by the load", "load, kg", seen.payload_kg), ("by the temperature", "temperature, °C", seen.temperature_c),
+        ("by the time", "time, s", seen.t),
+    ):  # fmt: skip
+        if values is not None:
+            out.append(Cause(title, label, np.asarray(values, dtype=np.float64)))
+    return out
+
+
+def _course(seen: Seen, cause: Cause) -> Plot:
+    """Points of the rows, and means of bins with their 95 % intervals."""
+    import numpy as np
+
+    there = np.flatnonzero(~np.isnan(cause.values) & ~np.isnan(seen.sizes))
+    found = [_mean(seen.sizes[part], cause.values[part]) for part in _parts(there, cause.values)]
+    bins = [one for one in found if one is not None]
+    drawn = _drawn(there, seen.sizes)
+    plot = Plot(
+        f"Error {cause.title}", around(cause.label, cause.values[there].tolist()),
+        around("error, mm", seen.sizes[drawn].tolist(), zero=True), width=560.0,
+        description="A mean that rises or falls beyond its intervals says that the model misses something there.",
+        table=(["From about", "Mean error", "95 % interval of the mean", "Rows"],
+               [[f"{x:.4g}", mm(m), f"{mm(low)} to {mm(high)}", str(n)] for x, m, low, high, n in bins]),
+    )  # fmt: skip
+    for held, label, number in ((False, "fitted", 0), (True, "held out", 1)):
+        part = drawn[seen.held_out[drawn] == held]
+        if len(part):
+            plot.points(cause.values[part].tolist(), seen.sizes[part].tolist(), label, number, (GREY, ORANGE)[number])
+    xs, means, lows, highs = ([one[k] for one in bins] for k in range(4))
+    if xs:
+        plot.band(xs, lows, highs, "95 % of the mean").line(xs, means, "mean of a bin", colour=BLUE)
+    return plot
+
+
+def _levels(seen: Seen, cause: Cause) -> Plot:
+    """The mean error at each of a few values."""
+    import numpy as np
+
+    names, bars = [], []
+    for level, name in enumerate(cause.names):
+        part = np.flatnonzero((cause.values == level) & ~np.isnan(seen.sizes))
+        found = _mean(seen.sizes[part], cause.values[part])
+        if found is not None:
+            names.append(name)
+            bars.append(found)
+    plot = Plot(
+        f"Error {cause.title}", named(cause.label, names), around("mean error, mm", [one[3] for one in bars], zero=True),
+        width=280.0, height=240.0, description="Whiskers are the 95 % interval of the mean.",
+        table=(["Direction", "Mean error", "95 % interval", "Rows"],
+               [[name, mm(m), f"{mm(low)} to {mm(high)}", str(n)]
+                for name, (_, m, low, high, n) in zip(names, bars, strict=True)]),
+    )  # fmt: skip
+    return plot.bars(
+        [k + 0.5 for k in range(len(bars))], [one[1] for one in bars], 0.5, errors=[(one[2], one[3]) for one in bars]
+    )
+
+
+def _parts(there: Any, values: Floats) -> Iterator[Any]:
+    """Rows of bins with about as many each, from the lowest value on."""
+    import numpy as np
+
+    return iter(np.array_split(there[np.argsort(values[there], kind="stable")], BINS))
+
+
+def _mean(sizes: Floats, values: Floats) -> tuple[float, float, float, float, int] | None:
+    """Middle of the cause, mean error, its 95 % interval, and rows; None: too few rows."""
+    import numpy as np
+
+    if len(sizes) < FEWEST:
+        return None
+    mean, error = float(sizes.mean()), float(sizes.std(ddof=1)) / math.sqrt(len(sizes))
+    return float(np.median(values)), mean, max(mean - SURE * error, 0.0), mean + SURE * error, len(sizes)
+
+
+def _drawn(there: Any, sizes: Floats) -> Any:
+    """Rows that are drawn: all, or some evenly chosen and the largest errors."""
+    import numpy as np
+
+    if len(there) <= MOST_POINTS:
+        return there
+    even = there[:: -(-len(there) // (MOST_POINTS - WORST))]
+    return np.unique(np.concatenate([even, there[np.argsort(sizes[there])[-WORST:]]]))

@@ -1,0 +1,171 @@
+"""Two versions side by side: the parameters that differ, and what each leaves of the same rows."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from kilter_service.campaigns import service as campaigns
+from kilter_service.campaigns.reading import PARQUET
+from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.versions import ParameterChange, Version, VersionDiff
+from kilter_service.db import Database
+from kilter_service.errors import ServiceError
+from kilter_service.page.figures.plot import Plot
+from kilter_service.page.figures.scale import around, named
+from kilter_service.paging import Page
+from kilter_service.versions import differences, service
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+MOST_CAMPAIGNS = 20
+NOMINAL = "nominal"
+SAME = 1e-9  # smaller differences are rounding
+STEPS = 200  # of a cumulative curve
+BARS = ("mean_mm", "p95_mm", "max_mm")
+MEASURES = {"mean_mm": "mean", "p95_mm": "95 % of the rows", "max_mm": "largest"}
+
+
+@dataclass(frozen=True)
+class Left:
+    """What one of the versions leaves of rows: how many they are, those held out of its fit, and the sizes in mm."""
+
+    name: str
+    rows: int
+    held_out: int
+    sizes: Sequence[float]
+
+    @property
+    def numbers(self) -> Mapping[str, float]:
+        """Mean, 95th percentile and largest, mm."""
+        import numpy as np
+
+        sizes = np.asarray(self.sizes)
+        found = (float(sizes.mean()), float(np.percentile(sizes, 95)), float(sizes.max()))
+        return dict(zip(BARS, found, strict=True))
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Two versions, the campaigns to choose from, and what was found on those that were chosen."""
+
+    robot: str
+    a: Version | None
+    b: Version | None
+    diff: VersionDiff
+    changed: Sequence[ParameterChange]
+    campaigns: Sequence[Campaign]
+    chosen: Sequence[str]
+    left: Sequence[Left]
+    bars: Plot | None
+    curve: Plot | None
+    refusal: str = ""
+
+    @property
+    def same(self) -> int:
+        """How many parameters do not differ."""
+        return len(self.diff.parameters) - len(self.changed)
+
+
+def of(database: Database, a: str, b: str, wanted: Sequence[str] | None) -> Compared:
+    """Compare two versions; without a choice on the campaigns held out, else on those that were fitted."""
+    diff = differences.diff(database, a, b)
+    sides = [None if name == NOMINAL else service.get(database, name) for name in (a, b)]
+    known = next(side for side in sides if side is not None)
+    there = [one for one in campaigns.listed(database, known.robot, Page()).campaigns if one.rows]
+    chosen = list(wanted) if wanted else _default(known, there)
+    left, refusal = _left(database, sides, chosen)
+    bars, curve = (None, None) if not left else (_bars(left), _curve(left))
+    changed = [one for one in diff.parameters if one.change is None or abs(one.change) > SAME]
+    return Compared(known.robot, sides[0], sides[1], diff, changed, there, chosen, left, bars, curve, refusal)
+
+
+def title(version: Version) -> str:
+    """Return what a version is called in a picture."""
+    return version.name or version.id
+
+
+def _default(version: Version, there: Sequence[Campaign]) -> list[str]:
+    usable = {one.id for one in there}
+    for use in ("validation", "train"):
+        found = [one.id for one in version.campaigns if one.use == use and one.id in usable]
+        if found:
+            return found[:MOST_CAMPAIGNS]
+    return [one.id for one in there[-1:]]
+
+
+def _left(database: Database, sides: Sequence[Version | None], chosen: Sequence[str]) -> tuple[list[Left], str]:
+    """What versions leave of the rows, or why that cannot be said. The nominal robot has no base to be compared in."""
+    if not chosen:
+        return [], "This robot has no measurements to compare on."
+    found = []
+    for side in sides:
+        if side is None:
+            continue
+        try:
+            table = residuals(database, side.id, chosen)
+        except ServiceError as error:
+            return [], error.message
+        sizes = size_of(table)
+        seen = sizes == sizes
+        found.append(Left(title(side), int(seen.sum()), int((table["held_out"] & seen).sum()), sizes[seen].tolist()))
+    return (
+        ([], "Nothing was measured at the tool in these campaigns.")
+        if any(not one.rows for one in found)
+        else (found, "")
+    )
+
+
+def residuals(database: Database, version: str, chosen: Sequence[str]) -> dict[str, Any]:
+    """Return what a version leaves of every row, as columns of the file that the interface gives."""
+    import pyarrow.parquet
+
+    table = pyarrow.parquet.read_table(io.BytesIO(service.residuals(database, version, chosen, PARQUET)))
+    return {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
+
+
+def size_of(table: Mapping[str, Any]) -> Floats:
+    """Length of the errors, mm; NaN where nothing was seen."""
+    import numpy as np
+
+    return np.asarray(np.sqrt(sum(np.asarray(table[f"d{axis}_mm"], dtype=np.float64) ** 2 for axis in "xyz")))
+
+
+def _bars(left: Sequence[Left]) -> Plot:
+    names = [MEASURES[measure] for measure in BARS]
+    values = [[one.numbers[measure] for measure in BARS] for one in left]
+    drawn = Plot(
+        "Errors on the same rows", named("", names), around("error, mm", [v for row in values for v in row], zero=True),
+        height=280.0, description="Mean, 95th percentile and largest error of each version on the rows chosen.",
+        table=(["error, mm", *(one.name for one in left)],
+               [[name, *(f"{row[k]:.3g}" for row in values)] for k, name in enumerate(names)]),
+    )  # fmt: skip
+    width = 0.7 / len(left)
+    for number, (one, row) in enumerate(zip(left, values, strict=True)):
+        places = [k + 0.5 + (number - (len(left) - 1) / 2) * width for k in range(len(BARS))]
+        drawn.bars(places, row, 0.9 * width, one.name, number)
+    return drawn
+
+
+def _curve(left: Sequence[Left]) -> Plot:
+    import numpy as np
+
+    shares = np.linspace(0.0, 100.0, STEPS + 1)
+    curves = [np.percentile(np.asarray(one.sizes), shares) for one in left]
+    told = (10, 25, 50, 75, 90, 95, 99, 100)
+    drawn = Plot(
+        "Share of the rows within an error", around("error, mm", [float(c[-1]) for c in curves], zero=True),
+        around("rows within it, %", [0.0, 100.0], zero=True), height=280.0,
+        description="Cumulative curves: how many of the rows have at most a given error. Further left is better.",
+        table=(["rows, %", *(f"{one.name}, mm" for one in left)],
+               [[f"{share}", *(f"{np.percentile(np.asarray(one.sizes), share):.3g}" for one in left)] for share in told]),
+    )  # fmt: skip
+    for number, (one, curve) in enumerate(zip(left, curves, strict=True)):
+        drawn.line(curve.tolist(), shares.tolist(), one.name, number)
+    return drawn

@@ -1,0 +1,115 @@
+"""What would change by activating a version, and what its files leave out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from kilter_core.errors import CoreError
+from kilter_service.contract.previews import VersionPreview
+from kilter_service.contract.versions import Version
+from kilter_service.db import Database
+from kilter_service.exporters.registry import FORMATS
+from kilter_service.page.accuracy import Accuracy, accuracy_of
+from kilter_service.page.figures.plot import Plot
+from kilter_service.page.figures.scale import around, named
+from kilter_service.robots import service as robots
+from kilter_service.versions import activation, service
+from kilter_service.versions.expected import tag_of_robot
+
+NAMES = {
+    "json": "Kilter's own document",
+    "urdf": "URDF",
+    "dh-csv": "table of DH parameters",
+    "mdh-csv": "table of modified DH parameters",
+    "ur-yaml": "calibration of the Universal Robots driver",
+    "matlab": "function for MATLAB",
+}
+REFUSED = {
+    "CORRECTION_TOO_LARGE": "the correction is larger than the version's limits",
+    "JOINT_LIMIT": "the corrected joint is outside its limits",
+    "RATE_LIMIT": "the correction changes too fast",
+    "NOT_FINITE": "no correction is found there",
+}
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """A version that may be activated, beside the one that is active; ``etag`` is the state that this was looked at in."""
+
+    version: Version
+    accuracy: Accuracy | None
+    active: Version | None
+    active_accuracy: Accuracy | None
+    preview: VersionPreview
+    where: Sequence[tuple[str, str]]
+    refused: Sequence[tuple[int, str]]
+    etag: str
+
+
+@dataclass(frozen=True)
+class Download:
+    """A file that a version can be written as: what it leaves out, or why it cannot be."""
+
+    format: str
+    name: str
+    notes: Sequence[str]
+    refusal: str = ""
+
+
+def of(database: Database, version_id: str, temperature_c: float | None) -> Ahead:
+    """Look at what a version would do."""
+    found = service.get(database, version_id)
+    etag = tag_of_robot(database, found.robot)  # before the rest: what changes meanwhile is refused later
+    robot = robots.get(database, found.robot)
+    active = None if robot.active_version is None else service.get(database, robot.active_version)
+    preview = service.preview(database, version_id, temperature_c)
+    units = ["mm" if joint.kind == "prismatic" else "°" for joint in robot.joints]
+    angles = zip(robot.joints, preview.largest_at or [], units, strict=False)
+    return Ahead(
+        found, accuracy_of(found.metrics), active, None if active is None else accuracy_of(active.metrics), preview,
+        [(joint.name, f"{value:.1f} {unit}" if unit == "mm" else f"{value:.1f}{unit}") for joint, value, unit in angles],
+        [(count, REFUSED.get(why, why.lower().replace("_", " "))) for why, count in preview.refused.items()], etag,
+    )  # fmt: skip
+
+
+def back(database: Database, robot: str, temperature_c: float | None) -> Ahead:
+    """Look at what a roll-back would do.
+
+    Raises:
+        ServiceError: there is no version to go back to.
+
+    """
+    return of(database, activation.before(database, robot), temperature_c)
+
+
+def contributions(database: Database, version_id: str) -> dict[str, Any]:
+    """Draw how far each effect of a version moves the tool."""
+    poses, found = service.contributions(database, version_id)
+    moved = [one for one in found if one.rms_mm is not None and one.largest_mm is not None]
+    elsewhere = [one.effect for one in found if one.rms_mm is None]
+    names = [one.effect for one in moved]
+    rms, largest = [one.rms_mm or 0.0 for one in moved], [one.largest_mm or 0.0 for one in moved]
+    drawn = Plot(
+        "Movement of the tool by each effect", named("", names), around("mm", [*rms, *largest], zero=True), height=260.0,
+        description="Two bars for each effect: root mean square and largest movement of the tool.",
+        table=(["effect", "rms, mm", "largest, mm"],
+               [[name, f"{mean:.3g}", f"{most:.3g}"] for name, mean, most in zip(names, rms, largest, strict=True)]),
+    )  # fmt: skip
+    drawn.bars([k + 0.32 for k in range(len(names))], rms, 0.3, "root mean square", 0)
+    drawn.bars([k + 0.68 for k in range(len(names))], largest, 0.3, "largest", 1)
+    return {"parts_moved": bool(moved), "figure": drawn, "poses": poses, "elsewhere": elsewhere}
+
+
+def exports(database: Database, version_id: str) -> list[Download]:
+    """Write every file once, to say what it leaves out."""
+    return [_download(database, version_id, name) for name in FORMATS]
+
+
+def _download(database: Database, version_id: str, name: str) -> Download:
+    words = NAMES.get(name, name)
+    try:
+        return Download(name, words, service.exported(database, version_id, name).notes)
+    except CoreError as error:  # a format that cannot hold this arm
+        return Download(name, words, (), error.message)

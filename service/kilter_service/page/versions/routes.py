@@ -1,0 +1,114 @@
+"""Versions in the browser."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Form, Query, Request, Response
+from fastapi.responses import HTMLResponse
+
+from kilter_service.auth.access import Admin
+from kilter_service.contract.versions import ActivationWish
+from kilter_service.errors import ServiceError
+from kilter_service.page.route import PageRoute
+from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.page.versions import by_factor, comparison, looking_ahead, service
+from kilter_service.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.versions import activation
+from kilter_service.versions.expected import Expected
+
+router = APIRouter(include_in_schema=False, route_class=PageRoute)
+LONGEST_TAG, LONGEST_REASON = 100, 500
+Tag = Annotated[str, Form(max_length=LONGEST_TAG)]
+
+
+@router.get("/robots/{robot}/versions")
+def history(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+    """Show the versions of a robot and who activated them."""
+    return render(request, "versions/history.html", shown=service.history(database, robot))
+
+
+@router.get("/versions/{version}")
+def version(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+    """Show a version."""
+    return render(request, "versions/version.html", shown=service.version(database, version))
+
+
+@router.get("/versions/{version}/exports")
+def exports(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+    """Show the files that a version can be downloaded as, and what each leaves out."""
+    files = looking_ahead.exports(database, version)
+    return render(request, "versions/exports.html", version=version, files=files)
+
+
+@router.get("/versions/{version}/contributions")
+def contributions(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+    """Show how far each effect of a version moves the tool."""
+    return render(request, "versions/contributions.html", **looking_ahead.contributions(database, version))
+
+
+@router.get("/versions/{version}/by-factor")
+def factors(
+    version: str, request: Request, database: DatabaseOfApp, campaign: Annotated[list[str] | None, Query()] = None
+) -> HTMLResponse:
+    """Show what a version leaves of rows by joint, direction, load and time."""
+    return render(request, "versions/by_factor.html", figures=by_factor.figures(database, version, campaign or []))
+
+
+@router.get("/versions/{version}/activation")
+def look_ahead(version: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
+    """Show what would change by activating a version; the first half of activating it."""
+    ahead = looking_ahead.of(database, version, settings.temperature_c)
+    return render(request, "versions/activation.html", ahead=ahead)
+
+
+@router.post("/versions/{version}/activate")
+def activate(
+    version: str,
+    request: Request,
+    database: DatabaseOfApp,
+    settings: SettingsOfApp,
+    actor: Admin,
+    etag: Tag,
+    force: Annotated[bool, Form()] = False,
+    reason: Annotated[str, Form(max_length=LONGEST_REASON)] = "",
+) -> Response:
+    """Activate a version from the state that the dialog showed; a refusal is shown with what can be done."""
+    wish = ActivationWish(force=force, reason=reason.strip())
+    if wish.force and not wish.reason:
+        raise ServiceError("Say why you force it: the log keeps the reason.", code="option_invalid", option="reason")
+    try:
+        done = activation.activate(database, version, actor, wish, settings.temperature_c, Expected((etag,)))
+    except ServiceError as error:
+        if error.code != "activation_refused":
+            raise
+        return render(request, "versions/refused.html", 409, version=version, etag=etag, refused=error.context)
+    return redirect(request, f"{root_of(request)}/robots/{done.robot}/versions")
+
+
+@router.get("/robots/{robot}/rollback")
+def look_back(robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
+    """Show what would change by going back to the version before."""
+    ahead = looking_ahead.back(database, robot, settings.temperature_c)
+    return render(request, "versions/rollback.html", robot=robot, ahead=ahead)
+
+
+@router.post("/robots/{robot}/rollback")
+def roll_back(
+    robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin, etag: Tag
+) -> Response:
+    """Go back to the version before."""
+    done = activation.rollback(database, robot, actor, settings.temperature_c, Expected((etag,)))
+    return redirect(request, f"{root_of(request)}/robots/{done.robot}/versions")
+
+
+@router.get("/versions/{a}/compare/{b}")
+def compare(
+    a: str,
+    b: str,
+    request: Request,
+    database: DatabaseOfApp,
+    campaign: Annotated[list[str] | None, Query(max_length=comparison.MOST_CAMPAIGNS)] = None,
+) -> HTMLResponse:
+    """Show how two versions differ, and what each leaves of the campaigns chosen."""
+    return render(request, "versions/compare.html", shown=comparison.of(database, a, b, campaign))

@@ -1,0 +1,104 @@
+"""What the views of versions show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from kilter_service.contract.fits import Parameter
+from kilter_service.contract.robot_reports import RobotReport
+from kilter_service.contract.versions import Activation, Version, VersionSummary
+from kilter_service.db import Database
+from kilter_service.page.accuracy import Accuracy, accuracy_of
+from kilter_service.page.figures.plot import GREY, Plot
+from kilter_service.page.figures.scale import around, named
+from kilter_service.paging import Page
+from kilter_service.robots import service as robots
+from kilter_service.versions import service
+from kilter_service.versions.expected import tag_of_robot
+
+MOST_SHOWN = 200  # versions and activations of a list
+MOST_BARS = 24
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A version in the list, with its error."""
+
+    version: VersionSummary
+    accuracy: Accuracy | None
+
+
+@dataclass(frozen=True)
+class History:
+    """The versions of a robot, newest first, who activated what, and the state that a roll-back starts from."""
+
+    robot: RobotReport
+    versions: Sequence[Listed]
+    activations: Sequence[Activation]
+    etag: str
+    figure: Plot | None
+
+    @property
+    def active(self) -> VersionSummary | None:
+        """The version that the robot is corrected with."""
+        return next((one.version for one in self.versions if one.version.active), None)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A version with all that its view says of it."""
+
+    version: Version
+    accuracy: Accuracy | None
+    etag: str
+    parameters: Sequence[Parameter]
+    unseen: Sequence[Parameter]
+    others: Sequence[VersionSummary]
+
+
+def history(database: Database, robot: str) -> History:
+    """Return the versions of a robot, those that are retired too: the lineage has them."""
+    page = Page(limit=MOST_SHOWN)
+    found = [
+        Listed(one, accuracy_of(one.metrics))
+        for one in service.listed(database, robot, page, with_retired=True).versions
+    ]
+    log = service.activations(database, robot, page).activations
+    return History(robots.get(database, robot), found, log, tag_of_robot(database, robot), errors_by_version(found))
+
+
+def version(database: Database, version_id: str) -> Shown:
+    """Return a version."""
+    found = service.get(database, version_id)
+    told = [one for one in found.parameters if one.identifiable is not False and one.value is not None]
+    unseen = [one for one in found.parameters if one.identifiable is False or one.value is None]
+    others = service.listed(database, found.robot, Page(limit=MOST_SHOWN)).versions
+    rest = [one for one in others if one.id != version_id]
+    return Shown(found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), told, unseen, rest)
+
+
+def errors_by_version(found: Sequence[Listed]) -> Plot | None:
+    """Draw the held-out error of each version, oldest first; None with fewer than two."""
+    known = [(one.version, one.accuracy) for one in reversed(found) if one.accuracy and one.accuracy.held_out]
+    if len(known) < 2:
+        return None
+    known = known[-MOST_BARS:]
+    names = [version.name or version.id[-6:] for version, _ in known]
+    means = [accuracy.mean for _, accuracy in known]
+    ends = [(a.mean if a.low is None else a.low, a.mean if a.high is None else a.high) for _, a in known]
+    told = zip(names, means, ends, strict=True)
+    table = [[name, f"{mean:.3g}", f"{low:.3g} to {high:.3g}"] for name, mean, (low, high) in told]
+    drawn = Plot(
+        "Held-out error of each version", named("version, oldest first", names),
+        around("mean error, mm", [0.0, *means, *(high for _, high in ends)], zero=True), height=260.0,
+        description="A bar for each version, with the 95 % interval of its mean error on the poses held out of its own fit.",
+        table=(["version", "mean error, mm", "95 % interval, mm"], table),
+    )  # fmt: skip
+    active = [version.active for version, _ in known]
+    for which, label, number, colour in ((True, "active", 0, ""), (False, "not active", 1, GREY)):
+        some = [k for k, one in enumerate(active) if one is which]
+        if some:
+            places, values = [k + 0.5 for k in some], [means[k] for k in some]
+            drawn.bars(places, values, 0.5, label, number, colour, errors=[ends[k] for k in some])
+    return drawn

@@ -1,0 +1,94 @@
+"""How numbers, times and names are written: digits no finer than the uncertainty, units beside them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from typing import Any
+
+from kilter_service.db.tables import now
+
+NONE = "–"
+DIGITS = 3  # of a number whose uncertainty is not known
+MINUTE, HOUR, DAY = 60.0, 3600.0, 86400.0
+
+
+def number(value: float | None, digits: int = DIGITS) -> str:
+    """Write a number with so many significant digits, without an exponent where it can be read without."""
+    if value is None or not math.isfinite(value):
+        return NONE
+    if value == 0:
+        return "0"
+    decimals = digits - 1 - math.floor(math.log10(abs(value)))
+    if decimals > 9:
+        return f"{value:.{digits - 1}e}"
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
+
+
+def measured(value: float | None, sigma: float | None, unit: str = "") -> str:
+    """Write ``value ± sigma unit``, to the second digit of the uncertainty."""
+    if value is None or not math.isfinite(value):
+        return NONE
+    after = f" {unit}" if unit and unit != "1" else ""
+    if sigma is None or not math.isfinite(sigma) or sigma <= 0:
+        return f"{number(value)}{after}"
+    decimals = 1 - math.floor(math.log10(sigma))
+    if decimals > 9:
+        return f"{value:.3e} ± {sigma:.1e}{after}"
+    places = max(decimals, 0)
+    return f"{round(value, decimals) + 0.0:.{places}f} ± {round(sigma, decimals):.{places}f}{after}"  # no -0.0
+
+
+def between(low: float | None, high: float | None, unit: str = "") -> str:
+    """Write an interval, to the second digit of its width."""
+    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+        return NONE
+    after = f" {unit}" if unit and unit != "1" else ""
+    decimals = 1 - math.floor(math.log10(high - low)) if high > low else DIGITS
+    if decimals > 9:
+        return f"{low:.3e} to {high:.3e}{after}"
+    places = max(decimals, 0)
+    return f"{round(low, decimals) + 0.0:.{places}f} to {round(high, decimals) + 0.0:.{places}f}{after}"
+
+
+def mm(value: float | None) -> str:
+    """Write a length in mm, below a tenth of one in µm: nobody counts zeros in front of an arm."""
+    if value is None or not math.isfinite(value):
+        return NONE
+    if 0 < abs(value) < 0.1:
+        return f"{number(value * 1e3, 2 if abs(value) < 0.01 else 3)} µm"
+    return f"{number(value)} mm"
+
+
+def age(moment: datetime | None) -> str:
+    """Write how long ago something was."""
+    if moment is None:
+        return NONE
+    seconds = (now() - moment).total_seconds()
+    for size, name in ((DAY, "day"), (HOUR, "hour"), (MINUTE, "minute")):
+        if seconds >= size:
+            count = int(seconds // size)
+            return f"{count} {name}{'s' if count > 1 else ''} ago"
+    return "just now"
+
+
+def moment(at: datetime | None) -> str:
+    """Write a time in UTC, to the minute."""
+    return NONE if at is None else f"{at:%Y-%m-%d %H:%M} UTC"
+
+
+def percent(value: float | None) -> str:
+    """Write a share as percent."""
+    return NONE if value is None else f"{100 * value:.0f} %"
+
+
+def count(value: int | None) -> str:
+    """Write a count with a thin space between thousands."""
+    return NONE if value is None else f"{value:,}".replace(",", "\u202f")
+
+
+FILTERS: Mapping[str, Callable[..., Any]] = {
+    "number": number, "mm": mm, "age": age, "moment": moment, "percent": percent, "count": count,
+    "measured": measured, "between": between,
+}  # fmt: skip

@@ -1,0 +1,101 @@
+"""The ten questions that a user asks of a robot, each answered in at most two clicks from the robot's page.
+
+Each question names the routes it needs. Where one of them is not there, the question is skipped and says which.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from kilter_client import Kilter
+from kilter_service.auth.policy import PAGE_RULES
+from tests.page.conftest import opened
+from tools.page_lab import Lab, lab, moving
+
+pytestmark = pytest.mark.slow
+OVERVIEW, JOB, VERSION = "GET /robots/{robot}", "GET /jobs/{job}", "GET /versions/{version}"
+MOST_CLICKS = 2
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked; the links to click, by name, from the robot's page; where the answer then is, and what it says."""
+
+    asked: str
+    clicks: tuple[str, ...]
+    place: str
+    answer: str
+    needs: tuple[str, ...]
+
+
+QUESTIONS = (
+    Question("Which effect is missing?", (), "main", r"missing in the model.*\w+", (OVERVIEW, JOB)),
+    Question("Is it sure?", ("How sure that is",), "main", r"level|claim|sure|confirmed", (OVERVIEW, JOB)),
+    Question("What do I measure next?", (r"^\d+ poses$",), "#next", r"\d", (OVERVIEW, JOB)),
+    Question("How good is the arm today?", (), "main", r"How good is the arm today\?.*\d+ (µm|mm)", (OVERVIEW,)),
+    Question("Where is it worst?", (), "main", r"Where is it worst\?.*\d", (OVERVIEW,)),
+    Question(
+        "Is the stream running, with which version?", ("^Stream$",), '.stream[data-name="main"]',
+        r"corrected.*Version in use.*the active one", (OVERVIEW, "GET /robots/{robot}/stream"),
+    ),
+    Question("Who activated this?", (), "main", r"Activated.*by \w+", (OVERVIEW,)),
+    Question("Which rows were set aside?", (r"^\d+$",), "main", r"Rows set aside\s*(none|row \d)", (OVERVIEW, VERSION)),
+    Question("What changes if I activate?", ("what changes if",), "main", r"largest|changes", (OVERVIEW, VERSION)),
+    Question(
+        "What can these data not tell?", (r"parameters$|^nothing$",), "#unseen", r"identifiable|tell",
+        (OVERVIEW, VERSION),
+    ),
+    Question("Where is the report?", ("of the active version",), "main", r"ISO 9283|[Rr]eport",
+             (OVERVIEW, "GET /versions/{version}/report")),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def asked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    """A robot about which everything can be asked: measured, identified, searched, activated, and moving."""
+    if OVERVIEW not in PAGE_RULES:
+        pytest.skip("the robot's page is not there")
+    with lab(tmp_path_factory.mktemp("questions")) as made:
+        with Kilter(made.server.url) as kilter:
+            kilter.jobs.run("gap", made.robot, [made.train], [made.held_out], {}, timeout_s=300.0)
+        with moving(made.server.data, made.robot):
+            yield made
+
+
+@pytest.fixture
+def page(chromium: Browser, asked: Lab) -> Iterator[Page]:
+    headers = {"Authorization": f"Bearer {asked.token}"}
+    with httpx.Client(base_url=asked.server.url, headers=headers) as client, opened(chromium, client) as page:
+        page.goto(f"/robots/{asked.robot}")
+        yield page
+
+
+def test_no_question_takes_more_than_two_clicks() -> None:
+    assert all(len(question.clicks) <= MOST_CLICKS for question in QUESTIONS)
+    assert len(QUESTIONS) >= 10
+
+
+@pytest.mark.parametrize("question", QUESTIONS, ids=lambda question: question.asked)
+def test_a_question_is_answered(page: Page, question: Question) -> None:
+    missing = [route for route in question.needs if route not in PAGE_RULES]
+    if missing:
+        pytest.skip(f"these views are not there: {', '.join(missing)}")
+    for name in question.clicks:
+        page.get_by_role("link", name=re.compile(name)).first.click()
+        page.wait_for_load_state()
+    expect(page.locator(question.place).first).to_contain_text(re.compile(question.answer, re.DOTALL), timeout=15_000)
+
+
+def test_the_pictures_of_the_page_are_kept(page: Page) -> None:
+    folder = Path(__file__).parents[2] / "build" / "page-screenshots"
+    folder.mkdir(parents=True, exist_ok=True)
+    page.wait_for_timeout(3000)
+    page.screenshot(path=folder / "overview.png", full_page=True)
+    assert (folder / "overview.png").stat().st_size > 20_000

@@ -1,0 +1,172 @@
+"""The report of a version: what it says is what the interface says, and its PDF is the same every time and fetches nothing."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser
+from sqlalchemy import select
+
+from kilter_core.twin import thesis_katana
+from kilter_service import limited
+from kilter_service.app import create_app
+from kilter_service.auth.token import admin_token
+from kilter_service.db import Database
+from kilter_service.db.tables import JobRow, RobotRow
+from kilter_service.errors import ServiceError
+from kilter_service.page.report import pdf
+from kilter_service.settings import Settings
+from kilter_service.versions import store as versions
+from kilter_service.versions.store import NewVersion
+from tests.service.conftest import Katana, new_database, ready, served
+
+from .conftest import opened
+
+JOB, EVALUATION = "job_00000000000000b1", "job_00000000000000b2"
+LINK = "https://elsewhere.test/beacon.png"
+OPTIONS = {
+    "kind": "identify", "robot": Katana.name, "name": "", "campaigns": [], "validation": None, "confirmation": [],
+    "options": {},
+}  # fmt: skip
+ERRORS = {
+    "n": 30,
+    "nominal": {"mean_mm": 1.4, "rms_mm": 1.6, "p95_mm": 2.8, "max_mm": 2.9},
+    "registration_only": {"mean_mm": 0.975, "rms_mm": 1.09, "p95_mm": 1.84, "max_mm": 2.19},
+    "identified": {"mean_mm": 0.0181, "rms_mm": 0.0208, "p95_mm": 0.0348, "max_mm": 0.0503},
+}
+REPORT = {
+    "noise_mm": 0.0081,
+    "metrics": {"train": {"n": 60}, "validation": ERRORS},
+    "warnings": [
+        {"code": "no_repeats", "message": f"No pose was repeated <script>alert(1)</script> <img src='{LINK}'>."}
+    ],
+    "null_directions": [{"parameters": [], "sentence": "tool_z cannot be told from d_5 in these poses."}],
+    "parameters": [
+        {"name": "a_2", "unit": "mm", "value": 190.00421, "nominal": 190.0, "sigma": 0.0014, "identifiable": True},
+        {"name": "d_5", "unit": "mm", "value": 200.0, "nominal": 200.0, "sigma": 5.0, "identifiable": False, "plausible": True},
+    ],
+}  # fmt: skip
+ISO = {
+    "version_id": "", "standard": "ISO 9283:1998", "refit": [],
+    "iso9283": {
+        "cmp_1": {"metrics": {"AP": {"mm": 0.123, "n": 30, "demands": 30}, "RP": {"mm": 0.045, "n": 5, "demands": 30}}}
+    },
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Settings]:
+    with new_database() as url:
+        yield Settings(data=tmp_path_factory.mktemp("report"), database_url=url, host="127.0.0.1", token=None)
+
+
+@pytest.fixture(scope="module")
+def server(settings: Settings, migrated: Path) -> Iterator[httpx.Client]:
+    ready(settings, migrated)
+    with served(create_app(settings)) as client:
+        client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
+        yield client
+
+
+@pytest.fixture(scope="module")
+def version(server: httpx.Client, settings: Settings) -> str:
+    """A version as a job would store it, and an evaluation of it by ISO 9283."""
+    server.post("/v1/robots", json=Katana.document).raise_for_status()
+    limits = {"max_joint_deg": 1.0, "max_position_mm": 5.0}
+    calibration = thesis_katana().truth.to_document()
+    new = NewVersion(calibration, REPORT, {"names": [], "matrix": [], "units": "SI"}, [], limits, None, "test")
+    database = Database(settings.database)
+    with database.transaction() as session:
+        robot = session.execute(select(RobotRow.id).where(RobotRow.name == Katana.name)).scalar_one()
+        session.add(JobRow(id=JOB, kind="identify", robot_id=robot, request=OPTIONS, state="succeeded", result={}))
+        session.flush()
+        made = versions.add(session, robot, JOB, new)
+        request = {**OPTIONS, "kind": "evaluate"}
+        result = {**ISO, "version_id": made}
+        session.add(
+            JobRow(id=EVALUATION, kind="evaluate", robot_id=robot, request=request, state="succeeded", result=result)
+        )
+        session.add(JobRow(id="job_00000000000000b3", kind="identify", robot_id=robot, request=OPTIONS, state="failed"))
+    database.close()
+    return made
+
+
+def plain(html: str) -> str:
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", html))
+
+
+def test_the_report_says_what_the_interface_says(server: httpx.Client, version: str) -> None:
+    told = server.get(f"/v1/versions/{version}").raise_for_status().json()
+    html = server.get(f"/versions/{version}/report").raise_for_status().text
+    text = plain(html)
+    assert "The mean error of the tool is 18.1 µm on poses that were held out, down from 0.975 mm" in text
+    assert "a_2 mm 190.0000 190.0042 ± 0.0014 0.0042 190.0015 to 190.0070 yes" in text
+    assert "These poses cannot determine d_5" in text
+    assert "tool_z cannot be told from d_5" in text
+    assert told["sha256"] in text
+    assert told["robot_sha256"] in text
+    assert JOB in text
+    assert "AP 0.123 mm 30 30" in text
+    assert "RP 45.0 µm 5 30 (too few: only a guideline)" in text
+    for effect in told["effects"]:
+        assert effect in text
+    assert "<script>" not in html
+    assert "&lt;script&gt;" in html
+
+
+def test_the_report_of_a_job_is_that_of_what_it_found(server: httpx.Client, version: str) -> None:
+    text = plain(server.get(f"/jobs/{EVALUATION}/report").raise_for_status().text)
+    assert "ISO 9283:1998" in text
+    assert version in text
+    refused = server.get("/jobs/job_00000000000000b3/report")
+    assert refused.status_code == 422
+    assert "when it has succeeded" in refused.text
+    assert server.get("/versions/ver_0000000000000000/report").status_code == 404
+
+
+def test_the_pdf_is_the_same_every_time(server: httpx.Client, version: str) -> None:
+    pytest.importorskip("weasyprint")
+    pdfium = pytest.importorskip("pypdfium2")
+    address = f"/versions/{version}/report.pdf"
+    first, second = (server.get(address, timeout=240).raise_for_status() for _ in range(2))
+    assert first.headers["content-type"] == "application/pdf"
+    assert first.content == second.content
+    document = pdfium.PdfDocument(io.BytesIO(first.content))
+    pages = [page.get_textpage().get_text_bounded() for page in document]
+    whole = " ".join(pages)
+    assert f"Page 1 of {len(pages)}" in pages[0]
+    assert "Signatures" in whole
+    assert "18.1 µm" in whole
+    assert LINK.encode() not in first.content
+    width, height = document[0].get_size()
+    assert (round(width), round(height)) == (595, 842)  # A4
+    document.close()
+
+
+def test_a_server_without_pango_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def without(module: str, folder: Path, *_: object) -> limited.Ended:
+        (folder / "lacking").write_text("cannot load library 'libpango-1.0-0'")
+        return limited.Ended(1, False, "")
+
+    monkeypatch.setattr(limited, "run", without)
+    with pytest.raises(ServiceError, match="print the report from the browser") as caught:
+        pdf.pdf(tmp_path, "<p>a</p>", "")
+    assert caught.value.code == "pdf_unavailable"
+    assert "libpango" in caught.value.message
+
+
+def test_the_report_stands_in_nobodys_way(chromium: Browser, server: httpx.Client, version: str) -> None:
+    for size in ("desktop", "tablet"):
+        with opened(chromium, server, size) as page:
+            page.goto(f"/versions/{version}/report")
+            found = Axe().run(page)
+            assert found.violations_count == 0, found.generate_report()
+            assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+            page.emulate_media(media="print")
+            assert page.get_by_role("link", name="As PDF").is_hidden()
