@@ -20,9 +20,14 @@ from kilter_service.db import Database, revision
 from kilter_service.docs_page import router as docs_page
 from kilter_service.frames.routes import router as frames
 from kilter_service.health.routes import router as health
+from kilter_service.jobs.fleet.routes import router as fleet_jobs
 from kilter_service.jobs.routes import router as jobs
+from kilter_service.live.followers import viewers_of
+from kilter_service.meshes.routes import router as meshes
 from kilter_service.observability.requests import Observed
 from kilter_service.observability.routes import router as metrics
+from kilter_service.page.drop.drafts import Drafts
+from kilter_service.page.routes import ROUTERS as PAGE
 from kilter_service.private_files import TEMPORARY, Scratch
 from kilter_service.references.routes import router as references
 from kilter_service.robots.routes import router as robots
@@ -36,7 +41,8 @@ from kilter_service.versions.routes import router as versions
 SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from measured poses and corrects its setpoints."
 
 ROUTERS: tuple[APIRouter, ...] = (
-    robots, campaigns, versions, jobs, correction, frames, references, streams, tokens, audit, metrics,
+    robots, meshes, campaigns, versions, jobs, fleet_jobs, correction, frames, references, streams, tokens, audit,
+    metrics,
 )  # fmt: skip
 
 
@@ -59,7 +65,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(Observed)
     app.include_router(health)
     app.include_router(docs_page)
-    for router in ROUTERS:
+    for router in (*PAGE, *ROUTERS):
         app.include_router(router)
     app.openapi = described(app)  # type: ignore[method-assign]  # as FastAPI says to extend it
     return app
@@ -71,9 +77,11 @@ async def _life(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     app.state.token = admin_token(settings)
     app.state.database = Database(settings.database)
     app.state.scratch = Scratch(settings.data / TEMPORARY)
+    app.state.drafts = Drafts(app.state.scratch)
     try:
         revision.check(app.state.database)
         yield
     finally:
+        await viewers_of(app).close()
         app.state.scratch.close()
         app.state.database.close()

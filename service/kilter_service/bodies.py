@@ -18,7 +18,9 @@ from kilter_service.limits import MAX_DOCUMENT_KEYS, MAX_DOCUMENT_PARTS
 from kilter_service.request_values import MOST_PLACE, TOO_DEEP, check_document
 
 UPLOAD, DOCUMENT = "KILTER_MAX_UPLOAD_MB", "KILTER_MAX_DOCUMENT_MB"
+MESH = "a mesh"
 REMEDY = {
+    MESH: "simplify the mesh, it is only drawn",
     UPLOAD: "split it (`kilter upload` sends long recordings in parts), or raise KILTER_MAX_UPLOAD_MB",
     DOCUMENT: "leave out what is not needed, or raise KILTER_MAX_DOCUMENT_MB",
 }

@@ -6,14 +6,17 @@ who made a change. A process without requests (a worker, the corrector) has no c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from typing import Any, cast
 
 from kilter_service.contract.tokens import Role
 
 ADMIN = "admin"
 ANYBODY = "anybody"
+UNKNOWN = "unknown"
 RANK: Mapping[str, int] = {"viewer": 0, "operator": 1, "admin": 2}
 
 
@@ -31,6 +34,34 @@ class Caller:
 
 
 CALLER: ContextVar[Caller | None] = ContextVar("kilter_caller", default=None)
+
+
+def as_document() -> dict[str, Any]:
+    """Return what is kept of the caller with something that is done later in another process; empty: nobody asked."""
+    caller = CALLER.get()
+    if caller is None:
+        return {}
+    return {"actor": caller.actor, "role": caller.role, "token_id": caller.token_id, "address": caller.address}
+
+
+@contextmanager
+def on_behalf(asked_by: Mapping[str, str], route: str, ids: Mapping[str, str]) -> Iterator[None]:
+    """Let the audit say who asked for what this process changes now. Jobs of earlier releases do not know."""
+    known = asked_by or {"actor": UNKNOWN, "role": "viewer"}
+    caller = Caller(
+        known["actor"],
+        cast(Role, known["role"]),
+        None,
+        known.get("token_id", ""),
+        known.get("address", ""),
+        route,
+        ids,
+    )
+    before = CALLER.set(caller)
+    try:
+        yield
+    finally:
+        CALLER.reset(before)
 
 
 def allowed_robots() -> frozenset[str] | None:

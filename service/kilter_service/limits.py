@@ -24,6 +24,7 @@ MAX_PAGES = 100_000
 MAX_PAGES_BYTES = 256 << 20  # the largest pages of all columns of a Parquet file, which are in memory together
 
 MAX_CIRCLE_MB = 64
+MAX_MESH_MB, MAX_TRIANGLES = 16, 100_000  # of the shape of a link, which is drawn
 MAX_DOCUMENT_PARTS = 200_000  # fields, lists and objects of a JSON document, which are parsed in one call
 MAX_DOCUMENT_KEYS = 1000  # fields of one object in a JSON document
 MAX_DOCUMENT_DEPTH = 32  # levels of a JSON document

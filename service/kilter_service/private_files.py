@@ -52,11 +52,14 @@ def private_file(path: Path) -> None:
 
 
 def keep_private(path: Path) -> None:
-    """Take the rights of others from a file or folder, if it is this account's: an older Kilter gave some."""
+    """Take the rights of others from a file or folder, if it is this account's: an older Kilter gave some.
+
+    A folder with the sticky bit, as /tmp, belongs to everybody on purpose: a database may be in it, and it stays open.
+    """
     with contextlib.suppress(OSError):
         found = path.stat()
         mode = stat.S_IMODE(found.st_mode)
-        if mode & UMASK and found.st_uid == os.geteuid():
+        if mode & UMASK and not mode & stat.S_ISVTX and found.st_uid == os.geteuid():
             path.chmod(mode & ~UMASK)
 
 

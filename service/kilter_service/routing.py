@@ -13,7 +13,7 @@ from fastapi.routing import APIRoute
 from kilter_service.auth.access import admit
 from kilter_service.bodies import is_json, parsed, read_document
 from kilter_service.request_values import check_address
-from kilter_service.slots import slots_of
+from kilter_service.slots import in_turn, slots_of
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -32,22 +32,30 @@ class GuardedRoute(APIRoute):
 
         async def handle(request: Request) -> Response:
             check_address(request)  # before the database sees what is in it
-            await admit(request, self.path)
+            request.state.rule = await admit(request, self.path)
             if takes_file:
                 with slots_of(request).files.entered():
                     return await answer(request)
             if self.body_field is not None:
                 return await self._answer_document(request, answer)
+            if request.state.rule.instead:
+                room = slots_of(request).reads
+                with room.entered():
+                    return await in_turn(request, room, lambda: answer(request))
             return await answer(request)
 
         return handle
 
     async def _answer_document(self, request: Request, answer: Handler) -> Response:
-        slots = slots_of(request).documents
-        with slots.entered():
+        slots = slots_of(request)
+        room = slots.checks if request.state.rule.instead else slots.documents
+        with room.entered():
             body = await read_document(request, request.app.state.settings.max_document_mb)
-            async with slots.turn:
+
+            async def answered() -> Response:
                 return await answer(await self._checked(request, body))
+
+            return await in_turn(request, room, answered)
 
     async def _checked(self, request: Request, body: bytes) -> Request:
         """Return the request with its document parsed; FastAPI finds both where it would have put them."""

@@ -77,6 +77,9 @@ class Settings(BaseSettings):
     max_document_mb: Annotated[int, Field(ge=1, le=64, description="largest robot, job or other JSON document")] = 4
     max_requests: Annotated[int, Field(ge=1, description="requests with a document that are inside at once")] = 64
     max_computing: Annotated[int, Field(ge=1, le=16, description="documents, and files, worked on at once")] = 2
+    compute_limit_s: Annotated[float, Field(gt=0, description="seconds an answer that stores nothing may compute")] = (
+        120.0
+    )
     log_format: Literal["text", "json"] = Field(default="text", description="lines of the log")
     access_log: str | None = Field(default=None, description="file of the access log, - for the log itself")
     rate: Annotated[float, Field(gt=0, description="requests a second that compute, of one token or address")] = 100.0
@@ -85,7 +88,9 @@ class Settings(BaseSettings):
     tls_certificate: Path | None = Field(default=None, description="PEM file of the certificate: HTTPS")
     tls_key: Path | None = Field(default=None, description="PEM file of the certificate's private key")
     worker_name: str | None = Field(default=None, description="name of this worker; default is the host name")
-    worker_processes: Annotated[int, Field(ge=1, le=256, description="processes for the folds of one job")] = 1
+    worker_processes: Annotated[
+        int, Field(ge=1, le=256, description="processes for the folds and profiles of one job")
+    ] = 1
     worker_queues: list[Queue] = Field(
         default=["short", "long"], min_length=1, description="queues this worker takes jobs from, JSON"
     )
@@ -178,6 +183,7 @@ class Settings(BaseSettings):
             "MAX_DOCUMENT_MB": str(self.max_document_mb),
             "MAX_REQUESTS": str(self.max_requests),
             "MAX_COMPUTING": str(self.max_computing),
+            "COMPUTE_LIMIT_S": str(self.compute_limit_s),
             "LOG_FORMAT": self.log_format,
             "ACCESS_LOG": self.access_log,
             "RATE": str(self.rate),

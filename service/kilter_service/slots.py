@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
-from typing import ParamSpec, TypeVar
+from functools import partial
+from typing import Any, ParamSpec, TypeVar
 
 from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
 
+from kilter_service.auth.policy import Rule
 from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings
 
@@ -50,6 +52,7 @@ class Slots:
 
     def __init__(self, settings: Settings) -> None:
         self.documents = Room(settings.max_requests, settings.max_computing)
+        self.checks = Room(settings.max_requests, settings.max_computing)  # documents that only compute
         # Reads that compute are open to everybody on loopback: they must not take the others' slots.
         self.reads = Room(settings.max_requests, settings.max_computing)
         self.files = Room(settings.max_requests, settings.max_computing)  # those that wait are on disk
@@ -63,13 +66,56 @@ def slots_of(request: Request) -> Slots:
 
 async def compute(request: Request, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
     """Work on a received file in a thread, once a slot is free."""
-    async with slots_of(request).files.turn:
-        return await run_in_threadpool(work, *args, **kwargs)
+    return await in_turn(request, slots_of(request).files, partial(run_in_threadpool, work, *args, **kwargs))
 
 
-async def reading_turn(request: Request) -> AsyncIterator[None]:
-    """Let a read that computes (an export, a comparison) wait for a slot; a dependency of its route."""
-    room = slots_of(request).reads
-    with room.entered():
+async def in_turn(request: Request, room: Room, work: Callable[[], Awaitable[T]]) -> T:
+    """Do something once a slot is free; where the time of the route is limited, for so long.
+
+    A thread cannot be stopped: work that is not waited for any more keeps its slot until it ends, so there are never more
+    such threads than slots.
+
+    Raises:
+        ServiceError: it took too long, or others did.
+
+    """
+    rule: Rule = request.state.rule
+    if not rule.instead:
         async with room.turn:
-            yield
+            return await work()
+    limit_s: float = request.app.state.settings.compute_limit_s
+    await _slot(room, limit_s)
+    task = asyncio.create_task(_released(room, work))
+    done, _ = await asyncio.wait({task}, timeout=limit_s)
+    if not done:
+        task.add_done_callback(_forgotten)
+        raise ServiceError(
+            f"It computes for longer than the {limit_s:g} s that an answer may take here (KILTER_COMPUTE_LIMIT_S on the "
+            f"server). {rule.instead}",
+            code="compute_limit",
+            limit_s=limit_s,
+        )
+    return task.result()
+
+
+async def _slot(room: Room, limit_s: float) -> None:
+    try:
+        async with asyncio.timeout(limit_s):
+            await room.turn.acquire()
+    except TimeoutError:
+        raise ServiceError(
+            f"For {limit_s:g} s other requests have been computing: send it again in a while.", code="busy"
+        ) from None
+
+
+async def _released(room: Room, work: Callable[[], Awaitable[T]]) -> T:
+    try:
+        return await work()
+    finally:
+        room.turn.release()
+
+
+def _forgotten(task: asyncio.Task[Any]) -> None:
+    """Take the error of work whose answer nobody waits for, so that the event loop does not report it."""
+    if not task.cancelled():
+        task.exception()

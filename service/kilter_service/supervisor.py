@@ -238,8 +238,9 @@ def _wait_until_ready(settings: Settings, children: list[Child], url: str, stop:
 
 
 def _answers(url: str) -> bool:
-    # Asked is this machine's own socket, and no token is sent: the certificate may be for other names only.
-    context = ssl.create_default_context()
+    # Asked is this machine's own socket, and no token is sent: the certificate may be for other names only. A default
+    # context would read all certificates that the machine trusts, which kept a core busy while the others started.
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     try:
         # The URL of our own listener.

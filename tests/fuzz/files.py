@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -133,4 +134,27 @@ def _damaged(draw: st.DrawFn, data: bytes) -> bytes:
     return draw(st.sampled_from(RAW)) if how == 2 else data
 
 
-FILES: dict[str, Callable[[], st.SearchStrategy[bytes]]] = {CSV: csv_file, PARQUET: parquet_file, JSON: json_columns}
+@st.composite
+def obj(draw: st.DrawFn) -> bytes:
+    """Triangles as OBJ, or what looks like them."""
+    odd = draw(st.integers(0, 2)) == 0
+    number = st.sampled_from(NUMBER) if odd else st.sampled_from(["0", "0.1", "1", "-2.5"])
+    corners = draw(st.integers(0, 6))
+    lines = [f"v {draw(number)} {draw(number)} {draw(number)}" for _ in range(corners)]
+    index = st.integers(-9, 9) if odd else st.integers(1, max(corners, 1))
+    lines += [f"f {draw(index)} {draw(index)} {draw(index)}" for _ in range(draw(st.integers(0, 4)))]
+    return _damaged(draw, "\n".join(lines).encode())
+
+
+@st.composite
+def stl(draw: st.DrawFn) -> bytes:
+    """Triangles as binary STL; the count beside them is not always right."""
+    stated = draw(st.sampled_from([0, 1, 2, 3, 2**31, 2**32 - 1]))
+    values = st.sampled_from([0.0, 1.0, -2.5, 1e38, float("nan"), float("inf")])
+    parts = [struct.pack("<12fH", *(draw(values) for _ in range(12)), 0) for _ in range(draw(st.integers(0, 3)))]
+    return _damaged(draw, bytes(80) + struct.pack("<I", stated) + b"".join(parts))
+
+
+FILES: dict[str, Callable[[], st.SearchStrategy[bytes]]] = {
+    CSV: csv_file, PARQUET: parquet_file, JSON: json_columns, "model/obj": obj, "model/stl": stl,
+}  # fmt: skip

@@ -43,9 +43,14 @@ class World:
         versions, jobs = self._versions(campaigns)
         wanted = {"name": "somebody", "role": "viewer", "robots": ["arm"]}
         token = str(self.client.post("/v1/tokens", json=wanted).raise_for_status().json()["id"])
+        fleets = [
+            str(self.client.post("/v1/fleet-jobs", json=asked).raise_for_status().json()["id"])
+            for asked in ({"robots": ["arm", "empty"]}, {"options": {"level": 1}})
+        ]
         self.known = {
             "robot": ["arm", "arm", "empty"], "campaign": campaigns, "version": versions, "job": jobs,
-            "a": [*versions, "nominal"], "b": [*versions, "nominal"], "token": [token],
+            "a": [*versions, "nominal"], "b": [*versions, "nominal"], "token": [token], "fleet_job": fleets,
+            "link": ["base", "1", "2"],
             "reference": [*campaigns, *versions, *jobs, "latest"],
         }  # fmt: skip
 

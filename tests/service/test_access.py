@@ -18,7 +18,7 @@ from kilter_service.app import create_app
 from kilter_service.auth.policy import RULES
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database
-from kilter_service.db.tables import CampaignRow, JobRow, TokenRow, now
+from kilter_service.db.tables import CampaignRow, FleetJobRow, FleetRobotRow, JobRow, TokenRow, now
 from kilter_service.routing import GuardedRoute
 from kilter_service.settings import Settings
 from kilter_service.versions import store
@@ -30,20 +30,23 @@ OWN, OTHER = "mine", "theirs"
 # Written out again, so that a change of the policy is seen: the role that each route needs.
 NEEDED = {
     "viewer": """GET /v1/whoami GET /v1/robots GET /v1/robots/{robot} GET /v1/robots/{robot}/campaigns
-        GET /v1/robots/{robot}/versions GET /v1/robots/{robot}/activations GET /v1/campaigns/{campaign} GET /v1/jobs
+        GET /v1/robots/{robot}/versions GET /v1/robots/{robot}/activations GET /v1/robots/{robot}/meshes
+        GET /v1/robots/{robot}/meshes/{link} GET /v1/campaigns/{campaign} GET /v1/jobs
         GET /v1/jobs/{job} GET /v1/jobs/{job}/events GET /v1/versions/{version} GET /v1/resolve GET /v1/tombstones
         GET /v1/versions/{version}/preview GET /v1/versions/{a}/diff/{b} GET /v1/versions/{version}/residuals
-        GET /v1/versions/{version}/export GET /metrics""",
+        GET /v1/versions/{version}/export GET /metrics GET /v1/fleet-jobs GET /v1/fleet-jobs/{fleet_job}""",
     "operator": """POST /v1/robots/check POST /v1/robots/convert POST /v1/robots/from-circles POST /v1/frames
         POST /v1/robots/{robot}/correct POST /v1/robots/{robot}/campaigns PATCH /v1/campaigns/{campaign}
         POST /v1/campaigns/{campaign}/commit POST /v1/campaigns/{campaign}/observations
         POST /v1/campaigns/{campaign}/retire POST /v1/campaigns/{campaign}/restore DELETE /v1/campaigns/{campaign}
         POST /v1/jobs POST /v1/jobs/check POST /v1/jobs/{job}/cancel PATCH /v1/versions/{version}
         POST /v1/versions/{version}/retire POST /v1/versions/{version}/restore POST /v1/versions/{version}/activate
-        POST /v1/robots/{robot}/rollback POST /v1/robots/{robot}/stream/sessions""",
+        POST /v1/robots/{robot}/rollback POST /v1/robots/{robot}/stream/sessions
+        POST /v1/fleet-jobs POST /v1/fleet-jobs/{fleet_job}/cancel""",
     "admin": """POST /v1/robots PATCH /v1/robots/{robot} DELETE /v1/robots/{robot} POST /v1/robots/{robot}/retire
         POST /v1/robots/{robot}/restore POST /v1/robots/{robot}/purge POST /v1/campaigns/{campaign}/purge
-        POST /v1/versions/{version}/purge GET /v1/tokens POST /v1/tokens DELETE /v1/tokens/{token} GET /v1/audit""",
+        POST /v1/versions/{version}/purge GET /v1/tokens POST /v1/tokens DELETE /v1/tokens/{token} GET /v1/audit
+        PUT /v1/robots/{robot}/meshes/{link} DELETE /v1/robots/{robot}/meshes/{link}""",
 }
 ROLES = ("viewer", "operator", "admin")
 WHOLE_SERVER = ("GET /v1/tokens", "POST /v1/tokens", "DELETE /v1/tokens/{token}", "GET /v1/audit", "GET /metrics")
@@ -65,7 +68,7 @@ class House(NamedTuple):
         end = {OWN: "0123456789abcdef", OTHER: "f" * 16}.get(of, "0" * 16)
         names = {"robot": of, "campaign": f"cmp_{end}", "version": f"ver_{end}", "a": f"ver_{end}", "b": "nominal"}
         headers = {} if token is None else {"Authorization": f"Bearer {self.tokens.get(token, token)}"}
-        path = path.format(**names, job=f"job_{end}", token="tok_0")
+        path = path.format(**names, job=f"job_{end}", fleet_job=f"flt_{end}", token="tok_0", link="base")
         return self.client.request(method, path, headers={**headers, **more.pop("headers", {})}, **more)
 
 
@@ -82,6 +85,9 @@ def furnish(database: Database) -> None:
                                request={"kind": "identify", "robot": OWN if robot_id == 1 else OTHER}))  # fmt: skip
             session.flush()
             store.add(session, robot_id, f"job_{end}", new)
+            session.add(FleetJobRow(id=f"flt_{end}", request={}))
+            session.flush()
+            session.add(FleetRobotRow(fleet_id=f"flt_{end}", robot_id=robot_id, job_id=f"job_{end}"))
 
 
 @pytest.fixture(scope="module")

@@ -22,6 +22,8 @@ from kilter_service.caller import CALLER, Caller
 from kilter_service.db import Database, revision
 from kilter_service.db.tables import CampaignRow, JobRow, RobotRow
 from kilter_service.errors import ServiceError
+from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.runner import Runner
 from kilter_service.settings import DATABASE_FILE, Settings
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
@@ -96,6 +98,49 @@ def test_an_activation_says_which_version_was_active_before(client: httpx.Client
         ('"ver_a"', '"ver_b"'),
         ('"ver_b"', '"ver_a"'),
     ]
+
+
+@pytest.mark.both_databases
+def test_a_version_of_a_worker_is_in_the_audit_of_whoever_asked_for_it(
+    client: httpx.Client, database: Database, katana: Any
+) -> None:
+    campaign = katana.campaign(client, 60)
+    made = client.post("/v1/tokens", json={"name": "anna", "role": "operator"}).json()
+    wanted = {"kind": "identify", "robot": "katana", "campaigns": [campaign], "options": {"level": 1}}
+    headers = {"Authorization": f"Bearer {made['token']}"}
+    job = client.post("/v1/jobs", json=wanted, headers=headers).raise_for_status().json()["id"]
+    before = len(entries(client))
+    with database.transaction() as session:
+        claim = lease.claim(session, "here", ["identify"])
+    assert claim is not None
+    Runner(database).run(claim)
+
+    version = client.get(f"/v1/jobs/{job}").json()["result"]["version_id"]
+    (entry,) = entries(client)[before:]
+    assert (entry["actor"], entry["token_id"], entry["role"]) == ("anna", made["id"], "operator")
+    assert (entry["address"], entry["route"]) == ("127.0.0.1", "kilterd worker")
+    assert json.loads(entry["place"]) == {"job": job}
+    changed = {change["thing"]: change for change in entry["changes"]}
+    assert set(changed) == {f"versions/{version}", f"jobs/{job}"}
+    assert changed[f"versions/{version}"]["before"] == ""
+    sha256 = client.get(f"/v1/versions/{version}").json()["sha256"]
+    assert json.loads(changed[f"versions/{version}"]["after"])["sha256"] == sha256
+    assert chain_holds(entries(client))
+    assert CALLER.get() is None
+
+
+def test_a_version_that_an_earlier_kilter_was_asked_for_says_that_nobody_is_known(
+    client: httpx.Client, database: Database, katana: Any
+) -> None:
+    campaign = katana.campaign(client, 60)
+    wanted = {"kind": "identify", "robot": "katana", "campaigns": [campaign], "options": {"level": 1}}
+    job = client.post("/v1/jobs", json=wanted).raise_for_status().json()["id"]
+    with database.transaction() as session:
+        session.get_one(JobRow, job).asked_by = {}
+        claim = lease.claim(session, "here", ["identify"])
+    assert claim is not None
+    Runner(database).run(claim)
+    assert entries(client)[-1]["actor"] == "unknown"
 
 
 def test_the_audit_comes_in_pages(client: httpx.Client) -> None:

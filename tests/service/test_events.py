@@ -120,3 +120,17 @@ def test_followers_cost_the_database_nothing_each(
         ends = list(pool.map(next, streams))
     assert {one.name for one in ends} == {"end"}
     assert len(queries) < 5 * count
+
+
+def test_a_first_follower_who_sees_one_robot_limits_nobody_else(http: httpx.Client, job: str) -> None:
+    other = {"name": "theirs", "convention": "preset", "preset": "katana450-chapter5"}
+    http.post("/v1/robots", json=other).raise_for_status()
+    theirs = http.post("/v1/jobs", json={"kind": "plan", "robot": "theirs", "options": {"purpose": "iso9283"}}).json()
+    limited = http.post("/v1/tokens", json={"name": "theirs-only", "role": "viewer", "robots": ["theirs"]}).json()
+    headers = {"Authorization": f"Bearer {limited['token']}"}
+    with http.stream("GET", f"/v1/jobs/{theirs['id']}/events", headers=headers) as first:
+        assert next(events(first.iter_lines())).data["state"] == "queued"
+        with followed(http, job) as news:
+            next(news)
+            http.post(f"/v1/jobs/{job}/cancel").raise_for_status()
+            assert next(news).data["state"] == "cancelled"

@@ -66,6 +66,17 @@ def test_what_an_older_kilter_left_open_is_closed(tmp_path: Path) -> None:
     assert mode(tmp_path / "data") == 0o700
 
 
+def test_a_folder_that_everybody_shares_stays_open(tmp_path: Path) -> None:
+    """A database in /tmp, opened by root, closed /tmp to all other accounts."""
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o1777)
+    database = Database(f"sqlite:///{shared}/kilter.sqlite")
+    database.close()
+    assert mode(shared) == 0o1777
+    assert mode(shared / "kilter.sqlite") == 0o600
+
+
 def test_folders_of_killed_processes_are_removed_and_those_of_living_ones_stay(tmp_path: Path) -> None:
     holders = [
         subprocess.Popen(

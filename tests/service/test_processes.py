@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,6 +45,33 @@ def test_folds_in_processes_give_the_same_numbers(at_once: None) -> None:
     assert {stage.partition(",")[0] for stage in folds} >= {"fold 1 of 4", "fold 2 of 4"}
     begun = [fraction for fraction, stage in heard if stage.startswith("fold ") and "," not in stage]
     assert begun == sorted(begun)
+
+
+def test_profiles_in_processes_give_the_same_numbers(at_once: None) -> None:
+    twin = thesis_katana()
+    limits = twin.robot.limits
+    q = np.random.default_rng(5).uniform(limits[:, 0], limits[:, 1], (40, twin.robot.n_joints))
+    rows, options = twin.observe(q, noise_m=1e-5, seed=5), IdentifyOptions(level=1, intervals="profile")
+    heard: list[str] = []
+    alone = identify(twin.robot, rows, None, options, progress=lambda _, stage: heard.append(stage)).intervals
+    spread = Watched(2)
+    found = identify(twin.robot, rows, None, options, each=spread).intervals
+    assert alone is not None
+    assert found is not None
+    for name in ("lower", "upper", "stands_in"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
+    assert spread.parts == len(alone.lower)
+    assert any(stage.startswith(f"profile 1 of {spread.parts}, ") for stage in heard)
+
+
+class Watched(Processes):
+    """Counts the parts."""
+
+    parts = 0
+
+    def __call__(self, work: Any, tasks: Any, progress: Any) -> Any:
+        self.parts += len(tasks)
+        return super().__call__(work, tasks, progress)
 
 
 def test_parts_run_beside_each_other_and_their_processes_end(at_once: None) -> None:

@@ -29,8 +29,10 @@ Serve = Callable[[FastAPI], httpx.Client]
 OPEN = {
     "GET /v1/health", "GET /v1/health/live", "GET /v1/health/ready",
     "GET /v1/robots", "GET /v1/robots/{robot}",
-    "GET /v1/robots/{robot}/campaigns", "GET /v1/campaigns/{campaign}",
+    "GET /v1/robots/{robot}/campaigns", "GET /v1/robots/{robot}/meshes",
+    "GET /v1/robots/{robot}/meshes/{link}", "GET /v1/campaigns/{campaign}",
     "GET /v1/jobs", "GET /v1/jobs/{job}", "GET /v1/jobs/{job}/events",
+    "GET /v1/fleet-jobs", "GET /v1/fleet-jobs/{fleet_job}",
     "GET /v1/robots/{robot}/versions", "GET /v1/robots/{robot}/activations", "GET /v1/versions/{version}",
     "GET /v1/versions/{a}/diff/{b}", "GET /v1/versions/{version}/export",
     "GET /v1/versions/{version}/residuals", "GET /v1/resolve", "GET /v1/tombstones",
@@ -227,7 +229,7 @@ def test_too_many_requests_wait_their_turn_or_are_sent_away(
     client.headers["Authorization"] = f"Bearer {admin_token(small)}"
     with ThreadPoolExecutor(2) as pool:
         waiting = [pool.submit(client.post, "/v1/frames", json={"points": POINTS}) for _ in range(2)]
-        until(lambda: app.state.slots.documents.inside == 2 and held.inside == 1, seconds=30)
+        until(lambda: app.state.slots.checks.inside == 2 and held.inside == 1, seconds=30)
         refused = client.post("/v1/frames", json={"points": POINTS})
         assert (refused.status_code, refused.json()["code"]) == (503, "busy")
         assert int(refused.headers["retry-after"]) > 0

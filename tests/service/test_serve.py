@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import ssl
 import subprocess
 import sys
 import threading
@@ -15,6 +16,7 @@ from typing import Any
 import httpx
 import pytest
 
+from kilter_service import supervisor
 from kilter_service.settings import Settings
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -156,3 +158,11 @@ def test_an_api_without_its_tables_says_so_in_one_sentence(tmp_path: Path) -> No
         url = json.loads(api.stdout.readline())["url"]
         assert httpx.get(f"{url}/v1/health/live", timeout=60.0).status_code == 200
         api.terminate()
+
+
+def test_asking_whether_it_is_ready_reads_no_certificates(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is asked twenty times a second while the others start, and certificates take 50 ms."""
+    read: list[str] = []
+    monkeypatch.setattr(ssl.SSLContext, "load_default_certs", lambda *_: read.append("certificates"))
+    assert not supervisor._answers("http://127.0.0.1:1/v1/health/ready")
+    assert read == []

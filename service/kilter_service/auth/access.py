@@ -13,6 +13,7 @@ from kilter_service.auth.policy import Rule, rule_of
 from kilter_service.auth.scope import check_path
 from kilter_service.caller import ADMIN, ANYBODY, CALLER, RANK, Caller
 from kilter_service.errors import ServiceError
+from kilter_service.logins import service as logins
 from kilter_service.settings import Settings
 from kilter_service.tokens import service as tokens
 
@@ -57,7 +58,8 @@ async def _caller(request: Request, rule: Rule, route: str) -> Caller:
         return nobody
     scheme, _, given = request.headers.get("authorization", "").partition(" ")
     secret = given.strip()
-    if scheme.lower() != "bearer" or not secret:
+    sha256 = tokens.hash_of(secret) if scheme.lower() == "bearer" and secret else await _logged_in(request)
+    if sha256 is None:
         if rule.role == "viewer" and request.method in PLAIN_READS and is_direct(request, settings):
             return nobody
         raise ServiceError(
@@ -67,11 +69,20 @@ async def _caller(request: Request, rule: Rule, route: str) -> Caller:
             code="token_missing",
             role=rule.role,
         )
-    if secrets.compare_digest(secret.encode(), request.app.state.token.encode()):
+    if secrets.compare_digest(sha256, tokens.hash_of(request.app.state.token)):
         return Caller(ADMIN, "admin", None, "", address, route, ids)
-    found = await run_in_threadpool(tokens.known, request.app.state.database, secret)
+    found = await run_in_threadpool(tokens.known, request.app.state.database, sha256)
     robots = None if found.robots is None else frozenset(found.robots)
     return Caller(found.name, found.role, robots, found.id, address, route, ids)
+
+
+async def _logged_in(request: Request) -> str | None:
+    """Return the hash of the token that whoever uses this browser logged in with; None: nobody did."""
+    kept = request.cookies.get(logins.COOKIE, "")
+    found = await run_in_threadpool(logins.token_of, request.app.state.database, kept) if kept else None
+    if found is not None and request.method not in PLAIN_READS:
+        logins.check_csrf(kept, request.headers.get(logins.CSRF_HEADER, ""))
+    return found
 
 
 def _check_role(caller: Caller, rule: Rule, route: str) -> None:

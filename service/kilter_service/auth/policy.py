@@ -11,13 +11,19 @@ from kilter_service.contract.tokens import Role
 class Rule(NamedTuple):
     """What a route needs. ``role`` None: nothing, not even a token.
 
-    ``computes``: it is more than reading what is stored, so its rate and its time are limited. ``server``: it concerns the
-    whole server, so a token that is limited to some robots may not use it.
+    ``computes``: it is more than reading what is stored, so its rate is limited. ``server``: it concerns the whole server,
+    so a token that is limited to some robots may not use it. ``instead`` is what to do when the answer takes longer to
+    compute than the server allows; only of routes that store nothing, because what is stored is acknowledged.
     """
 
     role: Role | None
     computes: bool = False
     server: bool = False
+    instead: str = ""
+
+    def timed(self, instead: str) -> Rule:
+        """Return the same with a limited time."""
+        return self._replace(instead=instead)
 
 
 OPEN = Rule(None)
@@ -27,6 +33,9 @@ READ_COMPUTED = Rule("viewer", computes=True)
 OPERATE = Rule("operator", computes=True)
 ADMINISTER = Rule("admin", computes=True)
 SERVER = Rule("admin", computes=True, server=True)
+
+SMALLER = "Send a smaller document, or try again when the server is less busy."
+LATER = "Try again when the server is less busy."
 
 RULES: Mapping[str, Rule] = {
     # What watches a server has no token, and the pages of /docs say nothing about this one.
@@ -43,22 +52,28 @@ RULES: Mapping[str, Rule] = {
     "GET /v1/robots/{robot}/campaigns": READ,
     "GET /v1/robots/{robot}/versions": READ,
     "GET /v1/robots/{robot}/activations": READ,
+    "GET /v1/robots/{robot}/meshes": READ,
+    "GET /v1/robots/{robot}/meshes/{link}": READ,
     "GET /v1/campaigns/{campaign}": READ,
     "GET /v1/jobs": READ,
     "GET /v1/jobs/{job}": READ,
     "GET /v1/jobs/{job}/events": READ,
+    "GET /v1/fleet-jobs": READ,
+    "GET /v1/fleet-jobs/{fleet_job}": READ,
     "GET /v1/versions/{version}": READ,
     "GET /v1/resolve": READ,
     "GET /v1/tombstones": READ,
-    "GET /v1/versions/{version}/preview": READ_COMPUTED,
-    "GET /v1/versions/{a}/diff/{b}": READ_COMPUTED,
-    "GET /v1/versions/{version}/residuals": READ_COMPUTED,
-    "GET /v1/versions/{version}/export": READ_COMPUTED,
-    "POST /v1/robots/check": OPERATE,
-    "POST /v1/robots/convert": OPERATE,
-    "POST /v1/robots/from-circles": OPERATE,
-    "POST /v1/frames": OPERATE,
-    "POST /v1/robots/{robot}/correct": OPERATE,
+    "GET /v1/versions/{version}/preview": READ_COMPUTED.timed(LATER),
+    "GET /v1/versions/{a}/diff/{b}": READ_COMPUTED.timed(LATER),
+    "GET /v1/versions/{version}/residuals": READ_COMPUTED.timed(
+        "Name fewer campaigns, or submit an evaluate job (POST /v1/jobs)."
+    ),
+    "GET /v1/versions/{version}/export": READ_COMPUTED.timed(LATER),
+    "POST /v1/robots/check": OPERATE.timed(SMALLER),
+    "POST /v1/robots/convert": OPERATE.timed(SMALLER),
+    "POST /v1/robots/from-circles": OPERATE.timed("Send fewer rows of each circle."),
+    "POST /v1/frames": OPERATE.timed(SMALLER),
+    "POST /v1/robots/{robot}/correct": OPERATE.timed("Send the path in parts with fewer rows."),
     "POST /v1/robots/{robot}/campaigns": OPERATE,
     "PATCH /v1/campaigns/{campaign}": OPERATE,
     "POST /v1/campaigns/{campaign}/commit": OPERATE,
@@ -67,8 +82,12 @@ RULES: Mapping[str, Rule] = {
     "POST /v1/campaigns/{campaign}/restore": OPERATE,
     "DELETE /v1/campaigns/{campaign}": OPERATE,  # a staged one, which was never whole
     "POST /v1/jobs": OPERATE,
-    "POST /v1/jobs/check": OPERATE,
+    "POST /v1/jobs/check": OPERATE.timed(
+        "Name fewer campaigns, or submit it as a job (POST /v1/jobs), which has no such limit."
+    ),
     "POST /v1/jobs/{job}/cancel": OPERATE,
+    "POST /v1/fleet-jobs": OPERATE,
+    "POST /v1/fleet-jobs/{fleet_job}/cancel": OPERATE,
     "PATCH /v1/versions/{version}": OPERATE,
     "POST /v1/versions/{version}/retire": OPERATE,
     "POST /v1/versions/{version}/restore": OPERATE,
@@ -83,13 +102,72 @@ RULES: Mapping[str, Rule] = {
     "POST /v1/robots/{robot}/purge": ADMINISTER,
     "POST /v1/campaigns/{campaign}/purge": ADMINISTER,
     "POST /v1/versions/{version}/purge": ADMINISTER,
+    "PUT /v1/robots/{robot}/meshes/{link}": ADMINISTER,
+    "DELETE /v1/robots/{robot}/meshes/{link}": ADMINISTER,
     "GET /v1/tokens": SERVER,
     "POST /v1/tokens": SERVER,
     "DELETE /v1/tokens/{token}": SERVER,
     "GET /v1/audit": SERVER,
 }
 
+# The page: each view needs what the routes of /v1 need that say or do the same.
+PAGE_RULES: Mapping[str, Rule] = {
+    "GET /assets/{name}": OPEN,
+    "GET /login": OPEN,
+    "POST /login": OPEN,
+    "POST /logout": OPEN,
+    "GET /": READ,
+    "GET /robots/{robot}": READ,
+    "GET /robots/{robot}/worst": READ_COMPUTED.timed(LATER),
+    "GET /robots/{robot}/arm.json": READ_COMPUTED.timed(LATER),
+    "GET /robots/{robot}/places.json": READ_COMPUTED.timed(LATER),
+    "GET /robots/{robot}/reach.json": READ_COMPUTED.timed(LATER),
+    "GET /robots/{robot}/meshes/{link}": READ_COMPUTED.timed(LATER),
+    "GET /robots/{robot}/versions": READ,
+    "GET /versions/{version}": READ,
+    "GET /versions/{version}/exports": READ_COMPUTED.timed(LATER),
+    "GET /versions/{version}/contributions": READ_COMPUTED.timed(LATER),
+    "GET /versions/{version}/by-factor": READ_COMPUTED.timed(LATER),
+    "GET /versions/{version}/activation": READ_COMPUTED.timed(LATER),
+    "GET /versions/{a}/compare/{b}": READ_COMPUTED.timed(LATER),
+    "GET /robots/{robot}/rollback": READ_COMPUTED.timed(LATER),
+    "POST /versions/{version}/activate": OPERATE,
+    "POST /robots/{robot}/rollback": OPERATE,
+    "GET /robots/{robot}/campaigns": READ,
+    "GET /robots/{robot}/campaigns/new": READ,
+    "GET /robots/{robot}/campaigns/new/{draft}": READ,
+    "POST /robots/{robot}/campaigns/new/file": OPERATE,
+    "POST /robots/{robot}/campaigns/new/{draft}/columns": OPERATE,
+    "POST /robots/{robot}/campaigns/new/{draft}/map": OPERATE,
+    "POST /robots/{robot}/campaigns/new/{draft}/read": OPERATE,
+    "POST /robots/{robot}/campaigns/new/{draft}/store": OPERATE,
+    "POST /robots/{robot}/campaigns/new/{draft}/discard": OPERATE,
+    "GET /campaigns/{campaign}": READ_COMPUTED.timed(LATER),
+    "GET /campaigns/{campaign}/series.json": READ_COMPUTED.timed(LATER),
+    "POST /campaigns/{campaign}/change": OPERATE,
+    "POST /campaigns/{campaign}/retire": OPERATE,
+    "POST /campaigns/{campaign}/restore": OPERATE,
+    "GET /robots/{robot}/stream": READ,
+    "GET /robots/{robot}/stream/events": READ,
+    "GET /versions/{version}/report": READ_COMPUTED.timed(LATER),
+    "GET /versions/{version}/report.pdf": READ_COMPUTED.timed(LATER),
+    "GET /jobs/{job}/report": READ_COMPUTED.timed(LATER),
+    "GET /jobs/{job}/report.pdf": READ_COMPUTED.timed(LATER),
+    "GET /jobs": READ,
+    "GET /audit": SERVER,
+    "GET /jobs/{job}/gap/next-poses.csv": READ,
+    "POST /jobs/{job}/gap/plan": OPERATE,
+    "POST /jobs/{job}/gap/again": OPERATE,
+    "GET /robots/{robot}/jobs": READ,
+    "POST /robots/{robot}/jobs/check": OPERATE.timed(LATER),
+    "POST /robots/{robot}/jobs": OPERATE,
+    "GET /jobs/{job}": READ,
+    "GET /jobs/{job}/poses.csv": READ,
+    "POST /jobs/{job}/cancel": OPERATE,
+}
+
 
 def rule_of(route: str) -> Rule:
     """Return what a route (``"GET /v1/robots"``) needs."""
-    return RULES.get("GET" + route.removeprefix("HEAD") if route.startswith("HEAD ") else route, SERVER)
+    read = "GET" + route.removeprefix("HEAD") if route.startswith("HEAD ") else route
+    return RULES.get(read) or PAGE_RULES.get(read, SERVER)

@@ -12,6 +12,7 @@ from typing import Any
 from kilter_service.campaigns import store as campaigns
 from kilter_service.db import Database, Session
 from kilter_service.jobs import store as jobs
+from kilter_service.jobs.fleet import store as fleet_jobs
 from kilter_service.references.store import NOMINAL
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
@@ -23,6 +24,7 @@ LOOKED_UP: Mapping[str, Callable[[Session, str], Any]] = {
     "a": versions.get,
     "b": versions.get,
     "job": jobs.get,
+    "fleet_job": fleet_jobs.get,
 }
 
 

@@ -228,6 +228,24 @@ def observations(
     return with_default_load(assemble(concat_tables(tables), columns, row.conditions), robot)
 
 
+def table(session: Session, campaign_id: str) -> pa.Table:
+    """Return all rows of a campaign as they were uploaded, in the order of its uploads.
+
+    Raises:
+        ObservationError: nothing was uploaded yet.
+
+    """
+    from pyarrow import concat_tables  # 0.4 s: not at the start of the API process
+
+    query = select(UploadRow).where(UploadRow.campaign_id == campaign_id).order_by(UploadRow.id)
+    uploads = list(session.execute(query).scalars())
+    if not uploads:
+        raise ObservationError(f"Campaign {campaign_id} has no observations: upload some.", campaign=campaign_id)
+    return concat_tables(
+        [part.select(uploads[0].columns) for upload in uploads for part in _tables(session, upload.id)]
+    )
+
+
 def states_a_load(session: Session, campaign_id: str) -> bool:
     """Whether a campaign says what hung on the tool, in its conditions or in its columns."""
     if whole(session, campaign_id).conditions.get("payload_kg") is not None:

@@ -11,10 +11,11 @@ joints and flags, then come sequence, time sent and time to apply (service/kilte
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,7 +38,10 @@ OUT = 40
 OUT_WORDS = 7 + wire.MAX_JOINTS
 IN = OUT + OUT_WORDS
 HEADER = wire.HEADER.size
-WORDS = IN + 4 + 3 * wire.MAX_JOINTS
+BINS = IN + 4 + 3 * wire.MAX_JOINTS  # answers by the time they took: two bins an octave, the first up to 1.4 µs
+MOST_BINS = 40
+WORDS = BINS + MOST_BINS
+TOOL = slice(4, 7)  # of the info of a correction
 MOST = 2**63 - 1  # what is larger than this takes the full path, where integers are unbounded
 MOST_NS = 0xFFFFFFFF  # of the time that fits into an answer
 IS_LIMITED, IS_DAMPED = int(Flag.LIMITED), int(Flag.DAMPED)
@@ -53,6 +57,8 @@ def _compiled() -> Any:
         spent = words[OUT + 6] & MOST_NS  # of the answer before: it was known only after that was made
         words[SPENT] += spent
         words[LONGEST] = max(words[LONGEST], spent)
+        if spent > 0:
+            words[BINS + min(max(int(2.0 * math.log2(spent * 1e-3)), 0), MOST_BINS - 1)] += 1
         words[OUT + 6] = 0
         n, size = words[JOINTS], len(data)
         width = (size - HEADER) // (8 * n)
@@ -113,6 +119,16 @@ def _entry() -> Callable[[Any, Any, bytes, int], int]:
     return entry
 
 
+def bin_of(spent_ns: int) -> int:
+    """Bin of an answer that took so long; bin k begins at :func:`bin_edges_us` [k]."""
+    return min(max(int(2.0 * math.log2(spent_ns * 1e-3)), 0), MOST_BINS - 1)
+
+
+def bin_edges_us() -> list[float]:
+    """Where each bin begins, µs; the first takes everything below the second, the last everything above."""
+    return [2.0 ** (0.5 * k) if k else 0.0 for k in range(MOST_BINS)]
+
+
 class Counters:
     """What a stream has done, for its status document; the numbers are in the memory of its fast path."""
 
@@ -151,8 +167,19 @@ class Counters:
         self._words[COUNTS + status] += 1
         self._words[SPENT] += spent
         self._words[LONGEST] = max(self._words[LONGEST], spent)
+        if spent > 0:
+            self._words[BINS + bin_of(spent)] += 1
         self._words[LAST] = status
         return spent
+
+    @property
+    def by_time(self) -> list[int]:
+        """Answers by the time they took inside the corrector, one number for each bin."""
+        bins = [int(count) for count in self._words[BINS : BINS + MOST_BINS]]
+        pending = int(self._words[OUT + 6]) & MOST_NS
+        if pending:
+            bins[bin_of(pending)] += 1
+        return bins
 
     def count_flags(self, flags: int) -> None:
         """Count how an answer of the full path was made."""
@@ -177,6 +204,16 @@ class Counters:
         }
 
 
+class Answered(NamedTuple):
+    """A setpoint that was corrected, for people to look at: arrays as bytes, which no later setpoint changes."""
+
+    arrival_ns: int  # monotonic clock
+    flags: int
+    wanted: bytes  # float64, rad or m
+    corrected: bytes
+    tool: bytes  # by how much the tool would be off without the correction: x, y, z, m
+
+
 class FastPath:
     """Memory of one stream's plain setpoints.
 
@@ -188,6 +225,7 @@ class FastPath:
         self._words = np.zeros(WORDS, dtype=np.int64)
         self._words[[MOST_AGE, SET_BACK]] = rules.max_age_ns, rules.set_back_ns
         self._words.view(np.float64)[[DRIFT, SLACK]] = rules.clock_drift, rules.time_slack_s
+        self._info: Any = None
         self.answer: Callable[[bytes, int], bytes | None] = lambda data, arrival_ns: None
         self.counters = Counters(self._words)
 
@@ -198,6 +236,7 @@ class FastPath:
         head = int.from_bytes(wire.MAGIC, "little") | Kind.POINT << 32 | n << 40
         for width, flags in FLAGS.items():
             self._words[IN_HEAD + width] = head | flags << 48
+        self._info = track.info
         self.answer = self._bind(track.memory, n)
         self._words[OUT_HEAD] = head
         self._words[VERSION] = np.uint64(active.number).astype(np.int64)
@@ -219,6 +258,19 @@ class FastPath:
     def seen_ns(self) -> int:
         """When the last plain setpoint arrived."""
         return int(self._words[SEEN])
+
+    def last(self) -> Answered | None:
+        """What it answered last, for another thread; None when it has declined a setpoint since.
+
+        numpy copies so few words without a pause for other threads, so wanted and corrected are of one setpoint.
+        """
+        words = self._words.copy()
+        if words[IN + 1] != words[OUT + 1] or not words[OUT] or self._info is None:
+            return None
+        joints = int(words[OUT]) >> 40 & 0xFF
+        wanted, corrected = words[IN + 4 : IN + 4 + joints], words[OUT + 7 : OUT + 7 + joints]
+        flags = int(words[OUT]) >> 48 & 0xFFFF
+        return Answered(int(words[SEEN]), flags, wanted.tobytes(), corrected.tobytes(), self._info[TOOL].tobytes())
 
     def give(self, clock: Clock) -> None:
         """Write into ``clock`` the present state of the stream."""

@@ -58,13 +58,23 @@ class RobotKeys:
         return f"{self.root}/@alive/{checked(instance, 'instance')}"
 
     def stream(self, stream: str, part: str) -> str:
-        """Key of one direction (``in``, ``out`` or ``status``) of a stream."""
+        """Key of one part (``in``, ``out``, ``status`` or ``live``) of a stream."""
         return f"{self.root}/stream/{checked(stream, 'stream')}/{part}"
 
 
 def every_input(site: str) -> str:
     """Key expression of the setpoints of all robots and streams of a site."""
     return f"{PREFIX}/{checked(site, 'site')}/*/stream/*/in"
+
+
+def every_live(site: str) -> str:
+    """Key expression of what people may look at, of all robots and streams of a site."""
+    return f"{PREFIX}/{checked(site, 'site')}/*/stream/*/live"
+
+
+def every_token(site: str) -> str:
+    """Key expression of the liveliness tokens of the correctors of a site."""
+    return f"{PREFIX}/{checked(site, 'site')}/*/@alive/*"
 
 
 def every_query(site: str, procedure: str) -> str:

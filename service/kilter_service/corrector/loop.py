@@ -28,6 +28,7 @@ from kilter_service.corrector.gate import Admitted, Gate, unsigned_refusal
 from kilter_service.corrector.session import ENCODING, close, open_listening
 from kilter_service.corrector.slots import Served, Slots, address_of, names_of
 from kilter_service.corrector.specs import StreamSpec
+from kilter_service.corrector.telemetry import PERIOD_S, Telemetry, TurnedAway
 from kilter_service.corrector.wire import Status
 from kilter_service.errors import ServiceError
 from kilter_service.signing import questions, sealed
@@ -67,6 +68,7 @@ class StreamLoop:
         self.active: dict[str, Active] = {}  # replaced entry by entry: a lookup sees the old version or the new
         self.gate = Gate(spec.masters, spec.unsigned)
         self.slots = Slots(session, spec.rules, self.gate)
+        self.turned_away = TurnedAway()
         self._wake_up = wake_up
         self._subscriber = session.declare_subscriber(
             keys.every_input(spec.site), zenoh.handlers.RingChannel(spec.rules.ring)
@@ -119,6 +121,7 @@ class StreamLoop:
             return self._start_signed(key, names, data, arrival_ns)
         if not self.gate.unsigned:
             self.gate.dropped["unsigned"] += 1
+            self.turned_away.count(names[1], Status.UNSIGNED.name)
             self._put(names[1], unsigned_refusal(data))
             return None
         try:
@@ -147,11 +150,13 @@ class StreamLoop:
                 served.guard.adopt(admitted)
             return served
         status = Status.OVERLOAD if names[0] in self.active else Status.NO_VERSION
+        self.turned_away.count(names[1], status.name)
         refusal = wire.encode_refusal(wire.decode_header(sealed.unsealed(data)), status)
         self._put(names[1], sealed.sealed(refusal, admitted.session, admitted.key, sealed.ANSWER))
         return None
 
     def _refuse(self, out: str, header: wire.Header | None, status: Status) -> None:
+        self.turned_away.count(out, status.name)
         if header is not None:
             self._put(out, wire.encode_refusal(header, status))
 
@@ -174,6 +179,7 @@ class HousekeepingThread(threading.Thread):
         self._queries: deque[zenoh.Query] = deque(maxlen=64)
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
         self._reported_s = 0.0
+        self._telemetry = Telemetry(loop)
         loop.session.declare_queryable(
             keys.every_active(loop.spec.site), zenoh.handlers.Callback(self._asked, indirect=False)
         )
@@ -188,6 +194,7 @@ class HousekeepingThread(threading.Thread):
             while self._take():
                 self._answer_queries()
                 self._report()
+                self._telemetry.tell()
         except Exception:
             log.exception("the housekeeping of the corrector failed; the process stops and is restarted")
         finally:
@@ -195,7 +202,8 @@ class HousekeepingThread(threading.Thread):
 
     def _take(self) -> bool:
         """Sleep until there is something to do, and take one message of the supervisor; False to stop."""
-        ready = wait([self._pipe, self._wake_up.waits], STATUS_PERIOD_S)
+        pause = PERIOD_S if self._telemetry.watched else STATUS_PERIOD_S
+        ready = wait([self._pipe, self._wake_up.waits], pause)
         self._wake_up.clear()
         if self._pipe not in ready:
             return True

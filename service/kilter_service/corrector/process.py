@@ -225,6 +225,7 @@ class Corrector:
             "stream_keys": str(self._settings.stream_keys_file),
             "unsigned": self._unsigned,
             "zenoh_config": str(self._settings.zenoh_config) if self._settings.zenoh_config else None,
+            "private": self._private.endpoint if self._private else None,
         }
         self._settings.data.mkdir(parents=True, exist_ok=True)
         part = self.file.with_suffix(".part")

@@ -11,7 +11,7 @@ from kilter_core.correct.walker import walk_whole
 from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.admission import Clock
-from kilter_service.corrector.fast_path import FastPath
+from kilter_service.corrector.fast_path import TOOL, Answered, FastPath
 from kilter_service.corrector.specs import Rules
 from kilter_service.corrector.wire import Flag, Kind, Setpoints, Status
 
@@ -36,6 +36,7 @@ class Stream:
         self._active: Active | None = None  # what the fast path answers with
         self._flows = False  # the fast path holds the clock
         self._sequence = FrameSequence()
+        self._full: Answered | None = None  # what the full path answered last
         self._before: FrameSequence | None = None  # what a RESET ended; it comes back when its sender goes on
 
     def answer(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool = False) -> bytes | None:
@@ -55,6 +56,12 @@ class Stream:
     def good(self) -> int:
         """How many setpoints were corrected."""
         return self.counters.good
+
+    @property
+    def last(self) -> Answered | None:
+        """What was corrected last, for another thread."""
+        found = [answered for answered in (self._fast.last(), self._full) if answered is not None]
+        return max(found, default=None)
 
     @property
     def seen_ns(self) -> int:
@@ -135,12 +142,12 @@ class Stream:
         dt = clock.elapsed_s(at, arrival_ns, self.rules.time_slack_s)
         if header.kind == Kind.POINT:
             status = track.step(request.values[0], width, dt)
-            flags, mask, numbers = int(track.info[0]), int(track.info[1]), track.out
+            flags, mask, numbers, info = int(track.info[0]), int(track.info[1]), track.out, track.info
         else:
             steps = np.full(len(request.values), request.step_ns * 1e-9)
             steps[0] = dt
             walked = walk_whole(track, request.values, width, steps)
-            refused, flags, numbers = walked.refusal, walked.flags, walked.q
+            refused, flags, numbers, info = walked.refusal, walked.flags, walked.q, walked.info[-1]
             status, mask = (refused.status, refused.limit_mask) if refused else (0, 0)
         if status != Status.OK:
             return self._refused(header, Status(status), active, mask, arrival_ns)
@@ -148,9 +155,13 @@ class Stream:
         clock.applied_ns = at + (points - 1) * request.step_ns
         clock.answered_ns = arrival_ns
         self.counters.count_flags(flags)
+        corrected, n = numbers.tobytes(), header.joints
+        self._full = Answered(
+            arrival_ns, flags, request.values[-1, :n].tobytes(), corrected[-8 * n :], info[TOOL].tobytes()
+        )
         return wire.encode_answer(
             header,
-            numbers.tobytes(),
+            corrected,
             version=active.number,
             epoch=active.epoch,
             flags=flags,

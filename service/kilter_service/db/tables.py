@@ -10,6 +10,7 @@ from sqlalchemy import (
     DateTime,
     Dialect,
     ForeignKey,
+    Index,
     LargeBinary,
     String,
     Text,
@@ -18,6 +19,7 @@ from sqlalchemy import (
     event,
     false,
     inspect,
+    text,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, Mapper, mapped_column
 
@@ -111,13 +113,26 @@ class ChunkRow(Row):
     parquet: Mapped[bytes] = mapped_column(LargeBinary)
 
 
+# Written out in queries as in the index: a database takes it only where it sees the same condition. However many jobs are
+# over, those that workers look for are few.
+NOT_OVER = text("state IN ('queued', 'running')")
+
+
 class JobRow(Row):
-    """A job: its request, its state, and how it ended. ``worker`` is the id of the process that runs it, or ran it last."""
+    """A job: its request, its state, and how it ended. ``worker`` is the id of the process that runs it, or ran it last.
+
+    ``asked_by`` is who sent the request, for the audit of what the job stores; empty in jobs of earlier releases.
+    """
 
     __tablename__ = "jobs"
+    __table_args__ = (
+        Index("ix_jobs_newest", "created_at", "id"),
+        Index("ix_jobs_newest_of_robot", "robot_id", "created_at", "id"),
+        Index("ix_jobs_not_over", "created_at", "id", sqlite_where=NOT_OVER, postgresql_where=NOT_OVER),
+    )
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     kind: Mapped[str] = mapped_column(String(32))
-    robot_id: Mapped[int] = mapped_column(ForeignKey("robots.id", ondelete="CASCADE"), index=True)
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robots.id", ondelete="CASCADE"))
     request: Mapped[dict[str, Any]]
     state: Mapped[str] = mapped_column(String(16), index=True)
     fraction: Mapped[float] = mapped_column(default=0.0)
@@ -133,6 +148,7 @@ class JobRow(Row):
     request_id: Mapped[str] = mapped_column(String(64), default="", server_default="")
     traceparent: Mapped[str] = mapped_column(String(64), default="", server_default="")
     worker: Mapped[str] = mapped_column(String(200), default="", server_default="")
+    asked_by: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict, server_default="{}")
 
 
 class VersionRow(Row):
@@ -233,6 +249,16 @@ class AuditRow(Row):
     content: Mapped[str] = mapped_column(Text)
 
 
+class LoginRow(Row):
+    """Somebody is logged in at the page: the hash of what the browser keeps, and of the token that was given."""
+
+    __tablename__ = "logins"
+    sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
+    token_sha256: Mapped[str] = mapped_column(String(64), index=True)
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    expires_at: Mapped[datetime] = mapped_column(index=True)
+
+
 class AnsweredRow(Row):
     """The first answer of a request that may be sent again; the id is of key, address and token."""
 
@@ -241,6 +267,48 @@ class AnsweredRow(Row):
     body_sha256: Mapped[str] = mapped_column(String(64))
     answer: Mapped[dict[str, Any]] = mapped_column(JSON)
     at: Mapped[datetime] = mapped_column(default=now, index=True)
+
+
+class FleetJobRow(Row):
+    """A request to identify many robots anew; its robots have rows and jobs of their own, which say how far it is."""
+
+    __tablename__ = "fleet_jobs"
+    __table_args__ = (Index("ix_fleet_jobs_newest", "created_at", "id"),)
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200), default="", server_default="")
+    request: Mapped[dict[str, Any]]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    cancelled_at: Mapped[datetime | None]
+
+
+class FleetRobotRow(Row):
+    """A robot of a fleet job: its job, or the refusal of one.
+
+    ``before_id`` is the version that was active when the fleet job was asked for, ``judged`` how the new one compares
+    with it.
+    """
+
+    __tablename__ = "fleet_robots"
+    fleet_id: Mapped[str] = mapped_column(ForeignKey("fleet_jobs.id", ondelete="CASCADE"), primary_key=True)
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robots.id", ondelete="CASCADE"), primary_key=True, index=True)
+    job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), unique=True)
+    before_id: Mapped[str | None] = mapped_column(String(32))
+    refusal: Mapped[dict[str, Any] | None]
+    judged: Mapped[dict[str, Any] | None]
+
+
+class MeshRow(Row):
+    """The shape of a robot's link: an STL or OBJ file, for the picture of the arm."""
+
+    __tablename__ = "meshes"
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robots.id", ondelete="CASCADE"), primary_key=True)
+    link: Mapped[str] = mapped_column(String(64), primary_key=True)
+    format: Mapped[str] = mapped_column(String(8))
+    unit: Mapped[str] = mapped_column(String(8))
+    triangles: Mapped[int]
+    sha256: Mapped[str] = mapped_column(String(64))
+    content: Mapped[bytes] = mapped_column(LargeBinary)
+    created_at: Mapped[datetime] = mapped_column(default=now)
 
 
 OF_PEOPLE = frozenset({"name", "notes", "retired_at", "retired_by"})  # what may change of a version

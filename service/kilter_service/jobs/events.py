@@ -12,6 +12,7 @@ import hashlib
 import logging
 from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import Context
 from typing import NamedTuple
 
 from fastapi import FastAPI
@@ -99,7 +100,8 @@ class Followers:
         if job.latest is None:
             self._joined.set()
         if self._task is None or self._task.done():
-            self._task = asyncio.create_task(self._watch())
+            # In a context of its own: what its first follower may see must not limit what the others are told.
+            self._task = asyncio.get_running_loop().create_task(self._watch(), context=Context())
         try:
             yield job
         finally:

@@ -9,14 +9,18 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from kilter_core.errors import CancelledError, CoreError
+from kilter_service.caller import on_behalf
 from kilter_service.db import Database, DatabaseAwayError, Session
 from kilter_service.db.failures import in_words
 from kilter_service.jobs import store
 from kilter_service.jobs.default_load import with_load_warning
+from kilter_service.jobs.fleet import store as fleet
+from kilter_service.jobs.fleet.comparison import compared
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
@@ -31,16 +35,21 @@ log = logging.getLogger("kilter.worker")
 T = TypeVar("T")
 
 REPORT_S = 0.2  # progress is stored, and cancellation looked for, at most this often
+ROUTE = "kilterd worker"  # of entries of the audit
 AGAIN_S = 1.0  # between two attempts to reach the database
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended: what the kind made and from which campaigns, or the code and the sentence of its failure."""
+    """How a run ended: what the kind made and from which campaigns, or the code and the sentence of its failure.
+
+    ``judged`` is how a version of a fleet job compares with the one before.
+    """
 
     output: JobOutput | None = None
     used: tuple[UsedRecord, ...] = ()
     error: tuple[str, str] | None = None
+    judged: dict[str, Any] | None = None
 
 
 class Runner:
@@ -76,6 +85,7 @@ class Runner:
             kind, job, used = self._patiently(lambda: self._loaded(claim))
             output = with_load_warning(kind_of(kind).run(replace(job, each=self._each), report), job)
             report(1.0, "storing", now=True)
+            judged = self._patiently(lambda: compared(self._database, claim.job_id, output.version, used))
         except (CancelledError, DatabaseAwayError):
             raise
         except CoreError as error:
@@ -86,7 +96,7 @@ class Runner:
                 return Outcome(error=(known.code, known.message))
             message = f"Kilter failed. The worker's log has the cause under job {claim.job_id}."
             return Outcome(error=("internal_error", message))
-        return Outcome(output, used)
+        return Outcome(output, used, judged=judged)
 
     def _record(self, claim: Claim) -> JobRecord:
         with self._database.reading() as session:
@@ -99,7 +109,7 @@ class Runner:
 
     def _finish(self, claim: Claim, outcome: Outcome) -> None:
         try:
-            with self._database.transaction() as session:
+            with self._asked_for(claim, outcome), self._database.transaction() as session:
                 _store(session, claim, outcome)
         except DatabaseAwayError:
             raise
@@ -108,6 +118,13 @@ class Runner:
             message = f"The result could not be stored. The worker's log has the cause under job {claim.job_id}."
             with self._database.transaction() as session:
                 _store(session, claim, Outcome(error=("internal_error", message)))
+
+    def _asked_for(self, claim: Claim, outcome: Outcome) -> AbstractContextManager[None]:
+        """Let the audit name who asked for the version that is stored; what makes none changes no robot."""
+        if outcome.output is None or outcome.output.version is None:
+            return nullcontext()
+        with self._database.reading() as session:
+            return on_behalf(store.asked_by(session, claim.job_id), ROUTE, {"job": claim.job_id})
 
     def _patiently(self, ask: Callable[[], T]) -> T:
         """Ask again while the database is away: hours of computing do not depend on its restart."""
@@ -128,6 +145,8 @@ def _store(session: Session, claim: Claim, outcome: Outcome) -> None:
         version = outcome.output.version
         said = [] if version is None else objections_of(version.report, version.limits)
         store.succeed(session, claim.job_id, outcome.output.result, version, outcome.used, said)
+        if outcome.judged is not None:
+            fleet.judge(session, claim.job_id, outcome.judged)
 
 
 class ProgressReporter:

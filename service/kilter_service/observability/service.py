@@ -30,6 +30,12 @@ def text(database: Database) -> bytes:
     return generate_latest(REGISTRY) + generate_latest(asked)
 
 
+def streams(database: Database) -> list[dict[str, Any]]:
+    """Return what every stream of every corrector that runs has last said of itself."""
+    with database.reading() as session:
+        return store.streams(session)
+
+
 class _Asked(Collector):
     """Metrics that are read when they are asked for."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from kilter_service.contract.references import Tombstone
 from kilter_service.contract.robot_reports import RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument
@@ -13,6 +15,9 @@ from kilter_service.references.records import TombstoneRecord
 from kilter_service.references.wire import tombstone
 from kilter_service.robots import store, wire
 from kilter_service.robots.resolved import resolve
+
+if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
 
 
 def add(database: Database, document: RobotDocument) -> tuple[RobotReport, bool]:
@@ -45,6 +50,12 @@ def get(database: Database, name: str) -> RobotReport:
         stored = store.get(session, name)
         record = store.record(session, stored.id)
     return wire.report(record, stored.robot())
+
+
+def arm(database: Database, name: str) -> Robot:
+    """Return core's robot of a name: its chain, joints and nominal frames, SI."""
+    with database.reading() as session:
+        return store.get(session, name).robot()
 
 
 def listed(database: Database, page: Page, retired: bool = False) -> RobotList:

@@ -12,6 +12,7 @@ import secrets
 import stat
 import time
 from dataclasses import dataclass
+from hmac import compare_digest
 from pathlib import Path
 
 from kilter_service.errors import ServiceError
@@ -70,6 +71,19 @@ class Masters:
             if master.valid(now)
         ]
         return sealed.signed_document(body, " ".join(tags))
+
+    def heard(self, address: str, site: str, robot: str, data: bytes) -> bytes | None:
+        """The document of an announcement that :meth:`announced` signed under a secret that is valid here, else None."""
+        opened = sealed.opened_document(data)
+        if opened is None:
+            return None
+        body, tags = opened
+        for number, given in tags.items():
+            master = self.find(number)
+            if master is not None:
+                key = sealed.robot_key(master.secret, site, robot)
+                return body if compare_digest(sealed.said_tag(key, address, body), given) else None
+        return None
 
     def rotated(self, overlap_s: float) -> Masters:
         """With a new secret in use; the one before ends after ``overlap_s``."""

@@ -112,3 +112,15 @@ def said_tag(key: bytes, address: str, body: bytes) -> bytes:
 def reply_tag(key: bytes, nonce: bytes, address: str, body: bytes) -> bytes:
     """Tag of the reply to a question that contained ``nonce``."""
     return tag(key, REPLY, nonce + address.encode() + b"\0" + body)
+
+
+def opened_document(data: bytes) -> tuple[bytes, dict[int, bytes]] | None:
+    """The object that was signed, and the tags by the number of their master secret; None for anything else."""
+    body, found, rest = data.rpartition(SIGNATURE)
+    if not found or not rest.endswith(b'"}'):
+        return None
+    try:
+        pairs = [part.split(":") for part in rest[:-2].decode("ascii").split(" ")]
+        return body + b"}", {int(number, 16): bytes.fromhex(given) for number, given in pairs}
+    except ValueError:
+        return None

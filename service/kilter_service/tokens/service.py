@@ -54,15 +54,15 @@ def revoke(database: Database, token_id: str, actor: str) -> Token:
         return Token(**asdict(store.revoke(session, token_id, actor)))
 
 
-def known(database: Database, secret: str) -> TokenRecord:
-    """Return the token of a secret, if it still holds.
+def known(database: Database, sha256: str) -> TokenRecord:
+    """Return the token whose secret has this hash, if it still holds.
 
     Raises:
         ServiceError: there is none, it has expired, or it was revoked.
 
     """
     with database.reading() as session:
-        found = store.by_hash(session, hash_of(secret))
+        found = store.by_hash(session, sha256)
     if found is None:
         raise ServiceError(
             "The token is not one of this server's: compare it with the `token` file in the server's data folder, or ask "

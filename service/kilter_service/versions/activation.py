@@ -118,19 +118,24 @@ def rollback(
     with database.transaction() as session:
         robot_id = robots.get(session, robot).id
         expected.check(session, robot_id)
-        before = _before(session, robot_id)
-        if before is None:
-            raise ServiceError(
-                f"Robot {robot!r} has no earlier active version: activate one with POST /v1/versions/{{id}}/activate.",
-                code="nothing_to_roll_back",
-                robot=robot,
-            )
+        before = _before(session, robot_id, robot)
         store.activate(session, robot_id, before, ROLLBACK, actor)
         summary = wire.summary(store.get(session, before))
     return ActivatedVersion(**summary.model_dump(), unsupported_effects=_left_out(database, before, temperature_c))
 
 
-def _before(session: Session, robot_id: int) -> str | None:
+def before(database: Database, robot: str) -> str:
+    """Return the version that a roll-back would return to.
+
+    Raises:
+        ServiceError: there is no earlier one.
+
+    """
+    with database.reading() as session:
+        return _before(session, robots.get(session, robot).id, robot)
+
+
+def _before(session: Session, robot_id: int, robot: str) -> str:
     stack: list[str] = []
     for entry in reversed(store.activations(session, robot_id)):
         if entry.action == ROLLBACK and entry.version_id in stack:
@@ -138,5 +143,11 @@ def _before(session: Session, robot_id: int) -> str | None:
                 stack.pop()
         elif stack[-1:] != [entry.version_id]:
             stack.append(entry.version_id)
-    earlier = (version for version in reversed(stack[:-1]) if store.get(session, version).retired_at is None)
-    return next(earlier, None)
+    for version in reversed(stack[:-1]):
+        if store.get(session, version).retired_at is None:
+            return version
+    raise ServiceError(
+        f"Robot {robot!r} has no earlier active version: activate one with POST /v1/versions/{{id}}/activate.",
+        code="nothing_to_roll_back",
+        robot=robot,
+    )

@@ -8,6 +8,7 @@ refused for it.
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +18,10 @@ from numpy.typing import NDArray
 from kilter_core.errors import CoreError
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
 from kilter_service.db import Database, Session
+from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
 from kilter_service.versions.objections import objections_of
+from kilter_service.versions.store import Training
 from kilter_service.versions.unseen import Archive, Unseen
 from kilter_service.wire import to_mm
 
@@ -60,10 +63,34 @@ def judge(database: Database, version_id: str) -> Verdict:
             last = store.active_entry(session, row.robot_id)
             if last is not None and last.version_id == version_id:
                 return Verdict(version_id, (), None, ())
-            cases = _cases(session, row.robot_id, version_id, None if last is None else last.version_id)
-        verdicts = (case.verdict(own) for case in cases)
-        first = next(verdicts)
-        return first if first.compared or first.objections else next((v for v in verdicts if v.compared), first)
+            new, active = store.calibration(session, version_id), None if last is None else last.version_id
+            cases = _cases(session, row.robot_id, new, store.trainings(session, version_id), active)
+        return _first(cases, own)
+
+
+def judge_unstored(
+    database: Database,
+    robot_id: int,
+    calibration: Mapping[str, Any],
+    report: Mapping[str, Any],
+    limits: CorrectionLimits,
+    training: Training,
+    active: str | None,
+) -> Verdict:
+    """Compare what a job has found, before it is stored, with the version ``active`` and with registration only."""
+    from kilter_core.model import Calibration
+
+    with database.reading() as session:
+        new = Calibration.from_document(robots.core_robot(session, robot_id), calibration)
+        cases = _cases(session, robot_id, new, [training], active)
+    return _first(cases, objections_of(report, limits))
+
+
+def _first(cases: list[Case], own: list[Objection]) -> Verdict:
+    """The verdict of the first case that compares anything."""
+    verdicts = (case.verdict(own) for case in cases)
+    first = next(verdicts)
+    return first if first.compared or first.objections else next((v for v in verdicts if v.compared), first)
 
 
 @dataclass(frozen=True)
@@ -77,13 +104,16 @@ class Part:
     rival: Floats | None
 
 
-def _cases(session: Session, robot_id: int, version_id: str, active: str | None) -> list[Case]:
+def _cases(
+    session: Session, robot_id: int, new: Calibration, trainings: Sequence[Training], active: str | None
+) -> list[Case]:
     """The version beside the active one; and by itself, for where the active one was fitted to all that is left."""
-    archive, new = Archive(session, robot_id), store.calibration(session, version_id)
-    alone = Case(new, active, None, archive.unseen([version_id]))
+    archive = Archive(session, robot_id)
+    alone = Case(new, active, None, archive.unseen_by(trainings))
     if active is None:
         return [alone]
-    beside = Case(new, active, store.calibration(session, active), archive.unseen([version_id, active]))
+    both = archive.unseen_by([*trainings, *store.trainings(session, active)])
+    beside = Case(new, active, store.calibration(session, active), both)
     alone.warn("active_not_compared", ONLY_PLAIN.format(active=active))
     return [beside, alone]
 

@@ -52,13 +52,13 @@ def preview(database: Database, version_id: str, temperature_c: float | None) ->
     return wire.preview(found, within="limits" if driven is None else "campaigns", temperature_c=temperature_c)
 
 
-def drawn(robot: Robot) -> Floats:
+def drawn(robot: Robot, count: int = DRAWN_POSES) -> Floats:
     """Poses (N, n), rad or m, all over the limits; the same every time."""
     free = np.array([FREE_SHIFT_M if joint.kind == "prismatic" else FREE_TURN_RAD for joint in robot.joints])
     low, high = np.maximum(robot.limits[:, 0], -free), np.minimum(robot.limits[:, 1], free)
     outside = low > high  # limits that lie beyond a full turn
     low, high = np.where(outside, robot.limits[:, 0], low), np.where(outside, robot.limits[:, 1], high)
-    return np.random.default_rng(0).uniform(low, high, (DRAWN_POSES, len(free)))
+    return np.random.default_rng(0).uniform(low, high, (count, len(free)))
 
 
 def _found(

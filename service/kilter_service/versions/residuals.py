@@ -49,7 +49,7 @@ def residuals(database: Database, version: str, wanted: Sequence[str], media: st
     with database.reading() as session:
         row = store.get(session, version)
         calibration, known = store.calibration(session, version), store.known(session, version)
-        parts = list(_parts(session, row, wanted))
+        parts = list(parts_of(session, row, wanted))
         report = row.report
     if not parts:
         raise ServiceError(
@@ -61,7 +61,13 @@ def residuals(database: Database, version: str, wanted: Sequence[str], media: st
     return write_trajectory(pa.concat_tables(tables), media)
 
 
-def _parts(session: Session, version: VersionRecord, wanted: Sequence[str]) -> Iterator[Part]:
+def parts_of(session: Session, version: VersionRecord, wanted: Sequence[str]) -> Iterator[Part]:
+    """Read the rows of campaigns, by default of all a version was made from, and what its fit did with each.
+
+    Raises:
+        ServiceError: a campaign of another robot.
+
+    """
     archive = Archive(session, version.robot_id)
     for campaign in wanted or dict.fromkeys(used["id"] for used in version.campaigns):
         if campaigns.whole(session, campaign).robot_id != version.robot_id:
@@ -95,9 +101,9 @@ def _left(part: Part, calibration: Calibration, known: Predictive | None, report
     error, u95 = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     turn, size = np.full(count, np.nan), np.full(count, np.nan)
     point_noise, turn_noise = wire.noise_of(report)
-    for where, refit in _frames(part, report):
+    for where, refit in frames_of(part, report):
         measurement = Measurement.of(part.rows.select(where), shape)
-        here = _refitted(calibration, measurement) if refit else calibration
+        here = refitted(calibration, measurement) if refit else calibration
         found = rows_of(here, measurement, refit, known)
         left = measurement.residual(here.predict(measurement.observations))
         if np.isnan(turn_noise):
@@ -110,7 +116,7 @@ def _left(part: Part, calibration: Calibration, known: Predictive | None, report
     return wire.residual_columns(error, u95, turn, size)
 
 
-def _frames(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple[str, ...]]]:
+def frames_of(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple[str, ...]]]:
     """Rows given in one frame, and the frames that were fitted to them alone: a sheet lies in another place every time."""
     own = [one for one in report.get("base_refitted") or [] if one["campaign"] == part.campaign]
     session = np.zeros(len(part.rows)) if part.rows.session is None else part.rows.session
@@ -123,7 +129,8 @@ def _frames(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple[s
         yield rest, ()
 
 
-def _refitted(calibration: Calibration, measurement: Any) -> Calibration:
+def refitted(calibration: Calibration, measurement: Any) -> Calibration:
+    """Return a calibration with the base in which it predicts these rows best."""
     from kilter_core.identify.setups import with_base
 
     return with_base(calibration, measurement, "huber")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends, Query, Response
+from fastapi import APIRouter, Query, Response
 
 from kilter_service.auth.access import Admin
 from kilter_service.campaigns.reading import CSV, JSON, PARQUET
@@ -23,7 +23,6 @@ from kilter_service.contract.versions import (
 )
 from kilter_service.exporters.registry import FORMATS
 from kilter_service.page_query import PageOfList
-from kilter_service.slots import reading_turn
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.versions import activation, differences, keeping, service
 from kilter_service.versions.expected import ExpectedState, tag_of_robot
@@ -112,7 +111,7 @@ def activate(
     return done
 
 
-@router.get("/versions/{version}/preview", dependencies=[Depends(reading_turn)])
+@router.get("/versions/{version}/preview")
 def preview(version: str, database: DatabaseOfApp, settings: SettingsOfApp) -> VersionPreview:
     """Say how a version would correct, without activating it: its largest correction, where, and what it leaves out.
 
@@ -121,7 +120,7 @@ def preview(version: str, database: DatabaseOfApp, settings: SettingsOfApp) -> V
     return service.preview(database, version, settings.temperature_c)
 
 
-@router.get("/versions/{a}/diff/{b}", dependencies=[Depends(reading_turn)])
+@router.get("/versions/{a}/diff/{b}")
 def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
     """Compare two versions of one robot, or one with `nominal`: the nominal robot, the effects at zero."""
     return differences.diff(database, a, b)
@@ -137,7 +136,6 @@ def diff(a: str, b: str, database: DatabaseOfApp) -> VersionDiff:
             "description": "One line per row, or columns",
         }
     },
-    dependencies=[Depends(reading_turn)],
 )
 def residuals(
     version: str,
@@ -160,7 +158,6 @@ def residuals(
     "/versions/{version}/export",
     response_class=Response,
     responses={200: {"content": EXPORTS, "description": "The file"}},
-    dependencies=[Depends(reading_turn)],
 )
 def export(version: str, database: DatabaseOfApp, format: str = "json") -> Response:  # noqa: A002 (the contract's name)
     """Download a version in the format of another tool; the header Kilter-Notes says what the file leaves out."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
+from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import ActivationList, Version, VersionList
 from kilter_service.db import Database
@@ -12,6 +14,10 @@ from kilter_service.exporters.registry import Exported, export
 from kilter_service.paging import Page, in_time
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
+
+if TYPE_CHECKING:
+    from kilter_service.versions.contributions import Contribution
+    from kilter_service.versions.places import Places, Reach
 
 
 def listed(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
@@ -26,6 +32,14 @@ def get(database: Database, version_id: str) -> Version:
     """Return a version."""
     with database.reading() as session:
         return wire.version(store.get(session, version_id))
+
+
+def made_with(database: Database, campaign_id: str) -> list[Version]:
+    """Return the versions that were made with a campaign, newest first."""
+    with database.reading() as session:
+        campaign = campaigns.get(session, campaign_id)
+        found = [store.get(session, one) for one in store.citing_campaign(session, campaign.robot_id, campaign_id)]
+    return [wire.version(one) for one in sorted(found, key=lambda one: one.created_at, reverse=True)]
 
 
 def activations(database: Database, robot: str, page: Page) -> ActivationList:
@@ -60,3 +74,26 @@ def residuals(database: Database, version_id: str, campaigns: Sequence[str], med
     )
 
     return table(database, version_id, campaigns, media)
+
+
+def contributions(database: Database, version_id: str) -> tuple[int, list[Contribution]]:
+    """Say how far each effect of a version moves the tool, and over how many poses."""
+    from kilter_service.versions.contributions import (
+        contributions as moved,  # compiled kernels: not at the start of the API process
+    )
+
+    return moved(database, version_id)
+
+
+def places(database: Database, version_id: str, campaign: str) -> Places:
+    """Return the errors of a campaign's rows where they were measured: nominal, with registration only, with a version."""
+    from kilter_service.versions.places import places as found  # compiled kernels: not at the start of the API process
+
+    return found(database, version_id, campaign)
+
+
+def reach(database: Database, version_id: str) -> Reach:
+    """Return how far a version corrects the tool, and how well it knows it, all over the joint limits."""
+    from kilter_service.versions.places import reach as found  # compiled kernels: not at the start of the API process
+
+    return found(database, version_id)

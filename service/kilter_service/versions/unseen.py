@@ -70,10 +70,13 @@ class Archive:
 
     def unseen(self, versions: Iterable[str]) -> Unseen:
         """Rows at poses none of these versions was fitted to."""
+        return self.unseen_by(part for version in versions for part in store.trainings(self.session, version))
+
+    def unseen_by(self, trainings: Iterable[Training]) -> Unseen:
+        """Rows at poses that nothing was fitted to."""
         trained = _Trained(self)
-        for version in versions:
-            for training in store.trainings(self.session, version):
-                trained.add(training)
+        for training in trainings:
+            trained.add(training)
         poses = trained.poses()
         out = {}
         for campaign_id in self._worth_reading(set(trained.rows)):

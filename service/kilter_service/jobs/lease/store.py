@@ -8,7 +8,7 @@ from datetime import datetime
 from sqlalchemy import ColumnElement, and_, delete, or_, select, update
 
 from kilter_service.db import Session
-from kilter_service.db.tables import HeartbeatRow, JobRow, now
+from kilter_service.db.tables import NOT_OVER, HeartbeatRow, JobRow, now
 from kilter_service.jobs.lease.claim import Claim
 
 WORKER = "worker"  # the process of the heartbeats that count here
@@ -35,7 +35,7 @@ def claim(session: Session, worker: str, kinds: Sequence[str]) -> Claim | None:
 
 def _free(kinds: Sequence[str], worker: str) -> ColumnElement[bool]:
     lost = and_(JobRow.state == "running", JobRow.worker == worker)
-    return and_(JobRow.kind.in_(kinds), or_(JobRow.state == "queued", lost))
+    return and_(NOT_OVER, JobRow.kind.in_(kinds), or_(JobRow.state == "queued", lost))
 
 
 def _of(claim: Claim) -> ColumnElement[bool]:
@@ -65,7 +65,7 @@ def beats(session: Session) -> dict[str, datetime]:
 
 def holders(session: Session) -> set[str]:
     """Return the workers that jobs say they run in."""
-    return set(session.execute(select(JobRow.worker).where(JobRow.state == "running").distinct()).scalars())
+    return set(session.execute(select(JobRow.worker).where(NOT_OVER, JobRow.state == "running").distinct()).scalars())
 
 
 def bury(session: Session, silent: Mapping[str, datetime]) -> None:
@@ -99,7 +99,11 @@ def give_back(session: Session, worker: str) -> None:
 
 
 def _running(session: Session, where: ColumnElement[bool]) -> Sequence[JobRow]:
-    return session.execute(select(JobRow).where(JobRow.state == "running", where).order_by(JobRow.id)).scalars().all()
+    return (
+        session.execute(select(JobRow).where(NOT_OVER, JobRow.state == "running", where).order_by(JobRow.id))
+        .scalars()
+        .all()
+    )
 
 
 def _queue(row: JobRow) -> None:

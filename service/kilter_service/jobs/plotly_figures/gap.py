@@ -51,9 +51,20 @@ def _gap_bar(bars: Sequence[Mapping[str, Any]], unit: str) -> Document:
 
     data = [trace("rows that were fitted", "value", BLUE)]
     if bars[0]["held_out"] is not None:
-        data.append(trace("held-out rows", "held_out", ORANGE))
+        data.append(trace("held-out rows", "held_out", ORANGE) | _intervals(bars))
     title = "The gap, step by step: what is left with each effect added to those above it"
     return {"data": data, "layout": bar_layout(title, f"rms error, {unit}", labels, len(data), barmode="group")}
+
+
+def _intervals(bars: Sequence[Mapping[str, Any]]) -> Document:
+    """The 95 % intervals of the held-out errors; of the noise there is none."""
+    ends = [bar.get("held_out_interval") for bar in bars]
+    if not any(ends):
+        return {}
+    lengths = [(0.0, 0.0) if end is None else (end[1] - bar["held_out"], bar["held_out"] - end[0])
+               for bar, end in zip(bars, ends, strict=True)]  # fmt: skip
+    above, below = zip(*lengths, strict=True)
+    return {"error_x": {"type": "data", "array": list(above), "arrayminus": list(below), "symmetric": False}}
 
 
 def _by_angle(one: Mapping[str, Any], unit: str) -> Document:

@@ -1,0 +1,113 @@
+"""Rows that look wrong. They are marked and named, never left out: whoever measured knows what happened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_service.campaigns.repeats import MAD, Repeats
+from kilter_service.wire import to_deg, to_mm
+
+if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
+    from kilter_core.observations import Observations
+
+    Floats = NDArray[np.float64]
+
+MOST = 200  # rows that are named
+MOVED = 1e-4  # rad or m: a joint has moved
+BEYOND = 5e-3  # rad or m outside the limits: more than their rounding
+FAR = 8.0  # robust standard deviations from where the arm would be
+LEAST_M = 1e-3
+MOST_PLACED = 50_000  # rows whose places are compared with the arm's
+ROUNDS = 12
+FEWEST = 12
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A row, from 1, and what looks wrong with it."""
+
+    row: int
+    why: str
+
+
+@dataclass(frozen=True)
+class Doubtful:
+    """The first rows that look wrong, and how many there are."""
+
+    rows: tuple[Doubt, ...]
+    count: int
+
+
+def doubtful(robot: Robot, seen: Observations, points: Floats | None, repeats: Repeats) -> Doubtful:
+    """Name rows outside the limits, apart from their repeats, stuck at a reading, or far from where the arm would be."""
+    found: dict[int, list[str]] = {}
+
+    def take(row: int, why: str) -> None:
+        found.setdefault(row + 1, []).append(why)
+
+    _beyond(robot, seen, take)
+    for row, distance in zip(repeats.far, repeats.distance, strict=True):
+        take(int(row), f"{to_mm(float(distance)):.3g} mm from the other rows of its pose")
+    if points is not None:
+        for row in _stuck(seen.q, points):
+            take(int(row), "the same position as the row before to the last digit, though joints moved")
+        for row, distance in _misplaced(robot, seen, points):
+            take(row, f"{to_mm(distance):.3g} mm from where the nominal arm would be, far more than other rows")
+    named = sorted(found.items())[:MOST]
+    return Doubtful(tuple(Doubt(row, "; ".join(why)) for row, why in named), len(found))
+
+
+def _beyond(robot: Robot, seen: Observations, take: object) -> None:
+    assert callable(take)
+    for k, joint in enumerate(robot.joints):
+        out = np.maximum(joint.lower - seen.q[:, k], seen.q[:, k] - joint.upper)
+        for row in np.flatnonzero(out > BEYOND)[:MOST]:
+            size = to_mm(out[row]) if joint.kind == "prismatic" else to_deg(out[row])
+            unit = "mm" if joint.kind == "prismatic" else "deg"
+            take(int(row), f"joint {joint.name} is {float(size):.3g} {unit} outside its limits")
+
+
+def _stuck(q: Floats, points: Floats) -> NDArray[np.int64]:
+    same = (np.diff(points, axis=0) == 0).all(axis=1)
+    moved = np.abs(np.diff(q, axis=0)).max(axis=1) > MOVED
+    return np.flatnonzero(same & moved).astype(np.int64) + 1
+
+
+def _misplaced(robot: Robot, seen: Observations, points: Floats) -> list[tuple[int, float]]:
+    """Rows far from the nominal arm, base and tool point fitted to the others."""
+    there = np.flatnonzero(~np.isnan(points).any(axis=1))
+    there = there[:: max(1, len(there) // MOST_PLACED)]
+    if len(there) < FEWEST or (seen.session is not None and len(np.unique(seen.session)) > 1):
+        return []
+    left = _left(robot, seen.q[there], points[there])
+    middle = float(np.median(left))
+    usual = max(MAD * float(np.median(np.abs(left - middle))), LEAST_M / FAR)
+    far = np.flatnonzero(left - middle > FAR * usual)
+    return [(int(there[row]), float(left[row])) for row in far[:MOST]]
+
+
+def _left(robot: Robot, q: Floats, points: Floats) -> Floats:
+    """How far (m) each point is from the nominal arm; base and tool point are fitted to the nearer half in turn."""
+    from kilter_core.model import Calibration  # compiled kernels: not at the start of the API process
+    from kilter_core.observations import Observations as Seen
+    from kilter_core.transforms import nearest_rotation
+
+    model = Calibration.nominal(robot).model
+    pose = model.in_frames(np.eye(4), np.eye(4)).predict(Seen(q), model.values0())
+    f, F = pose.position, pose.rotation
+    tool, kept = model.T_tool[:3, 3], np.ones(len(q), dtype=bool)
+    left = np.zeros(len(q))
+    for _ in range(ROUNDS):
+        body = f + F @ tool
+        a, b = body[kept].mean(axis=0), points[kept].mean(axis=0)
+        R = nearest_rotation((body[kept] - a).T @ (points[kept] - b))
+        local = (points - b) @ R.T + a
+        tool = np.median(np.einsum("nji,nj->ni", F, local - f)[kept], axis=0)
+        left = np.linalg.norm(f + F @ tool - local, axis=1)
+        kept = left <= np.quantile(left, 0.75)
+    return np.asarray(left)

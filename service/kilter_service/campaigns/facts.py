@@ -1,0 +1,237 @@
+"""What the rows of a campaign are, before anything is fitted: ranges, coverage, repeats, noise, and rows that look wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_service.campaigns.assemble import observations
+from kilter_service.campaigns.doubtful import Doubtful, doubtful
+from kilter_service.campaigns.looking import Rows
+from kilter_service.campaigns.repeats import Repeats, repeats
+from kilter_service.wire import to_deg, to_mm
+
+if TYPE_CHECKING:
+    from kilter_core.arm.robot import Joint
+    from kilter_core.observations import Observations
+    from kilter_service.campaigns.columns import Column
+
+    Floats = NDArray[np.float64]
+
+BINS = 24  # of the histogram of a joint's readings
+MOST_LOADS = 12
+MOST_PLACES = 500  # that are drawn
+
+
+@dataclass(frozen=True)
+class ColumnFacts:
+    """A column in the unit that people read: from where to where, and how many cells are empty."""
+
+    name: str
+    what: str
+    unit: str
+    low: float | None
+    high: float | None
+    empty: int
+
+
+@dataclass(frozen=True)
+class JointFacts:
+    """Readings of a joint in deg or mm against its limits (None: open), and how many there are in each part of them.
+
+    ``share`` is how much of the room between the limits the readings span; ``bins`` go from ``bin_low`` to ``bin_high``.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    limits: tuple[float | None, float | None]
+    share: float | None
+    bin_low: float
+    bin_high: float
+    bins: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Approach:
+    """How many rows reached a joint's place from below, from above, or from where is not known."""
+
+    joint: str
+    up: int
+    down: int
+    unknown: int
+
+
+@dataclass(frozen=True)
+class Facts:
+    """All of it. ``stated`` says whether directions are a column of the file; else they follow from the order of rows.
+
+    ``places`` are some rows (from 1) and where the tool was seen, mm: those that look wrong are among them.
+    """
+
+    rows: int
+    columns: tuple[ColumnFacts, ...]
+    joints: tuple[JointFacts, ...]
+    repeats: Repeats
+    by_number: bool
+    approaches: tuple[Approach, ...]
+    stated: bool
+    loads: tuple[tuple[str, int], ...]
+    temperature: tuple[float, float] | None
+    sessions: int
+    doubtful: Doubtful
+    places: tuple[tuple[int, tuple[float, float, float]], ...]
+
+
+def facts(rows: Rows) -> Facts:
+    """Look at rows; some seconds for a million of them."""
+    seen = observations(rows.table, rows.columns, rows.conditions)
+    points = _points(seen)
+    found = repeats(seen.pose_groups(), seen.conditions(), seen.visits(), points)
+    odd = doubtful(rows.robot, seen, points, found)
+    return Facts(
+        rows=len(seen),
+        columns=tuple(_column(column, rows.table) for column in rows.columns),
+        joints=tuple(_joint(joint, seen.q[:, k]) for k, joint in enumerate(rows.robot.joints)),
+        repeats=found,
+        by_number=seen.pose_id is not None,
+        approaches=tuple(_approaches(rows.robot.joints, seen)),
+        stated=seen.direction is not None,
+        loads=_loads(seen),
+        temperature=_span(seen.temperature_c),
+        sessions=1 if seen.session is None else len(np.unique(seen.session)),
+        doubtful=odd,
+        places=() if points is None else _places(points, odd),
+    )
+
+
+def _places(points: Floats, odd: Doubtful) -> tuple[tuple[int, tuple[float, float, float]], ...]:
+    """Rows to draw: evenly chosen, the outermost, and those that look wrong."""
+    there = np.flatnonzero(~np.isnan(points).any(axis=1))
+    if not len(there):
+        return ()
+    ends = {int(there[pick(points[there, k])]) for k in range(3) for pick in (np.argmin, np.argmax)}
+    marked = {one.row - 1 for one in odd.rows} & set(there.tolist())
+    chosen = sorted({*there[:: max(1, -(-len(there) // MOST_PLACES))].tolist(), *ends, *marked})
+    shown = to_mm(points[chosen])
+    return tuple((row + 1, (float(x), float(y), float(z))) for row, (x, y, z) in zip(chosen, shown, strict=True))
+
+
+def _points(seen: Observations) -> Floats | None:
+    """What was seen of the tool, m: its point, else the first marker."""
+    if seen.position is not None:
+        return seen.position
+    return None if seen.markers is None else seen.markers[:, 0]
+
+
+UNITS: Mapping[str, tuple[str, float]] = {"rad": ("deg", float(to_deg(1.0))), "m": ("mm", to_mm(1.0))}
+
+
+def unit_of(column: Column) -> tuple[str, float]:
+    """Return the unit in which people read a column, and the factor to it."""
+    stem = f"{column.quantity}{'' if column.number is None else column.number + 1}"
+    stated = column.name.rpartition("_")[2] if "_" in column.name else ""
+    if column.is_integer or column.quantity in ("qw", "qx", "qy", "qz") or stated == stem:
+        return "", 1.0
+    for end, (_, factor) in UNITS.items():
+        for rate in ("_s2", "_s", ""):
+            if column.name.endswith(f"_{end}{rate}"):
+                return f"{UNITS[end][0]}{rate.replace('_', '/')}", factor
+            shown = UNITS[end][0]
+            if column.name.endswith(f"_{shown}{rate}"):
+                return f"{shown}{rate.replace('_', '/')}", 1.0
+    return {"c": "°C", "n": "N", "nm": "N m"}.get(stated, stated), 1.0
+
+
+def _column(column: Column, table: Any) -> ColumnFacts:
+    import pyarrow.compute as pc
+
+    cells = table.column(column.name)
+    unit, factor = unit_of(column)
+    ends = pc.min_max(cells).as_py()
+    low, high = ends["min"], ends["max"]
+    return ColumnFacts(
+        column.name, meaning(column), unit, None if low is None else low * factor,
+        None if high is None else high * factor, cells.null_count,
+    )  # fmt: skip
+
+
+MEANINGS: Mapping[str, str] = {
+    "q": "reading of joint {0}", "link": "link-side encoder of joint {0}", "qd": "speed of joint {0}",
+    "qdd": "acceleration of joint {0}", "tau": "torque of joint {0}", "dir": "direction joint {0} came from",
+    "x": "position along x", "y": "position along y", "z": "position along z", "t": "time",
+    "payload": "load at the tool", "temperature": "temperature of the arm", "session": "set-up of the instrument",
+    "pose_id": "number of the pose", "bar": "length of the ball bar", "bar_id": "which ball bar",
+    "socket_id": "which socket", "plane_id": "which plane",
+    "qw": "orientation (quaternion)", "qx": "orientation (quaternion)", "qy": "orientation (quaternion)",
+    "qz": "orientation (quaternion)", "phi": "orientation (ZXZ, first)", "theta": "orientation (ZXZ, second)",
+    "psi": "orientation (ZXZ, third)",
+}  # fmt: skip
+
+
+def meaning(column: Column) -> str:
+    """Say in words what a column is."""
+    number = "" if column.number is None else str(column.number + 1)
+    if column.quantity in MEANINGS:
+        return MEANINGS[column.quantity].format(number)
+    if column.quantity.startswith("marker_"):
+        return f"marker {number} along {column.quantity[-1]}"
+    if column.quantity.startswith("tilt_"):
+        return f"inclination of {'the base' if number == '0' else f'link {number}'} about {column.quantity[-1]}"
+    kinds = {
+        "s": "deviation of the position along",
+        "f": "force along",
+        "m": "moment about",
+        "tip": "digitised tip along",
+    }
+    stem, axis = column.quantity[:-1], column.quantity[-1]
+    if stem in kinds:
+        return f"{kinds[stem]} {axis}"
+    return f"centre of the load along {axis}" if stem == "payload_com_" else column.quantity
+
+
+def _joint(joint: Joint, readings: Floats) -> JointFacts:
+    slides = joint.kind == "prismatic"
+    scale = to_mm(1.0) if slides else float(to_deg(1.0))
+    shown = readings * scale
+    limits = [float(end) * scale if np.isfinite(end) else None for end in (joint.lower, joint.upper)]
+    low, high = float(shown.min()), float(shown.max())
+    bin_low, bin_high = (low if limits[0] is None else limits[0], high if limits[1] is None else limits[1])
+    bin_low, bin_high = min(bin_low, low), max(bin_high, high)
+    if bin_high <= bin_low:
+        bin_low, bin_high = bin_low - 0.5, bin_high + 0.5
+    counts = np.histogram(shown, bins=BINS, range=(bin_low, bin_high))[0]
+    share = None
+    if limits[0] is not None and limits[1] is not None and limits[1] > limits[0]:
+        share = (high - low) / (limits[1] - limits[0])
+    return JointFacts(
+        joint.name, "mm" if slides else "deg", low, high, (limits[0], limits[1]), share, bin_low, bin_high,
+        tuple(int(count) for count in counts),
+    )  # fmt: skip
+
+
+def _approaches(joints: tuple[Joint, ...], seen: Observations) -> Iterator[Approach]:
+    from kilter_core.observations.repeats import last_motion
+
+    signs = seen.direction if seen.direction is not None else last_motion(seen.q)
+    for k, joint in enumerate(joints):
+        up, down = int((signs[:, k] > 0).sum()), int((signs[:, k] < 0).sum())
+        yield Approach(joint.name, up, down, len(seen) - up - down)
+
+
+def _loads(seen: Observations) -> tuple[tuple[str, int], ...]:
+    if seen.payload_kg is None:
+        return ()
+    values, counts = np.unique(np.round(seen.payload_kg, 4), return_counts=True)
+    if len(values) > MOST_LOADS:
+        return ((f"{values[0]:g} to {values[-1]:g} kg, {len(values)} different ones", len(seen)),)
+    return tuple((f"{value:g} kg", int(count)) for value, count in zip(values, counts, strict=True))
+
+
+def _span(values: Floats | None) -> tuple[float, float] | None:
+    return None if values is None or not len(values) else (float(np.nanmin(values)), float(np.nanmax(values)))

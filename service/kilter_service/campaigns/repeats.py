@@ -1,0 +1,110 @@
+"""Poses, visits and the noise between them: what repeats of a pose say before anything is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+
+FAR = 6.0  # robust standard deviations from the other rows of its pose: such a row is named
+MAD = 1.4826  # median absolute deviation of normal noise to its standard deviation
+FEWEST = 3  # rows of a pose from which one may be said to lie apart
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """How often poses were measured; noise is the standard deviation of a coordinate, m, None without repeats.
+
+    Rows ``far`` from the others of their pose, by ``distance`` m, do not count as noise. ``poses`` counts distinct poses,
+    ``visits`` runs of rows at one pose under the same conditions.
+    """
+
+    poses: int
+    visits: int
+    rows_per_pose: tuple[int, int]
+    visits_per_pose: tuple[int, int]
+    repeated: int
+    within: float | None
+    between: float | None
+    freedom: int
+    far: Ints
+    distance: Floats
+
+
+def repeats(pose: Ints, under: Ints, visit: Ints, points: Floats | None) -> Repeats:
+    """Count what repeats there are.
+
+    ``pose (N,)`` numbers the poses from 0, ``under (N,)`` what repeats must share beside them, ``visit (N,)`` the visits;
+    ``points (N, 3)`` m, nan where nothing was seen.
+    """
+    first = np.unique(visit, return_index=True)[1]
+    rows, visits = np.bincount(pose), np.bincount(pose[first])
+    within = between = None
+    freedom, far, distance = 0, np.zeros(0, dtype=np.int64), np.zeros(0)
+    seen = np.zeros(len(pose), dtype=bool) if points is None else ~np.asarray(np.isnan(points).any(axis=1))
+    if points is not None and seen.any():
+        far, distance = _far(_compact(under[seen]), points[seen])
+        far = np.flatnonzero(seen)[far]
+        seen[far] = False
+        within, _ = _scatter(visit[seen], points[seen])
+        means, _ = _means(_compact(visit[seen]), points[seen])
+        start = np.unique(visit[seen], return_index=True)[1]
+        between, freedom = _scatter(under[seen][start], means)
+    return Repeats(
+        len(rows), len(first), (int(rows.min()), int(rows.max())), (int(visits.min()), int(visits.max())),
+        int((visits > 1).sum()), within, between, freedom, far, distance,
+    )  # fmt: skip
+
+
+def _compact(keys: Ints) -> Ints:
+    return np.asarray(np.unique(keys, return_inverse=True)[1].reshape(-1).astype(np.int64))
+
+
+def _means(group: Ints, points: Floats) -> tuple[Floats, Ints]:
+    """Mean (G, 3) of each group that has rows, and the groups."""
+    count = np.bincount(group)
+    there = np.flatnonzero(count)
+    sums = np.stack([np.bincount(group, weights=column) for column in points.T], axis=1)
+    return sums[there] / count[there, None], there
+
+
+def _scatter(group: Ints, points: Floats) -> tuple[float | None, int]:
+    """Pooled standard deviation of a coordinate about the mean of its group, and its degrees of freedom."""
+    group = _compact(group)
+    means, _ = _means(group, points)
+    freedom = len(points) - len(means)
+    if freedom < 1:
+        return None, 0
+    left = points - means[group]
+    return float(np.sqrt((left**2).sum() / (3 * freedom))), 3 * freedom
+
+
+def _far(group: Ints, points: Floats) -> tuple[Ints, Floats]:
+    """Rows much farther from the middle of their pose than rows usually are, and how far."""
+    count = np.bincount(group)
+    judged = count[group] >= FEWEST
+    if not judged.any():
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
+    left = np.linalg.norm(points - _medians(group, points)[group], axis=1)
+    usual = MAD * float(np.median(left[judged]))
+    far = np.flatnonzero(judged & (left > FAR * usual) & (left > 0))
+    return far.astype(np.int64), left[far]
+
+
+def _medians(group: Ints, points: Floats) -> Floats:
+    """Median (G, 3) of each group, coordinate by coordinate."""
+    out = np.empty((int(group.max()) + 1, 3))
+    count = np.bincount(group)
+    start = np.cumsum(count) - count
+    for axis in range(3):
+        order = np.lexsort((points[:, axis], group))
+        ordered = points[order, axis]
+        low, high = start + (count - 1) // 2, start + count // 2
+        out[:, axis] = (ordered[low] + ordered[high]) / 2
+    return out

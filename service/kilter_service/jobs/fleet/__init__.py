@@ -1,0 +1,1 @@
+"""Many robots identified anew by one request: a job for each, in the ordinary queue."""

@@ -1,0 +1,211 @@
+"""Where a version is wrong and how well it knows the tool: errors at the measured places, and over the workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_service.campaigns import store as campaigns
+from kilter_service.correction.wire import options_of
+from kilter_service.corrector.wire import Status
+from kilter_service.db import Database
+from kilter_service.errors import ServiceError
+from kilter_service.versions import store
+from kilter_service.versions.preview import WIDEST, drawn
+from kilter_service.versions.residuals import Part, frames_of, parts_of, refitted
+
+if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
+    from kilter_core.model import Calibration
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+MOST_ROWS, WORST = 10_000, 500  # rows that are shown, and of these those that are there because they are the worst
+SLICE, FITTED_ROWS = 50_000, 2000  # rows predicted at once, and those that registration is fitted to
+DRAWN = 3000
+STAGES = ("nominal", "registration_only", "identified")
+
+
+@dataclass(frozen=True)
+class Places:
+    """Rows of a campaign, ``row (N,)`` from 1, in the frame of the robot's base; m, rad.
+
+    ``at (N, 3)`` is where the version has the tool, ``left`` by stage the errors (N, 3), measured minus predicted. ``total``
+    counts the rows with a measured point: of many some are kept, with the worst and the outermost among them.
+    """
+
+    robot: Robot
+    row: Ints
+    q: Floats
+    at: Floats
+    left: dict[str, Floats]
+    held_out: Bools
+    set_aside: Bools
+    total: int
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Poses all over the joint limits: the tool ``points (N, 3)`` m in the frame of the robot's base, how far the correction
+    moves it, ``before (N,)`` m, and the standard deviation of its position in the worst direction, ``after (N,)`` m.
+
+    ``after`` is None where nothing is known of how certain the version is.
+    """
+
+    points: Floats
+    before: Floats
+    after: Floats | None
+
+
+MOST_KEPT = 4
+# A version never changes, nor do the rows of an upload: the view asks for its numbers twice.
+_LATELY: dict[tuple[str, ...], Places] = {}
+
+
+def places(database: Database, version: str, campaign: str) -> Places:
+    """Return the errors of a campaign's rows with the nominal robot, with registration only, and with a version.
+
+    Raises:
+        ServiceError: no such version or campaign, one of another robot, or no point was measured in it.
+
+    """
+    with database.reading() as session:
+        record = store.get(session, version)
+        files = tuple(upload.sha256 for upload in campaigns.uploads_of(session, campaign))
+        key = (version, campaign, *files)
+        kept = _LATELY.get(key)  # another request may drop it between a look and a read
+        if kept is not None and campaigns.whole(session, campaign).robot_id == record.robot_id:
+            return kept
+        calibration = store.calibration(session, version)
+        (part,) = parts_of(session, record, [campaign])
+    found = _found(part, calibration, record.report)
+    while len(_LATELY) >= MOST_KEPT:
+        _LATELY.pop(next(iter(_LATELY)), None)
+    _LATELY[key] = found
+    return found
+
+
+def _found(part: Part, calibration: Calibration, report: dict[str, Any]) -> Places:
+    frames = [frame for where, refit in frames_of(part, report) if (frame := _frame(part, calibration, where, refit))]
+    if not frames:
+        raise ServiceError(
+            f"Campaign {part.campaign} has no measured point, so its errors have no place: choose another one.",
+            code="campaigns_invalid",
+            campaign=part.campaign,
+        )
+    at, size = np.concatenate([one.at for one in frames]), np.concatenate([one.size for one in frames])
+    kept = np.zeros(len(at), dtype=bool)
+    kept[spread(at, size)] = True
+    chosen = np.split(kept, np.cumsum([len(one.rows) for one in frames])[:-1])
+    row = np.concatenate([one.rows[mine] for one, mine in zip(frames, chosen, strict=True)])
+    left = np.concatenate([_stages(part, one, mine) for one, mine in zip(frames, chosen, strict=True) if mine.any()])
+    order = np.argsort(row)
+    row, at, left = row[order], at[kept][order], left[order]
+    return Places(
+        calibration.robot, row + 1, part.rows.q[row], at, {name: left[:, k] for k, name in enumerate(STAGES)},
+        ~part.fitted[row], np.isin(row + 1, list(part.set_aside)), len(kept),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Rows that were given in one frame, ``rows (n,)`` from 0, with a measured point: where the version, whose base is that
+    of these rows, has the tool (n, 3) m, and the size (n,) m of its errors.
+    """
+
+    here: Calibration
+    rows: Ints
+    at: Floats
+    size: Floats
+
+
+def _frame(part: Part, calibration: Calibration, where: Bools, refit: Sequence[str]) -> _Frame | None:
+    from kilter_core.measurement import Measurement
+
+    rows = np.flatnonzero(where)
+    shape = calibration.marker_points
+    here = refitted(calibration, Measurement.of(part.rows.select(where), shape)) if refit else calibration
+    found = [_sizes(part, here, rows[k : k + SLICE]) for k in range(0, len(rows), SLICE)]
+    if any(one is None for one in found):
+        return None
+    at, size = (np.concatenate([one[k] for one in found if one is not None]) for k in range(2))
+    seen = ~np.isnan(size)
+    return _Frame(here, rows[seen], at[seen], size[seen]) if seen.any() else None
+
+
+def _sizes(part: Part, here: Calibration, rows: Ints) -> tuple[Floats, Floats] | None:
+    """Places (n, 3) m of rows and the sizes (n,) m of their errors; None where no instrument saw a place."""
+    from kilter_core.identify.row_errors import mean_of
+    from kilter_core.measurement import Measurement
+
+    measurement = Measurement.of(part.rows.select(rows), here.marker_points)
+    if not measurement.observes_places:
+        return None
+    predicted = here.predict(measurement.observations)
+    size = np.linalg.norm(mean_of(measurement.residual(predicted).points), axis=1)
+    return _in_base(here, predicted.position), size
+
+
+def _stages(part: Part, frame: _Frame, chosen: Bools) -> Floats:
+    """Errors (n, 3, 3) m of the rows chosen, by stage; registration is fitted to some rows, evenly chosen."""
+    from kilter_core.identify.estimate import registration_only
+    from kilter_core.measurement import Measurement
+    from kilter_core.model import Calibration as CoreCalibration
+
+    nominal = CoreCalibration.nominal(frame.here.robot)
+    some = frame.rows[np.linspace(0, len(frame.rows) - 1, min(len(frame.rows), FITTED_ROWS)).astype(np.int64)]
+    fitted = registration_only(nominal, Measurement.of(part.rows.select(some), frame.here.marker_points))
+    return _errors(part, dict(zip(STAGES, (nominal, fitted, frame.here), strict=True)), frame.rows[chosen])
+
+
+def _errors(part: Part, stages: dict[str, Calibration], rows: Ints) -> Floats:
+    """Errors (n, stages, 3) m of rows, in the axes of the robot's base."""
+    from kilter_core.identify.row_errors import RowErrors
+    from kilter_core.measurement import Measurement
+
+    measurement = Measurement.of(part.rows.select(rows), stages[STAGES[-1]].marker_points)
+    return np.stack([RowErrors.of(stages, measurement, rows).left[name] for name in stages], axis=1)
+
+
+def spread(at: Floats, size: Floats, most: int = MOST_ROWS) -> Ints:
+    """Choose at most so many rows: evenly, with the worst and the outermost ones."""
+    count = len(at)
+    if count <= most:
+        return np.arange(count)
+    outermost = np.concatenate([at.argmin(axis=0), at.argmax(axis=0)])
+    always = np.union1d(np.argsort(-size, kind="stable")[:WORST], outermost)
+    evenly = np.linspace(0, count - 1, most - len(always)).astype(np.int64)
+    return np.union1d(always, evenly)
+
+
+def reach(database: Database, version: str) -> Reach:
+    """Return how far a version corrects the tool, and how well it knows it, all over the joint limits."""
+    from kilter_core.correct.walker import correct_trajectory  # loads compiled kernels: not at the start
+    from kilter_core.identify.uncertainty.predictive import QUANTILE, acting
+    from kilter_core.observations import Observations
+
+    with database.reading() as session:
+        calibration, known = store.calibration(session, version), store.known(session, version)
+    rows = Observations(q=drawn(calibration.robot, DRAWN))
+    done = correct_trajectory(calibration, rows, options_of(WIDEST, None))
+    good = done.status == Status.OK
+    rows = rows.select(good)
+    before = np.linalg.norm(done.error_removed[good], axis=1)
+    after = None if known is None else known.of_the_tool(calibration, rows).max(axis=1) / QUANTILE
+    points = acting(calibration, rows).predict(rows).position
+    return Reach(_in_base(calibration, points), before, after)
+
+
+def _in_base(calibration: Calibration, points: Floats) -> Floats:
+    """Points (N, 3) m of the measurements in the frame of the robot's base."""
+    from kilter_core.arm.frames import increment
+    from kilter_core.transforms import inverse
+
+    base = inverse(calibration.model.T_base @ increment(calibration.values[:6]))
+    return np.asarray(points @ base[:3, :3].T + base[:3, 3])
