@@ -5,12 +5,18 @@ COPY constraints.txt ./
 RUN /opt/kilter/bin/pip install --no-cache-dir --constraint constraints.txt hatchling editables
 COPY pyproject.toml README.md LICENSE alembic.ini ./
 COPY core core
+COPY clients/files clients/files
 COPY service service
 COPY migrations migrations
-RUN /opt/kilter/bin/pip install --no-cache-dir --no-build-isolation --constraint constraints.txt ./core '.[postgresql,tracing]'
+RUN /opt/kilter/bin/pip install --no-cache-dir --no-build-isolation --constraint constraints.txt ./core './clients/files[formats]' '.[files,pdf,postgresql,tracing]'
 
 FROM python:3.11-slim
-RUN useradd --system --uid 10001 --create-home kilter \
+# Reports as PDF are set by Pango; Debian keeps one version of it at a time, so none can be pinned.
+# hadolint ignore=DL3008
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0 fonts-dejavu-core \
+    && rm -rf /var/lib/apt/lists/* \
+    && useradd --system --uid 10001 --create-home kilter \
     && install --directory --owner kilter --group kilter /data /keys
 COPY --from=build /opt/kilter /opt/kilter
 # A container is reached from outside it, so the server listens on every address and asks for KILTER_TOKEN. The corrector

@@ -10,7 +10,7 @@ TESTERS ?= 3
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test test-pythons wheels test-wheels check contract licences rooms coverage bench bench-gap bench-peers bench-stream bench-beside load fuzz fuzz-stream attack-stream soak-stream test-many-jobs test-faults kills blind blind-pairs blind-thresholds frozen thesis silent-rows image fmt clean
+.PHONY: $(shell sed -n 's/^\([a-z-]*\):.*## .*/\1/p' $(MAKEFILE_LIST))
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -63,7 +63,14 @@ check: $(KERNELS) ## style, types, import rules
 	$(BIN)/python -m tools.contract --check
 	$(BIN)/python -m tools.draw_rooms --check
 	$(BIN)/python -m tools.licences --check
+	$(BIN)/python -m tools.bundle_page --check
 	$(BIN)/python -m pytest -q tests/contract/test_layout.py tests/contract/test_docs.py tests/contract/test_openapi.py
+
+page: $(READY) ## bundle the page's scripts and styles (needs Node.js, for whoever changes the page only)
+	$(BIN)/python -m tools.bundle_page
+
+page-picture: $(KERNELS) ## draw docs/images/page.png from the page of a server with demo data (VIEW=/stream; needs Chromium)
+	$(BIN)/python -m tools.draw_page_picture $(if $(VIEW),--view $(VIEW))
 
 rooms: $(READY) ## draw the rooms of the core and their table from the imports
 	$(BIN)/python -m tools.draw_rooms
@@ -99,6 +106,12 @@ bench-peers: .venv-peers/.ready .venv-peers-poe/.ready ## install the tools that
 bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run (TLS=1: signed, both with TLS)
 	$(BIN)/python -m benchmarks.stream $(if $(TLS),--tls)
 
+bench-watched: $(KERNELS) ## measure the stream with and without an open page, in turns (SECONDS=60)
+	$(BIN)/python -m benchmarks.stream_watched --seconds $(or $(SECONDS),60)
+
+bench-page: $(KERNELS) ## measure the page: the first view, memory over LOADS=1000 of them, a campaign of a million rows
+	$(BIN)/python -m benchmarks.page --loads $(or $(LOADS),1000)
+
 bench-beside: $(KERNELS) ## measure the kernels beside those of another commit, in turns (BASE=HEAD~1 ROUNDS=5)
 	sh tools/bench_beside.sh $(or $(BASE),HEAD~1) $(or $(ROUNDS),5)
 
@@ -123,8 +136,14 @@ test-faults: $(KERNELS) ## kill, stop and cut off everything around the stream, 
 kills: $(KERNELS) ## kill processes of a server at random while clients work, and look for what is lost (N=500 SEED=...)
 	$(BIN)/python -m tests.service.kill_campaign --n $(or $(N),500) $(if $(SEED),--seed $(SEED))
 
+test-page: $(KERNELS) ## run all tests of the page, the long ones too (needs Chromium; screenshots in build/page-screenshots)
+	$(BIN)/python -m pytest -m "slow or not slow" tests/page
+
 test-many-jobs: $(KERNELS) ## run 1000 small jobs on four workers and PostgreSQL, kill two of them, and count (JOBS=1000)
 	JOBS=$(or $(JOBS),1000) $(BIN)/python -m pytest -m slow -q -s tests/service/test_many_jobs.py
+
+test-machines: $(KERNELS) ## run two APIs and two workers on PostgreSQL, and kill a worker in a fleet job
+	$(BIN)/python -m pytest -m "slow or not slow" -q tests/service/test_several_machines.py
 
 blind: $(READY) ## find hidden physics in N simulated campaigns and write docs/reference/gap-finder-benchmark.md (N=1000)
 	$(BIN)/python -m tests.blind.run --n $(or $(N),1000)

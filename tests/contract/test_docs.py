@@ -73,7 +73,10 @@ def test_every_page_is_reached_from_the_index() -> None:
 
 def test_every_picture_is_used() -> None:
     used = {
-        (page.parent / target).resolve() for page in PAGES for target in internal_links(page) if target.endswith(".svg")
+        (page.parent / target).resolve()
+        for page in PAGES
+        for target in internal_links(page)
+        if target.endswith((".svg", ".png"))
     }
     assert set((DOCS / "images").iterdir()) == used
 

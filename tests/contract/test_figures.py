@@ -27,8 +27,12 @@ def gap_report() -> dict[str, Any]:
         "alias_matrix": {"labels": ["backlash j1", "eccentricity j1"], "values": [[1.0, 0.2], [0.2, 1.0]]},
         "figures": {
             "gap_bar": [
-                {"label": name, "value": size, "held_out": size}
-                for name, size in (("before", 1.0), ("+ backlash j1", 0.2), ("noise", 0.1))
+                {"label": name, "value": size, "held_out": size, "held_out_interval": ends}
+                for name, size, ends in (
+                    ("before", 1.0, [0.9, 1.2]),
+                    ("+ backlash j1", 0.2, [0.15, 0.3]),
+                    ("noise", 0.1, None),
+                )
             ],
             "residual_by_angle": [
                 {"joint": 1, "q_deg": [1.0, 2.0], "before": [0.1, 0.2], "after": [0.0, 0.1], "curve": [0.1, 0.1]}

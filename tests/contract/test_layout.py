@@ -212,6 +212,6 @@ def test_image_copies_only_what_the_build_context_holds() -> None:
 
 def test_every_make_target_is_listed_by_help() -> None:
     text = (REPOSITORY / "Makefile").read_text()
-    declared = set(re.search(r"^\.PHONY: (.+)$", text, re.MULTILINE).group(1).split())  # type: ignore[union-attr]
-    assert declared == set(re.findall(r"^([a-z-]+):.*## ", text, re.MULTILINE))
+    declared = set(re.findall(r"^([a-z-]+):(?!=)", text, re.MULTILINE))
+    assert declared == set(re.findall(r"^([a-z-]+):.*## ", text, re.MULTILINE))  # .PHONY is made from these
     assert {"setup", "demo", "serve", "test", "check", "bench", "image", "fmt", "clean", "help"} <= declared
