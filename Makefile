@@ -136,6 +136,9 @@ test-faults: $(KERNELS) ## kill, stop and cut off everything around the stream, 
 kills: $(KERNELS) ## kill processes of a server at random while clients work, and look for what is lost (N=500 SEED=...)
 	$(BIN)/python -m tests.service.kill_campaign --n $(or $(N),500) $(if $(SEED),--seed $(SEED))
 
+test-slow: $(KERNELS) ## run the longer tests that make test leaves out and no other target names
+	$(BIN)/python -m pytest -m slow -n $(TESTERS) --dist loadscope tests/core tests/contract tests/clients
+
 test-page: $(KERNELS) ## run all tests of the page, the long ones too (needs Chromium; screenshots in build/page-screenshots)
 	$(BIN)/python -m pytest -m "slow or not slow" tests/page
 

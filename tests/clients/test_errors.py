@@ -25,9 +25,16 @@ from kilter_client import (
     RobotError,
     ServerUnreachableError,
     TooFewPosesError,
+    again,
 )
 
 Answer = Callable[[httpx.Request], httpx.Response]
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What nobody answers is not asked for again for half a minute."""
+    monkeypatch.setattr(again, "PATIENCE_S", 0.3)
 
 
 def client(answer: Answer) -> Kilter:

@@ -19,6 +19,7 @@ COPIED = (
     "core", "service", "clients/files", "clients/python", "clients/matlab", "docs", "tests/contract", "migrations", "tools",
 )  # fmt: skip
 SECONDS = 500
+QUICK = ("effect", "kind of measurement")  # what `make test` tries; `make test-slow` tries the others too
 
 EFFECT = '''"""Wobble of a joint: an error with the third multiple of its angle."""
 
@@ -452,7 +453,9 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-@pytest.mark.parametrize("what", ADDITIONS)
+@pytest.mark.parametrize(
+    "what", [what if what in QUICK else pytest.param(what, marks=pytest.mark.slow) for what in ADDITIONS]
+)
 def test_an_addition_touches_no_more_files_than_the_guide_says(what: str, copy: Path) -> None:
     most, changes, use = ADDITIONS[what]
     assert len(changes) <= most

@@ -38,6 +38,8 @@ TOPICS = {"joint_state": ("/arm/wanted", "/arm/commands"), "joint_trajectory": (
 JOINTS = ("a1", "a2", "a3", "a4", "a5")
 Q = np.array([0.1, 0.6, 0.4, 0.3, 0.2])
 GID = bytes(range(16))
+# Stamps, in seconds, of messages that must not come back, and of the one sent behind them.
+WRONG, LAST = 70_000, 80_000
 
 
 def key(topic: str, kind: str) -> str:
@@ -140,14 +142,18 @@ def state(q: np.ndarray, sec: int = 0) -> object:
     )  # fmt: skip
 
 
-def send_until_heard(ros: RosPeer, wanted: str, message: Callable[[int], object]) -> None:
+def stamps(ros: RosPeer) -> list[int]:
+    return [STORE.deserialize_cdr(data, STATE).header.stamp.sec for data, _ in ros.heard]
+
+
+def send_until_heard(ros: RosPeer, wanted: str, message: Callable[[int], object], answers: int = 1) -> None:
     """The adaptor has no version for its first moments, and says nothing then."""
     sent = [0]
 
     def heard() -> bool:
         sent[0] += 1
         ros.publish(wanted, STATE, message(sent[0]))
-        return bool(ros.heard)
+        return len(ros.heard) >= answers
 
     until(heard)
 
@@ -156,11 +162,8 @@ def send_until_heard(ros: RosPeer, wanted: str, message: Callable[[int], object]
 def test_a_joint_state_comes_back_corrected(dialect: str, ros: RosPeer) -> None:
     wanted, corrected = keys_of(dialect, STATE)
     ros.listen(corrected)
-    send_until_heard(ros, wanted, lambda k: state(Q, k))
-    for k in range(100):  # the correction ramps in
-        ros.publish(wanted, STATE, state(Q, 1000 + k))
-        time.sleep(0.002)
-    until(lambda: STORE.deserialize_cdr(ros.heard[-1][0], STATE).header.stamp.sec == 1099)
+    # The correction ramps in; on a busy machine some messages are too old when they arrive, and none of those comes back.
+    send_until_heard(ros, wanted, lambda k: state(Q, k), answers=100)
     out = STORE.deserialize_cdr(ros.heard[-1][0], STATE)
     assert out.name == ["grip", "a5", "a1", "a2", "a4", "a3"]
     assert out.header.frame_id == "world"
@@ -220,19 +223,25 @@ def test_what_cannot_be_corrected_is_counted_and_not_passed_on(dialect: str, ros
     ros.session.declare_subscriber(status, zenoh.handlers.Callback(take, indirect=False))
     ros.listen(corrected)
     send_until_heard(ros, wanted, lambda k: state(Q, k))
-    time.sleep(0.05)  # the last of those before
-    sent = len(ros.heard)
-    ros.publish(wanted, STATE, state(Q), gid=None)
-    ros.publish(wanted, STATE, state(Q), gid=bytes(16))
-    nameless = state(Q)
+    nameless, broken = state(Q, WRONG), state(Q, WRONG)
     nameless.name[2] = "grip"  # type: ignore[attr-defined]
-    ros.publish(wanted, STATE, nameless)
-    broken = state(Q)
     broken.position[3] = np.nan  # type: ignore[attr-defined]
-    ros.publish(wanted, STATE, broken)
-    refused = {"ATTACHMENT", "OTHER_PUBLISHER", "JOINT_NAMES"}
-    until(lambda: refused <= set(counters) and {"NOT_FINITE", "SEQ_GAP"} & set(counters))
-    assert len(ros.heard) == sent
+
+    def refused() -> bool:
+        ros.publish(wanted, STATE, state(Q, WRONG), gid=None)
+        ros.publish(wanted, STATE, state(Q, WRONG), gid=bytes(16))
+        ros.publish(wanted, STATE, nameless)
+        ros.publish(wanted, STATE, broken)
+        return {"ATTACHMENT", "OTHER_PUBLISHER", "JOINT_NAMES", "NOT_FINITE"} <= set(counters)
+
+    until(refused)
+
+    def passed() -> bool:
+        ros.publish(wanted, STATE, state(Q, LAST))
+        return LAST in stamps(ros)
+
+    until(passed)
+    assert WRONG not in stamps(ros)
 
 
 @pytest.mark.parametrize("dialect", ["rmw_zenoh"], indirect=True)

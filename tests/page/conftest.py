@@ -22,6 +22,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 # Chromium draws WebGL without a graphics card only when it is told to; as root it has no sandbox.
 ARGUMENTS = ["--no-sandbox", "--enable-unsafe-swiftshader", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]
 SIZES = {"desktop": {"width": 1366, "height": 850}, "tablet": {"width": 820, "height": 1180}}
+HERE = Path(__file__).parent
 OpenPage = Callable[..., Page]
 
 
@@ -45,6 +46,17 @@ def chromium() -> Iterator[Browser]:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
         yield browser
         browser.close()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave what is seen in Chromium to `make test-page`, but for a short path at one size."""
+    for item in items:
+        if item.path.parent != HERE or "chromium" not in getattr(item, "fixturenames", ()):
+            continue
+        given = item.callspec.params if hasattr(item, "callspec") else {}
+        if item.get_closest_marker("short_path") is None or "tablet" in given.values():
+            item.add_marker(pytest.mark.slow)
 
 
 class Complaints:

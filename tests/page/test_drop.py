@@ -192,6 +192,7 @@ def test_a_file_stays_in_its_folder(name: str, expected: str) -> None:
     assert drafts.plain_name(name) == expected
 
 
+@pytest.mark.short_path
 def test_people_drop_edit_and_store(page: Page, server: httpx.Client, robot: str, tmp_path: Path) -> None:
     file = tmp_path / "lab.csv"
     file.write_bytes(lab_table(("A1", "A2", "A3", "A4", "A5", "X", "Y", "height")))

@@ -265,6 +265,7 @@ def test_what_people_named_is_escaped(hunted: Hunted) -> None:
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in body
 
 
+@pytest.mark.short_path
 @pytest.mark.parametrize(("size", "job"), [("desktop", "closed"), ("tablet", "open")])
 def test_nothing_stands_in_the_way_of_anybody(hunted: Hunted, chromium: Browser, size: str, job: str) -> None:
     with opened(chromium, hunted.client, size) as page:

@@ -218,6 +218,7 @@ def test_evaluation_and_plan_show_theirs(server: httpx.Client, done: dict[str, d
     assert server.get(f"/jobs/{done['evaluate']['id']}/poses.csv").status_code == 400
 
 
+@pytest.mark.short_path
 def test_run_waits_for_the_check_in_the_browser(
     chromium: Browser, server: httpx.Client, done: dict[str, dict[str, Any]], campaign: str
 ) -> None:

@@ -137,6 +137,7 @@ def test_assets_are_kept_and_packed(server: httpx.Client) -> None:
     assert server.get("/assets/page.js").status_code == 404
 
 
+@pytest.mark.short_path
 def test_people_log_in_and_out(page: Page) -> None:
     assert page.get_by_text("admin (admin)").is_visible()
     page.get_by_role("button", name="Log out").click()

@@ -149,6 +149,7 @@ def picture(page: Page) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(shot)).convert("L"), dtype=float)
 
 
+@pytest.mark.short_path
 def test_the_arm_is_drawn_and_follows_its_controls(there: Made, page: Page) -> None:
     arm_of(page, there.robot)
     shown = places(there, there.good)

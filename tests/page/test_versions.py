@@ -128,6 +128,7 @@ def open_dialog(page: Page, version: str) -> None:
     page.get_by_role("button", name="Activate now").wait_for()
 
 
+@pytest.mark.short_path
 def test_a_version_is_activated_through_the_dialog_that_says_what_changes(there: Made, page: Page) -> None:
     activate(there, there.poor, force=True, reason="for the test")
     open_dialog(page, there.good)

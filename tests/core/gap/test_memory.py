@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from kilter_core.gap.search.recent import Recent
 
@@ -50,6 +51,7 @@ def test_a_result_larger_than_the_limit_is_used_but_not_accounted_twice() -> Non
     assert recent.bytes < 2 * 8300
 
 
+@pytest.mark.slow
 def test_a_hunt_that_ends_with_many_terms_takes_little_memory() -> None:
     out = subprocess.run([sys.executable, "-c", HUNT], check=True, capture_output=True, text=True, timeout=600)
     effects, grown_mb = out.stdout.split()
