@@ -13,6 +13,7 @@ import io
 import itertools
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -48,17 +49,30 @@ def server(data: Path, database: str | None) -> Iterator[tuple[str, int]]:
         assert process.stdout is not None
         try:
             found = json.loads(process.stdout.readline())
-            yield found["url"], _api_of(process.pid)
+            yield found["url"], _child_of(process.pid, "api")
         finally:
             process.terminate()
             process.wait(60)
 
 
-def _api_of(parent: int) -> int:
+def _child_of(parent: int, name: str) -> int:
     for one in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
-        if b"\0api\0" in Path(f"/proc/{one}/cmdline").read_bytes():
+        if f"\0{name}\0".encode() in Path(f"/proc/{one}/cmdline").read_bytes():
             return int(one)
-    raise RuntimeError("kilterd serve has no API process")
+    raise RuntimeError(f"kilterd serve has no {name} process")
+
+
+@contextmanager
+def stopped_worker(api: int) -> Iterator[None]:
+    """Hold the worker that stands beside an API, so that a job waits."""
+    status = Path(f"/proc/{api}/status").read_text().splitlines()
+    parent = next(int(line.split()[1]) for line in status if line.startswith("PPid"))
+    worker = _child_of(parent, "worker")
+    os.kill(worker, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(worker, signal.SIGCONT)
 
 
 def memory_mb(pid: int) -> float:
@@ -154,6 +168,10 @@ class Load:
     async def followed(self, seconds: float) -> tuple[float, float]:
         """Read without and with two hundred followers of a job that waits; returns the median of each in ms."""
         wish = {"kind": "identify", "robot": "arm", "campaigns": [self._campaign]}
+        with stopped_worker(self._pid):
+            return await self._followed(wish, seconds)
+
+    async def _followed(self, wish: dict[str, Any], seconds: float) -> tuple[float, float]:
         before = await self.probed(seconds)
         answer = await self._client.post("/v1/jobs", json=wish)
         job = answer.raise_for_status().json()["id"]
@@ -162,6 +180,8 @@ class Load:
                 stream = self._client.stream("GET", f"/v1/jobs/{job}/events", timeout=None)
                 (await stack.enter_async_context(stream)).raise_for_status()
             during = await self.probed(seconds)
+            state = (await self._client.get(f"/v1/jobs/{job}")).raise_for_status().json()["state"]
+            assert state == "queued", state
         return before[len(before) // 2], during[len(during) // 2]
 
     async def million(self) -> float:

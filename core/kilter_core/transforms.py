@@ -52,9 +52,10 @@ def inverse(T: Floats) -> Floats:
 
 
 def nearest_rotation(M: Floats) -> Floats:
-    """Rotation (3, 3) nearest to M in the Frobenius norm, never a reflection."""
+    """Rotations (..., 3, 3) nearest to M in the Frobenius norm, never a reflection."""
     U, _, Vt = np.linalg.svd(M)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt)
+    U[..., 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
+    return np.asarray(U @ Vt)
 
 
 def rotation_along(k: int, angle: float) -> Floats:

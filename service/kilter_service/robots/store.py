@@ -179,14 +179,14 @@ def remove(session: Session, name: str) -> None:
 
     """
     stored = get(session, name)
-    campaigns = _count(session, CampaignRow, stored.id)
-    if campaigns or _count(session, VersionRow, stored.id):
+    had = record(session, stored.id)
+    if had.campaigns or had.versions:
         raise ServiceError(
-            f"Robot {name!r} has {campaigns} campaigns and cannot be deleted: measurements are kept. "
+            f"Robot {name!r} has {had.campaigns} campaigns and cannot be deleted: measurements are kept. "
             f"Retire it instead (kilter robot retire {name}), or purge its versions and campaigns first.",
             code="robot_in_use",
             robot=name,
-            campaigns=campaigns,
+            campaigns=had.campaigns,
         )
     staged = select(CampaignRow.id).where(CampaignRow.robot_id == stored.id)
     session.execute(delete(UploadRow).where(UploadRow.campaign_id.in_(staged)))
@@ -196,39 +196,40 @@ def remove(session: Session, name: str) -> None:
 
 def listed(session: Session, page: Page, with_retired: bool = False) -> list[RobotRecord]:
     """Return robots by name, one more than the page shows; those out of use only when they are asked for."""
-    query = visible(select(RobotRow)).order_by(RobotRow.name).limit(page.fetched)
+    query = visible(_records()).order_by(RobotRow.name).limit(page.fetched)
     if not with_retired:
         query = query.where(RobotRow.retired_at.is_(None))
     if page.name is not None:
         query = query.where(RobotRow.name > page.name)
-    return [_record(session, row) for row in session.execute(query).scalars()]
+    return [_record(*found) for found in session.execute(query)]
 
 
 def record(session: Session, robot_id: int) -> RobotRecord:
     """Return the robot of a key, and how much belongs to it."""
-    return _record(session, session.get_one(RobotRow, robot_id))
+    return _record(*session.execute(_records().where(RobotRow.id == robot_id)).one())
 
 
-def _record(session: Session, row: RobotRow) -> RobotRecord:
-    last = select(ActivationRow.version_id).where(ActivationRow.robot_id == row.id).order_by(ActivationRow.id.desc())
+def _records() -> Select[RobotRow, int, int, str | None]:
+    """Robots with how many campaigns and versions they have, and the version in use."""
+    campaigns = select(func.count()).where(CampaignRow.robot_id == RobotRow.id, CampaignRow.staged.is_(False))
+    versions = select(func.count()).where(VersionRow.robot_id == RobotRow.id)
+    activations = select(ActivationRow.version_id).where(ActivationRow.robot_id == RobotRow.id)
+    last = activations.order_by(ActivationRow.id.desc()).limit(1)
+    return select(RobotRow, campaigns.scalar_subquery(), versions.scalar_subquery(), last.scalar_subquery())
+
+
+def _record(row: RobotRow, campaigns: int, versions: int, active_version: str | None) -> RobotRecord:
     return RobotRecord(
         id=row.id,
         name=row.name,
         document=row.document,
         created_at=row.created_at,
-        campaigns=_count(session, CampaignRow, row.id),
-        versions=_count(session, VersionRow, row.id),
-        active_version=session.execute(last.limit(1)).scalar_one_or_none(),
+        campaigns=campaigns,
+        versions=versions,
+        active_version=active_version,
         remarks=row.remarks,
         retired_at=row.retired_at,
         notes=[str(note) for note in row.left_out],
         sha256=row.sha256,
         source_sha256=row.source_sha256,
     )
-
-
-def _count(session: Session, table: type[CampaignRow] | type[VersionRow], robot_id: int) -> int:
-    query = select(func.count()).where(table.robot_id == robot_id)
-    if table is CampaignRow:
-        query = query.where(CampaignRow.staged.is_(False))
-    return session.execute(query).scalar_one()

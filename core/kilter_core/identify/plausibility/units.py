@@ -29,18 +29,28 @@ def unit_factor(robot: Robot, q: Floats, points: Floats) -> float | None:
     motion = float(np.linalg.norm(pose.position - pose.position.mean(axis=0), axis=1).mean()) if len(p) else 0.0
     if len(p) < 6 or motion < LEAST_MOTION_M:
         return None
-    left = {factor: _left(pose.position, pose.rotation, factor * p, tool) / motion for factor in (1.0, *FACTORS)}
-    best = min(FACTORS, key=lambda factor: left[factor])
-    return best if left[1.0] > BAD and left[best] < GOOD and left[best] < 0.2 * left[1.0] else None
+    fits = _left(pose.position, pose.rotation, p[None], tool)[0] / motion
+    if not fits > BAD:  # as nearly always: nothing else needs to be tried
+        return None
+    left = _left(pose.position, pose.rotation, np.multiply.outer(FACTORS, p), tool) / motion
+    best = int(np.argmin(left))
+    return FACTORS[best] if left[best] < GOOD and left[best] < 0.2 * fits else None
 
 
-def _left(f: Floats, F: Floats, p: Floats, tool: Floats) -> float:
-    """Root mean square m that is left when base and tool point are fitted in turn, the flange at (F, f)."""
+def _left(f: Floats, F: Floats, p: Floats, tool: Floats) -> Floats:
+    """Root mean square m that is left of each of ``p (K, N, 3)``: base and tool point are fitted in turn, flange at (F, f)."""
+    tool = np.broadcast_to(tool, (len(p), 3))
+    b = p - p.mean(axis=1, keepdims=True)
     for _ in range(ROUNDS):
-        body = f + F @ tool
-        a, b = body.mean(axis=0), p.mean(axis=0)
-        R = nearest_rotation((body - a).T @ (p - b))
-        local = (p - b) @ R.T + a
-        tool = np.einsum("nji,nj->ni", F, local - f).mean(axis=0)
-    rest = f + F @ tool - local
-    return float(np.sqrt(np.mean(np.sum(rest**2, axis=1))))
+        body = f + _rotated(F, tool)
+        a = body.mean(axis=1, keepdims=True)
+        R = nearest_rotation((body - a).swapaxes(1, 2) @ b)
+        local = b @ R.swapaxes(1, 2) + a
+        tool = np.einsum("nji,knj->ki", F, local - f) / len(f)
+    rest = f + _rotated(F, tool) - local
+    return np.asarray(np.sqrt(np.mean(np.sum(rest**2, axis=2), axis=1)))
+
+
+def _rotated(F: Floats, points: Floats) -> Floats:
+    """Points (K, 3) in the frames (N, 3, 3), (K, N, 3)."""
+    return np.asarray((F.reshape(-1, 3) @ points.T).T.reshape(len(points), -1, 3))
