@@ -125,13 +125,13 @@ class Viewers:
     async def _look(self) -> None:
         """Look for the corrector, its keys and the active versions."""
         try:
-            self.session = await run_in_threadpool(opened, self._settings, self.session)
             self._masters = await run_in_threadpool(masters_in, self._settings.stream_keys_file, False)
+        except (ServiceError, OSError):  # no message can be believed; what stands in the database can
+            self._masters = None
+        try:
+            self.session = await run_in_threadpool(opened, self._settings, self.session)
             found = await run_in_threadpool(_known, self._database, list(self._robots))
             self._here = self._settings.corrector_file.exists()
-        except (ServiceError, OSError):  # the keys are away: nothing can be believed
-            self._masters = None
-            return
         except Exception:  # the database may be away for a while; the followers stay
             log.warning("the streams that are looked at cannot be looked up", exc_info=True)
             return
