@@ -25,6 +25,7 @@ from kilter_service.settings import Settings
 from tests.service.conftest import Katana, ready, served
 from tests.service.made_versions import store_version
 from tests.service.postgresql import programs, running_postgresql
+from tests.service.test_meshes import CORNERS, binary
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 HEAD = b"q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,x_mm,y_mm,z_mm\n"
@@ -50,6 +51,8 @@ def filled(client: httpx.Client, database: Database, campaigns: int = 3) -> None
                 content=rows(200, 10 * number + part),
                 headers={"Content-Type": "text/csv"},
             ).raise_for_status()
+    shape = {"content": binary(CORNERS), "headers": {"Content-Type": "model/stl"}}
+    client.put("/v1/robots/katana/meshes/base", **shape).raise_for_status()  # type: ignore[arg-type]
     for number in range(2):
         version = store_version(database, "katana", number)
         client.post(f"/v1/versions/{version}/activate", json={"force": True, "reason": "test"}).raise_for_status()
@@ -95,7 +98,10 @@ def test_a_restored_server_answers_the_same(source: tuple[Settings, httpx.Client
     (tmp_path / "backups").mkdir()
     done = kilterd(settings, "backup", str(tmp_path / "backups"))
     assert done.returncode == 0, done.stderr
-    assert "holds 1 robots, 3 campaigns with 6 chunks, 2 versions; every hash was checked." in done.stdout
+    assert (
+        "holds 1 robots, 3 campaigns with 6 chunks, 2 versions, 1 shapes of links; every hash was checked."
+        in done.stdout
+    )
     file, hashes = sorted((tmp_path / "backups").iterdir())
     assert file.stat().st_mode & 0o777 == 0o600
     assert hashes.name == f"{file.name}.sha256"
@@ -165,6 +171,7 @@ def damage(settings: Settings, tmp_path: Path, *statements: str) -> Settings:
             "Version ver_0000000000000001: its content",
         ),
         ("UPDATE robots SET chain = '{}'", "Robot 'katana': its chain does not have its hash"),
+        ("UPDATE meshes SET content = x'00'", "Robot 'katana': the shape of link 'base' is damaged"),
         ("DELETE FROM uploads WHERE id = 2", "of chunks refers to a row of uploads that is missing."),
     ],
 )

@@ -14,6 +14,7 @@ class Findings:
     campaigns: int = 0
     chunks: int = 0
     versions: int = 0
+    meshes: int = 0
 
     def add(self, sentence: str) -> None:
         """Note one more."""
@@ -21,4 +22,5 @@ class Findings:
 
     def looked_at(self) -> str:
         """Say how much was looked at."""
-        return f"{self.robots} robots, {self.campaigns} campaigns with {self.chunks} chunks, {self.versions} versions"
+        meshes = f", {self.meshes} shapes of links" if self.meshes else ""
+        return f"{self.robots} robots, {self.campaigns} campaigns with {self.chunks} chunks, {self.versions} versions{meshes}"

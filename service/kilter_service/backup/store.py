@@ -6,12 +6,12 @@ import hashlib
 from collections.abc import Iterator
 from typing import Any
 
-from sqlalchemy import Connection, Table, func, insert, select, text
+from sqlalchemy import Connection, Select, Table, func, insert, select, text
 from sqlalchemy.exc import DBAPIError
 
 from kilter_service.backup.findings import Findings
 from kilter_service.db import Database, Session
-from kilter_service.db.tables import CampaignRow, ChunkRow, RobotRow, Row, UploadRow, VersionRow
+from kilter_service.db.tables import CampaignRow, ChunkRow, MeshRow, RobotRow, Row, UploadRow, VersionRow
 from kilter_service.robots.resolved import sha256_of, source_sha256
 
 AT_ONCE = 50  # rows that are in memory while a table is copied
@@ -29,6 +29,7 @@ def check(database: Database, *, quick: bool = False) -> Findings:
         (_robots, "robots"),
         (_chunks, "chunks of campaigns"),
         (_versions, "versions"),
+        (_meshes, "shapes of links"),
     ):
         try:
             with database.reading() as session:
@@ -81,7 +82,8 @@ def _check_upload(session: Session, found: Findings, upload: UploadRow, place: s
         found.chunks += 1
         rows += count
         numbers.append(number)
-        if not _is_whole(session, upload.id, number, sha256):
+        blob = select(ChunkRow.parquet).where(ChunkRow.upload_id == upload.id, ChunkRow.number == number)
+        if not _has_hash(session, blob, sha256):
             found.add(f"{place}: chunk {number} is damaged, its bytes do not have the hash {sha256[:12]}.")
     missing = sorted(set(range(max(numbers, default=0) + 1)) - set(numbers))
     if missing:
@@ -90,8 +92,7 @@ def _check_upload(session: Session, found: Findings, upload: UploadRow, place: s
         found.add(f"{place}: {rows} of {upload.rows} rows are there, the last chunk is missing.")
 
 
-def _is_whole(session: Session, upload_id: int, number: int, sha256: str) -> bool:
-    query = select(ChunkRow.parquet).where(ChunkRow.upload_id == upload_id, ChunkRow.number == number)
+def _has_hash(session: Session, query: Select[bytes], sha256: str) -> bool:
     try:
         blob = session.execute(query).scalar_one()
     except DBAPIError:  # on a damaged page
@@ -116,6 +117,19 @@ def _versions(session: Session, found: Findings, _quick: bool) -> None:
                 found.add(
                     f"Version {row.id}: upload {gone[0][:12]} of campaign {used['id']} it was made from is missing."
                 )
+
+
+def _meshes(session: Session, found: Findings, _quick: bool) -> None:
+    """The shapes of links"""
+    listed = select(RobotRow.id, RobotRow.name, MeshRow.link, MeshRow.sha256).join(
+        RobotRow, RobotRow.id == MeshRow.robot_id
+    )
+    for robot_id, robot, link, sha256 in session.execute(listed.order_by(RobotRow.id, MeshRow.link)).all():
+        found.meshes += 1
+        if not _has_hash(session, select(MeshRow.content).filter_by(robot_id=robot_id, link=link), sha256):
+            found.add(
+                f"Robot {robot!r}: the shape of link {link!r} is damaged, its bytes do not have the hash {sha256[:12]}."
+            )
 
 
 def has_rows(database: Database) -> bool:
