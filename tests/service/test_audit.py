@@ -91,7 +91,7 @@ def refused(client: httpx.Client) -> list[tuple[str, str, str, dict[str, Any]]]:
     ]
 
 
-def test_requests_that_were_turned_away_are_in_the_audit_in_groups(
+def test_refused_requests_are_in_the_audit_in_groups(
     settings: Settings, database: Database, serve: Callable[[FastAPI], httpx.Client]
 ) -> None:
     app = create_app(settings)

@@ -1,4 +1,4 @@
-"""Refused requests in the audit: who was turned away, from where, at which route, why and how often.
+"""Refused requests in the audit: who was refused, from where, at which route, why and how often.
 
 Anybody can be refused as often as they like. So refusals are counted in memory and written in groups, the first ones
 after a moment and, while more keep coming, every ten minutes; what makes up ever new groups is one group in the end.
@@ -113,7 +113,8 @@ def _key(group: Group) -> tuple[str, ...]:
 
 def note(request: Request, code: str) -> None:
     """Count a refused request for the audit, if a person who looks after the server would want to know."""
-    refusals: Refusals | None = getattr(request.app.state, "refusals", None)
+    app = request.scope.get("app")  # None where a part of the application runs alone
+    refusals: Refusals | None = getattr(app.state, "refusals", None) if app is not None else None
     if code not in NOTED or refusals is None:
         return
     caller: Caller | None = getattr(request.state, "caller", None)
