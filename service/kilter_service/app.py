@@ -6,8 +6,10 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from fastapi import APIRouter, FastAPI
+from fastapi.concurrency import run_in_threadpool
 
 from kilter_service import problems
+from kilter_service.audit.refusals import Refusals
 from kilter_service.audit.routes import router as audit
 from kilter_service.auth.described import described
 from kilter_service.auth.gate import Gate
@@ -76,6 +78,7 @@ async def _life(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     app.state.settings = settings
     app.state.token = admin_token(settings)
     app.state.database = Database(settings.database)
+    app.state.refusals = Refusals(app.state.database)
     app.state.scratch = Scratch(settings.data / TEMPORARY)
     app.state.drafts = Drafts(app.state.scratch)
     try:
@@ -84,4 +87,5 @@ async def _life(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     finally:
         await viewers_of(app).close()
         app.state.scratch.close()
+        await run_in_threadpool(app.state.refusals.close)
         app.state.database.close()

@@ -13,6 +13,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from kilter_core.errors import CoreError
+from kilter_service.audit import refusals
 from kilter_service.contract.problems import Problem
 from kilter_service.db.failures import in_words
 from kilter_service.errors import PROBLEMS
@@ -60,6 +61,7 @@ def problem(
     listed, title = PROBLEMS.get(code, (400, "The request cannot be fulfilled"))
     status = status or listed
     REFUSALS.labels(code).inc()
+    refusals.note(request, code)
     document = {
         "type": f"urn:kilter:problem:{code}",
         "title": title,

@@ -32,7 +32,7 @@ from kilter_service.settings import LOCK_FILE, Settings
 log = logging.getLogger("kilter.serve")
 
 SUPERVISED = "KILTER_SUPERVISED"
-BESIDE = "KILTER_BESIDE"  # as health.service reads it, which imports SQLAlchemy
+BESIDE, BEGAN = "KILTER_BESIDE", "KILTER_BEGAN"  # as health.service reads them, which imports SQLAlchemy
 CHECK_S = 0.1
 READY_S = 300.0  # the first start on a machine compiles the kernels, on a busy one for minutes
 STOP_S = 8.0
@@ -48,7 +48,8 @@ class Child:
     def __init__(self, name: str, settings: Settings, *arguments: str, keep: tuple[int, ...] = ()) -> None:
         self.name = name
         self._command = [sys.executable, "-m", "kilter_service", name, *arguments]
-        self._environment = {**os.environ, **settings.environment(), SUPERVISED: "1", BESIDE: _beside(settings)}
+        said = {SUPERVISED: "1", BESIDE: _beside(settings), BEGAN: str(time.monotonic())}
+        self._environment = {**os.environ, **settings.environment(), **said}
         self._keep = keep
         self._process: subprocess.Popen[bytes] | None = None
         self._started = 0.0

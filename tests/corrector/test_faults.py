@@ -287,7 +287,7 @@ def descendants(pid: int) -> set[int]:
     return below.union(*(descendants(child) for child in below))
 
 
-@pytest.mark.parametrize("ready", [pytest.param(1, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow), 5])
+@pytest.mark.parametrize("ready", [pytest.param(ready, marks=pytest.mark.slow) for ready in (1, 4, 7)] + [5])
 def test_sigterm_during_the_start_leaves_nothing_behind(tmp_path: Path, ready: int) -> None:
     """Told to stop as soon as so many processes exist: with one of them, with all, with those of the corrector."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
@@ -383,8 +383,9 @@ def cable() -> Iterator[tuple[str, str]]:
 
 FAR_CONTROLLER = """
 import sys, time
+from pathlib import Path
 from kilter_client.stream import CorrectedStream
-with CorrectedStream(sys.argv[1], endpoints=[sys.argv[2]], site="test", stream="cable", deadline_s=0.2,
+with CorrectedStream(sys.argv[1], data=Path(sys.argv[2]), stream="cable", deadline_s=0.2,
                      hold_cycles=2, settled=True, connect_timeout_s=30.0) as stream:
     last = None
     while True:
@@ -407,7 +408,7 @@ def test_a_cut_cable_is_bypassed_and_found_again(cable: tuple[str, str], source:
     here.start()
     try:
         with subprocess.Popen(
-            ["ip", "netns", "exec", name, sys.executable, "-c", FAR_CONTROLLER, ROBOT, here.endpoints["stream"]],
+            ["ip", "netns", "exec", name, sys.executable, "-c", FAR_CONTROLLER, ROBOT, str(tmp_path)],
             cwd=REPOSITORY, stdout=subprocess.PIPE, text=True,
         ) as controller:  # fmt: skip
             try:

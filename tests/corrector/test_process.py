@@ -21,9 +21,12 @@ from kilter_client.stream import CorrectedStream, Statistics, StreamError, corre
 from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
 from kilter_service.corrector import wire
+from kilter_service.corrector.nursery import Child
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.queries import encode_trajectory
 from kilter_service.corrector.session import config
+from kilter_service.corrector.specs import QuerySpec
+from kilter_service.signing.masters import Masters
 from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
 
 
@@ -257,6 +260,33 @@ def test_the_stream_comes_back_after_kill_9(corrector: Corrector) -> None:
         stream.deadline_s = 2.0
         until(lambda: stream.alive)
         until(lambda: stream.correct(Q).source == "corrected")
+
+
+def test_the_stream_outlives_the_process_that_forked_it(corrector: Corrector) -> None:
+    nursery = corrector._nursery
+    with open_stream(corrector, "orphan") as stream:
+        before = {name: child.pid for name, child in corrector._children.items()}
+        assert len({*before.values(), nursery.pid, os.getpid()}) == 4
+        os.kill(nursery.pid or 0, signal.SIGKILL)
+        until(lambda: not nursery.alive)
+        assert stream.correct(Q).source == "corrected"
+        corrector.poll()
+        assert nursery.alive
+        assert {name: child.pid for name, child in corrector._children.items()} == before
+        assert stream.correct(Q).source == "corrected"
+
+
+def test_one_that_may_not_begin_is_told_apart_from_one_that_runs(corrector: Corrector) -> None:
+    spec = QuerySpec("test", "", Masters(()), unsigned=True)
+    child = Child("broken", "kilter_service.corrector.specs:nothing", spec, corrector._nursery)
+    assert not child.alive
+    child.launch()
+    with pytest.raises(RuntimeError, match="The broken process of the corrector did not start"):
+        child.listening()
+    assert not child.alive
+    child.launch()
+    child.stop()
+    assert not child.alive
 
 
 LEFT_OPEN = """

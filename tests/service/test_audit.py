@@ -6,18 +6,22 @@ import hashlib
 import json
 import shutil
 import sqlite3
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from fastapi import FastAPI
 from sqlalchemy import text
 from sqlalchemy.exc import DBAPIError
 
 from kilter_core.twin import thesis_katana
-from kilter_service.audit import service
+from kilter_service.app import create_app
+from kilter_service.audit import refusals, service
 from kilter_service.audit.service import Head
+from kilter_service.auth.token import admin_token
 from kilter_service.caller import CALLER, Caller
 from kilter_service.db import Database, revision
 from kilter_service.db.tables import CampaignRow, JobRow, RobotRow
@@ -74,6 +78,87 @@ def test_what_changes_nothing_or_is_refused_leaves_nothing(client: httpx.Client)
     assert client.post("/v1/robots/arm/rollback").status_code == 409
     assert client.post("/v1/robots", json={**ROBOT, "preset": "katana450-chapter4"}).status_code == 409
     assert len(entries(client)) == before == 1
+
+
+def refused(client: httpx.Client) -> list[tuple[str, str, str, dict[str, Any]]]:
+    """Refused requests in the audit, and that it is whole with them."""
+    found = entries(client)
+    assert chain_holds(found)
+    return [
+        (one["actor"], one["address"], one["route"], json.loads(one["changes"][0]["after"]))
+        for one in found
+        if one["changes"][0]["thing"] == "refused"
+    ]
+
+
+def test_refused_requests_are_in_the_audit_in_groups(
+    settings: Settings, database: Database, serve: Callable[[FastAPI], httpx.Client]
+) -> None:
+    app = create_app(settings)
+    client = serve(app)
+    client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
+    made = client.post("/v1/tokens", json={"name": "anna", "role": "viewer"}).json()
+    for _ in range(3):
+        given = client.post("/v1/robots", json=ROBOT, headers={"Authorization": f"Bearer {made['token']}"})
+        assert given.status_code == 403
+        assert client.get("/v1/robots", headers={"Authorization": "Bearer nonsense"}).status_code == 401
+    assert client.get("/v1/robots", headers={"Host": "evil.example"}).status_code == 421
+    assert client.post("/login", data={"token": "nonsense"}, headers={"Authorization": ""}).status_code == 401
+    assert client.get("/v1/robots/nobody").status_code == 404
+    app.state.refusals.write()
+    here = "127.0.0.1"
+    assert refused(client) == [
+        ("anna", here, "POST /v1/robots", {"code": "role_too_low", "times": 3}),
+        ("anybody", here, "GET /v1/robots", {"code": "token_wrong", "times": 3}),
+        ("anybody", here, "GET (none)", {"code": "host_refused", "times": 1}),
+        ("anybody", here, "POST /login", {"code": "token_wrong", "times": 1}),
+    ]
+    app.state.refusals.write()
+    assert len(refused(client)) == 4
+
+
+def test_nobody_fills_the_audit_by_being_refused(client: httpx.Client, database: Database) -> None:
+    counted = refusals.Refusals(database, first_s=3600.0)
+    for number in range(1000):
+        counted.count(refusals.Group("token_wrong", Caller("anybody", "viewer", address=f"10.0.0.{number}")))
+    counted.close()
+    found = refused(client)
+    assert len(found) == refusals.MOST_GROUPS + 1
+    assert sum(one[3]["times"] for one in found) == 1000
+    assert found[-1][2:] == ("(several)", {"code": "several", "times": 1000 - refusals.MOST_GROUPS})
+
+
+def test_refused_requests_are_written_by_themselves_and_more_slowly_while_they_go_on(
+    client: httpx.Client, database: Database, until: Callable[..., None]
+) -> None:
+    group = refusals.Group("token_wrong", Caller("anybody", "viewer", address="10.0.0.1"))
+    soon = refusals.Refusals(database, first_s=0.02)
+    soon.count(group)
+    until(lambda: len(refused(client)) == 1)
+    soon.close()
+    counted = refusals.Refusals(database, first_s=400.0)
+    pauses = []
+    for times in (2, 1, 0):
+        for _ in range(times):
+            counted.count(group)
+        counted._due()
+        pauses.append(counted._pause_s)
+    counted.close()
+    assert pauses == [refusals.LONGEST_S, refusals.LONGEST_S, 400.0]
+    assert [one[3]["times"] for one in refused(client)] == [1, 2, 1]
+
+
+def test_refused_requests_wait_for_a_database_that_is_away(
+    tmp_path: Path, client: httpx.Client, database: Database
+) -> None:
+    away = Database(f"sqlite:///{tmp_path / 'none' / 'none.sqlite'}")
+    counted = refusals.Refusals(away, first_s=3600.0)
+    counted.count(refusals.Group("token_wrong", Caller("anybody", "viewer")))
+    counted.write()
+    counted._database = database
+    counted.close()
+    assert [one[3]["times"] for one in refused(client)] == [1]
+    away.close()
 
 
 def test_an_activation_says_which_version_was_active_before(client: httpx.Client, database: Database) -> None:

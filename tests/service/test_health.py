@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from datetime import timedelta
 from pathlib import Path
@@ -89,6 +90,25 @@ def test_one_that_never_spoke_is_missed_where_kilterd_serve_runs_it(
 ) -> None:
     beat(database, "worker")
     monkeypatch.setenv(service.BESIDE, "worker,corrector")
+    assert "corrector: has not spoken yet" in why(client)
+
+
+def test_one_that_has_not_spoken_since_the_server_began_is_starting(
+    client: httpx.Client, database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also beside what a server that was killed left in the database; for as long as a start may take."""
+    monkeypatch.setenv(service.BESIDE, "worker,corrector")
+    monkeypatch.setenv(service.BEGAN, str(time.monotonic() - 40.0))
+    beat(database, "worker")
+    beat(database, "corrector", "local", age_s=60.0)
+    assert "corrector: is starting, for 40 s" in why(client)
+    beat(database, "corrector", "local", age_s=30.0)
+    assert "local last spoke 30 s ago" in why(client)
+    with database.transaction() as session:
+        store.silence(session, "worker", "here")
+        store.silence(session, "corrector", "local")
+    assert "worker: is starting, for 40 s; corrector: is starting" in why(client)
+    monkeypatch.setenv(service.BEGAN, str(time.monotonic() - service.LONGEST_START_S - 1.0))
     assert "corrector: has not spoken yet" in why(client)
 
 

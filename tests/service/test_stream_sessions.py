@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 import stat
+import subprocess
 import time
 from pathlib import Path
 
@@ -76,3 +78,32 @@ def test_a_secret_that_others_can_read_or_that_is_damaged_is_refused(tmp_path: P
     file.write_text('{"keys": []}')
     with pytest.raises(ServiceError, match="damaged"):
         masters_in(file)
+
+
+def test_the_secrets_that_the_how_to_saves_come_back(tmp_path: Path) -> None:
+    """Its own commands, in folders of the test."""
+    page = (Path(__file__).resolve().parents[2] / "docs/how-to/run-a-server.md").read_text(encoding="utf-8")
+    lines = [line for line in page.splitlines() if line.startswith(("umask ", "tar "))]
+    assert [line.split()[1] for line in lines] == ["077", "--create", "--append", "--extract", "--extract"]
+    places = {"~/.kilter": "data", "/backups": "backups", "/etc/kilter": "etc", "~/restored": "restored"}
+    for name in ("data", "backups", "etc/zenoh/authority", "restored"):
+        (tmp_path / name).mkdir(parents=True)
+    masters = masters_in(tmp_path / "data" / "stream-keys.json")
+    (tmp_path / "data" / "token").write_text("secret")
+    (tmp_path / "etc" / "zenoh" / "authority" / "key.pem").write_text("key")
+
+    def run(part: list[str]) -> None:
+        text = "\n".join(part)
+        for place, name in places.items():
+            text = text.replace(place, str(tmp_path / name))
+        subprocess.run(["sh", "-e", "-c", text], check=True, timeout=30)
+
+    run(lines[:3])
+    shutil.rmtree(tmp_path / "data")
+    shutil.rmtree(tmp_path / "etc" / "zenoh")
+    run(lines[3:])
+    saved = tmp_path / "backups" / "secrets.tar"
+    assert stat.S_IMODE(saved.stat().st_mode) == 0o600
+    assert masters_in(tmp_path / "restored" / "stream-keys.json", make=False) == masters
+    assert (tmp_path / "restored" / "token").read_text() == "secret"
+    assert (tmp_path / "etc" / "zenoh" / "authority" / "key.pem").read_text() == "key"

@@ -8,16 +8,11 @@ from __future__ import annotations
 
 import json
 import logging
-import multiprocessing
 import os
 import secrets
 import signal
 import threading
-import time
-from collections.abc import Callable, Hashable, Iterator, Mapping
-from dataclasses import replace
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
+from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -25,7 +20,8 @@ from typing import Any
 from kilter_service.corrector.active import Active, VersionSource
 from kilter_service.corrector.database_source import DatabaseSource
 from kilter_service.corrector.endpoints import PrivateSocket, check_listening, is_local
-from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec, enter
+from kilter_service.corrector.nursery import POLL_S, Child, Nursery, StoppedError
+from kilter_service.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec
 from kilter_service.errors import ServiceError
 from kilter_service.health.pulse import Pulse, running
 from kilter_service.settings import Settings
@@ -34,115 +30,7 @@ from kilter_service.signing.masters import Masters, masters_in
 log = logging.getLogger("kilter.corrector")
 
 CORRECTOR_FILE = "corrector.json"
-POLL_S = 0.25
-START_S = 300.0  # the first start on a machine compiles the kernel, on a busy one for minutes
-STOP_S = 5.0
 MOST_STREAMS = 200
-
-
-class StoppedError(Exception):
-    """The corrector was stopped before its processes listened."""
-
-
-class Child:
-    """A spawned process at the other end of a pipe. Spawned, not forked: a fork of a zenoh process hangs."""
-
-    def __init__(self, name: str, entry: str, spec: StreamSpec | QuerySpec) -> None:
-        self.name = name
-        self._entry = entry
-        self._spec = spec
-        self._process: BaseProcess | None = None
-        self._pipe: Connection | None = None
-        self._listens = False
-
-    def launch(self) -> None:
-        """Start the process; it imports and compiles by itself, so several may do that at once."""
-        context = multiprocessing.get_context("spawn")
-        self._listens = False
-        self._pipe, theirs = context.Pipe()
-        arguments = (self._entry, self._spec, theirs)
-        self._process = context.Process(target=enter, args=arguments, name=f"kilter-{self.name}")
-        self._process.start()
-        theirs.close()
-
-    def listening(self, stopped: Callable[[], bool] = lambda: False) -> tuple[str | None, bool]:
-        """Wait until the process listens; returns its endpoint, if it has one, and whether it runs in real time.
-
-        Raises:
-            ServiceError: it may not listen on its endpoint.
-            RuntimeError: it ended or did not listen in time.
-            StoppedError: ``stopped`` said so first.
-
-        """
-        assert self._pipe is not None
-        end = time.monotonic() + START_S
-        try:
-            while not self._pipe.poll(POLL_S):
-                if stopped():
-                    raise StoppedError
-                if time.monotonic() > end:
-                    break
-            else:
-                verdict, endpoint, real_time = self._pipe.recv()
-                if verdict == "refused":
-                    self.stop()
-                    raise ServiceError(endpoint, code="binding_refused")
-                self._listens = True
-                if isinstance(self._spec, StreamSpec):  # after a restart it listens where its clients look for it
-                    self._spec = replace(self._spec, listen=endpoint)
-                return endpoint, bool(real_time)
-        except EOFError:
-            pass
-        self.stop()
-        raise RuntimeError(f"The {self.name} process of the corrector did not start; its messages are above.")
-
-    @property
-    def pid(self) -> int | None:
-        """Process id, for the corrector file."""
-        return self._process.pid if self._process else None
-
-    @property
-    def listens(self) -> bool:
-        """Whether the process has said that it listens."""
-        return self._listens
-
-    @property
-    def alive(self) -> bool:
-        """Whether the process runs."""
-        return self._process is not None and self._process.is_alive()
-
-    def send(self, *message: Any) -> None:
-        """Tell the process something; the supervisor restarts a process that is gone."""
-        if self._pipe is not None:
-            try:
-                self._pipe.send(message)
-            except OSError:
-                log.warning("the %s process is gone", self.name)
-
-    def heard(self) -> Iterator[tuple[Any, ...]]:
-        """What the process has said since; a process that is gone says nothing."""
-        try:
-            while self._pipe is not None and self._listens and self._pipe.poll():
-                yield self._pipe.recv()
-        except (EOFError, OSError):
-            return
-
-    def stop(self) -> None:
-        """Ask the process to stop, and end it when it does not."""
-        if self._process is None:
-            return
-        if self._listens:  # before that it imports and compiles, and hears nothing
-            self.send("stop")
-            self._process.join(STOP_S)
-        if self._process.is_alive():
-            if self._listens:
-                log.warning("the %s process did not stop in %.0f s: it is killed", self.name, STOP_S)
-            self._process.kill()
-            self._process.join()
-        self._process = None
-        if self._pipe is not None:
-            self._pipe.close()
-            self._pipe = None
 
 
 class Corrector:
@@ -164,6 +52,7 @@ class Corrector:
         self._reading = True
         self.instance = f"{os.getpid()}-{secrets.token_hex(4)}"
         self.endpoints: dict[str, str] = {}
+        self._nursery = Nursery()
         self._children: dict[str, Child] = {}
         self._private: PrivateSocket | None = None
         self._announced = False
@@ -190,6 +79,7 @@ class Corrector:
 
         """
         check_listening(self._settings)
+        self._nursery.start()  # it imports meanwhile
         site, config = self._settings.site, self._settings.zenoh_config
         self._masters = masters_in(self._settings.stream_keys_file)
         self._private = PrivateSocket(self._settings.data)
@@ -197,8 +87,8 @@ class Corrector:
         stream = StreamSpec(site, self.instance, self._settings.zenoh_listen, *common, self._rules)
         queries = QuerySpec(site, *common)
         self._children = {
-            "stream": Child("stream", STREAM, stream),
-            "query": Child("query", QUERY, queries),
+            "stream": Child("stream", STREAM, stream, self._nursery),
+            "query": Child("query", QUERY, queries, self._nursery),
         }
         for child in self._children.values():
             child.launch()
@@ -240,6 +130,7 @@ class Corrector:
 
     def poll(self) -> None:
         """Look once: restart what died, take over what was activated."""
+        self._nursery.start()
         for name, child in self._children.items():
             if not child.alive:
                 log.error("the %s process ended: it is restarted", name)
@@ -311,6 +202,7 @@ class Corrector:
         """Stop both processes and remove the corrector file."""
         for child in self._children.values():
             child.stop()
+        self._nursery.stop()
         if self._private is not None:
             self._private.close()
         if self._announced:  # a corrector that could not start leaves the file of the one that runs alone

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import shutil
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -19,6 +20,9 @@ log = logging.getLogger("kilter.api")
 SILENT_AFTER_S = 10.0
 LEAST_FREE_MB = 200  # an upload of the largest size is on disk twice
 BESIDE = "KILTER_BESIDE"  # processes that `kilterd serve` runs beside the API
+BEGAN = "KILTER_BEGAN"  # when it began, on the system's monotonic clock
+STARTING = "is starting"
+LONGEST_START_S = 300.0  # as `kilterd serve` waits: the first start on a machine compiles the kernels
 REMEDY = "its log says why; start `kilterd {}`"
 
 
@@ -75,13 +79,20 @@ def _worker(database: Database) -> Check:
     alive = [one for one in found if _alive(one)]
     if alive:
         return Check(ok=True, detail=f"{len(alive)} alive")
-    why = _ahead(found) or f"no worker spoke in the last {SILENT_AFTER_S:.0f} s: start `kilterd worker`"
+    why = (
+        _ahead(found)
+        or _starting("worker", found)
+        or f"no worker spoke in the last {SILENT_AFTER_S:.0f} s: start `kilterd worker`"
+    )
     return Check(ok=False, detail=why)
 
 
 def _process(database: Database, process: str, expected: bool) -> Check:
     """One that must run: it said that it does and not that it has stopped, or `kilterd serve` runs it beside the API."""
     found = _heartbeats(database, process)
+    starting = _starting(process, found)
+    if starting:
+        return Check(ok=False, detail=starting)
     if not found:
         said = f"has not spoken yet: {REMEDY.format(process)}" if expected else "none was started"
         return Check(ok=not expected, detail=said)
@@ -96,6 +107,16 @@ def _process(database: Database, process: str, expected: bool) -> Check:
 def _heartbeats(database: Database, process: str) -> list[store.Heartbeat]:
     with database.reading() as session:
         return store.heartbeats(session, process)
+
+
+def _starting(process: str, found: list[store.Heartbeat]) -> str | None:
+    """What to say of a process that `kilterd serve` started with the server, and that has not spoken since."""
+    began = os.environ.get(BEGAN)
+    if began is None or process not in os.environ.get(BESIDE, "").split(","):
+        return None
+    since_s = time.monotonic() - float(began)
+    spoken = any(abs(one.age_s) <= max(since_s, SILENT_AFTER_S) for one in found)
+    return None if spoken or since_s > LONGEST_START_S else f"{STARTING}, for {since_s:.0f} s"
 
 
 def _alive(one: store.Heartbeat) -> bool:

@@ -31,6 +31,8 @@ class Corrector:
 
     def of(self, robot: str, active: str | None) -> Correcting:
         """Say what it does for a robot, whose active version is given."""
+        if self.detail.startswith(health.STARTING):
+            return Correcting("starting", "warn", f"The corrector {self.detail}: setpoints are not corrected yet.")
         if not self.runs:
             return Correcting("corrector stopped", "bad", f"The corrector does not run: {self.detail}.")
         if active is None:

@@ -11,6 +11,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import RedirectResponse
 
 from kilter_core.errors import CoreError
+from kilter_service.audit import refusals
 from kilter_service.db.failures import in_words
 from kilter_service.errors import PROBLEMS
 from kilter_service.page.shell import HEADERS, is_part, redirect, render, root_of
@@ -51,6 +52,8 @@ def refused(request: Request, error: CoreError | RequestValidationError) -> Resp
         code, message = "payload_invalid", "; ".join(_place(item) for item in error.errors()[:20])
     else:
         code, message = error.code, error.message
+    if code != "token_missing":  # whoever is not logged in yet is asked to, and has done nothing wrong
+        refusals.note(request, code)
     if code in LOG_IN_FIRST:
         return _to_login(request)
     status, title = PROBLEMS.get(code, UNKNOWN)

@@ -13,6 +13,7 @@ from kilter_client.corrector import StreamError
 from kilter_client.signing import LIFETIME_S, Session, from_document, on_this_machine
 
 RENEW_AT = 0.5  # of its lifetime: as much is left to outlast an outage of the API
+UNANSWERED_S = 5.0  # a corrector that is there and answers nothing for so long does not know the session's secret
 
 
 class Sessions:
@@ -25,7 +26,8 @@ class Sessions:
         self._endpoints = endpoints
         self._file = Path(found["stream_keys"]) if "stream_keys" in found else None
         self._signed = signed
-        self._renew_s = 0.0
+        self._renew_at = 0.0  # monotonic clock: the other may be set at any moment
+        self._asked_at = 0.0
 
     def first(self, given: Session | None) -> Session | None:
         """The session to begin with; None for an unsigned stream.
@@ -48,11 +50,19 @@ class Sessions:
 
     def due(self) -> bool:
         """Whether it is time for the next session."""
-        return 0.0 < self._renew_s < time.time()
+        return 0.0 < self._renew_at < time.monotonic()
 
     def expired(self) -> None:
         """Say that the corrector takes the present session no longer."""
-        self._renew_s = 1.0
+        self._renew_at = 1e-9
+
+    def unanswered(self) -> bool:
+        """Say that the corrector answers nothing; returns whether another session is worth a try again."""
+        if not 0.0 < self._asked_at < time.monotonic() - UNANSWERED_S:
+            return False
+        self._asked_at = time.monotonic()
+        self.expired()
+        return True
 
     def next(self) -> Session | None:
         """Another session; None when there is none at present, and it is tried again in a minute."""
@@ -61,8 +71,11 @@ class Sessions:
         return session
 
     def _plan(self, session: Session | None) -> None:
-        now = time.time()
-        self._renew_s = now + (60.0 if session is None else RENEW_AT * max(0.0, session.expires_s - now))
+        self._asked_at = time.monotonic()
+        left_s = 0.0 if session is None else session.expires_s - time.time()
+        if not 0.0 < left_s <= LIFETIME_S:  # the clocks of both machines differ
+            left_s = LIFETIME_S
+        self._renew_at = self._asked_at + (60.0 if session is None else RENEW_AT * left_s)
 
     def _local(self) -> Session | None:
         return on_this_machine(self._file, *self._address) if self._file else None

@@ -234,6 +234,8 @@ class CorrectedStream(Link):
         self._misses += 1
         if self._signer is not None and self._misses % _MISSES == 0:
             self._publisher.put(self._signer.greeting())  # the corrector may have been restarted
+            if self._sessions.unanswered():
+                self._ask_again.set()
 
     def _wait(self, end_ns: int) -> Answer | bytes | None:
         """The answer to the setpoint just sent; None when it does not come in time, or the corrector is gone."""
@@ -265,6 +267,9 @@ class CorrectedStream(Link):
         if answer is None:
             return
         self.statistics.refused[answer.status] += 1
+        if answer.status == "SESSION_EXPIRED":
+            self._sessions.expired()
+            self._ask_again.set()
         again = self._lost and answer.status in _LOST_FRAMES
         self._lost = answer.status in _LOST_FRAMES
         if again or answer.status in _LOST_ITS_PLACE:

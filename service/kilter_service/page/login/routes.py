@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 from fastapi import APIRouter, Form, Request, Response
 from fastapi.responses import HTMLResponse
 
+from kilter_service.audit import refusals
 from kilter_service.auth.access import caller_of
 from kilter_service.caller import ADMIN, CALLER, Caller
 from kilter_service.db import Database
@@ -44,6 +45,7 @@ def log_in(
     try:
         CALLER.set(_caller(request, database, sha256))
     except ServiceError as error:
+        refusals.note(request, error.code)
         return render(request, "login.html", 401, then=_within(then), problem=error.message)
     answer = redirect(request, root_of(request) + _within(then))
     answer.set_cookie(

@@ -1,0 +1,250 @@
+"""Where the processes of the corrector are born: a process that has imported and compiled what they need, and forks them.
+
+To import numba and to load the kernels takes a second of processor time. So it is done once for both, and a process that
+was killed is there again at once. Forked is only this process, which has no thread and no zenoh session: a fork of a
+process with a zenoh session hangs.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import multiprocessing
+import os
+import select
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import recv_handle, send_handle
+from typing import Any, NoReturn
+
+from kilter_service.corrector.specs import QuerySpec, StreamSpec, enter
+from kilter_service.errors import ServiceError
+
+log = logging.getLogger("kilter.corrector")
+
+POLL_S = 0.25
+START_S = 300.0  # the first start on a machine compiles the kernel, on a busy one for minutes
+STOP_S = 5.0
+LOOK_S = 0.005
+
+
+class StoppedError(Exception):
+    """The corrector was stopped before its processes listened."""
+
+
+class Nursery:
+    """The process that forks the others, from its first order to :meth:`stop`."""
+
+    def __init__(self) -> None:
+        self._process: BaseProcess | None = None
+        self._pipe: Connection | None = None
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process is not None and self._process.is_alive()
+
+    @property
+    def pid(self) -> int | None:
+        """Process id."""
+        return self._process.pid if self._process else None
+
+    def start(self) -> None:
+        """Start the process, if it does not run; it imports and compiles by itself."""
+        if self.alive:
+            return
+        if self._process is not None:
+            log.error("the process that starts those of the corrector ended: it is restarted")
+            self.stop()
+        context = multiprocessing.get_context("spawn")  # whoever makes the corrector may have threads
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=nursery_main, args=(theirs,), name="kilter-nursery")
+        self._process.start()
+        theirs.close()
+
+    def order(self, entry: str, spec: StreamSpec | QuerySpec) -> Connection:
+        """Order a process; returns the end of its pipe, which is closed at the other end when the process is gone."""
+        self.start()
+        assert self._pipe is not None
+        ours, theirs = multiprocessing.Pipe()
+        with theirs, suppress(OSError):  # a nursery that has just ended: nobody holds the other end
+            self._pipe.send((entry, spec))
+            send_handle(self._pipe, theirs.fileno(), self.pid)
+        return ours
+
+    def stop(self) -> None:
+        """End the process; those it forked go on."""
+        if self._process is not None and self._pipe is not None:
+            self._pipe.close()
+            self._process.kill()  # it may be compiling; it holds nothing that must be put in order
+            self._process.join()
+        self._process = self._pipe = None
+
+
+def nursery_main(orders: Connection) -> None:
+    """Entry of the nursery: fork what is ordered until nobody can order any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system buries them
+    from kilter_core.correct.program import warm_up
+    from kilter_service.corrector import fast_path, loop, queries  # noqa: F401  # the forked need not import them
+
+    warm_up()
+    fast_path.warm_up()
+    gc.collect()
+    gc.freeze()  # what is never looked at stays shared
+    with suppress(EOFError, OSError):
+        while True:
+            entry, spec = orders.recv()
+            pipe = Connection(recv_handle(orders))
+            if os.fork() == 0:
+                orders.close()
+                _live(entry, spec, pipe)
+            pipe.close()
+
+
+def _live(entry: str, spec: StreamSpec | QuerySpec, pipe: Connection) -> NoReturn:
+    """Be the process that was ordered; its pipe is open for as long as it lives."""
+    code = 1
+    try:
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        pipe.send(os.getpid())
+        enter(entry, spec, pipe)
+        code = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+class Child:
+    """A process of the corrector at the other end of a pipe."""
+
+    def __init__(self, name: str, entry: str, spec: StreamSpec | QuerySpec, nursery: Nursery) -> None:
+        self.name = name
+        self.pid: int | None = None
+        self._entry = entry
+        self._spec = spec
+        self._nursery = nursery
+        self._pipe: Connection | None = None
+        self._listens = False
+
+    def launch(self) -> None:
+        """Order the process."""
+        self._listens, self.pid = False, None
+        self._pipe = self._nursery.order(self._entry, self._spec)
+
+    def listening(self, stopped: Callable[[], bool] = lambda: False) -> tuple[str | None, bool]:
+        """Wait until the process listens; returns its endpoint, if it has one, and whether it runs in real time.
+
+        Raises:
+            ServiceError: it may not listen on its endpoint.
+            RuntimeError: it ended or did not listen in time.
+            StoppedError: ``stopped`` said so first.
+
+        """
+        try:
+            if self._comes(stopped):
+                self.pid = self._receive()
+            if self.pid is not None and self._comes(stopped):
+                verdict, endpoint, real_time = self._receive()
+                if verdict == "refused":
+                    self.stop()
+                    raise ServiceError(endpoint, code="binding_refused")
+                self._listens = True
+                if isinstance(self._spec, StreamSpec):  # after a restart it listens where its clients look for it
+                    self._spec = replace(self._spec, listen=endpoint)
+                return endpoint, bool(real_time)
+        except (EOFError, OSError):
+            pass
+        self.stop()
+        raise RuntimeError(f"The {self.name} process of the corrector did not start; its messages are above.")
+
+    def _receive(self) -> Any:
+        assert self._pipe is not None
+        return self._pipe.recv()
+
+    def _comes(self, stopped: Callable[[], bool]) -> bool:
+        """Wait for the next message; False when none came in time."""
+        assert self._pipe is not None
+        end = time.monotonic() + START_S
+        while not self._pipe.poll(POLL_S):
+            if stopped():
+                raise StoppedError
+            if time.monotonic() > end:
+                return False
+        return True
+
+    @property
+    def listens(self) -> bool:
+        """Whether the process has said that it listens."""
+        return self._listens
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs: it alone holds the other end of the pipe."""
+        if self._pipe is None:
+            return False
+        looked = select.poll()
+        looked.register(self._pipe, 0)
+        return not looked.poll(0)
+
+    def send(self, *message: Any) -> None:
+        """Tell the process something; the supervisor restarts a process that is gone."""
+        if self._pipe is not None:
+            try:
+                self._pipe.send(message)
+            except OSError:
+                log.warning("the %s process is gone", self.name)
+
+    def heard(self) -> Iterator[tuple[Any, ...]]:
+        """What the process has said since; a process that is gone says nothing."""
+        try:
+            while self._pipe is not None and self._listens and self._pipe.poll():
+                yield self._pipe.recv()
+        except (EOFError, OSError):
+            return
+
+    def stop(self) -> None:
+        """Ask the process to stop, and end it when it does not."""
+        if self._pipe is None:
+            return
+        if self._listens and self.alive:
+            self.send("stop")
+            if not self._ended(STOP_S):
+                log.warning("the %s process did not stop in %.0f s: it is killed", self.name, STOP_S)
+        if self.pid is not None and self.alive:
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
+            self._ended(STOP_S)
+        self._pipe.close()  # one that has not begun yet ends when it finds nobody there
+        self._pipe = None
+
+    def _ended(self, seconds: float) -> bool:
+        """Wait until the process is gone; False when it was not in time."""
+        end, pause = time.monotonic() + seconds, threading.Event()
+        while self.alive or _exists(self.pid):
+            if time.monotonic() > end:
+                return not self.alive
+            pause.wait(LOOK_S)
+        return True
+
+
+def _exists(pid: int | None) -> bool:
+    """Whether the system still knows a process; its pipe is closed a moment before it forgets it."""
+    if pid is None:
+        return False
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
