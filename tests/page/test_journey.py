@@ -49,12 +49,12 @@ def client(whole: Lab) -> Iterator[httpx.Client]:
 
 
 def keep(page: Page, name: str, size: str, dark: bool = False) -> None:
-    """Keep a picture of the whole page, and one in the dark."""
+    """Keep a picture of the whole page, and one in the dark; hiding the caret would leave inline styles behind."""
     PICTURES.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=PICTURES / f"{name}-{size}.png", full_page=True)
+    page.screenshot(path=PICTURES / f"{name}-{size}.png", full_page=True, caret="initial")
     if dark:
         page.emulate_media(color_scheme="dark")
-        page.screenshot(path=PICTURES / f"{name}-{size}-dark.png", full_page=True)
+        page.screenshot(path=PICTURES / f"{name}-{size}-dark.png", full_page=True, caret="initial")
         page.emulate_media(color_scheme="light")
 
 
@@ -181,7 +181,7 @@ def test_from_a_file_to_corrected_setpoints(
         page.get_by_role("button", name="Activate…").click()
         dialog = page.get_by_role("dialog")
         expect(dialog.get_by_role("button", name="Activate now")).to_be_visible(timeout=LONG_MS)
-        page.screenshot(path=PICTURES / f"14-activate-{size}.png")
+        page.screenshot(path=PICTURES / f"14-activate-{size}.png", caret="initial")
         dialog.get_by_role("button", name="Activate now").click()
         page.wait_for_url(f"**/robots/{robot}/versions", timeout=LONG_MS)
         expect(page.get_by_text("active", exact=True).first).to_be_visible()
@@ -201,7 +201,7 @@ def test_from_a_file_to_corrected_setpoints(
         dialog = page.get_by_role("dialog")
         dialog.get_by_role("button", name="Activate now").click(timeout=LONG_MS)
         expect(dialog.get_by_role("alert")).to_contain_text("It was not activated.", timeout=LONG_MS)
-        page.screenshot(path=PICTURES / f"17-activation-refused-{size}.png")
+        page.screenshot(path=PICTURES / f"17-activation-refused-{size}.png", caret="initial")
         dialog.get_by_role("button", name="Leave it as it is").click()
         assert client.get(f"/v1/robots/{robot}").json()["active_version"] == version
         page.goto(f"/robots/{robot}")
