@@ -76,8 +76,8 @@ def age(moment: datetime | None) -> str:
 def duration(seconds: float) -> str:
     """Write how long something took."""
     if seconds < 2 * MINUTE:
-        return f"{number(seconds, 2)} s"
-    return f"{seconds / MINUTE:.0f} min" if seconds < 2 * HOUR else f"{number(seconds / HOUR, 2)} h"
+        return f"{number(seconds, 2)}\u00a0s"
+    return f"{seconds / MINUTE:.0f}\u00a0min" if seconds < 2 * HOUR else f"{number(seconds / HOUR, 2)}\u00a0h"
 
 
 def moment(at: datetime | None) -> str:
