@@ -64,7 +64,7 @@ class Complaints:
 
     def __init__(self, page: Page) -> None:
         self.found: list[str] = []
-        page.on("console", lambda message: self._take(message.type, message.text))
+        page.on("console", lambda message: self._take(message.type, f"{page.url}: {message.text}"))
         page.on("pageerror", lambda error: self.found.append(str(error)))
 
     def _take(self, kind: str, text: str) -> None:

@@ -23,7 +23,7 @@ from kilter_service.db import Database
 from kilter_service.page.gap.bins import Point, binned, branches, student
 from kilter_service.page.gap.claim import GATES
 from kilter_service.settings import Settings
-from tests.service.conftest import WorkerProcess, new_database, ready, served, wait_for
+from tests.service.conftest import Katana, WorkerProcess, new_database, ready, served, wait_for
 from tests.service.test_gap import FINAL, Arm
 
 from .conftest import opened
@@ -200,11 +200,11 @@ def test_bins_hold_their_points_and_intervals() -> None:
 
 
 def test_the_next_poses_are_those_of_the_interface(hunted: Hunted) -> None:
-    answer = hunted.client.get(f"/jobs/{hunted.open['id']}/gap/next-poses.csv")
+    answer = hunted.client.get(f"/jobs/{hunted.open['id']}/poses.csv")
     assert answer.text == hunted.open["result"]["next_poses_csv"]
     assert answer.text.startswith("q1_deg,")
-    assert f"next-poses-{hunted.open['id']}.csv" in answer.headers["content-disposition"]
-    none = hunted.client.get(f"/jobs/{hunted.closed['id']}/gap/next-poses.csv")
+    assert f"poses-{hunted.open['id']}.csv" in answer.headers["content-disposition"]
+    none = hunted.client.get(f"/jobs/{hunted.closed['id']}/poses.csv")
     assert none.status_code == 400
     assert "proposes no poses" in none.text
 
@@ -226,6 +226,32 @@ def test_one_button_plans_poses_another_searches_again(hunted: Hunted) -> None:
             assert asked[field][-1] == hunted.other
             assert hunted.campaign in asked["campaigns"]
             assert (asked["options"], asked["validation"]) == (hunted.closed["options"], 0.25)
+
+
+def test_measurements_of_the_poses_lead_back_to_the_search(hunted: Hunted) -> None:
+    client, search = hunted.client, hunted.open["id"]
+    robot = f"/robots/{hunted.robot}/campaigns/new"
+    assert f'data-job="{search}"' in client.get(robot, params={"job": search}).text
+    assert client.get(robot, params={"job": "job_0000000000000000"}).status_code == 404
+    columns = Katana().columns(8, seed=4)
+    content = "\n".join(",".join(map(str, row)) for row in ([*columns], *zip(*columns.values(), strict=True)))
+    dropped = client.post(f"{robot}/file", params={"name": "next.csv", "job": search}, content=content.encode())
+    address = dropped.json()["address"]
+    sha256 = re.search(r'name="sha256" value="([0-9a-f]{64})"', client.get(address).text)
+    assert sha256
+    stored = client.post(f"{address}/store", data={"sha256": sha256[1], "name": "next"})
+    assert stored.headers["location"].endswith(f"?job={search}")
+    again = client.get(f"/campaigns/{hunted.other}", params={"job": search}).text
+    assert f'hx-post="/jobs/{search}/gap/again"' in again
+    assert "Search again with this campaign" in again
+    assert "uses this campaign already" in client.get(f"/campaigns/{hunted.campaign}", params={"job": search}).text
+    plan = client.post(f"/jobs/{search}/gap/plan", headers={"HX-Request": "true"}).headers["hx-redirect"]
+    planned = client.get(f"/campaigns/{hunted.other}", params={"job": plan.rpartition("/")[2]}).text
+    assert f'hx-post="/jobs/{search}/gap/again"' in planned
+    client.post("/v1/robots", json={"name": "elsewhere", "convention": "preset", "preset": "katana450-chapter5"})
+    refused = client.get("/robots/elsewhere/campaigns/new", params={"job": search})
+    assert refused.status_code == 400
+    assert "leave it out of the address" in refused.text
 
 
 def test_changes_are_refused_where_they_arise(hunted: Hunted) -> None:
@@ -254,9 +280,10 @@ def test_other_jobs_have_no_story(hunted: Hunted) -> None:
     assert client.get("/jobs/job_0000000000000000").status_code == 404
     body = {"kind": "plan", "robot": hunted.robot, "options": {"purpose": "iso9283"}}
     plan = client.post("/v1/jobs", json=body).raise_for_status().json()["id"]
-    refused = client.get(f"/jobs/{plan}/gap/next-poses.csv")
+    refused = client.post(f"/jobs/{plan}/gap/plan")
     assert refused.status_code == 400
     assert "is not a gap search" in refused.text
+    assert "proposes no poses" in client.get(f"/jobs/{plan}/poses.csv").text
 
 
 def test_what_people_named_is_escaped(hunted: Hunted) -> None:

@@ -117,6 +117,47 @@ def test_run_takes_what_was_checked_and_nothing_else(server: httpx.Client, campa
     assert server.get(f"/v1{address}").json()["state"] == "cancelled"
 
 
+def test_a_waiting_job_says_its_place_and_again_is_as_it_was_asked(server: httpx.Client, campaign: str) -> None:
+    def ask(kind: str, **more: Any) -> str:
+        job = {"kind": kind, "robot": ROBOT, "campaigns": [campaign], **more}
+        return str(server.post("/v1/jobs", json=job).raise_for_status().json()["id"])
+
+    gap = ask("gap")  # a queue of its own
+    options = {"effects": ["axial_compliance"], "noise_mm": 0.02, "tilt_first": True}
+    jobs = [ask("identify"), ask("identify", validation={"folds": 4}, options=options)]
+    for job, said in (
+        (gap, "It is the next one."),
+        (jobs[0], "It is the next one."),
+        (jobs[1], "1 job waits before it."),
+    ):
+        assert said in server.get(f"/jobs/{job}").text
+    assert "1 before it" in server.get(f"{JOBS}?kind=plan").text
+    address = html.unescape(re.findall(rf'href="({JOBS}\?[^"]+)"', server.get(f"/jobs/{jobs[1]}").text)[0])
+    form = server.get(address).text
+    assert '<option value="folds" selected>' in form
+    for value in ("4", "axial_compliance", "0.02"):
+        assert f'value="{value}"' in form
+    assert "<option selected>true</option>" in form
+    for job in (gap, *jobs):
+        server.post(f"/v1/jobs/{job}/cancel").raise_for_status()
+    assert "before it began" in server.get(f"/jobs/{gap}").text
+
+
+def test_campaigns_are_preset_by_what_they_are_meant_for(server: httpx.Client, campaign: str) -> None:
+    made = server.post(f"/v1/robots/{ROBOT}/campaigns", json={"name": "judge", "role": "validation"}).json()["id"]
+    server.post(f"/v1/campaigns/{made}/observations", json=Katana().columns(12, seed=60)).raise_for_status()
+
+    def preset(address: str, one: str) -> str:
+        chosen = server.get(address).text.partition(f'name="use.{one}"')[2].partition("</select>")[0]
+        return next(iter(re.findall(r'value="(\w*)" selected', chosen)), "")
+
+    assert [preset(f"{JOBS}?kind={kind}", made) for kind in ("identify", "gap", "evaluate", "plan")] == [
+        "validation", "validation", "train", "",
+    ]  # fmt: skip
+    assert preset(JOBS, campaign) == "train"
+    assert preset(f"{JOBS}?campaigns={campaign}", made) == ""  # the address says all that is used
+
+
 def test_a_check_is_over_when_its_campaign_has_more_rows(server: httpx.Client) -> None:
     arm = Katana()
     grown = arm.campaign(server, 40, seed=7)

@@ -1,11 +1,12 @@
 """The whole way on a real `kilterd serve`, at desktop and tablet size; the pictures stay in build/page-screenshots.
 
-The part that is joined up so far: log in, a robot that is added over HTTP, a version, the live stream with a real
-controller, and what goes wrong on the way. The views of campaigns, jobs and versions come in between as they are merged.
+From a file of an instrument to corrected setpoints, and from a search to the poses that it asks for, by clicks; with what
+goes wrong on the way.
 """
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -14,17 +15,23 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.page.conftest import opened
+from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.twin import thesis_katana
+from tests.page.conftest import log_in, opened
 from tests.page.controlling import Controller
 from tests.service.conftest import wait_for
+from tests.service.test_gap import QUICK, Arm
 from tests.service.test_serve import children
+from tools.demo import NOISE_MM, PRESET, STAGES
 from tools.page_lab import Lab, lab
 
 pytestmark = pytest.mark.slow
 PICTURES = Path(__file__).parents[2] / "build" / "page-screenshots"
+LONG_MS = 120_000  # what computes, on a machine that does other things too
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +48,230 @@ def client(whole: Lab) -> Iterator[httpx.Client]:
         yield client
 
 
-def keep(page: Page, name: str, size: str) -> None:
-    """Keep a picture of the whole page."""
+def keep(page: Page, name: str, size: str, dark: bool = False) -> None:
+    """Keep a picture of the whole page, and one in the dark; hiding the caret would leave inline styles behind."""
     PICTURES.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=PICTURES / f"{name}-{size}.png", full_page=True)
+    page.screenshot(path=PICTURES / f"{name}-{size}.png", full_page=True, caret="initial")
+    if dark:
+        page.emulate_media(color_scheme="dark")
+        page.screenshot(path=PICTURES / f"{name}-{size}-dark.png", full_page=True, caret="initial")
+        page.emulate_media(color_scheme="light")
+
+
+def tracker_file(file: Path, poses: int, seed: int, names: tuple[str, ...] = ("u", "v", "w")) -> Path:
+    """Write a file as a lab has it: what a tracker saw beside the joint log, semicolons and decimal commas."""
+    twin = thesis_katana(PRESET)
+    seen = twin.observe(iso_poses(twin.robot, poses, seed), noise_m=NOISE_MM / 1000.0, seed=seed)
+    assert seen.position is not None
+    with file.open("w", newline="", encoding="utf-8") as out:
+        rows = csv.writer(out, delimiter=";")
+        rows.writerow(
+            ["Frame", *(f"A{joint + 1} [deg]" for joint in range(seen.q.shape[1])), *(f"{n} [mm]" for n in names)]
+        )
+        for frame, row in enumerate(np.hstack([np.degrees(seen.q), 1e3 * seen.position]), 1):
+            rows.writerow([frame, *(f"{value:.6f}".replace(".", ",") for value in row)])
+    return file
+
+
+def drop(page: Page, file: Path) -> None:
+    """Choose a file and wait until it was read."""
+    page.locator("#file").set_input_files(file)
+    page.wait_for_url(re.compile(r"/campaigns/new/[0-9a-f]+"))
+
+
+def checked(page: Page) -> None:
+    """Press Check and wait until Run is possible."""
+    page.get_by_role("button", name="Check").click()
+    expect(page.get_by_text("The check has passed.")).to_be_visible(timeout=LONG_MS)
+    expect(page.get_by_role("button", name="Run")).to_be_enabled()
+
+
+def finished(page: Page) -> None:
+    """Wait until the job on the page has succeeded."""
+    expect(page.locator("h1 .badge")).to_have_text("succeeded", timeout=LONG_MS)
+
+
+def identified(page: Page, robot: str, effects: str) -> None:
+    """Identify with the campaigns that are preset, and go to the version."""
+    page.goto(f"/robots/{robot}/jobs")
+    page.locator("#option-effects").fill(effects)
+    checked(page)
+    page.get_by_role("button", name="Run").click()
+    page.wait_for_url("**/jobs/job_*")
+    finished(page)
+    page.get_by_role("link", name="Version, and activating it").click()
+    page.wait_for_url("**/versions/ver_*")
+
+
+@pytest.mark.parametrize("size", ["desktop", "tablet"])
+def test_from_a_file_to_corrected_setpoints(
+    chromium: Browser, whole: Lab, client: httpx.Client, tmp_path: Path, size: str
+) -> None:
+    robot = f"lab-{size}"
+    document = {"name": robot, "convention": "preset", "preset": PRESET}
+    client.post("/v1/robots", json=document).raise_for_status()
+    with opened(chromium, client, size, token=False) as page:
+        page.goto("/login")
+        keep(page, "01-login", size, dark=True)
+        log_in(page, whole.token)
+        page.get_by_role("link", name=robot).first.click()
+        page.wait_for_url(f"**/robots/{robot}")
+        keep(page, "02-robot-new", size)
+        page.get_by_role("navigation", name=f"Robot {robot}").get_by_role("link", name="Campaigns").click()
+        page.get_by_role("link", name="New campaign").click()
+        keep(page, "03-drop", size)
+
+        odd = tmp_path / "tracker.xyz"
+        odd.write_bytes(bytes(range(256)) * 40)
+        drop(page, odd)
+        expect(page.get_by_role("alert")).to_contain_text("tracker.xyz")
+        keep(page, "04-drop-unreadable", size)
+        page.get_by_role("button", name="Discard this file").click()
+        page.wait_for_url("**/campaigns/new")
+
+        drop(page, tracker_file(tmp_path / "monday.csv", 118, 1))
+        expect(page.get_by_text("Not understood yet.")).to_be_visible()
+        keep(page, "05-drop-open", size)
+        for name, axis in zip("uvw", "xyz", strict=True):
+            field = page.get_by_label(f"What {name} [mm] is", exact=True)
+            with page.expect_response("**/columns"):
+                field.select_option(axis)
+        expect(page.get_by_text("Understood.", exact=True)).to_be_visible(timeout=15_000)
+        expect(page.get_by_text("118 rows at 118 poses").first).to_be_visible()
+        page.get_by_label("Measured with").fill("tracker")
+        keep(page, "06-drop-understood", size, dark=True)
+        page.get_by_role("button", name="Store").click()
+        page.wait_for_url("**/campaigns/cmp_*")
+        keep(page, "07-campaign", size, dark=True)
+
+        page.goto(f"/robots/{robot}/campaigns/new")
+        drop(page, tracker_file(tmp_path / "tuesday.csv", 40, 2, ("X", "Y", "Z")))
+        page.get_by_label("Meant for").select_option("validation")
+        page.get_by_role("button", name="Store").click()
+        page.wait_for_url("**/campaigns/cmp_*")
+        page.get_by_role("link", name="Identify or search").click()
+
+        run = page.get_by_role("button", name="Run")
+        expect(page.get_by_label("Use of monday")).to_have_value("train")
+        expect(page.get_by_label("Use of tuesday")).to_have_value("validation")
+        expect(run).to_be_disabled()
+        keep(page, "08-form", size, dark=True)
+        page.get_by_label("Use of monday").select_option("")
+        page.get_by_role("button", name="Check").click()
+        expect(page.locator("#check").get_by_role("alert")).to_contain_text("names no campaign")
+        expect(run).to_be_disabled()
+        keep(page, "09-check-refused", size)
+        page.get_by_label("Use of monday").select_option("train")
+        page.locator("#option-effects").fill(", ".join(STAGES["full tilting"]))
+        page.locator("#job-name").fill(f"tilting-{size}")
+        checked(page)
+        keep(page, "10-check-passed", size)
+        run.click()
+        page.wait_for_url("**/jobs/job_*")
+        keep(page, "11-job", size)
+        finished(page)
+        page.wait_for_load_state("networkidle")
+        keep(page, "12-identified", size, dark=True)
+
+        page.get_by_role("link", name="Version, and activating it").click()
+        page.wait_for_url("**/versions/ver_*")
+        version = page.url.rpartition("/")[2]
+        page.wait_for_load_state("networkidle")
+        keep(page, "13-version", size, dark=True)
+        page.get_by_role("button", name="Activate…").click()
+        dialog = page.get_by_role("dialog")
+        expect(dialog.get_by_role("button", name="Activate now")).to_be_visible(timeout=LONG_MS)
+        page.screenshot(path=PICTURES / f"14-activate-{size}.png", caret="initial")
+        dialog.get_by_role("button", name="Activate now").click()
+        page.wait_for_url(f"**/robots/{robot}/versions", timeout=LONG_MS)
+        expect(page.get_by_text("active", exact=True).first).to_be_visible()
+        keep(page, "15-versions", size)
+
+        page.get_by_role("navigation", name=f"Robot {robot}").get_by_role("link", name="Stream").click()
+        expect(page.locator('[data-live="active"]')).to_contain_text(version, timeout=15_000)
+        with Controller(whole.server.data, robot, size) as controller:
+            section = page.locator(f'.stream[data-name="{size}"]')
+            expect(section.locator('[data-field="condition"]')).to_have_text("corrected", timeout=15_000)
+            wait_for(lambda: controller.last is not None and controller.last.source == "corrected")
+            page.wait_for_timeout(3000)
+            keep(page, "16-stream", size, dark=True)
+
+        identified(page, robot, "")
+        page.get_by_role("button", name="Activate…").click()
+        dialog = page.get_by_role("dialog")
+        dialog.get_by_role("button", name="Activate now").click(timeout=LONG_MS)
+        expect(dialog.get_by_role("alert")).to_contain_text("It was not activated.", timeout=LONG_MS)
+        page.screenshot(path=PICTURES / f"17-activation-refused-{size}.png", caret="initial")
+        dialog.get_by_role("button", name="Leave it as it is").click()
+        assert client.get(f"/v1/robots/{robot}").json()["active_version"] == version
+        page.goto(f"/robots/{robot}")
+        page.wait_for_load_state("networkidle")
+        keep(page, "18-robot", size)
+
+
+@pytest.fixture(scope="module")
+def arm(client: httpx.Client) -> Arm:
+    """A robot with a hidden effect, and a campaign of it."""
+    made = Arm(client)
+    made.upload()
+    return made
+
+
+@pytest.mark.parametrize("size", ["desktop", "tablet"])
+def test_a_search_its_story_and_what_it_asks_for(
+    chromium: Browser, whole: Lab, client: httpx.Client, arm: Arm, tmp_path: Path, size: str
+) -> None:
+    with opened(chromium, client, size) as page:
+        page.goto(f"/robots/{arm.name}/jobs")
+        page.get_by_role("link", name="Search for what is missing").click()
+        page.get_by_text("All other options").click()
+        for name, value in QUICK.items():
+            page.locator(f"#option-{name}").fill(", ".join(value) if isinstance(value, list) else str(value))
+        checked(page)
+        keep(page, "20-search-checked", size)
+        page.get_by_role("button", name="Run").click()
+        page.wait_for_url("**/jobs/job_*")
+        expect(page.get_by_role("heading", name="Computing")).to_be_visible(timeout=LONG_MS)
+        expect(page.locator("#place")).to_contain_text("computes it")
+        first = page.url
+        keep(page, "21-searching", size)
+        page.get_by_role("button", name="Cancel").click()
+        expect(page.locator("h1 .badge")).to_have_text("cancelled", timeout=15_000)
+        keep(page, "22-cancelled", size)
+        page.get_by_role("link", name="Again, with changes").click()
+        checked(page)
+        page.get_by_role("button", name="Run").click()
+        page.wait_for_url(lambda address: "/jobs/job_" in address and address != first)
+        finished(page)
+        search = page.url.rpartition("/")[2]
+        keep(page, "23-story", size, dark=True)
+        page.goto(f"/jobs/{search}/report")
+        keep(page, "24-report", size)
+
+        page.goto(f"/jobs/{search}")
+        with page.expect_download() as poses:
+            page.get_by_role("link", name="Download these poses").click()
+        assert poses.value.suggested_filename == f"poses-{search}.csv"
+        page.get_by_role("link", name="Drop their measurements here").click()
+        keep(page, "25-drop-for-search", size)
+        few = tmp_path / "next.csv"
+        with few.open("w", newline="", encoding="utf-8") as out:
+            rows = csv.writer(out)
+            rows.writerow(arm.columns)
+            rows.writerows(list(zip(*arm.columns.values(), strict=True))[: 12 + len(size)])
+        drop(page, few)
+        page.get_by_label("Name", exact=True).fill(f"next-{size}")
+        page.get_by_role("button", name="Store").click()
+        page.wait_for_url(f"**/campaigns/cmp_*?job={search}")
+        keep(page, "26-campaign-of-search", size)
+        page.get_by_role("button", name="Search again with this campaign").click()
+        page.wait_for_url("**/jobs/job_*")
+        asked = client.get(f"/v1/jobs/{page.url.rpartition('/')[2]}").json()
+        assert len(asked["campaigns"]) == 1 + len(client.get(f"/v1/jobs/{search}").json()["campaigns"])
+        page.get_by_role("button", name="Cancel").click()
+        expect(page.locator("h1 .badge")).to_have_text("cancelled", timeout=15_000)
+        page.goto("/jobs")
+        keep(page, "27-jobs", size, dark=True)
 
 
 @pytest.mark.parametrize("size", ["desktop", "tablet"])

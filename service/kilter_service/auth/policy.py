@@ -155,7 +155,6 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /jobs/{job}/report.pdf": READ_COMPUTED.timed(LATER),
     "GET /jobs": READ,
     "GET /audit": SERVER,
-    "GET /jobs/{job}/gap/next-poses.csv": READ,
     "POST /jobs/{job}/gap/plan": OPERATE,
     "POST /jobs/{job}/gap/again": OPERATE,
     "GET /robots/{robot}/jobs": READ,

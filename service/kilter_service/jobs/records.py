@@ -66,6 +66,17 @@ class ProgressRecord(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Place:
+    """Where a job stands that is not over: how many of its queue begin before it, and the worker that runs it.
+
+    ``worker`` is empty while it waits.
+    """
+
+    before: int
+    worker: str
+
+
+@dataclass(frozen=True)
 class Asked:
     """Which request asked for a job, and where that was in a trace; empty where nobody said."""
 

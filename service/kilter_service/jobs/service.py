@@ -10,7 +10,7 @@ from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.jobs import store, wire
 from kilter_service.jobs.kind import JobKind
-from kilter_service.jobs.records import Asked
+from kilter_service.jobs.records import Asked, Place
 from kilter_service.jobs.registry import kind_of
 from kilter_service.observability import logs, tracing
 from kilter_service.once.key import NOT_REPEATED, Once, hash_of
@@ -144,6 +144,12 @@ def listed(database: Database, robot: str | None, page: Page) -> JobList:
         found = store.listed(session, robot, page)
     shown, cursor = page.cut(found, lambda job: in_time(job.created_at, job.id))
     return JobList(jobs=[wire.summary(job) for job in shown], next=cursor)
+
+
+def places(database: Database) -> dict[str, Place]:
+    """Return where the jobs stand that are not over, by their ids."""
+    with database.reading() as session:
+        return store.places(session)
 
 
 def cancel(database: Database, job_id: str) -> Job:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -14,12 +15,12 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL, NewJob
 from kilter_service.contract.versions import Objection
 from kilter_service.db import Session
-from kilter_service.db.tables import JobRow, RobotRow, VersionRow, now
+from kilter_service.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow, now
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.durations import PastRun
 from kilter_service.jobs.kind import JobInput, JobKind, VersionContent
 from kilter_service.jobs.plotly_figures.layout import captioned
-from kilter_service.jobs.records import Asked, JobRecord, JobRequest, ProgressRecord, UsedRecord
+from kilter_service.jobs.records import Asked, JobRecord, JobRequest, Place, ProgressRecord, UsedRecord
 from kilter_service.jobs.refusals import read_options
 from kilter_service.jobs.registry import kind_of
 from kilter_service.paging import Page
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 NOBODY = Asked()
 MOST_PAST = 20  # earlier jobs that tell how long one takes
+MOST_PLACES = 1000  # jobs that are not over whose place is told
 
 
 def add(session: Session, robot_id: int, job: NewJob, asked: Asked = NOBODY) -> str:
@@ -78,6 +80,19 @@ def progress(session: Session, job_ids: Sequence[str]) -> list[ProgressRecord]:
     row = JobRow
     found = session.execute(select(row.id, row.state, row.fraction, row.stage).where(row.id.in_(job_ids)))
     return [ProgressRecord(*one) for one in found]
+
+
+def places(session: Session) -> dict[str, Place]:
+    """Return where the oldest jobs stand that are not over, by their ids, in the order in which workers take them."""
+    row = JobRow
+    query = select(row.id, row.kind, row.state, row.worker).where(NOT_OVER).order_by(row.created_at, row.id)
+    waiting: Counter[str] = Counter()
+    found = {}
+    for job, kind, state, worker in session.execute(query.limit(MOST_PLACES)):
+        queue = kind_of(kind).queue
+        found[job] = Place(0, worker) if state == "running" else Place(waiting[queue], "")
+        waiting[queue] += state == "queued"
+    return found
 
 
 def listed(session: Session, robot: str | None, page: Page) -> list[JobRecord]:

@@ -73,6 +73,13 @@ def age(moment: datetime | None) -> str:
     return "just now"
 
 
+def duration(seconds: float) -> str:
+    """Write how long something took."""
+    if seconds < 2 * MINUTE:
+        return f"{number(seconds, 2)}\u00a0s"
+    return f"{seconds / MINUTE:.0f}\u00a0min" if seconds < 2 * HOUR else f"{number(seconds / HOUR, 2)}\u00a0h"
+
+
 def moment(at: datetime | None) -> str:
     """Write a time in UTC, to the minute."""
     return NONE if at is None else f"{at:%Y-%m-%d %H:%M} UTC"
@@ -90,5 +97,5 @@ def count(value: int | None) -> str:
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
     "number": number, "mm": mm, "age": age, "moment": moment, "percent": percent, "count": count,
-    "measured": measured, "between": between,
+    "measured": measured, "between": between, "duration": duration,
 }  # fmt: skip

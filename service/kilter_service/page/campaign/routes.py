@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse, JSONResponse
 from kilter_service.auth.access import Admin
 from kilter_service.campaigns import keeping
 from kilter_service.contract.references import Change
+from kilter_service.page import proposing
 from kilter_service.page.campaign import service
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import redirect, render, root_of
@@ -29,9 +30,12 @@ def listed(robot: str, request: Request, database: DatabaseOfApp, retired: bool 
 
 
 @router.get("/campaigns/{campaign}")
-def one(campaign: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
-    """Show a campaign."""
-    return render(request, "campaign/one.html", shown=service.shown(database, campaign))
+def one(
+    campaign: str, request: Request, database: DatabaseOfApp, job: Annotated[str, Query(max_length=100)] = ""
+) -> HTMLResponse:
+    """Show a campaign; ``job`` proposed its poses."""
+    shown = service.shown(database, campaign)
+    return render(request, "campaign/one.html", shown=shown, proposing=proposing.of(database, shown.campaign, job))
 
 
 @router.get("/campaigns/{campaign}/series.json")

@@ -26,7 +26,10 @@ _ODD = re.compile(r"[^\w.+() -]", re.ASCII)
 
 @dataclass
 class Draft:
-    """A dropped file: whose it is, how it is read, what was understood, and the campaign that it became."""
+    """A dropped file: whose it is, how it is read, what was understood, and the campaign that it became.
+
+    ``job`` is the one that proposed its poses, where the browser said so.
+    """
 
     id: str
     robot: str
@@ -39,6 +42,7 @@ class Draft:
     facts: Facts | None = None
     refusal: str = ""
     campaign: str = ""
+    job: str = ""
     used: float = field(default_factory=time.monotonic)
     turn: threading.Lock = field(default_factory=threading.Lock)
 
@@ -66,13 +70,13 @@ class Drafts:
         self._kept: dict[str, Draft] = {}
         self._lock = threading.Lock()
 
-    def new(self, robot: str, owner: str, name: str) -> Draft:
+    def new(self, robot: str, owner: str, name: str, job: str = "") -> Draft:
         """Make room for a file."""
         with self._lock:
             self._forget(owner)
             identity = secrets.token_hex(12)
             folder = private_folder(private_folder(self._folder) / identity)
-            draft = Draft(identity, robot, owner, plain_name(name), folder)
+            draft = Draft(identity, robot, owner, plain_name(name), folder, job=job)
             self._kept[identity] = draft
         return draft
 

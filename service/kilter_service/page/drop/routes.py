@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from typing import Annotated
+from urllib.parse import urlencode
 
-from fastapi import APIRouter, Form, Request, Response
+from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse
 
@@ -12,6 +13,7 @@ from kilter_service.auth.access import caller_of
 from kilter_service.bodies import spool_upload
 from kilter_service.errors import ServiceError
 from kilter_service.logins import service as logins
+from kilter_service.page import proposing
 from kilter_service.page.drop import reading, service
 from kilter_service.page.drop.drafts import Draft, Drafts
 from kilter_service.page.measured import seen
@@ -27,23 +29,31 @@ BODY = {"requestBody": {"required": True}}  # the endpoint receives the file its
 Text = Annotated[str, Form(max_length=20_000)]
 UNDERSTOOD = "drop/understood.html"
 Short = Annotated[str, Form(max_length=200)]
+JobId = Annotated[str, Query(max_length=100)]
 Texts = Annotated[list[str], Form(max_length=1000)]
 
 
 @router.get("/robots/{robot}/campaigns/new")
-def empty(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
-    """Show where to drop a file."""
-    return render(request, "drop/new.html", robot=robots.get(database, robot).name)
+def empty(robot: str, request: Request, database: DatabaseOfApp, job: JobId = "") -> HTMLResponse:
+    """Show where to drop a file: any, or what was measured at the poses that a job proposes."""
+    name = robots.get(database, robot).name
+    return render(request, "drop/new.html", robot=name, job=proposing.job_of(database, name, job))
 
 
 @router.post("/robots/{robot}/campaigns/new/file", openapi_extra=BODY)
 async def dropped(
-    robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, name: str = ""
+    robot: str,
+    request: Request,
+    database: DatabaseOfApp,
+    settings: SettingsOfApp,
+    name: str = "",
+    job: JobId = "",
 ) -> Response:
     """Take a file and read it; nothing is stored."""
     await run_in_threadpool(robots.get, database, robot)
+    await run_in_threadpool(proposing.job_of, database, robot, job)
     drafts = _drafts(request)
-    draft = drafts.new(robot, _owner(request), name[:500])
+    draft = drafts.new(robot, _owner(request), name[:500], job)
     try:
         draft.file_sha256 = await spool_upload(request, draft.file, settings.max_upload_mb)
         await compute(request, reading.read, database, draft)
@@ -115,14 +125,15 @@ async def store(
         "conditions": conditions,
     }
     stored = await compute(request, service.store, database, found, campaign, sha256)
-    return redirect(request, f"{root_of(request)}/campaigns/{stored.id}")
+    return redirect(request, f"{root_of(request)}/campaigns/{stored.id}{_after(found)}")
 
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/discard")
 def discard(robot: str, draft: str, request: Request) -> Response:
     """Forget a file."""
-    _drafts(request).discard(_draft(request, robot, draft))
-    return redirect(request, f"{root_of(request)}/robots/{robot}/campaigns/new")
+    found = _draft(request, robot, draft)
+    _drafts(request).discard(found)
+    return redirect(request, f"{root_of(request)}/robots/{robot}/campaigns/new{_after(found)}")
 
 
 async def _anew(request: Request, database: DatabaseOfApp, draft: Draft) -> HTMLResponse:
@@ -137,6 +148,10 @@ def _shown(request: Request, database: DatabaseOfApp, draft: Draft, template: st
         request, template, robot=draft.robot, draft=draft, found=draft.understood, seen=shown, ways=service.ways(),
         problem=problem, here=_place(request, draft), **service.form_of(draft, kinds),
     )  # fmt: skip
+
+
+def _after(draft: Draft) -> str:
+    return f"?{urlencode({'job': draft.job})}" if draft.job else ""
 
 
 def _place(request: Request, draft: Draft) -> str:

@@ -13,21 +13,6 @@ from kilter_service.jobs import service as jobs
 Use = Literal["rows", "confirmation"]
 
 
-def csv_of(job: GapJob) -> str:
-    """Return the poses to measure next as a file.
-
-    Raises:
-        ServiceError: the search proposes none.
-
-    """
-    poses = job.result.next_poses_csv if job.result is not None else None
-    if not poses:
-        raise ServiceError(
-            f"Job {job.id} proposes no poses: plan some with a plan job.", code="option_invalid", job=job.id
-        )
-    return poses
-
-
 def plan(database: Database, job: GapJob) -> Job:
     """Queue a plan of poses: those that tell apart what is undecided, else those that show what was named best."""
     result = job.result

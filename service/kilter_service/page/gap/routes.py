@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response
-from fastapi.responses import PlainTextResponse
 
 from kilter_service.auth.access import Admin
 from kilter_service.page.gap import next_steps, service
@@ -14,14 +13,6 @@ from kilter_service.page.shell import redirect, root_of
 from kilter_service.state import DatabaseOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
-
-
-@router.get("/jobs/{job}/gap/next-poses.csv")
-def next_poses(job: str, database: DatabaseOfApp) -> Response:
-    """Download the poses to measure next."""
-    found = service.job_of(database, job)
-    named = {"Content-Disposition": f'attachment; filename="next-poses-{found.id}.csv"'}
-    return PlainTextResponse(next_steps.csv_of(found), media_type="text/csv", headers=named)
 
 
 @router.post("/jobs/{job}/gap/plan")

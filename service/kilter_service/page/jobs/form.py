@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any
+from urllib.parse import urlencode
 
 from fastapi.exceptions import RequestValidationError
 from pydantic import TypeAdapter, ValidationError
 
-from kilter_service.contract.jobs.job import NewJob
+from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.jobs.job import Folds, Job, NewJob
 from kilter_service.errors import ServiceError
 from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.jobs.registry import kind_of
@@ -18,6 +20,12 @@ from kilter_service.page.jobs import options
 NEW_JOB: TypeAdapter[NewJob] = TypeAdapter(NewJob)
 USE = "use."
 USES = {"train": "campaigns", "validation": "validation", "confirmation": "confirmation"}
+BY_ROLE: Mapping[str, Mapping[str, str]] = {
+    "identify": {"train": "train", "validation": "validation"},
+    "gap": {"train": "train", "validation": "validation", "confirmation": "confirmation"},
+    "evaluate": {"validation": "train"},
+    "plan": {"train": "train"},
+}  # of a kind of job: what a campaign is used for that is meant for something
 
 
 def job_of(robot: str, typed: Mapping[str, str]) -> NewJob:
@@ -74,3 +82,31 @@ def _part(typed: Mapping[str, str]) -> dict[str, Any] | float | None:
 def uses(chosen: Mapping[str, Sequence[str]]) -> dict[str, str]:
     """Return what each campaign is preset for, by its id: an address may name campaigns by their use."""
     return {campaign: use for use, field in USES.items() for campaign in chosen.get(field, ())}
+
+
+def by_role(kind: str, campaigns: Sequence[Campaign]) -> dict[str, str]:
+    """Return what each campaign is preset for by what it is meant for, where the address names none."""
+    wanted = BY_ROLE.get(kind, {})
+    whole = [one for one in campaigns if one.rows and not one.staged]
+    return {one.id: wanted[one.role] for one in whole if one.role in wanted}
+
+
+def address_of(job: Job) -> str:
+    """Return the query of the address that fills the form as a job was asked for."""
+    held = job.validation
+    asked: list[tuple[str, Any]] = [("kind", job.kind), *(("campaigns", one) for one in job.campaigns)]
+    if isinstance(held, list):
+        asked += [("validation", one) for one in held]
+    elif held is not None:
+        how, much = ("folds", held.folds) if isinstance(held, Folds) else ("fraction", held)
+        asked += [("held_out", how), ("held_out_value", much)]
+    asked += [("confirmation", one) for one in job.confirmation]
+    given = job.options.model_dump(mode="json", exclude_unset=True)
+    return urlencode(asked + [(name, _written(value)) for name, value in given.items() if value is not None])
+
+
+def _written(value: Any) -> str:
+    """Write an option as its field takes it."""
+    if isinstance(value, list) and all(isinstance(one, str) for one in value):
+        return ", ".join(value)
+    return value if isinstance(value, str) else json.dumps(value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from kilter_service.contract.jobs.job import Job, PlanJob
+from kilter_service.contract.jobs.job import GapJob, Job, PlanJob
 from kilter_service.contract.jobs.plan import PlanResult
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
@@ -46,13 +46,19 @@ def _is_joint(name: str) -> bool:
 
 
 def csv_of(job: Job) -> str:
-    """Return the poses as a file.
+    """Return the poses that a plan or a search proposes as a file.
 
     Raises:
-        ServiceError: the job made no plan.
+        ServiceError: the job proposes none.
 
     """
-    poses = job.result.csv if isinstance(job, PlanJob) and job.result is not None else None
+    poses = None
+    if isinstance(job, PlanJob) and job.result is not None:
+        poses = job.result.csv
+    elif isinstance(job, GapJob) and job.result is not None:
+        poses = job.result.next_poses_csv
     if not poses:
-        raise ServiceError(f"Job {job.id} has planned no poses.", code="option_invalid", job=job.id)
+        raise ServiceError(
+            f"Job {job.id} proposes no poses: plan some with a plan job.", code="option_invalid", job=job.id
+        )
     return poses

@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse, PlainTextResponse
 from kilter_service.auth.access import Admin
 from kilter_service.jobs import service as jobs
 from kilter_service.page.jobs import form, planned, service
+from kilter_service.page.listed_jobs import KINDS
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.state import DatabaseOfApp
@@ -52,14 +53,17 @@ def run(robot: str, request: Request, database: DatabaseOfApp, texts: Typed, _: 
 def shown(job: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show a job: how far it is, why it failed, or what came out."""
     found, template, filled = service.shown(database, job)
-    return render(request, "jobs/job.html", job=found, part=template, kinds=service.KINDS, **filled)
+    return render(
+        request, "jobs/job.html", job=found, part=template, kinds=KINDS, again=form.address_of(found), **filled
+    )
 
 
 @router.get("/jobs/{job}/poses.csv")
 def poses(job: str, database: DatabaseOfApp) -> Response:
-    """Download the poses of a plan."""
-    named = {"Content-Disposition": 'attachment; filename="poses.csv"'}
-    return PlainTextResponse(planned.csv_of(jobs.get(database, job)), media_type="text/csv", headers=named)
+    """Download the poses that a plan or a search proposes."""
+    found = jobs.get(database, job)
+    named = {"Content-Disposition": f'attachment; filename="poses-{found.id}.csv"'}
+    return PlainTextResponse(planned.csv_of(found), media_type="text/csv", headers=named)
 
 
 @router.post("/jobs/{job}/cancel")

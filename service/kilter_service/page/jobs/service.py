@@ -7,30 +7,19 @@ from typing import Any
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.jobs.check import JobCheck
-from kilter_service.contract.jobs.job import Job, JobSummary, NewJob
+from kilter_service.contract.jobs.job import Job, NewJob
 from kilter_service.db import Database
 from kilter_service.jobs import checking
 from kilter_service.jobs import service as jobs
 from kilter_service.jobs.registry import kind_of
 from kilter_service.page.jobs import form, options, seal
 from kilter_service.page.jobs.results import result_of
+from kilter_service.page.listed_jobs import KINDS, listed
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 
-KINDS: Mapping[str, str] = {
-    "identify": "Identify parameters",
-    "gap": "Search for what is missing",
-    "evaluate": "Evaluate a version",
-    "plan": "Plan poses",
-    "joint_parameters": "Measure joints",
-}
 MOST_JOBS = 50
 CAMPAIGNS_USED = ("campaigns", "validation", "confirmation")
-
-
-def listed(database: Database, robot: str | None) -> list[JobSummary]:
-    """Return the newest jobs."""
-    return jobs.listed(database, robot, Page(limit=MOST_JOBS)).jobs
 
 
 def new(database: Database, robot: str, kind: str, chosen: Mapping[str, Sequence[str]]) -> dict[str, Any]:
@@ -44,6 +33,7 @@ def new(database: Database, robot: str, kind: str, chosen: Mapping[str, Sequence
     robots.get(database, robot)
     kind_of(kind)
     usual, others = options.fields(kind)
+    found = campaigns.listed(database, robot, Page()).campaigns
     return {
         "robot": robot,
         "kind": kind,
@@ -51,10 +41,10 @@ def new(database: Database, robot: str, kind: str, chosen: Mapping[str, Sequence
         "usual": usual,
         "others": others,
         "preset": {name: values[0] for name, values in chosen.items() if values and name not in CAMPAIGNS_USED},
-        "campaigns": campaigns.listed(database, robot, Page()).campaigns,
-        "uses": form.uses(chosen),
+        "campaigns": found,
+        "uses": form.uses(chosen) or form.by_role(kind, found),
         "confirms": kind_of(kind).takes_confirmation,
-        "jobs": listed(database, robot),
+        "found": listed(database, robot, Page(limit=MOST_JOBS)),
     }
 
 
@@ -79,14 +69,8 @@ def run(database: Database, key: str, job: NewJob, given: str) -> Job:
 def shown(database: Database, job_id: str) -> tuple[Job, str, dict[str, Any]]:
     """Return a job, the template of its result (empty: there is none yet), and what fills it."""
     job = jobs.get(database, job_id)
+    names = {one.id: one.name for one in campaigns.listed(database, job.robot, Page(), with_retired=True).campaigns}
     if job.state != "succeeded" or job.result is None:
-        return job, "", {"ahead": ahead(database, job)}
+        return job, "", {"names": names, "place": jobs.places(database).get(job.id)}
     view = result_of(job.kind)
-    return job, view.template, view.shown(database, job)
-
-
-def ahead(database: Database, job: Job) -> int:
-    """Return how many of the newest jobs wait that were asked for before this one."""
-    if job.state != "queued":
-        return 0
-    return sum(other.state == "queued" and other.created_at < job.created_at for other in listed(database, None))
+    return job, view.template, {"names": names, **view.shown(database, job)}

@@ -10,7 +10,8 @@ function sendFile(form) {
     told.textContent = `Reading ${file.name} …`;
     input.disabled = true;
     try {
-      const address = `${form.dataset.sendFile}?name=${encodeURIComponent(file.name)}`;
+      const asked = new URLSearchParams({ name: file.name, job: form.dataset.job || "" });
+      const address = `${form.dataset.sendFile}?${asked}`;
       const answer = await window.kilter.send(address, { method: "POST", body: file, headers: { "HX-Request": "true", "Content-Type": "application/octet-stream" } });
       const to = answer.headers.get("HX-Redirect");
       if (to) window.location.assign(to);

@@ -31,9 +31,10 @@ function follow(place) {
   const bar = place.querySelector("progress");
   const stage = place.querySelector("[data-stage]");
   source.addEventListener("progress", (event) => {
-    const told = JSON.parse(event.data).progress;
+    const { state, progress: told } = JSON.parse(event.data);
     bar.value = told.fraction;
     stage.textContent = `${Math.round(100 * told.fraction)} % ${told.stage}`;
+    if (state !== place.dataset.state) window.location.reload(); // a worker took it, or gave it back
   });
   source.addEventListener("end", () => {
     source.close();

@@ -35,7 +35,7 @@ function start(form) {
   }
 
   function draw(found) {
-    const ink = getComputedStyle(document.body).color;
+    const ink = () => getComputedStyle(document.body).color; // asked at each drawing: light and dark change meanwhile
     const at = new Map(found.x.map((row, k) => [row, found.y[k]]));
     const marks = (rows) => found.x.map((row) => (rows.has(row) ? at.get(row) : null));
     const axis = { stroke: ink, grid: { stroke: "#80808040" }, ticks: { stroke: "#80808080" } };
@@ -54,6 +54,10 @@ function start(form) {
     place.replaceChildren();
     plot = new window.kilter.uPlot(options, [found.x, found.y, marks(marked.doubtful), marks(marked.aside)], place);
   }
+
+  const redraw = () => requestAnimationFrame(() => plot?.redraw());
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+  document.querySelector("[data-theme-switch]")?.addEventListener("click", redraw);
 
   function zoom(u) {
     if (u.select.width < 4) return;

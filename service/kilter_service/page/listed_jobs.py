@@ -1,0 +1,40 @@
+"""Jobs in lists: of the whole server, or of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from kilter_service.contract.jobs.job import JobSummary
+from kilter_service.db import Database
+from kilter_service.jobs import service as jobs
+from kilter_service.jobs.records import Place
+from kilter_service.paging import Page
+
+KINDS: Mapping[str, str] = {
+    "identify": "Identify parameters",
+    "gap": "Search for what is missing",
+    "evaluate": "Evaluate a version",
+    "plan": "Plan poses",
+    "joint_parameters": "Measure joints",
+}
+
+
+@dataclass(frozen=True)
+class Listed:
+    """Jobs, newest first; where those stand that are not over; and the cursor of older ones."""
+
+    jobs: Sequence[JobSummary]
+    places: Mapping[str, Place]
+    more: str | None
+
+    @property
+    def kinds(self) -> Mapping[str, str]:
+        """What the kinds of jobs are called."""
+        return KINDS
+
+
+def listed(database: Database, robot: str | None, page: Page) -> Listed:
+    """Return a page of jobs, of one robot or of all that may be seen."""
+    found = jobs.listed(database, robot, page)
+    return Listed(found.jobs, jobs.places(database), found.next)
