@@ -123,6 +123,8 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /robots/{robot}/places.json": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/reach.json": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/meshes/{link}": READ_COMPUTED.timed(LATER),
+    "POST /robots/{robot}/meshes/{link}": ADMINISTER,
+    "POST /robots/{robot}/meshes/{link}/remove": ADMINISTER,
     "GET /robots/{robot}/versions": READ,
     "GET /versions/{version}": READ,
     "GET /versions/{version}/exports": READ_COMPUTED.timed(LATER),

@@ -39,6 +39,22 @@ def form_of(header: str) -> Literal["stl", "obj"]:
     return MEDIA[plain]
 
 
+def form_of_name(name: str) -> Literal["stl", "obj"]:
+    """Return the format that the name of a file ends in.
+
+    Raises:
+        ServiceError: none that is read.
+
+    """
+    ending = name.rpartition(".")[2].lower()
+    if ending not in MEDIA.values():
+        raise ServiceError(
+            f"{name[:80] or 'A file without a name'} is not read: choose a file that ends in .stl or .obj.",
+            code="media_type_unsupported",
+        )
+    return "stl" if ending == "stl" else "obj"
+
+
 def check_link(database: Database, robot: str, link: str) -> None:
     """Refuse a link that the robot does not have, before its mesh is read.
 

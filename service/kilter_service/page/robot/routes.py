@@ -5,14 +5,23 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse
 
+from kilter_service.auth.access import Admin
+from kilter_service.bodies import MESH, spool_upload
+from kilter_service.contract.meshes import MeshUnit
+from kilter_service.limits import MAX_MESH_MB
+from kilter_service.meshes import service as meshes
 from kilter_service.page.robot import scene, service
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import render
-from kilter_service.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.slots import compute
+from kilter_service.state import DatabaseOfApp, SettingsOfApp, scratch_of
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
+BODY = {"requestBody": {"required": True}}  # the endpoint receives the file itself
+ANEW = {"HX-Refresh": "true"}  # the picture is drawn anew too
 ID = Annotated[str, Query(max_length=64)]
 
 
@@ -57,3 +66,24 @@ def reach(robot: str, database: DatabaseOfApp, version: ID) -> JSONResponse:
 def mesh(robot: str, link: str, database: DatabaseOfApp) -> Response:
     """Send the triangles of a link."""
     return Response(scene.mesh(database, robot, link), media_type="application/octet-stream")
+
+
+@router.post("/robots/{robot}/meshes/{link}", openapi_extra=BODY)
+async def put_mesh(
+    robot: str, link: str, request: Request, database: DatabaseOfApp, _: Admin, unit: MeshUnit = "mm", name: str = ""
+) -> Response:
+    """Give a link its shape, in place of the one it has."""
+    form = meshes.form_of_name(name)
+    await run_in_threadpool(meshes.check_link, database, robot, link)
+    with scratch_of(request).folder_for("mesh") as folder:
+        path = folder / "body"
+        sha256 = await spool_upload(request, path, MAX_MESH_MB, MESH)
+        await compute(request, meshes.put, database, robot, link, path, form, unit, sha256)
+    return Response(status_code=204, headers=ANEW)
+
+
+@router.post("/robots/{robot}/meshes/{link}/remove")
+def remove_mesh(robot: str, link: str, database: DatabaseOfApp, _: Admin) -> Response:
+    """Draw a link as cylinders again."""
+    meshes.remove(database, robot, link)
+    return Response(status_code=204, headers=ANEW)

@@ -9,10 +9,13 @@ from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.jobs.job import JobSummary
+from kilter_service.contract.meshes import Mesh
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.versions import Activation, Version, VersionSummary
 from kilter_service.db import Database
 from kilter_service.jobs import service as jobs
+from kilter_service.limits import MAX_MESH_MB, MAX_TRIANGLES
+from kilter_service.meshes import service as meshes
 from kilter_service.page.accuracy import Accuracy, accuracy_of
 from kilter_service.page.correcting import Correcting, corrector
 from kilter_service.paging import Page
@@ -47,6 +50,14 @@ class Shown:
     versions: Sequence[VersionSummary]
     looked_at: VersionSummary | None
     campaign: Campaign | None
+    meshes: Sequence[Mesh]
+    most_mb: int = MAX_MESH_MB
+    most_triangles: int = MAX_TRIANGLES
+
+    @property
+    def links(self) -> list[str]:
+        """What may have a shape, from base to tool."""
+        return [meshes.BASE, *(joint.name for joint in self.robot.joints)]
 
     @property
     def unseen(self) -> int:
@@ -77,6 +88,7 @@ def of(database: Database, settings: Settings, name: str, version: str | None, c
         versions=made,
         looked_at=looked_at,
         campaign=_campaign(database, measured, looked_at, campaign),
+        meshes=meshes.listed(database, name).meshes,
     )
 
 

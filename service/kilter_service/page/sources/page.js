@@ -7,6 +7,7 @@ import htmx from "htmx.org";
 import "./versions.js";
 import "./drop.js";
 import "./jobs.js";
+import "./shapes.js";
 
 htmx.config.allowEval = false;
 htmx.config.includeIndicatorStyles = false;
