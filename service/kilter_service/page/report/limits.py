@@ -51,6 +51,6 @@ def _named(search: GapResult | None) -> Iterator[str]:
         if alike:
             yield f"These rows cannot tell {effect.id}{where} from {', '.join(alike)}: either would explain them."
     for one in (search.not_testable if search is not None else None) or []:
-        yield f"{one.id} could not be tested: {one.reason or 'these rows do not show it'}" + (
-            f". Remedy: {one.remedy}." if one.remedy else "."
-        )
+        why = (one.reason or "these rows do not show it").rstrip(".")
+        remedy = f" Remedy: {one.remedy.rstrip('.')}." if one.remedy else ""
+        yield f"{one.id} could not be tested: {why}.{remedy}"
