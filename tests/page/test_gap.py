@@ -22,6 +22,7 @@ from kilter_service.contract.gap_details import Evidence, Gates
 from kilter_service.db import Database
 from kilter_service.page.gap.bins import Point, binned, branches, student
 from kilter_service.page.gap.claim import GATES
+from kilter_service.page.words import number
 from kilter_service.settings import Settings
 from tests.service.conftest import Katana, WorkerProcess, new_database, ready, served, wait_for
 from tests.service.test_gap import FINAL, Arm
@@ -143,8 +144,14 @@ def test_candidates_have_their_outcome_and_its_reason(hunted: Hunted) -> None:
         if (found := re.search(r"_(\d+)$", row["parameter"]))
     } - named
     assert f"{len(refused)} candidates were refused" in said
+    scores = {(one["id"], joint): one for one in result["refused"] for joint in one["joints"] or []}
     for name, joint in refused:
-        assert f"{name.replace('_', ' ')} of joint {joint} refused no better than chance" in said
+        score = scores.get((name, joint))
+        why = "explains nothing of its own"
+        if score is not None:
+            assert score["p_value"] > 0.01
+            why = f"no better than chance: explains {number(100 * score['explains'], 2)} % of what is left"
+        assert f"{name.replace('_', ' ')} of joint {joint} refused {why}" in said
 
 
 def test_where_the_model_was_wrong(hunted: Hunted) -> None:

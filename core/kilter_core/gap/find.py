@@ -20,6 +20,7 @@ from kilter_core.gap.evidence.intervals import Amplitude, amplitudes, seen_joint
 from kilter_core.gap.evidence.local_bump import local_bump_test
 from kilter_core.gap.evidence.matters import Misfit, misfit, moves_mm
 from kilter_core.gap.evidence.narrowed import narrowed
+from kilter_core.gap.evidence.refused import refused
 from kilter_core.gap.evidence.replication import Confirmation, Replication, refuse_unfit, replication
 from kilter_core.gap.evidence.stability import inclusion
 from kilter_core.gap.evidence.testability import (
@@ -183,7 +184,7 @@ class _Run:
             gap=gap, measurements=by_kind(prepared, found, held, judging), adequacy=fit, misfit=left,
             predictive=judging.predictive,
             not_testable=untestable(prepared.library, judged, problem, rows),
-            smallest_detectable=smallest_rows(prepared.library, judged),
+            smallest_detectable=smallest_rows(prepared.library, judged), refused=refused(found),
             next_poses=self._next_poses(found, effects), negative_control=control,
             alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(

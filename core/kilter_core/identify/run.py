@@ -45,6 +45,8 @@ Validation = Observations | float | Folds | None
 HeldOut = tuple[dict[str, Errors], PoseErrors | None, RowErrors | None, KindErrors]
 NOTHING_HELD: HeldOut = ({}, None, None, {})
 
+INFLUENCE_ROWS = 500
+
 
 @dataclass(frozen=True)
 class Identification:
@@ -262,11 +264,18 @@ def _reported(
             *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
         ),
         method=options.method,
-        influence=influence_of(calibration, train, fit.names).to_document() if options.method == "influence" else None,
+        influence=influence_of(calibration, _shown(train, options), fit.names).to_document(),
         intervals=intervals,
         learned=learned,
         shares=shares,
     )
+
+
+def _shown(train: Observations, options: IdentifyOptions) -> Observations:
+    """Rows to say the influence at: all where the method weighs by it, else so many that it costs little beside the fit."""
+    if options.method == "influence" or len(train) <= INFLUENCE_ROWS:
+        return train
+    return train.select(np.unique(np.linspace(0, len(train) - 1, INFLUENCE_ROWS).astype(int)))
 
 
 def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, progress: Progress, each: Each) -> Intervals | None:

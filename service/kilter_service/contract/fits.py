@@ -294,7 +294,7 @@ class FitDetails(Stored):
     iterations: int | None = Field(None, description="Iterations of the fit.")
     method: Method | None = Field(None, description="The method, and what it reports.")
     influence: list[Influence] | None = Field(
-        None, description="How far each parameter moves the tool; method `influence`."
+        None, description="How far each parameter moves the tool, at up to 500 rows (all with method `influence`)."
     )
     intervals: str | None = Field(None, description="What the intervals rest on: `bootstrap` or `profile`.")
     learned: Learned | None = Field(None, description="Whether a learned effect predicts better.")

@@ -255,6 +255,15 @@ class Detectable(Stored):
     visibility: float | None = Field(None, description="Share of its signature that geometry cannot imitate, 0 to 1.")
 
 
+class Refused(AtJoints):
+    """A candidate that was tested and not named."""
+
+    explains: float | None = Field(None, description="Share of the squared residuals that it would take away, 0 to 1.")
+    p_value: float | None = Field(
+        None, description="How often chance alone explains as much, of all candidates the best."
+    )
+
+
 class NextPose(Stored):
     """A pose to measure next."""
 

@@ -10,6 +10,7 @@ from kilter_core.errors import CancelledError, NotConvergedError, ObservationErr
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.options import GapOptions as Options
 from kilter_core.gap.search import prepare
+from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana
@@ -289,3 +290,24 @@ def test_options_are_checked():
 def test_an_unknown_effect_is_refused(robot):
     with pytest.raises(OptionError, match="no effect"):
         find_gap(robot, campaign(robot, poses=30), GapOptions(effects=("backlsh",)))
+
+
+def test_what_was_refused_explains_as_much_as_a_fit_with_it(robot):
+    hidden = [("axial_compliance", (1,), (1.5e-4,)), ("second_harmonic", (4,), (8e-4, 5e-4))]
+    rows = campaign(robot, hidden, seed=4, poses=118)
+    report = find_gap(robot, rows, replace(QUICK, max_effects=1), validation=0)
+    named = [effect.evidence.candidate.named() for effect in report.effects]
+    assert len(named) == 1
+    assert [row["p_value"] for row in report.refused] == sorted(row["p_value"] for row in report.refused)
+    assert all(0.0 <= row["explains"] <= 1.0 and 0.0 < row["p_value"] <= 1.0 for row in report.refused)
+    assert named[0] not in [{"id": row["id"], "joints": row["joints"]} for row in report.refused]
+
+    def left(effects):
+        fit = identify(robot, rows, None, IdentifyOptions(effects=effects)).fit
+        return float(np.sum(fit.residual.points**2))
+
+    asked = next(row for row in report.refused if (row["id"], row["joints"]) == ("axial_compliance", [2]))
+    assert asked["explains"] > 0.9
+    assert asked["p_value"] < 1e-6
+    taken = 1.0 - left([*named, {"id": asked["id"], "joints": asked["joints"]}]) / left(named)
+    assert asked["explains"] == pytest.approx(taken, abs=1e-3)

@@ -236,3 +236,17 @@ def test_tilt_first_holds_what_the_start_knows_and_fits_what_it_does_not() -> No
     together = identify(twin.robot, train, held, IdentifyOptions(level=3))
     assert rms(known) <= 1.1 * rms(together) < 0.5 * rms(fitted)
     assert rms(fitted) < 0.2 * rms(identify(twin.robot, train, held, IdentifyOptions(level=2)))
+
+
+@pytest.mark.parametrize("rows", [60, 1200])
+def test_every_identification_says_how_far_its_parameters_move_the_tool(rows: int) -> None:
+    twin = thesis_katana()
+    q = np.random.default_rng(4).uniform(*twin.robot.limits.T, (rows, 5))
+    seen = twin.observe(q, noise_m=1e-5)
+    found = identify(twin.robot, seen, None, IdentifyOptions())
+    asked = influence_of(found.calibration, seen, found.fit.names).to_document()
+    assert found.influence is not None
+    means = {row["name"]: row["mean_mm"] for row in found.influence}
+    assert means.keys() == {row["name"] for row in asked}
+    for row in asked:  # of a sample of many rows, nearly what all say
+        assert means[row["name"]] == pytest.approx(row["mean_mm"], rel=1e-12 if rows <= 500 else 0.1)

@@ -38,6 +38,7 @@ class GapReport:
     predictive: dict[str, Any] | None
     not_testable: tuple[Untestable, ...]
     smallest_detectable: list[dict[str, Any]]
+    refused: list[dict[str, Any]]
     next_poses: list[dict[str, Any]]
     negative_control: dict[str, Any]
     alias_matrix: dict[str, Any]
@@ -65,6 +66,7 @@ class GapReport:
             "noise": self.noise,
             "not_testable": [untestable_row(u) for u in self.not_testable],
             "smallest_detectable": self.smallest_detectable,
+            "refused": self.refused,
             "next_poses": self.next_poses,
             "negative_control": self.negative_control,
             "alias_matrix": self.alias_matrix,

@@ -265,8 +265,9 @@ class Selector:
             if k is None:
                 break
             after = self.improved(gram, (*chosen, k), critical)
-            if frozenset(after) in seen and scores.S[k] > MOST_OF_IT * gram.given(self.columns(chosen)).yy:
-                after = (*chosen, k)  # what it was improved to did not do what the linearised problem promised
+            undone = frozenset(after) in seen and scores.S[k] > MOST_OF_IT * gram.given(self.columns(chosen)).yy
+            if undone or len(after) > most:
+                after = (*chosen, k)  # improved it is too many, or did not do what the linearised problem promised
             # A significant addition needs no better price: the price compares explanations, noise was ruled out already.
             added = set(after) > set(chosen)
             if frozenset(after) not in {frozenset(chosen), *seen} and (added or self.beats(gram, after, chosen)):
@@ -275,10 +276,10 @@ class Selector:
         pair = self.pair(gram, chosen, critical) if len(chosen) + 2 <= most else None
         if pair is not None:
             after = self.improved(gram, (*chosen, *pair), critical)
-            if set(after) > set(chosen) and frozenset(after) not in seen:
+            if len(after) <= most and set(after) > set(chosen) and frozenset(after) not in seen:
                 return after
         after = self.improved(gram, chosen, critical)
-        if not chosen or frozenset(after) in {frozenset(chosen), *seen}:
+        if not chosen or len(after) > most or frozenset(after) in {frozenset(chosen), *seen}:
             return chosen
         failed = max(self.tails(gram, chosen)) >= critical
         return after if failed or self.beats(gram, after, chosen) else chosen

@@ -20,6 +20,7 @@ from kilter_service.contract.gap_details import (
     NextPose,
     Place,
     Predictive,
+    Refused,
     Untestable,
 )
 from kilter_service.contract.jobs.shared import (
@@ -91,6 +92,7 @@ class GapResult(MadeVersion):
     noise: GapNoise | None = Field(None, description="The noise that the gap is compared with.")
     not_testable: list[Untestable] | None = Field(None, description="What these rows cannot say, and how they could.")
     smallest_detectable: list[Detectable] | None = Field(None, description="Smallest amplitude that would be seen.")
+    refused: list[Refused] | None = Field(None, description="What was tested and not named, with its score.")
     next_poses: list[NextPose] | None = Field(None, description="Poses to measure next.")
     next_poses_csv: str | None = Field(None, description="The same as a CSV file of columns of a measurement.")
     negative_control: NegativeControl | None = Field(None, description="What shuffled rows would name.")

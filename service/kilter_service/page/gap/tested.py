@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from kilter_service.contract.gap_details import AtJoints, Detectable, NamedEffect, Untestable
+from kilter_service.contract.gap_details import AtJoints, Detectable, NamedEffect, Refused, Untestable
 from kilter_service.contract.jobs.gap import GapOptions, GapResult
 from kilter_service.page.gap.called import called, chance, joint_of, listed, named
 from kilter_service.page.words import number, percent
@@ -49,15 +49,20 @@ def _refused(result: GapResult, options: GapOptions) -> Iterator[Candidate]:
     taken: set[tuple[str, int | None]] = {(one.id, None) for one in known if not one.joints}
     taken |= {(one.id, joint) for one in known for joint in one.joints or []}
     rest = [one for one in result.smallest_detectable or [] if _key(one) not in taken]
-    for _, group in groupby(sorted(rest, key=lambda d: (d.id, joint_of(d.parameter or "") or 0)), key=_key):
-        yield _candidate(list(group), effects, options.alpha)
+    scores: dict[tuple[str, int | None], Refused] = {}
+    for one in result.refused or []:
+        scores |= {(one.id, joint): one for joint in (one.joints or (None,))}
+    for key, group in groupby(sorted(rest, key=lambda d: (d.id, joint_of(d.parameter or "") or 0)), key=_key):
+        yield _candidate(list(group), effects, options, scores.get(key))
 
 
 def _key(one: Detectable) -> tuple[str, int | None]:
     return one.id, joint_of(one.parameter or "")
 
 
-def _candidate(group: list[Detectable], effects: Sequence[NamedEffect], alpha: float) -> Candidate:
+def _candidate(
+    group: list[Detectable], effects: Sequence[NamedEffect], options: GapOptions, score: Refused | None
+) -> Candidate:
     name, joint = _key(group[0])
     seen = "; ".join(
         f"{(one.parameter or '').replace('_', ' ')} {number(one.smallest_detectable, 2)}"
@@ -65,11 +70,23 @@ def _candidate(group: list[Detectable], effects: Sequence[NamedEffect], alpha: f
         for one in group
     )
     rest = f" beside {listed([called(effect) for effect in effects])}" if effects else ""
-    reason = f"no better than chance{rest} (p above {percent(alpha)}); would be seen from {seen}"
+    reason = f"{_why(score, options, len(effects))}{rest}; would be seen from {seen}"
     share = max((one.visibility or 0.0) for one in group)
     if share < MIMICKED:
         reason += f"; geometry imitates {percent(1 - share)} of it"
     return Candidate(named(name, [joint] if joint else []), "refused", "faint", reason)
+
+
+def _why(score: Refused | None, options: GapOptions, named: int) -> str:
+    """Why a candidate was not named, by its score at the final fit."""
+    if score is None or score.p_value is None or score.explains is None:
+        return "explains nothing of its own"
+    said = f"explains {number(100 * score.explains, 2)} % of what is left, p {chance(score.p_value)}"
+    if score.p_value > options.alpha:
+        return f"no better than chance: {said}"
+    if named >= options.max_effects:
+        return f"{said}, but no more effects than {options.max_effects} were asked for"
+    return f"{said}, but has not the sign or size of such an effect, or does not keep it when all is fitted again"
 
 
 def untestable(rows: Sequence[Untestable]) -> list[tuple[str, str, str]]:

@@ -35,7 +35,7 @@ def show_identification(result: Mapping[str, Any]) -> None:
     for line in _lines(result):
         say(line)
     show_load_model(result.get("load_model") or [])
-    _influence(result.get("influence") or [])
+    _influence((result.get("influence") or []) if result.get("method") == "influence" else [])
 
 
 def _set_aside(rows: list[Mapping[str, Any]]) -> Iterator[str]:

@@ -217,7 +217,7 @@ class IdentifyResult(ShownFit, Record):
     figures: Mapping[str, Figure]
     """Figures by name."""
     influence: Records[Influence]
-    """How far each parameter moves the tool; method `influence`."""
+    """How far each parameter moves the tool, at up to 500 rows (all with method `influence`)."""
     intervals: str | None
     """What the intervals rest on: `bootstrap` or `profile`."""
     iterations: int | None

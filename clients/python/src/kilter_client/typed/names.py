@@ -109,6 +109,7 @@ MODULE_OF = {
     "Progress": "server",
     "Proposal": "plans",
     "Reference": "fits",
+    "Refused": "searches",
     "RefusedCriterion": "evaluations",
     "Remark": "fits",
     "RepeatDrift": "search_numbers",

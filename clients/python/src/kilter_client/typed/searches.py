@@ -202,6 +202,20 @@ class Place(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Refused(Record):
+    """A candidate that was tested and not named."""
+
+    explains: float | None
+    """Share of the squared residuals that it would take away, 0 to 1."""
+    id: str
+    """Id of the effect."""
+    joints: tuple[int, ...]
+    """Joints it acts at, from 1; None: it does not act at joints."""
+    p_value: float | None
+    """How often chance alone explains as much, of all candidates the best."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Untestable(Record):
     """What these rows cannot say."""
 
@@ -249,6 +263,8 @@ class GapResult(ShownSearch, Record):
     """How the held-out rows lie in their 95 % intervals."""
     reference: Reference | None
     """Where the frames of a correction come from."""
+    refused: Records[Refused]
+    """What was tested and not named, with its score."""
     sentence: str | None
     """The verdict in words."""
     smallest_detectable: Records[Detectable]

@@ -59,7 +59,7 @@ class Details(Record):
     held_out_fraction: float | None
     """Share of the poses a gap search held out by itself."""
     influence: Records[Influence]
-    """How far each parameter moves the tool; method `influence`."""
+    """How far each parameter moves the tool, at up to 500 rows (all with method `influence`)."""
     intervals: str | None
     """What the intervals rest on: `bootstrap` or `profile`."""
     iterations: int | None
