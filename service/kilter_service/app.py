@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
+from anyio import CapacityLimiter
 from fastapi import APIRouter, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
@@ -46,6 +47,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     robots, meshes, campaigns, versions, jobs, fleet_jobs, correction, frames, references, streams, tokens, audit,
     metrics,
 )  # fmt: skip
+HEALTH_THREADS = 4  # of its own: those of the other routes may all wait for a database that hangs
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -79,6 +81,7 @@ async def _life(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     app.state.token = admin_token(settings)
     app.state.database = Database(settings.database)
     app.state.refusals = Refusals(app.state.database)
+    app.state.health_threads = CapacityLimiter(HEALTH_THREADS)
     app.state.scratch = Scratch(settings.data / TEMPORARY)
     app.state.drafts = Drafts(app.state.scratch)
     try:

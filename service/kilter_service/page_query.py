@@ -16,12 +16,12 @@ JobsLimit = Annotated[int, Query(ge=1, le=MOST, description="Jobs of a page, 1 t
 After = Annotated[str | None, Query(max_length=400, description="`next` of the page before; left out: the first page.")]
 
 
-def page(limit: Limit = None, after: After = None) -> Page:
+async def page(limit: Limit = None, after: After = None) -> Page:
     """Read which page of a list is asked for."""
     return Page(limit, None if after is None else key_of(after))
 
 
-def page_of_jobs(limit: JobsLimit = JOBS, after: After = None) -> Page:
+async def page_of_jobs(limit: JobsLimit = JOBS, after: After = None) -> Page:
     """Read which page of the jobs is asked for."""
     return Page(limit, None if after is None else key_of(after))
 

@@ -1,4 +1,7 @@
-"""What the routes share: the application's settings and database."""
+"""What the routes share: the application's settings and database.
+
+Dependencies are async: FastAPI gives every other one a thread, and a request would wait for it.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,13 @@ from kilter_service.private_files import Scratch
 from kilter_service.settings import Settings
 
 
-def database_of(request: Request) -> Database:
+async def database_of(request: Request) -> Database:
     """Return the database of the application that serves this request."""
     database: Database = request.app.state.database
     return database
 
 
-def settings_of(request: Request) -> Settings:
+async def settings_of(request: Request) -> Settings:
     """Return the settings of the application that serves this request."""
     settings: Settings = request.app.state.settings
     return settings

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from kilter_service.health import pulse as pulses
 from kilter_service.health import service, store
 from kilter_service.health.pulse import Pulse, running
 from kilter_service.settings import Settings
-from tests.service.postgresql import programs, running_postgresql
+from tests.service.postgresql import own_postgresql, programs, running_postgresql
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -134,6 +135,26 @@ def test_a_database_that_is_away_is_a_finding_and_no_failure(settings: Settings,
     assert "KILTER_DATABASE_URL" in said
     assert client.get("/v1/health").json()["checks"]["disk"]["ok"]
     assert client.get("/v1/health/live").status_code == 200
+
+
+@pytest.mark.skipif(programs() is None, reason="PostgreSQL is not installed")
+def test_a_database_that_hangs_is_a_finding_though_every_other_request_waits_for_it(
+    settings: Settings, serve: Callable[..., Any], until: Callable[..., None]
+) -> None:
+    with own_postgresql() as server:
+        hanging = settings.model_copy(update={"database_url": server.url})
+        database = Database(hanging.database)
+        revision.migrate(database)
+        client = serve(create_app(hanging))
+        client.headers["Authorization"] = f"Bearer {admin_token(hanging)}"
+        beat(database, "worker")
+        database.close()
+        assert client.get("/v1/robots").status_code == 200
+        with ThreadPoolExecutor(60) as pool, server.frozen():
+            waiting = [pool.submit(client.get, "/v1/robots", timeout=60) for _ in range(60)]
+            assert "database: cannot be read" in why(client)
+        assert {one.result().status_code for one in waiting} <= {200, 503}
+        until(lambda: client.get("/v1/health/ready").status_code == 200)
 
 
 def test_a_database_of_another_revision_is_refused_with_the_remedy(settings: Settings) -> None:

@@ -15,7 +15,6 @@ from fastapi import Request
 from kilter_service.auth.direct import address_of
 from kilter_service.caller import ANYBODY, CALLER, Caller
 from kilter_service.db import Database, audited
-from kilter_service.state import settings_of
 
 log = logging.getLogger("kilter.api")
 
@@ -121,5 +120,5 @@ def note(request: Request, code: str) -> None:
     if caller is None or caller.actor == ANYBODY:
         path = getattr(request.scope.get("route"), "path", "(none)")
         method = request.method if request.method in METHODS else "(none)"
-        caller = Caller(ANYBODY, "viewer", None, "", address_of(request, settings_of(request)), f"{method} {path}")
+        caller = Caller(ANYBODY, "viewer", None, "", address_of(request, request.app.state.settings), f"{method} {path}")
     refusals.count(Group(code, caller))

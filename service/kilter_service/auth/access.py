@@ -102,7 +102,7 @@ def caller_of(request: Request) -> Caller:
     return caller
 
 
-def actor(request: Request) -> str:
+async def actor(request: Request) -> str:
     """Return what the records call whoever sends a request."""
     return caller_of(request).actor
 

@@ -22,7 +22,10 @@ def restore(settings: Settings, arguments: argparse.Namespace) -> None:
     from kilter_service.backup import service
 
     found = service.restore(settings, Path(arguments.path))
-    print(f"Restored {found.looked_at()}. The token file is not in a backup: copy it, or use the new one.")
+    print(
+        f"Restored {found.looked_at()}. Secrets are not in a backup: copy the token file, stream-keys.json and the "
+        "authority of zenoh-config, where they were kept; the first start makes new ones."
+    )
 
 
 def verify(settings: Settings, arguments: argparse.Namespace) -> None:

@@ -8,7 +8,7 @@ the database itself refuses its writes.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,10 @@ from kilter_service.private_files import private_file, private_folder
 
 BUSY_TIMEOUT_MS = 15_000
 CONNECT_TIMEOUT_S = 5
-# A machine that loses its power says nothing. PostgreSQL asks after this long, and frees the write lock that it held.
+LOOK_TIMEOUT_S = 2  # the shortest that libpq knows
+# A machine that loses its power says nothing. We ask after this long, and take an unanswered query for lost.
+SILENCE = {"keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 3, "tcp_user_timeout": 25_000}
+# PostgreSQL asks, too, and frees the write lock that the machine held.
 KEEPALIVES = {"tcp_keepalives_idle": 10, "tcp_keepalives_interval": 5, "tcp_keepalives_count": 3}
 # A frozen process answers such questions and still holds the lock; a change takes milliseconds between its queries.
 MOST_IDLE_S = 30
@@ -33,9 +36,9 @@ WRITER = 0x4B_69_6C_74_65_72  # "Kilter": the advisory lock of PostgreSQL that w
 class Database:
     """An engine and its sessions; close it when its owner stops."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, connect_timeout_s: int = CONNECT_TIMEOUT_S) -> None:
         self.url = url
-        self.engine = open_engine(url)
+        self.engine = open_engine(url, connect_timeout_s)
         self._changing = sessionmaker(self.engine, expire_on_commit=False)
         audited.listen(self._changing)
         self._noting = sessionmaker(self.engine.execution_options(**{NOTES: True}), expire_on_commit=False)
@@ -60,6 +63,15 @@ class Database:
         """Open a session that sees the database as it is at its first query. The database refuses its writes."""
         return _session(self._reading)
 
+    @contextmanager
+    def looking(self) -> Iterator[Database]:
+        """Open it anew for whoever asks whether it answers: soon or not at all, also where a connection in use hangs."""
+        if self.engine.dialect.name == "sqlite":
+            yield self
+            return
+        with closing(Database(self.url, LOOK_TIMEOUT_S)) as looked:
+            yield looked
+
     def close(self) -> None:
         """Close all connections."""
         self.engine.dispose()
@@ -71,11 +83,11 @@ def _session(sessions: sessionmaker[Session]) -> Iterator[Session]:
         yield session
 
 
-def open_engine(url: str) -> Engine:
+def open_engine(url: str, connect_timeout_s: int = CONNECT_TIMEOUT_S) -> Engine:
     """Create the engine of ``url`` and, for SQLite, the folder of its file. Its transactions may change something."""
     parsed = make_url(url)
     if parsed.get_backend_name() != "sqlite":
-        engine = _postgresql(parsed)
+        engine = _postgresql(parsed, connect_timeout_s)
         event.listen(engine, "connect", _prepare_postgresql)
         event.listen(engine, "begin", _begin_postgresql)
         return engine
@@ -88,12 +100,12 @@ def open_engine(url: str) -> Engine:
     return engine
 
 
-def _postgresql(url: URL) -> Engine:
+def _postgresql(url: URL, connect_timeout_s: int) -> Engine:
     try:
         return create_engine(
             url.set(drivername="postgresql+psycopg"),
             pool_pre_ping=True,
-            connect_args={"connect_timeout": CONNECT_TIMEOUT_S},
+            connect_args={"connect_timeout": connect_timeout_s, **SILENCE},
         )
     except ModuleNotFoundError as error:
         raise DatabaseAwayError(

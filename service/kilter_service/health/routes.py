@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from anyio import to_thread
+from fastapi import APIRouter, Request
 
 from kilter_service.contract.health import Health
 from kilter_service.errors import ServiceError
@@ -15,9 +16,9 @@ router = APIRouter(prefix="/v1/health", tags=["health"], route_class=GuardedRout
 
 
 @router.get("")
-def health(database: DatabaseOfApp, settings: SettingsOfApp) -> Health:
+async def health(request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> Health:
     """Report the state of the server: database, disk, worker, corrector, ROS 2 adaptor."""
-    return service.report(database, settings)
+    return await to_thread.run_sync(service.report, database, settings, limiter=request.app.state.health_threads)
 
 
 @router.get("/live")
@@ -27,9 +28,9 @@ async def live() -> Health:  # waits for no thread, whatever the others do
 
 
 @router.get("/ready")
-def ready(database: DatabaseOfApp, settings: SettingsOfApp) -> Health:
+async def ready(request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> Health:
     """Answer 200 when every part that should run does, else 503 with the cause."""
-    report = service.report(database, settings)
+    report = await health(request, database, settings)
     if report.status != "ready":
         causes = "; ".join(f"{name}: {check.detail}" for name, check in report.checks.items() if not check.ok)
         raise ServiceError(causes, code="not_ready", checks={n: c.model_dump() for n, c in report.checks.items()})

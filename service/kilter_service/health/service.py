@@ -28,15 +28,16 @@ REMEDY = "its log says why; start `kilterd {}`"
 
 def report(database: Database, settings: Settings) -> Health:
     """Check the database, the processes beside the API and the disk."""
-    checks = {
-        "database": _told("database", partial(_database, database)),
-        "disk": _told("disk", partial(_disk, settings)),
-    }
-    if checks["database"].ok:
-        checks["worker"] = _told("worker", partial(_worker, database))
-        beside = os.environ.get(BESIDE, "").split(",")
-        for process in ("corrector", "ros2"):
-            checks[process] = _told(process, partial(_process, database, process, process in beside))
+    with database.looking() as looked:
+        checks = {
+            "database": _told("database", partial(_database, looked)),
+            "disk": _told("disk", partial(_disk, settings)),
+        }
+        if checks["database"].ok:
+            checks["worker"] = _told("worker", partial(_worker, looked))
+            beside = os.environ.get(BESIDE, "").split(",")
+            for process in ("corrector", "ros2"):
+                checks[process] = _told(process, partial(_process, looked, process, process in beside))
     ready = all(check.ok for check in checks.values())
     return Health(status="ready" if ready else "not_ready", version=code_version(), checks=checks)
 

@@ -61,7 +61,7 @@ def hash_of(body: BaseModel) -> str:
     return hashlib.sha256(body.model_dump_json().encode()).hexdigest()
 
 
-def key_of(
+async def key_of(
     request: Request,
     idempotency_key: Annotated[
         str | None,

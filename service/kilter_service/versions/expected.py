@@ -62,7 +62,7 @@ class Expected:
         )
 
 
-def expected_of(
+async def expected_of(
     if_match: Annotated[
         str | None,
         Header(
