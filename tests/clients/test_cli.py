@@ -74,6 +74,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         "upload", "inspect", "match",
         "sheet", "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
         "identify", "gap", "evaluate", "plan", "joint-parameters",
+        *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),
         *(f"fleet {verb}" for verb in ("identify", "list", "show", "watch", "cancel")),
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "version", "activate", "rollback", "diff",
         "residuals", "activations", "export", "correct", "status",

@@ -16,7 +16,19 @@ from kilter_client.typed.names import MODULE_OF
 
 MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n"
 GROUPS = {
-    "Robots": ("add_robot", "check_robot", "convert_robot", "find_robot", "find_frame", "robot", "robots"),
+    "Robots": (
+        "add_robot",
+        "check_robot",
+        "convert_robot",
+        "find_robot",
+        "find_frame",
+        "robot",
+        "robots",
+        "meshes",
+        "set_mesh",
+        "set_urdf_meshes",
+        "remove_mesh",
+    ),
     "Measurements": ("upload", "campaign", "campaigns"),
     "Jobs": (
         "identify",

@@ -120,5 +120,7 @@ def note(request: Request, code: str) -> None:
     if caller is None or caller.actor == ANYBODY:
         path = getattr(request.scope.get("route"), "path", "(none)")
         method = request.method if request.method in METHODS else "(none)"
-        caller = Caller(ANYBODY, "viewer", None, "", address_of(request, request.app.state.settings), f"{method} {path}")
+        caller = Caller(
+            ANYBODY, "viewer", None, "", address_of(request, request.app.state.settings), f"{method} {path}"
+        )
     refusals.count(Group(code, caller))

@@ -53,6 +53,7 @@ RULES: Mapping[str, Rule] = {
     "GET /v1/robots/{robot}/versions": READ,
     "GET /v1/robots/{robot}/activations": READ,
     "GET /v1/robots/{robot}/meshes": READ,
+    "GET /v1/robots/{robot}/urdf-shapes": READ,
     "GET /v1/robots/{robot}/meshes/{link}": READ,
     "GET /v1/campaigns/{campaign}": READ,
     "GET /v1/jobs": READ,

@@ -27,12 +27,15 @@ class UrdfImport:
     """The document, and what of the URDF it leaves out.
 
     ``held_joints`` move links outside the chain: they are held at zero, their links' masses are part of the arm.
-    ``joint_ends`` has, for every joint of the path in order, how many elements lead to its child link.
+    ``joint_ends`` has, for every joint of the path in order, how many elements lead to its child link. ``link_frames``
+    has, for every joint that moves, the arm's joint whose link it carries ("": it follows one, with a link of its own),
+    the URDF's link, and its pose (4, 4) m in the frame in which Kilter states the link's mass.
     """
 
     document: Item
     joint_ends: tuple[tuple[str, int], ...] = ()
     held_joints: tuple[str, ...] = ()
+    link_frames: tuple[tuple[str, str, Floats], ...] = ()
 
 
 @dataclass
@@ -82,6 +85,7 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
         },
         joint_ends=tuple(ends),
         held_joints=_held(tree, path, base_link),
+        link_frames=tuple((chain.elements[k]["joint"] if k in primary else "", link, T) for k, T, link in chain.frames),
     )
 
 

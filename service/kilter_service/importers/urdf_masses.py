@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,16 +12,23 @@ from kilter_service.importers.urdf_tree import Body, UrdfTree
 Floats = NDArray[np.float64]
 
 
-def merged(tree: UrdfTree, link: str, cut: set[str]) -> Body:
+def merged(tree: UrdfTree, link: str, cut: Container[str]) -> Body:
     """Return the body of ``link`` and all that hangs on it without a joint of ``cut`` in between, joints at zero."""
-    body, waiting = tree.bodies[link], [(np.eye(4), joint) for joint in tree.children(link)]
+    body = tree.bodies[link]
+    for T, other in hanging(tree, link, cut):
+        body = together(body, in_frame(T, tree.bodies[other]))
+    return body
+
+
+def hanging(tree: UrdfTree, link: str, cut: Container[str]) -> Iterator[tuple[Floats, str]]:
+    """Links that hang on ``link`` without a joint of ``cut`` in between, with their poses (4, 4) in it, joints at zero."""
+    waiting = [(np.eye(4), joint) for joint in tree.children(link)]
     while waiting:
         T, joint = waiting.pop()
         if joint.name not in cut:
             here = T @ joint.origin
-            body = together(body, in_frame(here, tree.bodies[joint.child]))
+            yield here, joint.child
             waiting += [(here, below) for below in tree.children(joint.child)]
-    return body
 
 
 def in_frame(T: Floats, body: Body) -> Body:

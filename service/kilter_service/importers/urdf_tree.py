@@ -207,7 +207,13 @@ def _name(element: Element, what: str) -> str:
     return name
 
 
-def _numbers(element: Element | None, attribute: str, default: tuple[float, ...], place: str) -> Floats:
+def numbers(element: Element | None, attribute: str, default: tuple[float, ...], place: str) -> Floats:
+    """Numbers of an attribute, ``default`` where it is not there.
+
+    Raises:
+        RobotError: they are not as many numbers as the default.
+
+    """
     text = None if element is None else element.get(attribute)
     if text is None:
         return np.array(default)
@@ -228,9 +234,9 @@ def _body(link: Element) -> Body:
     if inertial is None:
         return Body()
     origin, tensor = inertial.find("origin"), inertial.find("inertia")
-    T = pose_from_xyz_rpy(_numbers(origin, "xyz", (0, 0, 0), place), _numbers(origin, "rpy", (0, 0, 0), place))
-    six = [float(_numbers(tensor, f"i{pair}", (0,), place)[0]) for pair in ("xx", "yy", "zz", "xy", "xz", "yz")]
-    mass = float(_numbers(inertial.find("mass"), "value", (0,), place)[0])
+    T = pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), numbers(origin, "rpy", (0, 0, 0), place))
+    six = [float(numbers(tensor, f"i{pair}", (0,), place)[0]) for pair in ("xx", "yy", "zz", "xy", "xz", "yz")]
+    mass = float(numbers(inertial.find("mass"), "value", (0,), place)[0])
     return Body(mass, T[:3, 3], T[:3, :3] @ symmetric(six) @ T[:3, :3].T)
 
 
@@ -259,17 +265,17 @@ def _joint(element: Element) -> UrdfJoint:
         kind=kind,
         parent=str(parent.get("link")),
         child=str(child.get("link")),
-        xyz=_numbers(origin, "xyz", (0, 0, 0), place),
-        rpy=_numbers(origin, "rpy", (0, 0, 0), place),
+        xyz=numbers(origin, "xyz", (0, 0, 0), place),
+        rpy=numbers(origin, "rpy", (0, 0, 0), place),
         axis=_axis(element, place) if kind in MOVING else np.array([1.0, 0.0, 0.0]),
-        lower=float(_numbers(limit, "lower", (0,), place)[0]) if bounded else -math.inf,
-        upper=float(_numbers(limit, "upper", (0,), place)[0]) if bounded else math.inf,
+        lower=float(numbers(limit, "lower", (0,), place)[0]) if bounded else -math.inf,
+        upper=float(numbers(limit, "upper", (0,), place)[0]) if bounded else math.inf,
         mimic=_mimic(element, place),
     )
 
 
 def _axis(element: Element, place: str) -> Floats:
-    axis = _numbers(element.find("axis"), "xyz", (1, 0, 0), place)
+    axis = numbers(element.find("axis"), "xyz", (1, 0, 0), place)
     length = float(np.linalg.norm(axis))
     if length < 1e-9:
         raise RobotError(f"{place} has an axis of length zero.", field="urdf", place=place)
@@ -280,5 +286,5 @@ def _mimic(element: Element, place: str) -> Mimic | None:
     mimic = element.find("mimic")
     if mimic is None:
         return None
-    multiplier = float(_numbers(mimic, "multiplier", (1,), place)[0])
-    return Mimic(str(mimic.get("joint")), multiplier, float(_numbers(mimic, "offset", (0,), place)[0]))
+    multiplier = float(numbers(mimic, "multiplier", (1,), place)[0])
+    return Mimic(str(mimic.get("joint")), multiplier, float(numbers(mimic, "offset", (0,), place)[0]))

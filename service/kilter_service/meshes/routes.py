@@ -8,7 +8,7 @@ from fastapi.concurrency import run_in_threadpool
 from kilter_service.auth.access import Admin
 from kilter_service.bodies import MESH, spool_upload
 from kilter_service.conditional import ConditionalRoute
-from kilter_service.contract.meshes import Mesh, MeshList, MeshUnit
+from kilter_service.contract.meshes import Mesh, MeshList, MeshUnit, UrdfShapes
 from kilter_service.digests import check_digest
 from kilter_service.limits import MAX_MESH_MB
 from kilter_service.meshes import service
@@ -24,6 +24,12 @@ CONTENT = dict.fromkeys(service.MEDIA, FILE)
 def listed(robot: str, database: DatabaseOfApp) -> MeshList:
     """List the shapes of a robot's links."""
     return service.listed(database, robot)
+
+
+@router.get("/{robot}/urdf-shapes")
+def of_urdf(robot: str, database: DatabaseOfApp) -> UrdfShapes:
+    """List what the robot's URDF draws of the arm: files to send as meshes, and where each goes."""
+    return service.of_urdf(database, robot)
 
 
 @router.put("/{robot}/meshes/{link}", openapi_extra={"requestBody": {"required": True, "content": CONTENT}})

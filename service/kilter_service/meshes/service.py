@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from kilter_service.contract.meshes import Mesh, MeshList, MeshUnit
+from kilter_service.contract.meshes import Mesh, MeshList, MeshUnit, UrdfShape, UrdfShapes
 from kilter_service.db import Database
 from kilter_service.db.tables import now
 from kilter_service.errors import ServiceError
@@ -18,6 +18,8 @@ from kilter_service.wire import to_mm
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    from kilter_service.importers.urdf_shapes import Shape
 
 BASE = "base"
 MEDIA: dict[str, Literal["stl", "obj"]] = {"model/stl": "stl", "model/obj": "obj"}
@@ -111,6 +113,37 @@ def listed(database: Database, robot: str) -> MeshList:
         found = {one.link: one for one in store.listed(session, stored.id)}
         order = [BASE, *(joint.name for joint in stored.robot().joints)] if found else []
     return MeshList(meshes=[_shown(robot, found[link]) for link in order if link in found])
+
+
+def of_urdf(database: Database, robot: str) -> UrdfShapes:
+    """Return what the URDF of a robot draws of its arm.
+
+    Raises:
+        ServiceError: the robot was not described by a URDF.
+
+    """
+    with database.reading() as session:
+        document = robots.get(session, robot).document
+    if document["convention"] != "urdf":
+        raise ServiceError(
+            f"Robot {robot!r} was not described by a URDF, which would name shapes: give each link its file "
+            "(`kilter mesh set`).",
+            code="option_invalid",
+        )
+    from kilter_service.importers.urdf_shapes import link_shapes
+
+    found = link_shapes(document["urdf"], document["base_link"], document["tip_link"])
+    return UrdfShapes(shapes=[_placed(*one) for one in found.shapes], left_out=found.left_out)
+
+
+def _placed(link: str, urdf_link: str, shape: Shape) -> UrdfShape:
+    transform = shape.pose.copy()
+    transform[:3, 3] = to_mm(transform[:3, 3])
+    size: dict[str, object] = {"file": shape.file, "scale": shape.scale}
+    if shape.kind != "mesh":
+        mm = [float(to_mm(value)) for value in shape.size]
+        size = {f"{shape.kind}_mm": mm[0] if shape.kind == "sphere" else mm}
+    return UrdfShape.model_validate({"link": link, "urdf_link": urdf_link, "transform": transform.tolist(), **size})
 
 
 def remove(database: Database, robot: str, link: str) -> None:

@@ -49,7 +49,7 @@ def _row(session: Session, robot_id: int, link: str) -> MeshRow:
     row = session.get(MeshRow, (robot_id, link))
     if row is None:
         raise ServiceError(
-            f"Link {link[:64]!r} has no mesh: /v1/robots/{{robot}}/meshes lists those that have one.",
+            f"Link {link[:64]!r} has no mesh: GET /v1/robots/{{robot}}/meshes lists those that have one.",
             code="mesh_not_found",
             link=link,
         )

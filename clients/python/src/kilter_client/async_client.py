@@ -13,6 +13,7 @@ from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns as measured
 from kilter_client.verbs import jobs as computed
 from kilter_client.verbs import keeping
+from kilter_client.verbs import meshes as shapes
 from kilter_client.verbs import robots as described
 from kilter_client.verbs import versions as made
 from kilter_client.wording import reworded
@@ -55,6 +56,10 @@ class AsyncKilter:
     find_frame = awaited(described.find_frame)
     robot = awaited(described.robot)
     robots = awaited(described.robots)
+    meshes = awaited(shapes.meshes)
+    set_mesh = awaited(shapes.set_mesh)
+    set_urdf_meshes = awaited(shapes.set_urdf_meshes)
+    remove_mesh = awaited(shapes.remove_mesh)
     upload = awaited(measured.upload)
     campaign = awaited(measured.campaign)
     campaigns = awaited(measured.campaigns)

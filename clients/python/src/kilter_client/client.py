@@ -13,6 +13,7 @@ from kilter_client.resources import Campaigns, Robots, Versions
 from kilter_client.running import waiting
 from kilter_client.steps import Steps
 from kilter_client.verbs import campaigns, jobs, keeping, robots, versions
+from kilter_client.verbs import meshes as shapes
 
 if TYPE_CHECKING:
     import httpx
@@ -70,6 +71,10 @@ class Kilter:
     find_robot = waiting(robots.find_robot)
     find_frame = waiting(robots.find_frame)
     robot = waiting(robots.robot)
+    meshes = waiting(shapes.meshes)
+    set_mesh = waiting(shapes.set_mesh)
+    set_urdf_meshes = waiting(shapes.set_urdf_meshes)
+    remove_mesh = waiting(shapes.remove_mesh)
     upload = waiting(campaigns.upload)
     campaign = waiting(campaigns.campaign)
     identify = waiting(jobs.identify)

@@ -57,6 +57,7 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
     },
     "Robots": {
         "robot": Entry("robots", "Add, list, show, check, convert and retire robots."),
+        "mesh": Entry("meshes", "Give links their shapes, for the picture of the arm."),
         "presets": Entry("lists", "List the robots that ship with Kilter."),
     },
     "Server": {

@@ -17,6 +17,7 @@ ROUTES: Mapping[str, str] = {
     "GET /v1/fleet-jobs": "`kilter fleet list`",
     "GET /v1/jobs": "`kilter jobs`",
     "GET /v1/robots/{robot}/campaigns": "`kilter campaigns ROBOT`",
+    "GET /v1/robots/{robot}/meshes": "`kilter mesh list ROBOT`",
     "GET /v1/robots/{robot}/versions": "`kilter versions ROBOT`",
     "POST /v1/versions/{id}/activate": "`kilter activate VERSION`",
 }

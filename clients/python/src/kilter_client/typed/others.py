@@ -201,26 +201,6 @@ class MadeToken(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Mesh(Record):
-    """The shape of a link. It is drawn only: no load and no identification uses it."""
-
-    created_at: str
-    """When it was stored."""
-    format: str
-    """Format of the file."""
-    link: str
-    """Name of the joint that moves the link, or `base`."""
-    robot: str
-    """Name of the robot."""
-    sha256: str
-    """SHA-256 of the file, 64 hexadecimal digits."""
-    triangles: int
-    """Number of triangles."""
-    unit: str
-    """Unit of the coordinates of the file: mm or m."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ResidualRows(Record):
     """What a version leaves of rows, measured minus predicted, as columns; every one has a value for each row."""
 
@@ -298,3 +278,35 @@ class Token(Record):
     """Names of the robots it is limited to; None: all robots. A robot of that name may be added later."""
     role: str
     """`viewer` reads; `operator` also uploads, runs jobs, corrects and activates; `admin` also has robots, tokens, purging and the audit."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class UrdfShape(Record):
+    """A shape that the robot's URDF gives a link: a file, or a box, cylinder or sphere."""
+
+    box_mm: tuple[float, ...]
+    """Sizes of a box about its centre, mm."""
+    cylinder_mm: tuple[float, ...]
+    """Radius and length of a cylinder along z about its centre, mm."""
+    file: str | None
+    """File of the mesh, in the URDF's words; None: a body of the sizes below."""
+    link: str
+    """Name of the joint that moves the link, or `base`."""
+    scale: tuple[float, ...]
+    """Factors of the file's coordinates to m."""
+    sphere_mm: float | None
+    """Radius of a sphere, mm."""
+    transform: tuple[tuple[float, ...], ...]
+    """Rows (4 by 4) that take the shape's own coordinates in mm to those of the link's mesh."""
+    urdf_link: str
+    """The URDF's name of the link."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class UrdfShapes(Record):
+    """What the robot's URDF draws of the arm."""
+
+    left_out: tuple[str, ...]
+    """The URDF's links behind joints that follow another: they have no mesh."""
+    shapes: Records[UrdfShape]
+    """Shapes, from base to tool."""

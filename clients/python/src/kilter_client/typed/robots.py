@@ -206,3 +206,23 @@ class Frame(Record):
     """The frame in the device's coordinates."""
     rms_mm: float
     """Rms distance of the points from where the frame has them, mm."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Mesh(Record):
+    """The shape of a link. It is drawn only: no load and no identification uses it."""
+
+    created_at: str
+    """When it was stored."""
+    format: str
+    """Format of the file."""
+    link: str
+    """Name of the joint that moves the link, or `base`."""
+    robot: str
+    """Name of the robot."""
+    sha256: str
+    """SHA-256 of the file, 64 hexadecimal digits."""
+    triangles: int
+    """Number of triangles."""
+    unit: str
+    """Unit of the coordinates of the file: mm or m."""

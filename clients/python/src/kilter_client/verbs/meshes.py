@@ -1,0 +1,93 @@
+"""Verbs about the shapes of a robot's links."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from kilter_client.calls import meshes as calls
+from kilter_client.errors import UsageError
+from kilter_client.results.record import Records
+from kilter_client.steps import Steps
+from kilter_client.verbs.things import Thing, reference
+
+if TYPE_CHECKING:
+    from kilter_client.typed.robots import Mesh
+
+FORMS: Mapping[str, calls.Form] = {".stl": "stl", ".obj": "obj"}
+
+
+def meshes(robot: Thing) -> Steps[Records[Mesh]]:
+    """Return the shapes of a robot's links, from base to tool.
+
+    Raises:
+        NotFoundError: there is no such robot.
+
+    """
+    from kilter_client.typed.robots import Mesh
+
+    found = yield from calls.listed(reference("robot", robot))
+    return Records(Mesh, [Mesh.read(one) for one in found])
+
+
+def set_mesh(robot: Thing, link: str, file: str | PathLike[str], *, unit: Literal["mm", "m"] = "mm") -> Steps[Mesh]:
+    """Give a link its shape, in place of the one it has. It is drawn only.
+
+    Args:
+        robot: the robot.
+        link: ``"base"``, or the name of the joint that moves the link.
+        file: STL or OBJ, in the frame in which the link's mass is stated.
+        unit: of the file.
+
+    Raises:
+        UsageError: the file is of another kind.
+        ApiError: the file is not a mesh, or the robot has no such link.
+
+    """
+    from kilter_client.typed.robots import Mesh
+
+    path = Path(fspath(file))
+    form = FORMS.get(path.suffix.lower())
+    if form is None:
+        raise UsageError(f"{path}: give a file that ends in .stl or .obj.")
+    return Mesh.read((yield from calls.put(reference("robot", robot), link, path.read_bytes(), form, unit)))
+
+
+def set_urdf_meshes(
+    robot: Thing, urdf: str | PathLike[str], *, packages: Mapping[str, str | PathLike[str]] | None = None
+) -> Steps[Records[Mesh]]:
+    """Give the links of a robot the shapes that its URDF names; needs ``kilter-client[meshes]``.
+
+    Args:
+        robot: a robot that was added from a URDF.
+        urdf: the URDF's file, beside or below which the files of the shapes lie.
+        packages: folders of ROS packages by name.
+
+    Raises:
+        FileError: a file is not there, or cannot be read as a mesh.
+        ApiError: the robot was not described by a URDF.
+
+    """
+    from kilter_client.typed.robots import Mesh
+    from kilter_files.robots.link_meshes import link_meshes
+
+    name = reference("robot", robot)
+    folders = {package: Path(fspath(folder)) for package, folder in (packages or {}).items()}
+    asked = yield from calls.of_urdf(name)
+    made = []
+    for one in link_meshes(asked["shapes"], Path(fspath(urdf)), folders):
+        put = yield from calls.put(name, one.link, one.content, "stl", "mm")
+        made.append(Mesh.read(put))
+    return Records(Mesh, made)
+
+
+def remove_mesh(robot: Thing, link: str) -> Steps[None]:
+    """Delete the shape of a link: it is drawn as cylinders again.
+
+    Raises:
+        NotFoundError: it has none.
+
+    """
+    return (yield from calls.remove(reference("robot", robot), link))
