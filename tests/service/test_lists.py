@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy import Engine, event
 
+from kilter_service.db import Database
+from tests.service.made_versions import store_version
+
+ROWS = {**{f"q{j}_deg": [10.0, 20.0] for j in range(1, 6)}, "y_mm": [1.0, 2.0], "z_mm": [3.0, 4.0]}
 PRESET = {"convention": "preset", "preset": "katana450-chapter4"}
 
 
@@ -94,3 +100,42 @@ def test_what_is_no_cursor_is_refused(client: httpx.Client, robot: str, address:
     answer = client.get(address, params={"after": after})
     assert (answer.status_code, answer.json()["code"]) == (422, "payload_invalid"), answer.text
     assert "`next`" in answer.json()["detail"]
+
+
+@contextmanager
+def statements() -> Iterator[list[str]]:
+    """What is asked of any database meanwhile."""
+    asked: list[str] = []
+
+    def note(_connection: Any, _cursor: Any, statement: str, *_: Any) -> None:
+        asked.append(statement)
+
+    event.listen(Engine, "before_cursor_execute", note)
+    try:
+        yield asked
+    finally:
+        event.remove(Engine, "before_cursor_execute", note)
+
+
+LISTS = ("robots", "robots/m/campaigns", "jobs", "robots/m/versions", "robots/m/activations", "tokens")
+
+
+def test_longer_lists_ask_the_database_no_more_often(client: httpx.Client, database: Database, robot: str) -> None:
+    asked: dict[str, list[int]] = {}
+    for number in range(4):
+        name = f"r{number}"
+        client.post("/v1/robots", json={"name": name, **PRESET}).raise_for_status()
+        for k, one in enumerate((robot, name)):
+            made = store_version(database, one, 2 * number + k)
+            client.post(f"/v1/versions/{made}/activate", json={"force": True}).raise_for_status()
+        campaign = client.post(f"/v1/robots/{robot}/campaigns", json={"name": name}).raise_for_status().json()["id"]
+        rows = {**ROWS, "x_mm": [1.0 + number, 2.0]}
+        client.post(f"/v1/campaigns/{campaign}/observations", json=rows).raise_for_status()
+        client.post("/v1/jobs", json={"kind": "identify", "robot": robot, "campaigns": [campaign]}).raise_for_status()
+        client.post("/v1/tokens", json={"name": name, "role": "viewer"}).raise_for_status()
+        for address in ("/", *(f"/v1/{each}" for each in LISTS)):
+            client.get(address).raise_for_status()
+            with statements() as said:
+                client.get(address).raise_for_status()
+            asked.setdefault(address, []).append(len(said))
+    assert all(len(set(counts)) == 1 for counts in asked.values()), asked

@@ -95,9 +95,11 @@ def listed(
 ) -> CampaignList:
     """List the campaigns of a robot, or those whose parts are not all there yet; ``with_retired`` those out of use too."""
     with database.reading() as session:
-        read = store.listed(session, robots.get(session, robot).id, staged, page, with_retired)
+        owner = robots.get(session, robot)
+        read = store.listed(session, owner.id, staged, page, with_retired)
         found, cursor = page.cut(read, lambda campaign: in_time(campaign.created_at, campaign.id))
-        return CampaignList(campaigns=[shown(session, campaign.id) for campaign in found], next=cursor)
+        uploads = store.uploads_of_all(session, [campaign.id for campaign in found])
+    return CampaignList(campaigns=[wire.campaign(one, owner.name, uploads[one.id]) for one in found], next=cursor)
 
 
 def upload(

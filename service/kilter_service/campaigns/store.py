@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
     from kilter_core.observations import Observations
 
+MOST_NAMED = 500  # ids in one query
 FEWEST_HELD = 4  # rows of each socket, plane and bar that stay where only some are read: its place is found from them
 
 
@@ -180,8 +181,19 @@ def ids_of_robot(session: Session, robot_id: int) -> list[str]:
 
 def uploads_of(session: Session, campaign_id: str) -> list[UploadRecord]:
     """Return the uploads of a campaign, oldest first."""
-    rows = session.execute(select(UploadRow).where(UploadRow.campaign_id == campaign_id).order_by(UploadRow.id))
-    return [UploadRecord(row.sha256, row.rows, row.columns, row.media_type, row.created_at) for row in rows.scalars()]
+    return uploads_of_all(session, [campaign_id])[campaign_id]
+
+
+def uploads_of_all(session: Session, campaign_ids: Sequence[str]) -> dict[str, list[UploadRecord]]:
+    """Return the uploads of campaigns, oldest first, by one query for many of them."""
+    found: dict[str, list[UploadRecord]] = {one: [] for one in campaign_ids}
+    for first in range(0, len(campaign_ids), MOST_NAMED):
+        some = campaign_ids[first : first + MOST_NAMED]
+        query = select(UploadRow).where(UploadRow.campaign_id.in_(some)).order_by(UploadRow.id)
+        for row in session.execute(query).scalars():
+            record = UploadRecord(row.sha256, row.rows, row.columns, row.media_type, row.created_at)
+            found[row.campaign_id].append(record)
+    return found
 
 
 def add_upload(

@@ -85,12 +85,11 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class JobRecord:
-    """A stored job."""
+class ListedJob:
+    """What a list tells of a job."""
 
     id: str
     kind: str
-    robot_id: int
     robot: str
     name: str
     state: str
@@ -100,6 +99,13 @@ class JobRecord:
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
+
+
+@dataclass(frozen=True)
+class JobRecord(ListedJob):
+    """A stored job."""
+
+    robot_id: int
     request: JobRequest
     attempts: int
     result: dict[str, Any] | None

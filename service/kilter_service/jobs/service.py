@@ -146,6 +146,12 @@ def listed(database: Database, robot: str | None, page: Page) -> JobList:
     return JobList(jobs=[wire.summary(job) for job in shown], next=cursor)
 
 
+def open_of_robots(database: Database) -> dict[str, int]:
+    """Return how many jobs of each robot are not over."""
+    with database.reading() as session:
+        return store.open_of_robots(session)
+
+
 def places(database: Database) -> dict[str, Place]:
     """Return where the jobs stand that are not over, by their ids."""
     with database.reading() as session:

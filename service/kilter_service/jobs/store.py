@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import ColumnElement, or_, select
+from sqlalchemy import ColumnElement, func, or_, select
 
 from kilter_service.caller import allowed_robots, as_document
 from kilter_service.campaigns import store as campaigns
@@ -20,7 +20,7 @@ from kilter_service.errors import ServiceError
 from kilter_service.jobs.durations import PastRun
 from kilter_service.jobs.kind import JobInput, JobKind, VersionContent
 from kilter_service.jobs.plotly_figures.layout import captioned
-from kilter_service.jobs.records import Asked, JobRecord, JobRequest, Place, ProgressRecord, UsedRecord
+from kilter_service.jobs.records import Asked, JobRecord, JobRequest, ListedJob, Place, ProgressRecord, UsedRecord
 from kilter_service.jobs.refusals import read_options
 from kilter_service.jobs.registry import kind_of
 from kilter_service.paging import Page
@@ -95,10 +95,14 @@ def places(session: Session) -> dict[str, Place]:
     return found
 
 
-def listed(session: Session, robot: str | None, page: Page) -> list[JobRecord]:
-    """Return the newest jobs, of one robot or of all, one more than the page shows."""
+def listed(session: Session, robot: str | None, page: Page) -> list[ListedJob]:
+    """Return the newest jobs, of one robot or of all, one more than the page shows; results are large and stay unread."""
     row = JobRow
-    query = select(row).order_by(row.created_at.desc(), row.id)
+    columns = (
+        row.id, row.kind, row.robot_id, row.name, row.state, row.fraction, row.stage, row.error, row.created_at,
+        row.started_at, row.finished_at,
+    )  # fmt: skip
+    query = select(*columns).order_by(row.created_at.desc(), row.id)
     if allowed_robots() is not None:
         query = robots.visible(query.join(RobotRow, RobotRow.id == row.robot_id))
     if robot is not None:
@@ -106,7 +110,16 @@ def listed(session: Session, robot: str | None, page: Page) -> list[JobRecord]:
     if page.moment is not None:
         moment, key = page.moment  # said so that the range of an index is read, not all of it
         query = query.where(row.created_at <= moment, or_(row.created_at < moment, row.id > key))
-    return [_record(session, found) for found in session.execute(query.limit(page.fetched)).scalars()]
+    found = session.execute(query.limit(page.fetched)).all()
+    names = robots.names(session, {one.robot_id for one in found})
+    return [ListedJob(job, kind, names[robot_id], *rest) for job, kind, robot_id, *rest in found]
+
+
+def open_of_robots(session: Session) -> dict[str, int]:
+    """Return how many jobs of each robot are not over."""
+    counted = select(RobotRow.name, func.count()).select_from(JobRow).join(RobotRow, RobotRow.id == JobRow.robot_id)
+    found = session.execute(robots.visible(counted.where(NOT_OVER).group_by(RobotRow.name)))
+    return dict(found.all())
 
 
 def _record(session: Session, row: JobRow) -> JobRecord:

@@ -43,7 +43,7 @@ from kilter_service.contract.jobs.plan import PlanResult
 from kilter_service.contract.units import Asked
 from kilter_service.contract.written import as_written
 from kilter_service.jobs.foresight import Foresight
-from kilter_service.jobs.records import JobRecord, ProgressRecord
+from kilter_service.jobs.records import JobRecord, ListedJob, ProgressRecord
 from kilter_service.jobs.registry import kind_of
 from kilter_service.wire import to_mm
 
@@ -90,12 +90,12 @@ def job(record: JobRecord) -> Job:
     )
 
 
-def summary(record: JobRecord) -> JobSummary:
+def summary(record: ListedJob) -> JobSummary:
     """Say what lists tell of a job."""
     return JobSummary(**_told(record))
 
 
-def _told(record: JobRecord) -> dict[str, Any]:
+def _told(record: ListedJob) -> dict[str, Any]:
     return {
         "id": record.id,
         "kind": record.kind,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from sqlalchemy import Select, delete, func, select
@@ -159,6 +160,11 @@ def remark(session: Session, name: str, remarks: str) -> None:
 
 def _row(session: Session, name: str) -> RobotRow:
     return session.get_one(RobotRow, get(session, name).id)
+
+
+def names(session: Session, robot_ids: Collection[int]) -> dict[int, str]:
+    """Return the names of robots by their keys."""
+    return dict(session.execute(select(RobotRow.id, RobotRow.name).where(RobotRow.id.in_(robot_ids))).all())
 
 
 def by_id(session: Session, robot_id: int) -> StoredRobot:

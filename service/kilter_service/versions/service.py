@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.previews import VersionPreview
-from kilter_service.contract.versions import ActivationList, Version, VersionList
+from kilter_service.contract.versions import ActivationList, Version, VersionList, VersionSummary
 from kilter_service.db import Database
 from kilter_service.exporters.exportable import Exportable
 from kilter_service.exporters.registry import Exported, export
@@ -26,6 +26,12 @@ def listed(database: Database, robot: str, page: Page, with_retired: bool = Fals
         found = store.of_robot(session, robots.get(session, robot).id, page, with_retired)
     shown, cursor = page.cut(found, lambda version: in_time(version.created_at, version.id))
     return VersionList(versions=[wire.summary(version) for version in shown], next=cursor)
+
+
+def active_of_robots(database: Database) -> dict[str, VersionSummary]:
+    """Return the versions that robots are corrected with, by robot."""
+    with database.reading() as session:
+        return {found.robot: wire.summary(found) for found in store.active_of_robots(session)}
 
 
 def get(database: Database, version_id: str) -> Version:

@@ -116,7 +116,7 @@ def get(session: Session, version_id: str) -> VersionRecord:
 
     """
     row = _row(session, version_id)
-    return _record(session, row)
+    return _record(row, robots.by_id(session, row.robot_id).name, active_entry(session, row.robot_id))
 
 
 def _row(session: Session, version_id: str) -> VersionRow:
@@ -131,13 +131,11 @@ def _row(session: Session, version_id: str) -> VersionRow:
     return row
 
 
-def _record(session: Session, row: VersionRow) -> VersionRecord:
-    last = active_entry(session, row.robot_id)
+def _record(row: VersionRow, robot: str, last: ActivationRecord | None) -> VersionRecord:
     facts = {
         field.name: getattr(row, field.name) for field in fields(VersionRecord) if field.name not in ("robot", "active")
     }
-    active = last is not None and last.version_id == row.id
-    return VersionRecord(robot=robots.by_id(session, row.robot_id).name, active=active, **facts)
+    return VersionRecord(robot=robot, active=last is not None and last.version_id == row.id, **facts)
 
 
 def usable(session: Session, version_id: str) -> VersionRecord:
@@ -182,7 +180,18 @@ def of_robot(session: Session, robot_id: int, page: Page = ALL, with_retired: bo
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
-    return [_record(session, found) for found in session.execute(query.limit(page.fetched)).scalars()]
+    robot, last = robots.by_id(session, robot_id).name, active_entry(session, robot_id)
+    return [_record(found, robot, last) for found in session.execute(query.limit(page.fetched)).scalars()]
+
+
+def active_of_robots(session: Session) -> list[VersionRecord]:
+    """Return the versions that robots are corrected with."""
+    last = select(func.max(ActivationRow.id)).group_by(ActivationRow.robot_id)
+    query = select(VersionRow, RobotRow.name, ActivationRow).join(
+        ActivationRow, ActivationRow.version_id == VersionRow.id
+    )
+    query = query.join(RobotRow, RobotRow.id == VersionRow.robot_id).where(ActivationRow.id.in_(last))
+    return [_record(row, robot, _entry(entry)) for row, robot, entry in session.execute(robots.visible(query))]
 
 
 def calibration(session: Session, version_id: str) -> Calibration:
