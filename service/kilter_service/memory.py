@@ -1,14 +1,17 @@
-"""How the API process gives memory back."""
+"""How the API process gives memory back, and how seldom it stops to look for garbage."""
 
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
+import time
 
 # Of <malloc.h>. Every thread that works on a body would get an arena of its own, up to eight for each core, and what is
 # freed in one is of no use to the others: forty threads kept as much as all bodies that they ever held at once.
 M_ARENA_MAX, ARENAS = -8, 2
 ARROW_POOL = "ARROW_DEFAULT_MEMORY_POOL"
+LONG_PAUSE_S = 0.01
 
 
 def keep_small() -> None:
@@ -19,3 +22,26 @@ def keep_small() -> None:
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, ARENAS)
     except (AttributeError, OSError):
         return
+
+
+class ShortPauses:
+    """Keeps collections of garbage short: what a long one left is not looked through again.
+
+    Modules that are imported when they are first needed, and the caches that fill up then, made every full collection
+    stop all requests for 0.1 s. What is freed by its count of references is freed as before.
+    """
+
+    def __init__(self, long_s: float = LONG_PAUSE_S) -> None:
+        self._long_s, self._began = long_s, 0.0
+
+    def begin(self) -> None:
+        """Watch the collections of this process from now on."""
+        gc.callbacks.append(self._seen)
+
+    def _seen(self, phase: str, info: dict[str, int]) -> None:
+        if info["generation"] < 2:
+            return
+        if phase == "start":
+            self._began = time.perf_counter()
+        elif time.perf_counter() - self._began > self._long_s:
+            gc.freeze()

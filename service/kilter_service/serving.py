@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from kilter_service.errors import ServiceError
-from kilter_service.memory import keep_small
+from kilter_service.memory import ShortPauses, keep_small
 from kilter_service.settings import Settings
 
 log = logging.getLogger("kilter.api")
@@ -114,6 +114,7 @@ def serve(settings: Settings, opened: socket.socket) -> None:
         from kilter_service.connections import TimedConnection
 
         app = create_app(settings)
+    ShortPauses().begin()
     check_database(settings, MIGRATION_WAIT_S)
     config = uvicorn.Config(
         app,

@@ -22,7 +22,33 @@ assert gc.get_freeze_count() > 100_000, gc.get_freeze_count()
 assert not collected, len(collected)
 """
 
+SHORT = """
+import gc, weakref
+from kilter_service.memory import ShortPauses
+class Thing: pass
+def cycle():
+    one, other = Thing(), Thing()
+    one.other, other.other = other, one
+    return weakref.ref(one)
+kept = [[] for _ in range(1000)]
+ShortPauses(long_s=0.0).begin()
+gc.collect(1)
+assert gc.get_freeze_count() == 0
+gc.collect()
+frozen = gc.get_freeze_count()
+assert frozen >= len(kept), frozen
+gone = cycle()
+assert gone() is not None
+gc.collect()
+assert gone() is None, "garbage that came later stays"
+"""
+
 
 def test_nothing_is_collected_while_the_application_is_imported() -> None:
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_a_long_collection_left_is_not_looked_through_again() -> None:
+    done = subprocess.run([sys.executable, "-c", SHORT], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
