@@ -104,3 +104,4 @@ class JobRecord:
     attempts: int
     result: dict[str, Any] | None
     asked: Asked
+    asked_by: str
