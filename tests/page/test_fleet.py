@@ -13,7 +13,7 @@ from playwright.sync_api import Browser
 
 from kilter_service.contract.fits import Errors
 from kilter_service.health import store as health
-from kilter_service.page.accuracy import interval
+from kilter_service.page.shared.accuracy import interval
 
 from .conftest import opened
 from .made import Made, made

@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -17,18 +18,22 @@ from kilter_core.twin import thesis_katana
 from kilter_service import limited
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
+from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.db import Database
-from kilter_service.db.tables import JobRow, RobotRow
+from kilter_service.db.tables import JobRow, RobotRow, VersionRow
 from kilter_service.errors import ServiceError
+from kilter_service.jobs import store as jobs
+from kilter_service.jobs.kind import VersionContent
 from kilter_service.page.report import pdf
 from kilter_service.settings import Settings
 from kilter_service.versions import store as versions
+from kilter_service.versions.objections import objections_of
 from kilter_service.versions.store import NewVersion
 from tests.service.conftest import Katana, new_database, ready, served
 
 from .conftest import opened
 
-JOB, EVALUATION = "job_00000000000000b1", "job_00000000000000b2"
+JOB, EVALUATION, DOUBTFUL = "job_00000000000000b1", "job_00000000000000b2", "job_00000000000000b4"
 LINK = "https://elsewhere.test/beacon.png"
 OPTIONS = {
     "kind": "identify", "robot": Katana.name, "name": "", "campaigns": [], "validation": None, "confirmation": [],
@@ -84,7 +89,12 @@ def version(server: httpx.Client, settings: Settings) -> str:
     database = Database(settings.database)
     with database.transaction() as session:
         robot = session.execute(select(RobotRow.id).where(RobotRow.name == Katana.name)).scalar_one()
-        session.add(JobRow(id=JOB, kind="identify", robot_id=robot, request=OPTIONS, state="succeeded", result={}))
+        session.add(
+            JobRow(
+                id=JOB, kind="identify", robot_id=robot, request=OPTIONS, state="succeeded", result={},
+                asked_by={"actor": "anna"},
+            )
+        )  # fmt: skip
         session.flush()
         made = versions.add(session, robot, JOB, new)
         request = {**OPTIONS, "kind": "evaluate"}
@@ -111,7 +121,7 @@ def test_the_report_says_what_the_interface_says(server: httpx.Client, version: 
     assert "tool_z cannot be told from d_5" in text
     assert told["sha256"] in text
     assert told["robot_sha256"] in text
-    assert JOB in text
+    assert re.search(rf"{JOB}, identify; asked for [-0-9: ]+ UTC by anna, finished", text)
     assert "AP 0.123 mm 30 30" in text
     assert "RP 45.0 µm 5 30 (too few: only a guideline)" in text
     for effect in told["effects"]:
@@ -128,6 +138,36 @@ def test_the_report_of_a_job_is_that_of_what_it_found(server: httpx.Client, vers
     assert refused.status_code == 422
     assert "when it has succeeded" in refused.text
     assert server.get("/versions/ver_0000000000000000/report").status_code == 404
+
+
+def test_one_sentence_says_that_a_version_is_not_fit_to_correct_with(server: httpx.Client, settings: Settings) -> None:
+    far = {"n": 30, "identified": {"mean_mm": 51.0}}
+    made = doubtful(server, settings, {"metrics": {"train": ERRORS, "validation": far}})
+    said = "Complete, but not fit to correct with: It leaves 51 mm on its own held-out rows, more than the 5 mm"
+    job, page = f"/jobs/{DOUBTFUL}", f"/versions/{made}"
+    for address in (job, f"{job}/report", page, f"{page}/report"):
+        assert plain(server.get(address).raise_for_status().text).count(said) == 1, address
+
+
+def doubtful(server: httpx.Client, settings: Settings, report: dict[str, Any]) -> str:
+    """A version with another report, stored as its job would store it; its id."""
+    server.post("/v1/robots", json=Katana.document | {"name": "other"}).raise_for_status()
+    limits = CorrectionLimits(max_joint_deg=1.0, max_position_mm=5.0)
+    new = VersionContent(
+        thesis_katana().truth.to_document(), report, {"names": [], "matrix": [], "units": "SI"}, limits
+    )
+    database = Database(settings.database)
+    with database.transaction() as session:
+        robot = session.execute(select(RobotRow.id).where(RobotRow.name == "other")).scalar_one()
+        session.add(
+            JobRow(id=DOUBTFUL, kind="identify", robot_id=robot, request=OPTIONS | {"robot": "other"}, state="running")
+        )
+        session.flush()
+        jobs.succeed(session, DOUBTFUL, {}, new, None, objections_of(report, limits))
+    with database.reading() as session:
+        made = session.execute(select(VersionRow.id).where(VersionRow.job_id == DOUBTFUL)).scalar_one()
+    database.close()
+    return made
 
 
 def test_the_pdf_is_the_same_every_time(server: httpx.Client, version: str) -> None:

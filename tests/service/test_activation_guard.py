@@ -359,6 +359,7 @@ WORSE_HELD_OUT = {"registration_only": {"mean_mm": 0.5}, "identified": {"mean_mm
         ),
         ({"metrics": {"validation": WORSE_HELD_OUT}}, "heldout_worse"),
         ({"metrics": {"train": {"n": 9, "identified": {"mean_mm": 443.0}}}}, "error_beyond_limit"),
+        ({"metrics": {"validation": {"n": 9, "identified": {"mean_mm": 51.0}}}}, "error_beyond_limit"),
     ],
 )
 def test_what_its_own_identification_found_refuses_it(lab: Lab, report: dict[str, Any], code: str) -> None:

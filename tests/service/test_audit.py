@@ -200,7 +200,9 @@ def test_a_version_of_a_worker_is_in_the_audit_of_whoever_asked_for_it(
     assert claim is not None
     Runner(database).run(claim)
 
-    version = client.get(f"/v1/jobs/{job}").json()["result"]["version_id"]
+    told = client.get(f"/v1/jobs/{job}").json()
+    version = told["result"]["version_id"]
+    assert told["asked_by"] == "anna"
     (entry,) = entries(client)[before:]
     assert (entry["actor"], entry["token_id"], entry["role"]) == ("anna", made["id"], "operator")
     assert (entry["address"], entry["route"]) == ("127.0.0.1", "kilterd worker")
@@ -226,6 +228,7 @@ def test_a_version_that_an_earlier_kilter_was_asked_for_says_that_nobody_is_know
     assert claim is not None
     Runner(database).run(claim)
     assert entries(client)[-1]["actor"] == "unknown"
+    assert client.get(f"/v1/jobs/{job}").json()["asked_by"] == ""
 
 
 def test_the_audit_comes_in_pages(client: httpx.Client) -> None:

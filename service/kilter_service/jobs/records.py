@@ -110,3 +110,4 @@ class JobRecord(ListedJob):
     attempts: int
     result: dict[str, Any] | None
     asked: Asked
+    asked_by: str

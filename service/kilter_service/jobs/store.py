@@ -140,6 +140,7 @@ def _record(session: Session, row: JobRow) -> JobRecord:
         attempts=row.attempts,
         result=row.result,
         asked=Asked(row.request_id, row.traceparent),
+        asked_by=row.asked_by.get("actor", ""),
     )
 
 

@@ -86,6 +86,7 @@ def job(record: JobRecord) -> Job:
         confirmation=record.request.confirmation,
         options=options,
         attempts=record.attempts,
+        asked_by=record.asked_by,
         result=None if record.result is None else as_written(result, record.result),
     )
 

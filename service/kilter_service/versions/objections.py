@@ -18,6 +18,7 @@ SIMPLER = {
     "geometry_only": "the geometry alone",
     "nominal": "the nominal robot",
 }
+ROWS = {"validation": "its own held-out rows", "train": "the rows it was fitted to"}
 
 
 def objections_of(report: Mapping[str, Any], limits: CorrectionLimits) -> list[Objection]:
@@ -54,15 +55,16 @@ def _variance(block: Mapping[str, Any]) -> float:
 
 
 def _too_large(metrics: Mapping[str, Any], limits: CorrectionLimits) -> list[Objection]:
-    """A version that explains its own rows worse than the largest correction it may make describes another arm."""
-    left = _mean(metrics.get("train") or {}, "identified")
-    if left is None or left <= limits.max_position_mm:
-        return []
-    message = (
-        f"It leaves {left:.4g} mm on the rows it was fitted to, more than the {limits.max_position_mm:g} mm it may ever "
-        "correct: joints, columns or units are mixed up, or it is another robot."
-    )
-    return [Objection(code="error_beyond_limit", message=message)]
+    """A version that leaves more than the largest correction it may make describes another arm: held-out rows say it first."""
+    for block, rows in ROWS.items():
+        left = _mean(metrics.get(block) or {}, "identified")
+        if left is not None and left > limits.max_position_mm:
+            message = (
+                f"It leaves {left:.4g} mm on {rows}, more than the {limits.max_position_mm:g} mm it may ever correct: "
+                "joints, columns or units are mixed up, or it is another robot."
+            )
+            return [Objection(code="error_beyond_limit", message=message)]
+    return []
 
 
 def _mean(block: Mapping[str, Any], stage: str) -> float | None:

@@ -130,6 +130,9 @@ class _Job(JobSummary):
     validation: list[str] | Fraction | Folds | None = Field(description="What it holds out, as asked.")
     confirmation: list[str] = Field([], description="Campaigns in which what it finds must be seen again.")
     attempts: int = Field(description="How often a worker began it.")
+    asked_by: str = Field(
+        "", description="Who asked for it: name of the token; empty: not noted by an earlier release."
+    )
 
 
 class IdentifyJob(_Job):

@@ -10,9 +10,9 @@ from fastapi.responses import HTMLResponse, JSONResponse
 from kilter_service.auth.access import Admin
 from kilter_service.campaigns import keeping
 from kilter_service.contract.references import Change
-from kilter_service.page import proposing
 from kilter_service.page.campaign import service
 from kilter_service.page.route import PageRoute
+from kilter_service.page.shared import proposing
 from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.robots import service as robots
 from kilter_service.state import DatabaseOfApp

@@ -16,7 +16,7 @@ from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.versions import Version
 from kilter_service.db import Database
 from kilter_service.page.campaign.series import KEPT, LEAST, MOST, thinned
-from kilter_service.page.measured import Seen, seen
+from kilter_service.page.shared.measured import Seen, seen
 from kilter_service.paging import Page
 from kilter_service.versions import service as versions
 

@@ -13,11 +13,11 @@ from kilter_service.auth.access import caller_of
 from kilter_service.bodies import spool_upload
 from kilter_service.errors import ServiceError
 from kilter_service.logins import service as logins
-from kilter_service.page import proposing
 from kilter_service.page.drop import reading, service
 from kilter_service.page.drop.drafts import Draft, Drafts
-from kilter_service.page.measured import seen
 from kilter_service.page.route import PageRoute
+from kilter_service.page.shared import proposing
+from kilter_service.page.shared.measured import seen
 from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.robots import service as robots
 from kilter_service.slots import compute

@@ -9,8 +9,8 @@ from kilter_service.contract.robot_reports import RobotSummary
 from kilter_service.contract.versions import VersionSummary
 from kilter_service.db import Database
 from kilter_service.jobs import service as jobs
-from kilter_service.page.accuracy import Accuracy, accuracy_of
-from kilter_service.page.correcting import Correcting, corrector
+from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
+from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.settings import Settings

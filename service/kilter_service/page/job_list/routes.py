@@ -5,8 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 
-from kilter_service.page import listed_jobs
 from kilter_service.page.route import PageRoute
+from kilter_service.page.shared import listed_jobs
 from kilter_service.page.shell import render
 from kilter_service.page_query import PageOfJobs
 from kilter_service.state import DatabaseOfApp

@@ -10,8 +10,8 @@ from fastapi.responses import HTMLResponse, PlainTextResponse
 from kilter_service.auth.access import Admin
 from kilter_service.jobs import service as jobs
 from kilter_service.page.jobs import form, planned, service
-from kilter_service.page.listed_jobs import KINDS
 from kilter_service.page.route import PageRoute
+from kilter_service.page.shared.listed_jobs import KINDS
 from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.state import DatabaseOfApp
 

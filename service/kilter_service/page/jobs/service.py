@@ -14,7 +14,7 @@ from kilter_service.jobs import service as jobs
 from kilter_service.jobs.registry import kind_of
 from kilter_service.page.jobs import form, options, seal
 from kilter_service.page.jobs.results import result_of
-from kilter_service.page.listed_jobs import KINDS, listed
+from kilter_service.page.shared.listed_jobs import KINDS, listed
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 

@@ -11,9 +11,9 @@ from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import Version
 from kilter_service.db import Database
 from kilter_service.exporters.registry import FORMATS
-from kilter_service.page.accuracy import Accuracy, accuracy_of
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
+from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
 from kilter_service.robots import service as robots
 from kilter_service.versions import activation, service
 from kilter_service.versions.expected import tag_of_robot

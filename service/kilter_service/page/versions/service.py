@@ -9,9 +9,9 @@ from kilter_service.contract.fits import Parameter
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.versions import Activation, Version, VersionSummary
 from kilter_service.db import Database
-from kilter_service.page.accuracy import Accuracy, accuracy_of
 from kilter_service.page.figures.plot import GREY, Plot
 from kilter_service.page.figures.scale import around, named
+from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.versions import service

@@ -18,6 +18,8 @@ from kilter_client.typed.server import JobError, Progress
 class EvaluateJob(Record):
     """An evaluation with what was asked and what came out."""
 
+    asked_by: str
+    """Who asked for it: name of the token; empty: not noted by an earlier release."""
     attempts: int
     """How often a worker began it."""
     campaigns: tuple[str, ...]
@@ -56,6 +58,8 @@ class EvaluateJob(Record):
 class GapJob(Record):
     """A gap search with its options and its result."""
 
+    asked_by: str
+    """Who asked for it: name of the token; empty: not noted by an earlier release."""
     attempts: int
     """How often a worker began it."""
     campaigns: tuple[str, ...]
@@ -94,6 +98,8 @@ class GapJob(Record):
 class IdentifyJob(Record):
     """An identification with what was asked and what came out."""
 
+    asked_by: str
+    """Who asked for it: name of the token; empty: not noted by an earlier release."""
     attempts: int
     """How often a worker began it."""
     campaigns: tuple[str, ...]
@@ -132,6 +138,8 @@ class IdentifyJob(Record):
 class JointParametersJob(Record):
     """A measurement of joints with what was asked and what came out."""
 
+    asked_by: str
+    """Who asked for it: name of the token; empty: not noted by an earlier release."""
     attempts: int
     """How often a worker began it."""
     campaigns: tuple[str, ...]
@@ -170,6 +178,8 @@ class JointParametersJob(Record):
 class PlanJob(Record):
     """A plan of poses with what was asked and what came out."""
 
+    asked_by: str
+    """Who asked for it: name of the token; empty: not noted by an earlier release."""
     attempts: int
     """How often a worker began it."""
     campaigns: tuple[str, ...]

@@ -1,0 +1,1 @@
+"""What several views say: how accurate a version is, what corrects a robot, what was measured, and jobs in lists."""
