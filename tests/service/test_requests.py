@@ -30,7 +30,7 @@ OPEN = {
     "GET /v1/health", "GET /v1/health/live", "GET /v1/health/ready",
     "GET /v1/robots", "GET /v1/robots/{robot}",
     "GET /v1/robots/{robot}/campaigns", "GET /v1/robots/{robot}/meshes",
-    "GET /v1/robots/{robot}/meshes/{link}", "GET /v1/campaigns/{campaign}",
+    "GET /v1/robots/{robot}/meshes/{link}", "GET /v1/robots/{robot}/urdf-shapes", "GET /v1/campaigns/{campaign}",
     "GET /v1/jobs", "GET /v1/jobs/{job}", "GET /v1/jobs/{job}/events",
     "GET /v1/fleet-jobs", "GET /v1/fleet-jobs/{fleet_job}",
     "GET /v1/robots/{robot}/versions", "GET /v1/robots/{robot}/activations", "GET /v1/versions/{version}",
