@@ -22,7 +22,7 @@ from kilter_service.contract.gap_details import Evidence, Gates
 from kilter_service.db import Database
 from kilter_service.page.gap.bins import Point, binned, branches, student
 from kilter_service.page.gap.claim import GATES
-from kilter_service.page.words import number
+from kilter_service.page.words import mm, number, of_joints
 from kilter_service.settings import Settings
 from tests.service.conftest import Katana, WorkerProcess, new_database, ready, served, wait_for
 from tests.service.test_gap import FINAL, Arm
@@ -187,6 +187,17 @@ def test_the_gap_closes_in_steps(hunted: Hunted) -> None:
     low, high = held - errors["arrayminus"], held + errors["array"]
     for place in range(len(held) - 1):
         assert f"{low[place]:.3g} to {high[place]:.3g}" in body
+    report = text_of(hunted.client.get(f"/jobs/{hunted.closed['id']}/report"))
+    for text in (
+        f"On held-out poses the error falls from {held[0]:.3g} to {held[-2]:.3g} mm",
+        f"{low[0]:.3g} to {high[0]:.3g}",
+    ):
+        assert text in report
+    for effect in hunted.closed["result"]["effects"]:
+        joints, moves = of_joints(effect["joints"]), mm(effect["moves_mm"])
+        assert re.search(
+            rf"{effect['id']} {joints} .*? {re.escape(moves)} ", report.partition("Moves the tool, rms")[2]
+        )
 
 
 def test_bins_hold_their_points_and_intervals() -> None:

@@ -57,6 +57,17 @@ REPORT = {
         {"name": "d_5", "unit": "mm", "value": 200.0, "nominal": 200.0, "sigma": 5.0, "identifiable": False, "plausible": True},
     ],
 }  # fmt: skip
+EDGES = [0.01, 0.02, 0.05, 1.0, 2.0, 3.0]
+FIGURES = {
+    "held_out_errors": {
+        "data": [
+            {"type": "scatter", "name": f"{name}: median 1, rms 1 mm", "x": EDGES, "y": [*counts, 0]}
+            for name, counts in {
+                "before, nominal": [0, 0, 0, 10, 20], "registration only": [0, 0, 20, 5, 5], "identified": [16, 14, 0, 0, 0],
+            }.items()
+        ]
+    }
+}  # fmt: skip
 ISO = {
     "version_id": "", "standard": "ISO 9283:1998", "refit": [],
     "iso9283": {
@@ -91,7 +102,7 @@ def version(server: httpx.Client, settings: Settings) -> str:
         robot = session.execute(select(RobotRow.id).where(RobotRow.name == Katana.name)).scalar_one()
         session.add(
             JobRow(
-                id=JOB, kind="identify", robot_id=robot, request=OPTIONS, state="succeeded", result={},
+                id=JOB, kind="identify", robot_id=robot, request=OPTIONS, state="succeeded", result={"figures": FIGURES},
                 asked_by={"actor": "anna"},
             )
         )  # fmt: skip
@@ -128,6 +139,35 @@ def test_the_report_says_what_the_interface_says(server: httpx.Client, version: 
         assert effect in text
     assert "<script>" not in html
     assert "&lt;script&gt;" in html
+
+
+def test_the_report_says_which_share_has_which_error(server: httpx.Client, version: str) -> None:
+    html = server.get(f"/versions/{version}/report").raise_for_status().text
+    text = plain(html)
+    assert "nominal robot 3.00 mm 3.00 mm base and tool fitted only 1.00 mm 3.00 mm calibrated 20.0 µm 50.0 µm" in text
+    drawn = html.partition("Share of held-out rows with at most an error")[2].partition("</svg>")[0]
+    lines = re.findall(r"<polyline [^>]*>", drawn)
+    assert len(lines) == 3
+    assert len({re.sub(r"points=\"[^\"]*\"", "", line) for line in lines}) == 3  # told apart without colour, by dashes
+    assert len(set(re.findall(r'stroke="([^"]*)"', "".join(lines)))) == 1
+    assert "Share of fitted rows" not in html
+
+
+def test_the_report_says_how_far_each_effect_moves_the_tool(server: httpx.Client, version: str) -> None:
+    text = plain(server.get(f"/versions/{version}/report").raise_for_status().text)
+    notes = server.get(f"/v1/versions/{version}/export", params={"format": "urdf"}).headers["kilter-notes"]
+    told = re.findall(r"Left out: (\w+), ([\d.]+) mm rms and ([\d.]+) mm", notes)
+    assert told
+    for effect, rms, largest in told:
+        row = re.search(rf" {effect} .*? ([\d.]+ (?:mm|µm)) ([\d.]+ (?:mm|µm)) ", text.partition("Moves the tool")[2])
+        assert row is not None, effect
+        assert in_mm(row[1]) == pytest.approx(float(rms), abs=6e-4, rel=6e-3)
+        assert in_mm(row[2]) == pytest.approx(float(largest), abs=6e-4, rel=6e-3)
+
+
+def in_mm(text: str) -> float:
+    value, unit = text.split()
+    return float(value) * (1e-3 if unit == "µm" else 1.0)
 
 
 def test_the_report_of_a_job_is_that_of_what_it_found(server: httpx.Client, version: str) -> None:

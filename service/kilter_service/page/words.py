@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -93,6 +93,16 @@ def percent(value: float | None) -> str:
 def count(value: int | None) -> str:
     """Write a count with a thin space between thousands."""
     return NONE if value is None else f"{value:,}".replace(",", "\u202f")
+
+
+def listed(names: Sequence[str]) -> str:
+    """Join names by commas and *and*."""
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
+
+
+def of_joints(numbers: Sequence[int]) -> str:
+    """Name joints by their numbers."""
+    return f"joint{'s' if len(numbers) > 1 else ''} {listed([str(number) for number in numbers])}"
 
 
 FILTERS: Mapping[str, Callable[..., Any]] = {

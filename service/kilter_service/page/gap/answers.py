@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.page.gap.called import called, listed, plural
+from kilter_service.page.gap.called import called, plural
 from kilter_service.page.gap.claim import LEVELS
-from kilter_service.page.words import number
+from kilter_service.page.words import listed, number
 
 ORDER = tuple(LEVELS)
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from kilter_service.contract.gap_details import AtJoints
-from kilter_service.page.words import number
+from kilter_service.page.words import number, of_joints
 
 JOINT = re.compile(r"_(\d+)$")
 SMALLEST_P = 1e-4
@@ -22,12 +22,7 @@ def named(name: str, joints: Sequence[int]) -> str:
     plain = name.replace("_", " ")
     if not joints:
         return plain
-    return f"{plain} of joint{'s' if len(joints) > 1 else ''} {listed([str(joint) for joint in joints])}"
-
-
-def listed(names: Sequence[str]) -> str:
-    """Join names by commas and *and*."""
-    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
+    return f"{plain} of {of_joints(joints)}"
 
 
 def joint_of(parameter: str) -> int | None:

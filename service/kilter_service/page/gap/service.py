@@ -12,8 +12,9 @@ from kilter_service.contract.jobs.job import GapJob
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.jobs import service as jobs
-from kilter_service.page.gap import answers, claim, curves, rivals, steps, tested, where
+from kilter_service.page.gap import answers, claim, curves, rivals, tested, where
 from kilter_service.page.gap.called import called
+from kilter_service.page.shared import steps
 from kilter_service.paging import Page
 
 VERDICTS = {
@@ -43,7 +44,7 @@ def job_of(database: Database, job: str) -> GapJob:
 def shown(database: Database, job: GapJob) -> dict[str, Any]:
     """Return what ``gap/result.html`` shows of a search that has succeeded."""
     result = job.result or GapResult()
-    unit = unit_of(result.gap)
+    unit = steps.unit_of(result.gap)
     read = steps.of(result.figures, unit)
     return {
         "version": result.version_id,
@@ -68,11 +69,6 @@ def shown(database: Database, job: GapJob) -> dict[str, Any]:
         "levels": claim.LEVELS,
         "newer": newer(database, job),
     }
-
-
-def unit_of(gap: GapSize | None) -> str:
-    """Return the unit of the errors: joint data have degrees."""
-    return "deg" if gap is not None and gap.before_deg is not None else "mm"
 
 
 def sizes(gap: GapSize | None, unit: str) -> dict[str, float | None]:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from itertools import accumulate
 from typing import Any
 
-from kilter_service.contract.figures import IdentifyFigures, Scatter
 from kilter_service.contract.fits import CorrelatedGroup, Covariance, Influence, StageErrors
 from kilter_service.contract.jobs.identify import IdentifyResult
 from kilter_service.contract.jobs.job import IdentifyJob
@@ -15,6 +13,7 @@ from kilter_service.page.figures.heat_map import HeatMap
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.jobs import stages
+from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.page.words import mm, number
 from kilter_service.versions import service as versions
 
@@ -27,6 +26,7 @@ def shown(database: Database, job: IdentifyJob) -> dict[str, Any]:
     held = result.metrics.validation if result.metrics else None
     judged = held or (result.metrics.train if result.metrics else None)
     where = "held-out rows" if held else "the rows that were fitted"
+    figures = result.figures
     covariance = versions.get(database, result.version_id).covariance if result.version_id else None
     groups = result.correlated_groups or []
     return {
@@ -39,7 +39,9 @@ def shown(database: Database, job: IdentifyJob) -> dict[str, Any]:
         "stages": stages.there(judged),
         "meaning": stages.MEANING,
         "bars": stages.bars(judged, where),
-        "curve": cumulative(result.figures, where),
+        "curve": cumulative(
+            (figures.held_out_errors or figures.fitted_errors) if figures else None, where, stages.CURVES
+        ),
         "effects": gain_of_effects(judged),
         "seen": [row for row in result.parameters or [] if row.identifiable is not False],
         "unseen": [row for row in result.parameters or [] if row.identifiable is False],
@@ -54,42 +56,6 @@ def gain_of_effects(errors: StageErrors | None) -> float | None:
     if errors is None or errors.geometry_only is None or errors.identified is None:
         return None
     return errors.geometry_only.mean_mm - errors.identified.mean_mm
-
-
-def cumulative(figures: IdentifyFigures | None, where: str) -> Plot | None:
-    """Draw which share of the rows has at most which error; from the counts of the report's own histogram."""
-    figure = (figures.held_out_errors or figures.fitted_errors) if figures is not None else None
-    traces = [(one.name or "", *_shares(one)) for one in (figure.data or [] if figure is not None else [])]
-    traces = [one for one in traces if one[1]]
-    if not traces:
-        return None
-    plot = Plot(
-        f"Share of {where} with at most an error", around("error, mm", [x for one in traces for x in one[1]], log=True),
-        around("share of rows, %", [0.0, 100.0], zero=True),
-        description="The further left a curve rises, the smaller the errors.",
-        table=(["Model", "Half of the rows are below", "All are below"],
-               [[name, mm(_at(xs, ys, 50.0)), mm(xs[-1])] for name, xs, ys in traces]),
-    )  # fmt: skip
-    for place, (name, xs, ys) in enumerate(traces):
-        plot.line(xs, ys, name, place)
-    return plot
-
-
-def _shares(trace: Scatter) -> tuple[list[float], list[float]]:
-    """Return errors and the share of rows below each, from counts per bin: each is given with its lower edge."""
-    edges = [float(x) for x in trace.x if isinstance(x, int | float)]
-    counts = [y or 0.0 for y in trace.y]
-    total = sum(counts)
-    if not total or len(edges) != len(counts):
-        return [], []
-    shares = [100.0 * share / total for share in accumulate(counts)]
-    first = next(k for k, share in enumerate(shares) if share > 0)
-    last = next(k for k, share in enumerate(shares) if share >= 100.0 - 1e-9)
-    return edges[first : last + 2], [0.0, *shares[first : last + 1]]
-
-
-def _at(xs: list[float], ys: list[float], share: float) -> float:
-    return next(x for x, y in zip(xs, ys, strict=True) if y >= share - 1e-9)
 
 
 def correlation_map(groups: list[CorrelatedGroup], known: Covariance | None) -> HeatMap | None:

@@ -16,6 +16,7 @@ STAGES = (
     ("identified", "After"),
 )
 BARS = (("mean_mm", "mean", -0.27), ("rms_mm", "rms", 0.0), ("p95_mm", "95 % are below", 0.27))
+CURVES = {"before, nominal": "Before", "registration only": "Registration only", "identified": "After"}
 NO_OTHER: Mapping[str, str] = {}
 MEANING = {
     "Before": "the nominal robot, where it is said to stand",

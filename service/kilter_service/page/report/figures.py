@@ -7,12 +7,14 @@ from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 
-SHADES = ("#c8c8c8", "#828282", "#141414")
+INK, HEIGHT = "#141414", 230.0
+SHADES = ("#c8c8c8", "#828282", INK)
 STAGES = (
     ("nominal", "nominal robot"),
     ("registration_only", "base and tool fitted only"),
     ("identified", "calibrated"),
 )
+CURVES = {"before, nominal": STAGES[0][1], "registration only": STAGES[1][1], "identified": STAGES[2][1]}
 SIZES = (("mean_mm", "mean"), ("rms_mm", "rms"), ("p95_mm", "95 %"), ("max_mm", "largest"))
 
 
@@ -25,7 +27,7 @@ def before_and_after(errors: StageErrors, title: str) -> Plot | None:
     if not values or min(values) <= 0:
         return None
     axis = around("error, mm (logarithmic)", values, log=True)
-    plot = Plot(title, named("", [label for _, label in SIZES]), axis, width=620, height=270, description=title)
+    plot = Plot(title, named("", [label for _, label in SIZES]), axis, width=620, height=HEIGHT, description=title)
     width = 0.8 / len(found)
     shades = SHADES[-len(found) :]
     for k, (label, one) in enumerate(found):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.versions import Version
+from kilter_service.page.words import of_joints
 
 VERDICTS = {
     "replicated": "seen again in a measurement of another day or set-up",
@@ -44,7 +45,7 @@ def _unknown(version: Version) -> Iterator[str]:
 def _named(search: GapResult | None) -> Iterator[str]:
     for effect in (search.effects if search is not None else None) or []:
         verdict = VERDICTS.get(effect.verdict or "")
-        where = f" of joints {', '.join(map(str, effect.joints))}" if effect.joints else ""
+        where = f" of {of_joints(effect.joints)}" if effect.joints else ""
         if verdict:
             yield f"The effect {effect.id}{where} is {verdict}."
         alike = [one.id for one in effect.alias_set or []]

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
+from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import Parameter, StageErrors
 from kilter_service.contract.jobs.evaluate import EvaluateResult, Iso9283
 from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.contract.jobs.job import EvaluateJob, GapJob, Job
+from kilter_service.contract.jobs.job import EvaluateJob, GapJob, IdentifyJob, Job
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.versions import Activation, Version
 from kilter_service.db import Database
@@ -20,8 +21,10 @@ from kilter_service.errors import ServiceError
 from kilter_service.jobs import service as jobs
 from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.report.figures import SIZES, STAGES, before_and_after
+from kilter_service.page.report.effects import Contributions, closing, effects_of
+from kilter_service.page.report.figures import CURVES, HEIGHT, INK, SIZES, STAGES, before_and_after
 from kilter_service.page.report.limits import limits
+from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
@@ -39,6 +42,7 @@ class Judged:
     on: str
     rows: list[list[str]]
     plot: Plot | None
+    curve: Plot | None = None
 
 
 @dataclass(frozen=True)
@@ -62,8 +66,9 @@ class Sheet:
     headline: str
     judged: list[Judged]
     parameters: list[list[str]]
-    effects: list[tuple[str, str, str]]
+    effects: Contributions | None
     search: GapResult | None
+    closing: tuple[Plot, str] | None
     evaluated: list[Evaluated]
     limits: list[str]
     activations: list[Activation]
@@ -96,13 +101,15 @@ def of_job(database: Database, job_id: str) -> Sheet:
 def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
     robot = robots.get(database, job.robot)
     search = job.result if isinstance(job, GapJob) else None
-    judged = [] if version is None else list(_judged(version))
+    figures = job.result.figures if isinstance(job, IdentifyJob) and job.result is not None else None
+    judged = [] if version is None else list(_judged(version, figures))
     named = version.name or version.id if version is not None else job.name or job.id
     log = [] if version is None else versions.activations(database, job.robot, Page()).activations
     return Sheet(
         title=f"{job.robot}: {named}", robot=robot, job=job, version=version, headline=_headline(version, search),
         judged=judged, parameters=[] if version is None else [_parameter(one) for one in version.parameters],
-        effects=[] if version is None else list(_effects(version, search)), search=search,
+        effects=effects_of(database, version, search) if version is not None and version.effects else None, search=search,
+        closing=closing(search),
         evaluated=list(_evaluated(database, job, version)), limits=[] if version is None else limits(version, search),
         activations=[one for one in log if version is not None and one.version_id == version.id],
         campaigns=_names(database, job), ranges=[] if version is None else _ranges(database, version, robot),
@@ -154,13 +161,15 @@ def _headline(version: Version | None, search: GapResult | None) -> str:
     return f"The mean error of the tool is {words.mm(errors.identified.mean_mm)} on {on}{fell}."
 
 
-def _judged(version: Version) -> Iterator[Judged]:
-    for errors, title, on in (
-        (version.metrics.validation, "On held-out poses", "rows that were not fitted: this is the accuracy to expect"),
-        (version.metrics.train, "On fitted poses", "rows that were fitted: smaller than what is to be expected elsewhere"),
-    ):  # fmt: skip
+def _judged(version: Version, figures: IdentifyFigures | None) -> Iterator[Judged]:
+    drawn = figures or IdentifyFigures()
+    for errors, histogram, which, on in (
+        (version.metrics.validation, drawn.held_out_errors, "held-out", "not fitted: this is the accuracy to expect"),
+        (version.metrics.train, drawn.fitted_errors, "fitted", "fitted: smaller than what is to be expected elsewhere"),
+    ):
         if errors is not None:
-            yield _errors(errors, title, on)
+            curve = cumulative(histogram, f"{which} rows", CURVES, INK, HEIGHT)
+            yield replace(_errors(errors, f"On {which} poses", f"rows that were {on}"), curve=curve)
 
 
 def _errors(errors: StageErrors, title: str, on: str) -> Judged:
@@ -198,19 +207,6 @@ def _fine(value: float | None, sigma: float | None) -> str:
 def _unsigned(text: str) -> str:
     """Write a zero without a sign: -0.0 is what rounding leaves."""
     return NEGATIVE_ZERO.sub("", text)
-
-
-def _effects(version: Version, search: GapResult | None) -> Iterator[tuple[str, str, str]]:
-    """Each effect: its name and joints, what it is, and what it does here."""
-    from kilter_core.effects.registry import EFFECTS  # compiled kernels: not at the start of the API process
-
-    named = {one.id: one for one in (search.effects if search is not None else None) or []}
-    for effect in version.effects:
-        found = named.get(effect)
-        joints = f" (joints {', '.join(map(str, found.joints))})" if found is not None and found.joints else ""
-        moves = "" if found is None or found.moves_mm is None else f"moves the tool by {words.mm(found.moves_mm)} (rms)"
-        kind = EFFECTS.get(effect)
-        yield f"{effect}{joints}", kind.summary if kind is not None else "", moves
 
 
 def _evaluated(database: Database, job: Job, version: Version | None) -> Iterator[Evaluated]:

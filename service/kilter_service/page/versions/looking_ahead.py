@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import Version
 from kilter_service.db import Database
 from kilter_service.exporters.registry import FORMATS
-from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around, named
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
 from kilter_service.robots import service as robots
 from kilter_service.versions import activation, service
@@ -82,24 +79,6 @@ def back(database: Database, robot: str, temperature_c: float | None) -> Ahead:
 
     """
     return of(database, activation.before(database, robot), temperature_c)
-
-
-def contributions(database: Database, version_id: str) -> dict[str, Any]:
-    """Draw how far each effect of a version moves the tool."""
-    poses, found = service.contributions(database, version_id)
-    moved = [one for one in found if one.rms_mm is not None and one.largest_mm is not None]
-    elsewhere = [one.effect for one in found if one.rms_mm is None]
-    names = [one.effect for one in moved]
-    rms, largest = [one.rms_mm or 0.0 for one in moved], [one.largest_mm or 0.0 for one in moved]
-    drawn = Plot(
-        "Movement of the tool by each effect", named("", names), around("mm", [*rms, *largest], zero=True), height=260.0,
-        description="Two bars for each effect: root mean square and largest movement of the tool.",
-        table=(["effect", "rms, mm", "largest, mm"],
-               [[name, f"{mean:.3g}", f"{most:.3g}"] for name, mean, most in zip(names, rms, largest, strict=True)]),
-    )  # fmt: skip
-    drawn.bars([k + 0.32 for k in range(len(names))], rms, 0.3, "root mean square", 0)
-    drawn.bars([k + 0.68 for k in range(len(names))], largest, 0.3, "largest", 1)
-    return {"parts_moved": bool(moved), "figure": drawn, "poses": poses, "elsewhere": elsewhere}
 
 
 def exports(database: Database, version_id: str) -> list[Download]:

@@ -11,6 +11,7 @@ from kilter_service.auth.access import Admin
 from kilter_service.contract.versions import ActivationWish
 from kilter_service.errors import ServiceError
 from kilter_service.page.route import PageRoute
+from kilter_service.page.shared import contributions
 from kilter_service.page.shell import redirect, render, root_of
 from kilter_service.page.versions import by_factor, comparison, looking_ahead, service
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
@@ -42,9 +43,9 @@ def exports(version: str, request: Request, database: DatabaseOfApp) -> HTMLResp
 
 
 @router.get("/versions/{version}/contributions")
-def contributions(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+def effects(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show how far each effect of a version moves the tool."""
-    return render(request, "versions/contributions.html", **looking_ahead.contributions(database, version))
+    return render(request, "versions/contributions.html", moved=contributions.of(database, version))
 
 
 @router.get("/versions/{version}/by-factor")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kilter_service.contract.figures import Bars, GapFigures
+from kilter_service.contract.gap_details import GapSize
 from kilter_service.page.figures.plot import BLUE, ORANGE, Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.words import number
@@ -32,6 +33,11 @@ class Steps:
     unit: str
 
 
+def unit_of(gap: GapSize | None) -> str:
+    """Return the unit of the errors: joint data have degrees."""
+    return "deg" if gap is not None and gap.before_deg is not None else "mm"
+
+
 def of(figures: GapFigures | None, unit: str) -> Steps | None:
     """Read the steps from the report's figure; None where it has none."""
     bars = figures.gap_bar.data if figures is not None and figures.gap_bar is not None else None
@@ -57,7 +63,7 @@ def _number(value: float | str | None) -> float | None:
     return float(value) if isinstance(value, float | int) else None
 
 
-def plot(read: Steps) -> Plot:
+def plot(read: Steps, colours: tuple[str, str] = (BLUE, ORANGE)) -> Plot:
     """Draw the steps as bars with intervals, and the noise as a line."""
     held = [step.held_out for step in read.steps if step.held_out is not None]
     floor = read.noise.held_out if read.noise.held_out is not None else read.noise.fitted
@@ -69,13 +75,13 @@ def plot(read: Steps) -> Plot:
     shift = WIDTH / 2 if held else 0.0
     places = [place + 0.5 for place in range(len(read.steps))]
     drawn.bars(
-        [p - shift for p in places], [s.fitted for s in read.steps], WIDTH, "poses that were fitted", colour=BLUE
+        [p - shift for p in places], [s.fitted for s in read.steps], WIDTH, "poses that were fitted", colour=colours[0]
     )
     if held:
         ends = [(s.low, s.high) for s in read.steps if s.low is not None and s.high is not None]
         errors = ends if len(ends) == len(read.steps) else []
         label = f"held-out poses{', with 95 % intervals' if errors else ''}"
-        drawn.bars([p + shift for p in places], held, WIDTH, label, colour=ORANGE, errors=errors)
+        drawn.bars([p + shift for p in places], held, WIDTH, label, colour=colours[1], errors=errors)
     return drawn.level(floor, f"what noise alone would leave{' of held-out poses' if held else ''}")
 
 

@@ -1,0 +1,58 @@
+"""What a report says of effects: what each is, how far it moves the tool, and how a search closed the gap with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kilter_service.contract.jobs.gap import GapResult
+from kilter_service.contract.versions import Version
+from kilter_service.db import Database
+from kilter_service.page import words
+from kilter_service.page.figures.plot import Plot
+from kilter_service.page.report.figures import SHADES
+from kilter_service.page.shared import contributions, steps
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What an effect is, and how far it moves the tool: at poses, and on the rows that were searched."""
+
+    name: str
+    joints: str
+    what: str
+    rms: str
+    largest: str
+    searched: str
+
+
+@dataclass(frozen=True)
+class Contributions:
+    """The effects of a version, and the plot of how far each moves the tool at ``poses`` within the joint limits."""
+
+    poses: int
+    effects: list[Effect]
+    plot: Plot | None
+
+
+def effects_of(database: Database, version: Version, search: GapResult | None) -> Contributions:
+    """Say of each effect what it is and what it does."""
+    from kilter_core.effects.registry import EFFECTS  # compiled kernels: not at the start of the API process
+
+    named = {one.id: one for one in (search.effects if search is not None else None) or []}
+    moved = contributions.of(database, version.id)
+    sizes = {one.effect: (words.mm(one.rms_mm), words.mm(one.largest_mm)) for one in moved.effects}
+    shown = []
+    for effect in version.effects:
+        found = named.get(effect)
+        joints = words.of_joints(found.joints) if found is not None and found.joints else ""
+        here = words.mm(found.moves_mm) if found is not None else words.NONE
+        kind = EFFECTS.get(effect)
+        what = kind.summary if kind is not None else ""
+        shown.append(Effect(effect, joints, what, *sizes.get(effect, (words.NONE, words.NONE)), here))
+    return Contributions(moved.poses, shown, moved.plot(SHADES[1:], 620.0) if moved.effects else None)
+
+
+def closing(search: GapResult | None) -> tuple[Plot, str] | None:
+    """How a search closed the gap, step by step: drawn, and in a sentence."""
+    read = None if search is None else steps.of(search.figures, steps.unit_of(search.gap))
+    return None if read is None else (steps.plot(read, SHADES[:2]), steps.said(read))
