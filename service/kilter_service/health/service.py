@@ -11,6 +11,7 @@ from functools import cache, partial
 
 from kilter_service.contract.health import Check, Health
 from kilter_service.db import Database, revision
+from kilter_service.db.outages import is_read_only
 from kilter_service.health import store
 from kilter_service.health.clock import SetClock
 from kilter_service.settings import Settings
@@ -40,6 +41,8 @@ def report(database: Database, settings: Settings) -> Health:
             beside = os.environ.get(BESIDE, "").split(",")
             for process in ("corrector", "ros2"):
                 checks[process] = _told(process, partial(_process, looked, process, process in beside))
+    if settings.sqlite_file is not None and not checks["disk"].ok and is_read_only(settings.data):
+        checks |= {name: _unheard(check) for name, check in checks.items() if name not in ("database", "disk")}
     ready = all(check.ok for check in checks.values())
     return Health(status="ready" if ready else "not_ready", version=code_version(), checks=checks)
 
@@ -72,7 +75,7 @@ def _database(database: Database) -> Check:
 
 
 def _disk(settings: Settings) -> Check:
-    if os.statvfs(settings.data).f_flag & os.ST_RDONLY:
+    if is_read_only(settings.data):
         return Check(ok=False, detail=f"{settings.data} cannot be written: mount it for writing")
     free = shutil.disk_usage(settings.data).free >> 20
     if free < LEAST_FREE_MB:
@@ -111,6 +114,11 @@ def _process(database: Database, process: str, expected: bool) -> Check:
     names = ", ".join(one.name for one in silent)
     said = f"{names} last spoke {max(one.age_s for one in silent):.0f} s ago: {REMEDY.format(process)}"
     return Check(ok=False, detail=_ahead(silent) or said)
+
+
+def _unheard(check: Check) -> Check:
+    """A process that is silent where nobody can speak."""
+    return check if check.ok else Check(ok=False, detail="cannot say that it is alive: the disk cannot be written")
 
 
 def _heartbeats(database: Database, process: str) -> list[store.Heartbeat]:
