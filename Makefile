@@ -133,6 +133,9 @@ soak-stream: $(KERNELS) ## stream for half an hour and watch the memory (MINUTES
 test-faults: $(KERNELS) ## kill, stop and cut off everything around the stream, slow cases too
 	$(BIN)/python -m pytest -m "slow or not slow" -q tests/corrector/test_faults.py tests/corrector/test_process.py
 
+test-durability: $(KERNELS) ## set clocks, make disks read-only and freeze processes under a running server, slow cases too
+	$(BIN)/python -m pytest -m "slow or not slow" -q tests/service/test_clock_jumps.py tests/service/test_read_only_disk.py tests/service/test_frozen.py tests/service/test_failing_disk.py
+
 kills: $(KERNELS) ## kill processes of a server at random while clients work, and look for what is lost (N=500 SEED=...)
 	$(BIN)/python -m tests.service.kill_campaign --n $(or $(N),500) $(if $(SEED),--seed $(SEED))
 

@@ -23,6 +23,7 @@ from kilter_service.auth.binding import check_binding
 from kilter_service.auth.token import admin_token
 from kilter_service.corrector.endpoints import check_free, check_listening
 from kilter_service.errors import ServiceError
+from kilter_service.health.pulse import running
 from kilter_service.last_words import LastWords
 from kilter_service.private_files import private_folder
 from kilter_service.server_file import ServerFile
@@ -56,11 +57,12 @@ class Child:
         self._pause = FIRST_PAUSE_S
         self._again_at: float | None = None
         self._said = LastWords(name)
+        self._frozen = False
         self.quick_ends = 0
 
     def start(self) -> None:
         """Start the process; it ends by itself when this one does, because its standard input closes."""
-        self._started, self._again_at = time.monotonic(), None
+        self._started, self._again_at, self._frozen = time.monotonic(), None, False
         self._process = subprocess.Popen(
             self._command,
             env=self._environment,
@@ -79,7 +81,10 @@ class Child:
 
     def watch(self) -> None:
         """Restart the process when it has ended: at once, and more slowly when it keeps ending."""
-        if self._process is None or self._process.poll() is None:
+        if self._process is None:
+            return
+        if self._process.poll() is None:
+            self._say_if_frozen(self._process.pid)
             return
         time_s = time.monotonic()
         if self._again_at is None:
@@ -94,6 +99,18 @@ class Child:
         if time_s >= self._again_at:
             self._close()
             self.start()
+
+    def _say_if_frozen(self, pid: int) -> None:
+        """Say that somebody stopped the process (SIGSTOP, a debugger); whoever did it may want to go on."""
+        frozen = not running(pid)
+        if frozen == self._frozen:
+            return
+        self._frozen = frozen
+        if frozen:
+            remedy = f"`kill -CONT {pid}` lets it go on, after `kill -KILL {pid}` it starts again"
+            log.error("%s is frozen (SIGSTOP or a debugger): %s", self.name, remedy)
+        else:
+            log.warning("%s goes on", self.name)
 
     def refuse_if_refused(self) -> None:
         """End this process as the other ended, when it cannot run with these settings; it has said why.

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,12 +21,13 @@ import zenoh
 from kilter_client.stream import CorrectedStream, Statistics, StreamError, corrected
 from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
-from kilter_service.corrector import wire
+from kilter_service.corrector import nursery, wire
 from kilter_service.corrector.nursery import Child
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.queries import encode_trajectory
 from kilter_service.corrector.session import config
 from kilter_service.corrector.specs import QuerySpec
+from kilter_service.health.pulse import running
 from kilter_service.signing.masters import Masters
 from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
 
@@ -263,17 +265,49 @@ def test_the_stream_comes_back_after_kill_9(corrector: Corrector) -> None:
 
 
 def test_the_stream_outlives_the_process_that_forked_it(corrector: Corrector) -> None:
-    nursery = corrector._nursery
+    origin = corrector._nursery
     with open_stream(corrector, "orphan") as stream:
         before = {name: child.pid for name, child in corrector._children.items()}
-        assert len({*before.values(), nursery.pid, os.getpid()}) == 4
-        os.kill(nursery.pid or 0, signal.SIGKILL)
-        until(lambda: not nursery.alive)
+        assert len({*before.values(), origin.pid, os.getpid()}) == 4
+        os.kill(origin.pid or 0, signal.SIGKILL)
+        until(lambda: not origin.alive)
         assert stream.correct(Q).source == "corrected"
         corrector.poll()
-        assert nursery.alive
+        assert origin.alive
         assert {name: child.pid for name, child in corrector._children.items()} == before
         assert stream.correct(Q).source == "corrected"
+
+
+@pytest.mark.parametrize("ends", [False, True], ids=["stays frozen", "is killed then"])
+def test_a_frozen_nursery_does_not_hold_up_a_stream_that_was_killed(
+    corrector: Corrector, monkeypatch: pytest.MonkeyPatch, ends: bool
+) -> None:
+    monkeypatch.setattr(nursery, "FORK_S", 20.0 if ends else 0.5)
+    frozen = corrector._nursery.pid or 0
+    stream = corrector._children["stream"]
+    with open_stream(corrector, "nursery", deadline_s=0.5) as line:
+        os.kill(frozen, signal.SIGSTOP)
+        until(lambda: not running(frozen))
+        os.kill(stream.pid or 0, signal.SIGKILL)
+        until(lambda: not stream.alive)
+        killer = threading.Timer(0.3, os.kill, (frozen, signal.SIGKILL))
+        if ends:
+            killer.start()
+        corrector.poll()
+        killer.cancel()
+        assert corrector._nursery.pid != frozen
+        until(lambda: line.correct(Q).source == "corrected")
+
+
+def test_a_nursery_that_is_frozen_is_replaced_before_it_is_needed(
+    corrector: Corrector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(nursery, "FORK_S", 0.2)
+    frozen, before = corrector._nursery.pid or 0, {name: child.pid for name, child in corrector._children.items()}
+    os.kill(frozen, signal.SIGSTOP)
+    until(lambda: corrector.poll() or corrector._nursery.pid != frozen)  # type: ignore[func-returns-value]
+    assert corrector._nursery.alive
+    assert {name: child.pid for name, child in corrector._children.items()} == before
 
 
 def test_one_that_may_not_begin_is_told_apart_from_one_that_runs(corrector: Corrector) -> None:

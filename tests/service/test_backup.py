@@ -15,10 +15,11 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from sqlalchemy import text
 
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
-from kilter_service.backup import service
+from kilter_service.backup import service, store
 from kilter_service.db import Database, revision
 from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings
@@ -248,6 +249,27 @@ def test_older_and_newer_backups(source: tuple[Settings, httpx.Client], tmp_path
         file.commit()
     with pytest.raises(ServiceError, match="of a newer Kilter: it has revision 9999"):
         service.restore(plain(tmp_path, "newer"), path)
+
+
+def test_a_version_is_copied_after_the_one_it_continues(
+    source: tuple[Settings, httpx.Client], migrated: Path, tmp_path: Path
+) -> None:
+    """Also when the clock was set back between them: then it is the older one by its date."""
+    path, _ = service.backup(source[0], tmp_path / "one.backup")
+    shutil.copy(path, tmp_path / "from.sqlite")
+    shutil.copy(migrated, tmp_path / "into.sqlite")
+    with closing(sqlite3.connect(tmp_path / "from.sqlite")) as file:
+        (first, second) = (one for (one,) in file.execute("SELECT id FROM versions ORDER BY id"))
+        file.execute("DROP TRIGGER IF EXISTS versions_immutable")
+        for version, parent, at in ((first, second, "2026-01-01 00:00:00"), (second, None, "2026-01-02 00:00:00")):
+            file.execute("UPDATE versions SET parent_id = ?, created_at = ? WHERE id = ?", (parent, at, version))
+        file.commit()
+    taken, given = (Database(f"sqlite:///{tmp_path / name}.sqlite") for name in ("from", "into"))
+    assert store.copy(taken, given) > 2
+    with given.reading() as session:
+        assert dict(session.execute(text("SELECT id, parent_id FROM versions")).all()) == {first: second, second: None}  # type: ignore[arg-type]
+    taken.close()
+    given.close()
 
 
 def test_a_backup_goes_into_postgresql_and_back(source: tuple[Settings, httpx.Client], tmp_path: Path) -> None:

@@ -79,6 +79,16 @@ def test_while_the_correction_is_ramped_in_the_tool_is_not_known() -> None:
     assert heard(ramped).shown("main", 0.1).tool_mm is None
 
 
+def test_a_clock_that_is_set_back_hides_nothing() -> None:
+    stream = heard(message(1, 100, 100), message(2, 150, 150, at_ns=10**17))
+    assert stream.shown("main", 0.2).received == 150
+    report = message(0, 140, 140, at_ns=10**17 - 10**9)
+    stream.take_report(report, 10**17, 1.0)  # older than what was told
+    assert stream.shown("main", 1.0).received == 150
+    stream.take_report(report | {"received": 160, "at_ns": 10**16}, 10**16, 9.0)
+    assert stream.shown("main", 9.0).received == 160
+
+
 def test_a_restart_begins_anew_and_old_messages_count_for_nothing() -> None:
     stream = heard(message(1, 1000, 1000), message(2, 1050, 1050))
     assert not stream.take(message(1, 1000, 1000), 0.3)

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator
 from typing import Any
 
-from sqlalchemy import Connection, Select, Table, func, insert, select, text
+from sqlalchemy import Connection, Select, Table, func, insert, literal, select, text
 from sqlalchemy.exc import DBAPIError
 
 from kilter_service.backup.findings import Findings
@@ -153,9 +153,12 @@ def copy(source: Database, target: Database) -> int:
 
 
 def _rows(session: Session, table: Table) -> Iterator[list[dict[str, object]]]:
-    # A version comes after the one that it continues.
-    order = [table.c.created_at] if "parent_id" in table.c else []
-    query = select(table).order_by(*order, *table.primary_key.columns).execution_options(yield_per=AT_ONCE)
+    query = select(table)
+    if "parent_id" in table.c:  # a version comes after the one that it continues, whatever the clock said
+        first = select(table.c.id, literal(0).label("depth")).where(table.c.parent_id.is_(None)).cte(recursive=True)
+        depths = first.union_all(select(table.c.id, first.c.depth + 1).where(table.c.parent_id == first.c.id))
+        query = query.join(depths, depths.c.id == table.c.id).order_by(depths.c.depth)
+    query = query.order_by(*table.primary_key.columns).execution_options(yield_per=AT_ONCE)
     for part in session.execute(query).partitions():
         yield [dict(row._mapping) for row in part]
 

@@ -27,11 +27,14 @@ from typing import Any, NoReturn
 
 from kilter_service.corrector.specs import QuerySpec, StreamSpec, enter
 from kilter_service.errors import ServiceError
+from kilter_service.health.pulse import running
 
 log = logging.getLogger("kilter.corrector")
 
 POLL_S = 0.25
 START_S = 300.0  # the first start on a machine compiles the kernel, on a busy one for minutes
+FORK_S = 5.0  # a fork takes milliseconds; one that imported and does not fork for so long is frozen
+MOST_ORDERS = 3  # of one process; a nursery that ended so often ends the same the next time
 STOP_S = 5.0
 LOOK_S = 0.005
 
@@ -46,6 +49,8 @@ class Nursery:
     def __init__(self) -> None:
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
+        self._seen_at = 0.0  # when it was last seen not to be stopped from outside
+        self._ready_at: float | None = None  # it has imported, and forks at once
 
     @property
     def alive(self) -> bool:
@@ -58,17 +63,38 @@ class Nursery:
         return self._process.pid if self._process else None
 
     def start(self) -> None:
-        """Start the process, if it does not run; it imports and compiles by itself."""
+        """Start the process, if it does not run or is stopped from outside; it imports and compiles by itself."""
         if self.alive:
-            return
+            self._look()
+            if time.monotonic() - self._seen_at < FORK_S:
+                return
         if self._process is not None:
-            log.error("the process that starts those of the corrector ended: it is restarted")
+            log.error("the process that starts those of the corrector ended or is frozen: it is restarted")
             self.stop()
         context = multiprocessing.get_context("spawn")  # whoever makes the corrector may have threads
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=nursery_main, args=(theirs,), name="kilter-nursery")
         self._process.start()
+        self._seen_at, self._ready_at = time.monotonic(), None
         theirs.close()
+
+    def stop_if_frozen(self, asked_at: float) -> None:
+        """End the process when it has not forked what was asked for at that time; while it imports that may take long."""
+        if not self.alive:
+            return
+        self._look()
+        since = self._seen_at if self._ready_at is None else max(asked_at, self._ready_at)
+        if time.monotonic() - since > FORK_S:
+            log.error("the process that starts those of the corrector is frozen: it is killed")
+            self.stop()
+
+    def _look(self) -> None:
+        if running(self.pid):
+            self._seen_at = time.monotonic()
+        with suppress(EOFError, OSError):
+            if self._ready_at is None and self._pipe is not None and self._pipe.poll():
+                self._pipe.recv()
+                self._ready_at = time.monotonic()
 
     def order(self, entry: str, spec: StreamSpec | QuerySpec) -> Connection:
         """Order a process; returns the end of its pipe, which is closed at the other end when the process is gone."""
@@ -101,6 +127,7 @@ def nursery_main(orders: Connection) -> None:
     gc.collect()
     gc.freeze()  # what is never looked at stays shared
     with suppress(EOFError, OSError):
+        orders.send(True)
         while True:
             entry, spec = orders.recv()
             pipe = Connection(recv_handle(orders))
@@ -137,11 +164,13 @@ class Child:
         self._nursery = nursery
         self._pipe: Connection | None = None
         self._listens = False
+        self._asked_at = 0.0
 
     def launch(self) -> None:
         """Order the process."""
         self._listens, self.pid = False, None
         self._pipe = self._nursery.order(self._entry, self._spec)
+        self._asked_at = time.monotonic()
 
     def listening(self, stopped: Callable[[], bool] = lambda: False) -> tuple[str | None, bool]:
         """Wait until the process listens; returns its endpoint, if it has one, and whether it runs in real time.
@@ -153,8 +182,7 @@ class Child:
 
         """
         try:
-            if self._comes(stopped):
-                self.pid = self._receive()
+            self.pid = self._born(stopped)
             if self.pid is not None and self._comes(stopped):
                 verdict, endpoint, real_time = self._receive()
                 if verdict == "refused":
@@ -169,11 +197,25 @@ class Child:
         self.stop()
         raise RuntimeError(f"The {self.name} process of the corrector did not start; its messages are above.")
 
+    def _born(self, stopped: Callable[[], bool]) -> int | None:
+        """Wait until the process was forked; it is ordered again when the nursery is gone or frozen."""
+        for left in reversed(range(MOST_ORDERS)):
+            try:
+                if self._comes(stopped, lambda: self._nursery.stop_if_frozen(self._asked_at)):
+                    return int(self._receive())
+            except (EOFError, OSError):
+                if not left:
+                    raise
+                self.stop()
+                self._nursery.stop()  # nobody holds the other end, so it ends: it may not be known to have ended
+                self.launch()
+        return None
+
     def _receive(self) -> Any:
         assert self._pipe is not None
         return self._pipe.recv()
 
-    def _comes(self, stopped: Callable[[], bool]) -> bool:
+    def _comes(self, stopped: Callable[[], bool], meanwhile: Callable[[], None] = lambda: None) -> bool:
         """Wait for the next message; False when none came in time."""
         assert self._pipe is not None
         end = time.monotonic() + START_S
@@ -182,6 +224,7 @@ class Child:
                 raise StoppedError
             if time.monotonic() > end:
                 return False
+            meanwhile()
         return True
 
     @property

@@ -39,6 +39,8 @@ class Database:
     def __init__(self, url: str, connect_timeout_s: int = CONNECT_TIMEOUT_S) -> None:
         self.url = url
         self.engine = open_engine(url, connect_timeout_s)
+        file = self.engine.url.database if self.engine.dialect.name == "sqlite" else None
+        self._folder = Path(file).parent if file else None
         self._changing = sessionmaker(self.engine, expire_on_commit=False)
         audited.listen(self._changing)
         self._noting = sessionmaker(self.engine.execution_options(**{NOTES: True}), expire_on_commit=False)
@@ -50,18 +52,18 @@ class Database:
         It commits when the block ends and rolls back when it raises. Other writers wait until then: keep it short, compute
         outside it, and never open one inside another.
         """
-        return _session(self._changing)
+        return self._session(self._changing)
 
     def noting(self) -> AbstractContextManager[Session]:
         """Open a session for one statement that changes one row, such as a job's progress.
 
         On PostgreSQL it waits only for who changes the same row: many workers note their progress several times a second.
         """
-        return _session(self._noting)
+        return self._session(self._noting)
 
     def reading(self) -> AbstractContextManager[Session]:
         """Open a session that sees the database as it is at its first query. The database refuses its writes."""
-        return _session(self._reading)
+        return self._session(self._reading)
 
     @contextmanager
     def looking(self) -> Iterator[Database]:
@@ -72,15 +74,14 @@ class Database:
         with closing(Database(self.url, LOOK_TIMEOUT_S)) as looked:
             yield looked
 
+    @contextmanager
+    def _session(self, sessions: sessionmaker[Session]) -> Iterator[Session]:
+        with outages(self._folder), sessions.begin() as session:
+            yield session
+
     def close(self) -> None:
         """Close all connections."""
         self.engine.dispose()
-
-
-@contextmanager
-def _session(sessions: sessionmaker[Session]) -> Iterator[Session]:
-    with outages(), sessions.begin() as session:
-        yield session
 
 
 def open_engine(url: str, connect_timeout_s: int = CONNECT_TIMEOUT_S) -> Engine:

@@ -34,6 +34,7 @@ AWAY = (
     "(`kilterd doctor` tries it). Nothing was stored; send it again."
 )
 AWAY_CODE = "database_away"
+READ_ONLY_CODE, FAILED_CODE = "disk_read_only", "disk_failed"
 REFUSED_CODE = "database_refused"
 REFUSED = (
     "The database refuses this account ({reason}): see the user, the password and the name in KILTER_DATABASE_URL."
@@ -43,22 +44,22 @@ ERRNO = {
     errno.ENOSPC: ("disk_full", FULL),
     errno.EDQUOT: ("disk_full", FULL),
     errno.EFBIG: ("disk_full", FULL),
-    errno.EROFS: ("disk_read_only", READ_ONLY),
-    errno.EIO: ("disk_failed", FAILED),
+    errno.EROFS: (READ_ONLY_CODE, READ_ONLY),
+    errno.EIO: (FAILED_CODE, FAILED),
 }
 SQLITE = (
     ("database or disk is full", "disk_full", FULL),
-    ("readonly database", "disk_read_only", READ_ONLY),
-    ("unable to open database file", "disk_read_only", READ_ONLY),
+    ("readonly database", READ_ONLY_CODE, READ_ONLY),
+    ("unable to open database file", READ_ONLY_CODE, READ_ONLY),
     ("malformed", "database_damaged", DAMAGED),
     ("not a database", "database_damaged", DAMAGED),
-    ("disk I/O error", "disk_failed", FAILED),
+    ("disk I/O error", FAILED_CODE, FAILED),
     ("locked", "database_busy", BUSY),
 )
 # SQLSTATE, the first characters that tell (https://www.postgresql.org/docs/15/errcodes-appendix.html)
 POSTGRESQL = (
     ("53100", "disk_full", FULL),
-    ("25006", "disk_read_only", READ_ONLY),
+    ("25006", READ_ONLY_CODE, READ_ONLY),
     ("XX001", "database_damaged", DAMAGED),
     ("XX002", "database_damaged", DAMAGED),
 )

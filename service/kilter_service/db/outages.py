@@ -1,13 +1,15 @@
-"""A database that cannot be reached: one error for the API, which answers 503, and for workers, which wait."""
+"""A database that cannot be reached or written to: one error for the API, which refuses, and for workers, which wait."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from sqlalchemy.exc import DBAPIError
 
-from kilter_service.db.failures import AWAY_CODE, in_words
+from kilter_service.db.failures import AWAY_CODE, FAILED_CODE, READ_ONLY, READ_ONLY_CODE, in_words
 from kilter_service.errors import ServiceError
 
 
@@ -17,13 +19,24 @@ class DatabaseAwayError(ServiceError):
     default_code = AWAY_CODE
 
 
+def is_read_only(folder: Path) -> bool:
+    """Whether the file system of a folder is mounted read-only."""
+    return bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+
+
 @contextmanager
-def outages() -> Iterator[None]:
-    """Raise ``DatabaseAwayError`` where the driver says that its server is gone; other errors pass."""
+def outages(folder: Path | None = None) -> Iterator[None]:
+    """Raise ``DatabaseAwayError`` where the server is gone or the disk is read-only, of SQLite that of ``folder``.
+
+    Other errors pass.
+    """
     try:
         yield
     except DBAPIError as error:
         known = in_words(error)
-        if known is None or known.code != AWAY_CODE:
+        # SQLite calls it a failure when the kernel refuses to write to a file that was open before.
+        if known is not None and known.code == FAILED_CODE and folder is not None and is_read_only(folder):
+            raise DatabaseAwayError(READ_ONLY, code=READ_ONLY_CODE) from error
+        if known is None or known.code not in (AWAY_CODE, READ_ONLY_CODE):
             raise
-        raise DatabaseAwayError(known.message) from error
+        raise DatabaseAwayError(known.message, code=known.code) from error

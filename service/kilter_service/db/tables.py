@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from sqlalchemy import (
     JSON,
+    Connection,
     DateTime,
     Dialect,
     ForeignKey,
@@ -18,10 +19,14 @@ from sqlalchemy import (
     UniqueConstraint,
     event,
     false,
+    func,
     inspect,
+    select,
     text,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, Mapper, mapped_column
+
+MOMENT = timedelta(microseconds=1)  # by which the databases tell times apart
 
 
 def now() -> datetime:
@@ -310,6 +315,17 @@ class MeshRow(Row):
     content: Mapped[bytes] = mapped_column(LargeBinary)
     created_at: Mapped[datetime] = mapped_column(default=now)
 
+
+def _come_last(_mapper: Mapper[Any], connection: Connection, row: Any) -> None:
+    """Date a row after all others of its robot: the clock may have been set back, and `latest` is the newest."""
+    if row.created_at is None:
+        others = type(row).__table__.c
+        newest = connection.execute(select(func.max(others.created_at)).where(others.robot_id == row.robot_id)).scalar()
+        row.created_at = now() if newest is None else max(now(), newest + MOMENT)
+
+
+for _dated in (CampaignRow, JobRow, VersionRow):
+    event.listen(_dated, "before_insert", _come_last)
 
 OF_PEOPLE = frozenset({"name", "notes", "retired_at", "retired_by"})  # what may change of a version
 

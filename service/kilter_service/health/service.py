@@ -7,11 +7,13 @@ import os
 import shutil
 import time
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 
 from kilter_service.contract.health import Check, Health
 from kilter_service.db import Database, revision
+from kilter_service.db.outages import is_read_only
 from kilter_service.health import store
+from kilter_service.health.clock import SetClock
 from kilter_service.settings import Settings
 from kilter_service.version import code_version
 
@@ -28,6 +30,7 @@ REMEDY = "its log says why; start `kilterd {}`"
 
 def report(database: Database, settings: Settings) -> Health:
     """Check the database, the processes beside the API and the disk."""
+    clock().sets_s()  # looked at each time, also when no heartbeat is read
     with database.looking() as looked:
         checks = {
             "database": _told("database", partial(_database, looked)),
@@ -38,8 +41,16 @@ def report(database: Database, settings: Settings) -> Health:
             beside = os.environ.get(BESIDE, "").split(",")
             for process in ("corrector", "ros2"):
                 checks[process] = _told(process, partial(_process, looked, process, process in beside))
+    if settings.sqlite_file is not None and not checks["disk"].ok and is_read_only(settings.data):
+        checks |= {name: _unheard(check) for name, check in checks.items() if name not in ("database", "disk")}
     ready = all(check.ok for check in checks.values())
     return Health(status="ready" if ready else "not_ready", version=code_version(), checks=checks)
+
+
+@cache
+def clock() -> SetClock:
+    """What this process knows of the machine's clock, from its first call on."""
+    return SetClock(SILENT_AFTER_S)
 
 
 def _told(name: str, look: Callable[[], Check]) -> Check:
@@ -64,7 +75,7 @@ def _database(database: Database) -> Check:
 
 
 def _disk(settings: Settings) -> Check:
-    if os.statvfs(settings.data).f_flag & os.ST_RDONLY:
+    if is_read_only(settings.data):
         return Check(ok=False, detail=f"{settings.data} cannot be written: mount it for writing")
     free = shutil.disk_usage(settings.data).free >> 20
     if free < LEAST_FREE_MB:
@@ -79,7 +90,7 @@ def _worker(database: Database) -> Check:
     found = _heartbeats(database, "worker")
     alive = [one for one in found if _alive(one)]
     if alive:
-        return Check(ok=True, detail=f"{len(alive)} alive")
+        return Check(ok=True, detail=f"{len(alive)} alive{_was_set(alive)}")
     why = (
         _ahead(found)
         or _starting("worker", found)
@@ -99,10 +110,15 @@ def _process(database: Database, process: str, expected: bool) -> Check:
         return Check(ok=not expected, detail=said)
     silent = [one for one in found if not _alive(one)]
     if not silent:
-        return Check(ok=True, detail=f"{len(found)} alive")
+        return Check(ok=True, detail=f"{len(found)} alive{_was_set(found)}")
     names = ", ".join(one.name for one in silent)
     said = f"{names} last spoke {max(one.age_s for one in silent):.0f} s ago: {REMEDY.format(process)}"
     return Check(ok=False, detail=_ahead(silent) or said)
+
+
+def _unheard(check: Check) -> Check:
+    """A process that is silent where nobody can speak."""
+    return check if check.ok else Check(ok=False, detail="cannot say that it is alive: the disk cannot be written")
 
 
 def _heartbeats(database: Database, process: str) -> list[store.Heartbeat]:
@@ -116,12 +132,24 @@ def _starting(process: str, found: list[store.Heartbeat]) -> str | None:
     if began is None or process not in os.environ.get(BESIDE, "").split(","):
         return None
     since_s = time.monotonic() - float(began)
-    spoken = any(abs(one.age_s) <= max(since_s, SILENT_AFTER_S) for one in found)
+    spoken = any(_alive(one) or abs(one.age_s) <= since_s for one in found)
     return None if spoken or since_s > LONGEST_START_S else f"{STARTING}, for {since_s:.0f} s"
 
 
 def _alive(one: store.Heartbeat) -> bool:
+    return _spoke_now(one) or any(abs(one.age_s - by_s) <= SILENT_AFTER_S for by_s in clock().sets_s())
+
+
+def _spoke_now(one: store.Heartbeat) -> bool:
     return abs(one.age_s) <= SILENT_AFTER_S
+
+
+def _was_set(alive: list[store.Heartbeat]) -> str:
+    """What to say of heartbeats that are dated by the clock as it was before."""
+    by_s = 0.0 if any(map(_spoke_now, alive)) else max(clock().sets_s(), key=abs, default=0.0)
+    if not by_s:
+        return ""
+    return f"; the clock was just set {'forward' if by_s > 0 else 'back'} by {abs(by_s):.0f} s"
 
 
 def _ahead(found: list[store.Heartbeat]) -> str | None:
@@ -130,5 +158,6 @@ def _ahead(found: list[store.Heartbeat]) -> str | None:
     if not ahead:
         return None
     return (
-        f"{ahead[0].name} spoke {-ahead[0].age_s:.0f} s in the future: set the clocks of the machines to the same time"
+        f"{ahead[0].name} spoke {-ahead[0].age_s:.0f} s in the future: set the clocks of the machines to the same time; "
+        "where one clock was set back, and it stays silent, start it"
     )

@@ -267,7 +267,8 @@ def cancel(session: Session, job_id: str) -> None:
 
 
 def _finish(row: JobRow, state: str, stage: str, fraction: float) -> None:
-    row.state, row.stage, row.fraction, row.finished_at = state, stage, fraction, now()
+    row.state, row.stage, row.fraction = state, stage, fraction
+    row.finished_at = max(now(), row.started_at or now())  # the clock may have been set back
 
 
 def used_by(session: Session, job_id: str) -> list[UsedRecord]:

@@ -12,7 +12,9 @@ import uuid
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+from kilter_core.errors import CoreError
 from kilter_service.db import Database, DatabaseAwayError, revision
+from kilter_service.db.failures import in_words
 from kilter_service.errors import ServiceError
 from kilter_service.health import store as health
 from kilter_service.jobs.lease import store as lease
@@ -112,14 +114,25 @@ class Member:
                 self._check_at = time.monotonic() + CHECK_S
             self._sweep()
         except DatabaseAwayError as error:
-            if not self._away:
-                log.warning("%s This worker goes on when it does.", error.message)
-            self._away = True
-            self._watch.forget()
+            self._wait(error)
+            return
+        except ServiceError:
+            raise
+        except Exception as error:  # the disk is full, say
+            known = in_words(error)
+            if known is None:
+                raise
+            self._wait(known)
             return
         if self._away:
-            log.warning("the database answers again")
+            log.warning("the database answers and is written to again")
         self._away = False
+
+    def _wait(self, error: CoreError) -> None:
+        if not self._away:
+            log.warning("%s This worker goes on when that is over.", error.message)
+        self._away = True
+        self._watch.forget()
 
     def _sweep(self) -> None:
         with self._database.reading() as session:

@@ -14,6 +14,7 @@ from kilter_service.wire import to_deg, to_mm
 SILENT_S = 1.0  # without a setpoint for so long, no controller sends
 WINDOW_S = 1.0  # over which rate and condition are taken
 TIMES_S = 60.0
+REPORT_AGE_S = 5.0  # a report in the database is older than what the corrector told itself so short ago
 RAMPING = 0x0200
 MADE = {
     0x0100: "with the loads of the motion",
@@ -56,12 +57,31 @@ class Heard:
         self._times: deque[tuple[float, list[int]]] = deque(maxlen=int(TIMES_S) + 2)
         self._document: dict[str, Any] = {}
         self._moved_s = -math.inf  # this process's clock: when the last setpoint came
-        self._at_ns = 0
+        self._told_ns = self._reported_ns = 0
+        self._told_s = -math.inf
 
     def take(self, document: dict[str, Any], now_s: float) -> bool:
         """Take a message of the corrector over; False for one that was heard before."""
-        if document["at_ns"] <= self._at_ns and document["instance"] == self._document.get("instance"):
+        # By the corrector's monotonic clock: the time of day may be set back.
+        if self._knows(document) and document["moment_ns"] <= self._told_ns:
             return False
+        self._told_ns, self._told_s = document["moment_ns"], now_s
+        self._take_over(document, now_s)
+        return True
+
+    def take_report(self, document: dict[str, Any], now_ns: int, now_s: float) -> None:
+        """Take over what a corrector elsewhere has left in the database; ``now_ns`` is the time of day."""
+        known = document["at_ns"] == self._reported_ns or now_s - self._told_s < REPORT_AGE_S
+        if known and self._knows(document):
+            return
+        self._reported_ns = document["at_ns"]
+        timed = {"moment_ns": now_ns, "seen_ns": document["at_ns"], "last": None, "joints": [], "joint_kinds": []}
+        self._take_over(document | timed, now_s)
+
+    def _knows(self, document: dict[str, Any]) -> bool:
+        return bool(document["instance"] == self._document.get("instance"))
+
+    def _take_over(self, document: dict[str, Any], now_s: float) -> None:
         received, moment_s = int(document["received"]), document["moment_ns"] / 1e9
         before = self._document
         if before and (before["instance"] != document["instance"] or received < before["received"]):
@@ -76,13 +96,7 @@ class Heard:
         by_time = document.get("by_time")
         if by_time and (not self._times or moment_s - self._times[-1][0] >= 1.0):
             self._times.append((moment_s, by_time))
-        self._document, self._at_ns = document, document["at_ns"]
-        return True
-
-    def take_report(self, document: dict[str, Any], now_ns: int, now_s: float) -> None:
-        """Take over what a corrector elsewhere has left in the database; ``now_ns`` is the time of day."""
-        timed = {"moment_ns": now_ns, "seen_ns": document["at_ns"], "last": None, "joints": [], "joint_kinds": []}
-        self.take(document | timed, now_s)
+        self._document = document
 
     def shown(self, name: str, now_s: float) -> StreamShown:
         """What is to be said of the stream now."""
