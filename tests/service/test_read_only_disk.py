@@ -1,4 +1,4 @@
-"""The disk turns read-only under a server that runs, and can be written again: reads go on, nothing is lost, no restart.
+"""The disk turns read-only, or full, under a server that runs, and then not: reads go on, nothing is lost, no restart.
 
 Linux refuses to remount a file system while files on it are open for writing; it is the kernel that does so, after an error of
 the disk. Here a library that every process loads first refuses as it would.
@@ -35,7 +35,7 @@ class Disk:
         self.set("w")
 
     def set(self, state: str) -> None:
-        """Read-only (`r`) or not (`w`)."""
+        """Read-only (`r`), full (`f`), or neither (`w`)."""
         with self._file.open("w", encoding="ascii") as file:
             file.write(state)
 
@@ -107,7 +107,10 @@ def test_writes_are_refused_with_the_remedy_and_reads_go_on(disk: Disk, settings
 
 
 @pytest.mark.slow
-def test_a_disk_that_turns_read_only_and_back(server: Server, disk: Disk, settings: Settings, until: Until) -> None:
+@pytest.mark.parametrize(("state", "code"), [("r", "disk_read_only"), ("f", "disk_full")], ids=["read-only", "full"])
+def test_a_disk_that_cannot_be_written_and_can_again(
+    server: Server, disk: Disk, settings: Settings, until: Until, state: str, code: str
+) -> None:
     headers = {"Authorization": f"Bearer {admin_token(settings)}"}
     with httpx.Client(base_url=server.ready["url"], headers=headers, timeout=60) as client:
         campaign = made(client)
@@ -117,8 +120,8 @@ def test_a_disk_that_turns_read_only_and_back(server: Server, disk: Disk, settin
         given: dict[str, Any] = {"data": settings.data, "deadline_s": 5.0, "connect_timeout_s": 60.0, "settled": True}
         with CorrectedStream("katana", **given) as line:
             waiting = [asked(client, campaign).json()["id"] for _ in range(3)]
-            disk.set("r")
-            assert [answer.status_code for answer in writes(client, campaign)] == [507, 507, 507]
+            disk.set(state)
+            assert {(answer.status_code, answer.json()["code"]) for answer in writes(client, campaign)} == {(507, code)}
             used = [line.correct(Q).source for _ in range(50)]
             health: dict[str, Any] = {}
 
@@ -128,8 +131,9 @@ def test_a_disk_that_turns_read_only_and_back(server: Server, disk: Disk, settin
 
             until(silent, seconds=40)
             assert health["database"]["ok"]
-            assert "cannot be written: mount it for writing" in health["disk"]["detail"]
-            assert "the disk cannot be written" in health["worker"]["detail"]
+            if state == "r":
+                assert "cannot be written: mount it for writing" in health["disk"]["detail"]
+                assert "the disk cannot be written" in health["worker"]["detail"]
             used += [line.correct(Q).source for _ in range(50)]
             disk.set("w")
             until(lambda: client.get("/v1/health").json()["status"] == "ready", seconds=40)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sqlalchemy.exc import DBAPIError
 
-from kilter_service.db.failures import AWAY_CODE, FAILED_CODE, READ_ONLY, READ_ONLY_CODE, in_words
+from kilter_service.db.failures import AWAY_CODE, FAILED_CODE, FULL_CODE, READ_ONLY, READ_ONLY_CODE, in_words
 from kilter_service.errors import ServiceError
 
 
@@ -26,7 +26,7 @@ def is_read_only(folder: Path) -> bool:
 
 @contextmanager
 def outages(folder: Path | None = None) -> Iterator[None]:
-    """Raise ``DatabaseAwayError`` where the server is gone or the disk is read-only, of SQLite that of ``folder``.
+    """Raise ``DatabaseAwayError`` where the server is gone or the disk full or read-only, of SQLite that of ``folder``.
 
     Other errors pass.
     """
@@ -37,6 +37,6 @@ def outages(folder: Path | None = None) -> Iterator[None]:
         # SQLite calls it a failure when the kernel refuses to write to a file that was open before.
         if known is not None and known.code == FAILED_CODE and folder is not None and is_read_only(folder):
             raise DatabaseAwayError(READ_ONLY, code=READ_ONLY_CODE) from error
-        if known is None or known.code not in (AWAY_CODE, READ_ONLY_CODE):
+        if known is None or known.code not in (AWAY_CODE, FULL_CODE, READ_ONLY_CODE):
             raise
         raise DatabaseAwayError(known.message, code=known.code) from error
