@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,8 +21,14 @@ class DatabaseAwayError(ServiceError):
 
 
 def is_read_only(folder: Path) -> bool:
-    """Whether the file system of a folder is mounted read-only."""
-    return bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+    """Whether the file system of a folder is mounted read-only, or takes nothing more after an error of its disk."""
+    if os.statvfs(folder).f_flag & os.ST_RDONLY:
+        return True
+    try:  # since Linux 6.15 the flags do not say the second (ext4: emergency_ro)
+        os.close(os.open(folder, getattr(os, "O_TMPFILE", 0) | os.O_WRONLY, 0o600))
+    except OSError as error:
+        return error.errno == errno.EROFS
+    return False
 
 
 @contextmanager
