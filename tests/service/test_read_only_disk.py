@@ -1,11 +1,15 @@
-"""The disk turns read-only under a server that runs, and can be written again: reads go on, nothing is lost, no restart.
+"""The disk turns read-only, or full, under a server that runs, and then not: reads go on, nothing is lost, no restart.
 
 Linux refuses to remount a file system while files on it are open for writing; it is the kernel that does so, after an error of
-the disk. Here a library that every process loads first refuses as it would.
+the disk. Here a library that every process loads first refuses as it would; the last test has a kernel do it.
 """
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +27,7 @@ from tests.service.test_failing_disk import api
 from tests.service.test_serve import Server, children
 
 Until = Callable[..., None]
+REPOSITORY = Path(__file__).resolve().parents[2]
 ROWS = 40
 Q = (0.1, 0.6, 0.4, 0.3, 0.2)
 
@@ -35,7 +40,7 @@ class Disk:
         self.set("w")
 
     def set(self, state: str) -> None:
-        """Read-only (`r`) or not (`w`)."""
+        """Read-only (`r`), full (`f`), or neither (`w`)."""
         with self._file.open("w", encoding="ascii") as file:
             file.write(state)
 
@@ -107,7 +112,10 @@ def test_writes_are_refused_with_the_remedy_and_reads_go_on(disk: Disk, settings
 
 
 @pytest.mark.slow
-def test_a_disk_that_turns_read_only_and_back(server: Server, disk: Disk, settings: Settings, until: Until) -> None:
+@pytest.mark.parametrize(("state", "code"), [("r", "disk_read_only"), ("f", "disk_full")], ids=["read-only", "full"])
+def test_a_disk_that_cannot_be_written_and_can_again(
+    server: Server, disk: Disk, settings: Settings, until: Until, state: str, code: str
+) -> None:
     headers = {"Authorization": f"Bearer {admin_token(settings)}"}
     with httpx.Client(base_url=server.ready["url"], headers=headers, timeout=60) as client:
         campaign = made(client)
@@ -117,8 +125,8 @@ def test_a_disk_that_turns_read_only_and_back(server: Server, disk: Disk, settin
         given: dict[str, Any] = {"data": settings.data, "deadline_s": 5.0, "connect_timeout_s": 60.0, "settled": True}
         with CorrectedStream("katana", **given) as line:
             waiting = [asked(client, campaign).json()["id"] for _ in range(3)]
-            disk.set("r")
-            assert [answer.status_code for answer in writes(client, campaign)] == [507, 507, 507]
+            disk.set(state)
+            assert {(answer.status_code, answer.json()["code"]) for answer in writes(client, campaign)} == {(507, code)}
             used = [line.correct(Q).source for _ in range(50)]
             health: dict[str, Any] = {}
 
@@ -128,8 +136,9 @@ def test_a_disk_that_turns_read_only_and_back(server: Server, disk: Disk, settin
 
             until(silent, seconds=40)
             assert health["database"]["ok"]
-            assert "cannot be written: mount it for writing" in health["disk"]["detail"]
-            assert "the disk cannot be written" in health["worker"]["detail"]
+            if state == "r":
+                assert "cannot be written: mount it for writing" in health["disk"]["detail"]
+                assert "the disk cannot be written" in health["worker"]["detail"]
             used += [line.correct(Q).source for _ in range(50)]
             disk.set("w")
             until(lambda: client.get("/v1/health").json()["status"] == "ready", seconds=40)
@@ -139,3 +148,39 @@ def test_a_disk_that_turns_read_only_and_back(server: Server, disk: Disk, settin
         assert set(used) == {"corrected"}
         assert children(server.process.pid) == before
     assert verify_stored(settings).damaged == []
+
+
+@pytest.mark.slow
+def test_a_disk_that_the_kernel_makes_read_only(settings: Settings, migrated: Path, tmp_path: Path) -> None:
+    """The real thing: ext4 after an error. What was acknowledged before is there when the disk was checked."""
+    if os.geteuid() != 0 or not shutil.which("mkfs.ext4") or not shutil.which("losetup"):
+        pytest.skip("to mount a disk needs root, and mkfs.ext4 and losetup")
+    image = tmp_path / "image"
+    with image.open("wb") as file:
+        file.truncate(512 << 20)
+    subprocess.run(["mkfs.ext4", "-q", "-F", str(image)], check=True)
+    settings.data.mkdir(parents=True)
+    namespace, mounted = ["unshare", "--mount"], f"mount -o loop,errors=remount-ro {image} {settings.data}"
+    if subprocess.run([*namespace, "sh", "-c", mounted], capture_output=True).returncode:
+        pytest.skip("this system does not mount a file")
+    admin_token(settings)
+    copied = f"cp {settings.token_file} {tmp_path} && {mounted} && cp {tmp_path}/token {migrated} {settings.data}/"
+    script = f'{copied} && sync -f {settings.data} && exec "$@"'
+    with api(settings, *namespace, "sh", "-c", script, "sh") as client:
+        campaign = made(client)
+        device = subprocess.run(
+            ["losetup", "-n", "-O", "NAME", "-j", str(image)], capture_output=True, text=True
+        ).stdout
+        Path(f"/sys/fs/ext4/{Path(device.strip()).name}/trigger_fs_error").write_text("1", encoding="ascii")
+        for answer in writes(client, campaign):
+            assert (answer.status_code, answer.json()["code"]) == (507, "disk_read_only"), answer.text
+        assert client.get(f"/v1/campaigns/{campaign}").json()["rows"] == ROWS
+        assert "mount it for writing" in client.get("/v1/health").json()["checks"]["disk"]["detail"]
+    subprocess.run(["fsck.ext4", "-fy", str(image)], capture_output=True, check=False)
+    verify = [sys.executable, "-m", "kilter_service", "verify"]
+    checked = subprocess.run(
+        [*namespace, "sh", "-c", f'{mounted} && exec "$@"', "sh", *verify],
+        env={**os.environ, **settings.environment()}, cwd=REPOSITORY, capture_output=True, text=True,
+    )  # fmt: skip
+    assert checked.returncode == 0, checked.stderr
+    assert "1 campaigns with 1 chunks" in checked.stdout + checked.stderr

@@ -34,21 +34,21 @@ AWAY = (
     "(`kilterd doctor` tries it). Nothing was stored; send it again."
 )
 AWAY_CODE = "database_away"
-READ_ONLY_CODE, FAILED_CODE = "disk_read_only", "disk_failed"
+FULL_CODE, READ_ONLY_CODE, FAILED_CODE = "disk_full", "disk_read_only", "disk_failed"
 REFUSED_CODE = "database_refused"
 REFUSED = (
     "The database refuses this account ({reason}): see the user, the password and the name in KILTER_DATABASE_URL."
 )
 CREDENTIALS = re.compile(r"(?<=://)[^@/\s]*@|password=\S+")
 ERRNO = {
-    errno.ENOSPC: ("disk_full", FULL),
-    errno.EDQUOT: ("disk_full", FULL),
-    errno.EFBIG: ("disk_full", FULL),
+    errno.ENOSPC: (FULL_CODE, FULL),
+    errno.EDQUOT: (FULL_CODE, FULL),
+    errno.EFBIG: (FULL_CODE, FULL),
     errno.EROFS: (READ_ONLY_CODE, READ_ONLY),
     errno.EIO: (FAILED_CODE, FAILED),
 }
 SQLITE = (
-    ("database or disk is full", "disk_full", FULL),
+    ("database or disk is full", FULL_CODE, FULL),
     ("readonly database", READ_ONLY_CODE, READ_ONLY),
     ("unable to open database file", READ_ONLY_CODE, READ_ONLY),
     ("malformed", "database_damaged", DAMAGED),
@@ -58,7 +58,7 @@ SQLITE = (
 )
 # SQLSTATE, the first characters that tell (https://www.postgresql.org/docs/15/errcodes-appendix.html)
 POSTGRESQL = (
-    ("53100", "disk_full", FULL),
+    ("53100", FULL_CODE, FULL),
     ("25006", READ_ONLY_CODE, READ_ONLY),
     ("XX001", "database_damaged", DAMAGED),
     ("XX002", "database_damaged", DAMAGED),

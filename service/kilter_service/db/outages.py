@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +10,7 @@ from pathlib import Path
 
 from sqlalchemy.exc import DBAPIError
 
-from kilter_service.db.failures import AWAY_CODE, FAILED_CODE, READ_ONLY, READ_ONLY_CODE, in_words
+from kilter_service.db.failures import AWAY_CODE, FAILED_CODE, FULL_CODE, READ_ONLY, READ_ONLY_CODE, in_words
 from kilter_service.errors import ServiceError
 
 
@@ -20,13 +21,19 @@ class DatabaseAwayError(ServiceError):
 
 
 def is_read_only(folder: Path) -> bool:
-    """Whether the file system of a folder is mounted read-only."""
-    return bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+    """Whether the file system of a folder is mounted read-only, or takes nothing more after an error of its disk."""
+    if os.statvfs(folder).f_flag & os.ST_RDONLY:
+        return True
+    try:  # since Linux 6.15 the flags do not say the second (ext4: emergency_ro)
+        os.close(os.open(folder, getattr(os, "O_TMPFILE", 0) | os.O_WRONLY, 0o600))
+    except OSError as error:
+        return error.errno == errno.EROFS
+    return False
 
 
 @contextmanager
 def outages(folder: Path | None = None) -> Iterator[None]:
-    """Raise ``DatabaseAwayError`` where the server is gone or the disk is read-only, of SQLite that of ``folder``.
+    """Raise ``DatabaseAwayError`` where the server is gone or the disk full or read-only, of SQLite that of ``folder``.
 
     Other errors pass.
     """
@@ -37,6 +44,6 @@ def outages(folder: Path | None = None) -> Iterator[None]:
         # SQLite calls it a failure when the kernel refuses to write to a file that was open before.
         if known is not None and known.code == FAILED_CODE and folder is not None and is_read_only(folder):
             raise DatabaseAwayError(READ_ONLY, code=READ_ONLY_CODE) from error
-        if known is None or known.code not in (AWAY_CODE, READ_ONLY_CODE):
+        if known is None or known.code not in (AWAY_CODE, FULL_CODE, READ_ONLY_CODE):
             raise
         raise DatabaseAwayError(known.message, code=known.code) from error

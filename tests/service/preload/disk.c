@@ -1,5 +1,6 @@
-/* While the file TEST_DISK begins with "r", everything below the folder TEST_FOLDER can be read only (EROFS), also through
- * files that are open: as after an error of the disk, when the kernel remounts its file system. */
+/* While the file TEST_DISK begins with "f", nothing can be written below the folder TEST_FOLDER, as on a full disk (ENOSPC).
+ * While it begins with "r", everything there can be read only (EROFS), also through files that are open: as after an error of
+ * the disk, when the kernel remounts its file system. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -73,6 +74,7 @@ OPEN_AT(openat64)
 #define WRITE(type, name, given, passed) \
     type name given { \
         REFUSED(open_in_folder, file, -1) \
+        if (state && *state == 'f' && open_in_folder(file)) { errno = ENOSPC; return -1; } \
         return REAL(name) passed; \
     }
 WRITE(ssize_t, write, (int file, const void *data, size_t size), (file, data, size))
