@@ -227,6 +227,7 @@ def test_a_search_its_story_and_what_it_asks_for(
         page.get_by_text("All other options").click()
         for name, value in QUICK.items():
             page.locator(f"#option-{name}").fill(", ".join(value) if isinstance(value, list) else str(value))
+        page.locator("#option-permutations").fill("10000")  # so that it is not over before it is cancelled
         checked(page)
         keep(page, "20-search-checked", size)
         page.get_by_role("button", name="Run").click()
@@ -239,6 +240,9 @@ def test_a_search_its_story_and_what_it_asks_for(
         expect(page.locator("h1 .badge")).to_have_text("cancelled", timeout=15_000)
         keep(page, "22-cancelled", size)
         page.get_by_role("link", name="Again, with changes").click()
+        page.wait_for_url("**/jobs?*")
+        page.eval_on_selector_all("details", "all => all.forEach((one) => (one.open = true))")
+        page.locator("#option-permutations").fill(str(QUICK["permutations"]))
         checked(page)
         page.get_by_role("button", name="Run").click()
         page.wait_for_url(lambda address: "/jobs/job_" in address and address != first)

@@ -49,7 +49,7 @@ REPORT = {
     "noise_mm": 0.0081,
     "metrics": {"train": {"n": 60}, "validation": ERRORS},
     "warnings": [
-        {"code": "no_repeats", "message": f"No pose was repeated <script>alert(1)</script> <img src='{LINK}'>."}
+        {"code": "no_repeats", "message": f"No `pose` was repeated <script>alert(1)</script> <img src='{LINK}'>."}
     ],
     "null_directions": [{"parameters": [], "sentence": "tool_z cannot be told from d_5 in these poses."}],
     "parameters": [
@@ -139,6 +139,7 @@ def test_the_report_says_what_the_interface_says(server: httpx.Client, version: 
         assert effect in text
     assert "<script>" not in html
     assert "&lt;script&gt;" in html
+    assert "No <code>pose</code> was" in html
 
 
 def test_the_report_says_which_share_has_which_error(server: httpx.Client, version: str) -> None:

@@ -58,9 +58,8 @@ def test_the_history_says_lineage_and_who_activated_what(there: Made) -> None:
 
 def test_a_version_says_what_it_knows_and_what_it_does_not(there: Made) -> None:
     said = words(there.client.get(f"/versions/{there.good}").text)
-    assert "190.03100 ± 0.00070 mm" in said
-    assert "0.03100 ± 0.00070 mm" in said
-    assert "190.0296 to 190.0324 mm" in said  # 1.96 standard deviations
+    assert "a_2 mm 190.00000 190.03100 ± 0.00070 0.03100 " in said
+    assert "190.0296 to 190.0324 " in said  # 1.96 standard deviations
     assert "Not identifiable" in said
     assert "nominal values: beta_5" in said
     assert "mean error on held-out poses; 95 % interval 17.1 µm to 22.9 µm" in said  # 20 ± 1.96 · 9.28 / √40

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
+
+from markupsafe import Markup, escape
 
 from kilter_service.db.tables import now
 
 NONE = "–"
 DIGITS = 3  # of a number whose uncertainty is not known
+TICKED = re.compile(r"`([^`]+)`")
 MINUTE, HOUR, DAY = 60.0, 3600.0, 86400.0
 
 
@@ -38,6 +42,11 @@ def measured(value: float | None, sigma: float | None, unit: str = "") -> str:
         return f"{value:.3e} ± {sigma:.1e}{after}"
     places = max(decimals, 0)
     return f"{round(value, decimals) + 0.0:.{places}f} ± {round(sigma, decimals):.{places}f}{after}"  # no -0.0
+
+
+def fine(value: float | None, sigma: float | None) -> str:
+    """Write a value as finely as its uncertainty allows, without it."""
+    return measured(value, sigma).partition(" ±")[0]
 
 
 def between(low: float | None, high: float | None, unit: str = "") -> str:
@@ -95,6 +104,11 @@ def count(value: int | None) -> str:
     return NONE if value is None else f"{value:,}".replace(",", "\u202f")
 
 
+def ticked(text: str) -> Markup:
+    """Show what stands between backticks as code."""
+    return Markup(TICKED.sub(r"<code>\1</code>", str(escape(text))))  # noqa: S704 (escaped before)
+
+
 def listed(names: Sequence[str]) -> str:
     """Join names by commas and *and*."""
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
@@ -107,5 +121,5 @@ def of_joints(numbers: Sequence[int]) -> str:
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
     "number": number, "mm": mm, "age": age, "moment": moment, "percent": percent, "count": count,
-    "measured": measured, "between": between, "duration": duration,
+    "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked,
 }  # fmt: skip

@@ -16,6 +16,7 @@ COLOURS = (BLUE, ORANGE, GREEN, PURPLE, RED, GREY)
 DASHES = ("", "6 3", "2 3", "8 3 2 3", "1 4", "12 4")
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 14.0, 44.0
 LEGEND_LINE, LETTER = 18.0, 6.6  # height of a line of the legend, width of a letter: pixels at 12
+SLANT = 45  # degrees, of names that have no room side by side
 FONT = 'font-family="system-ui, sans-serif" font-size="12"'
 
 
@@ -102,9 +103,10 @@ class Plot:
         """Return it as SVG."""
         legend, lines = self._legend_drawn()
         extra = lines * LEGEND_LINE
+        tall = round(self.height + extra + self._below(), 1)
         head = (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 {-extra} {self.width} {self.height + extra}" role="img" '
-            f'width="{self.width}" height="{self.height + extra}" {FONT} fill="currentColor">'
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 {-extra} {self.width} {tall}" role="img" '
+            f'width="{self.width}" height="{tall}" {FONT} fill="currentColor">'
             f"<title>{escape(self.title)}</title><desc>{escape(self.description or self.title)}</desc>"
         )
         return Markup(f"{head}{legend}{self._frame()}{''.join(self._drawn)}</svg>")  # noqa: S704 (texts are escaped above)
@@ -157,26 +159,48 @@ class Plot:
         for value, text in self._x_ticks():
             x = self._px(value)
             parts.append(f'<line x1="{x}" x2="{x}" y1="{bottom}" y2="{bottom + 4}" stroke="currentColor"/>')
-            parts.append(f'<text x="{x}" y="{bottom + 17}" text-anchor="middle">{escape(text)}</text>')
+            parts.append(self._x_tick(x, text))
         parts.append(f'<path d="M{LEFT} {TOP}V{bottom}H{right}" fill="none" stroke="currentColor"/>')
         middle = (LEFT + right) / 2
-        parts.append(f'<text x="{middle}" y="{self.height - 8}" text-anchor="middle">{escape(self.x.label)}</text>')
+        parts.append(
+            f'<text x="{middle}" y="{self.height - 8 + self._below():.1f}" text-anchor="middle">{escape(self.x.label)}</text>'
+        )
         centre = (TOP + bottom) / 2
         parts.append(
             f'<text transform="translate(14 {centre}) rotate(-90)" text-anchor="middle">{escape(self.y.label)}</text>'
         )
         return "".join(parts)
 
+    def _x_tick(self, x: float, text: str) -> str:
+        bottom = self.height - BOTTOM
+        if not self._below():
+            return f'<text x="{x}" y="{bottom + 17}" text-anchor="middle">{escape(text)}</text>'
+        turned = f'transform="translate({x + 4} {bottom + 13}) rotate(-{SLANT})"'
+        return f'<text {turned} text-anchor="end">{escape(text)}</text>'
+
     def _x_ticks(self) -> list[tuple[float, str]]:
-        """Return the ticks along x; names that would overlap are cut, then left out."""
+        """Return the ticks along x; of names so many that they do not overlap, none longer than there is room."""
         ticks = self.x.ticks()
         if not self.x.names:
             return ticks
-        room = (self.width - LEFT - RIGHT) / len(ticks)
-        stride = max(1, math.ceil(24 / room))
-        letters = max(3, int(room * stride / LETTER) - 1)
+        letters = self._letters()
         short = [(place, text if len(text) <= letters else f"{text[: letters - 1]}…") for place, text in ticks]
-        return short[::stride]
+        return short[:: math.ceil(LEGEND_LINE / self._room())]
+
+    def _room(self) -> float:
+        """Pixels of a name along x."""
+        return (self.width - LEFT - RIGHT) / len(self.x.names)
+
+    def _letters(self) -> int:
+        """How long a slanted name may be: the first begins within the picture."""
+        return int((LEFT + self._room() / 2) / (LETTER * math.cos(math.radians(SLANT))))
+
+    def _below(self) -> float:
+        """Pixels for names that are slanted, because they have no room side by side."""
+        longest = max((len(name) for name in self.x.names), default=0)
+        if not longest or LETTER * (longest + 1) <= self._room():
+            return 0.0
+        return math.sin(math.radians(SLANT)) * LETTER * min(longest, self._letters())
 
 
 def _stroke(colour: str, dash: str) -> str:

@@ -65,8 +65,7 @@ def _candidate(
 ) -> Candidate:
     name, joint = _key(group[0])
     seen = "; ".join(
-        f"{(one.parameter or '').replace('_', ' ')} {number(one.smallest_detectable, 2)}"
-        f"{'' if one.unit in (None, '1') else f' {one.unit}'}"
+        f"{number(one.smallest_detectable, 2)}{'' if one.unit in (None, '1') else f' {one.unit}'} of {one.parameter or name}"
         for one in group
     )
     rest = f" beside {listed([called(effect) for effect in effects])}" if effects else ""

@@ -199,9 +199,7 @@ def _parameter(one: Parameter) -> list[str]:
 
 
 def _fine(value: float | None, sigma: float | None) -> str:
-    """Write a value as finely as its uncertainty allows."""
-    text = words.number(value) if value is None or not sigma else words.measured(value, sigma).partition(" ±")[0]
-    return _unsigned(text)
+    return _unsigned(words.fine(value, sigma))
 
 
 def _unsigned(text: str) -> str:

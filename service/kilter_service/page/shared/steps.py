@@ -100,8 +100,7 @@ def said(read: Steps) -> str:
 
 
 def _table(read: Steps) -> tuple[list[str], list[list[str]]]:
-    unit = read.unit
-    head = ["Step", f"Fitted poses, {unit}", f"Held-out poses, {unit}", "95 % interval"]
+    head = ["Step", f"Fitted poses, {read.unit}", f"Held-out poses, {read.unit}", "95 % interval"]
     rows = [
         [
             step.label, number(step.fitted), number(step.held_out),
@@ -109,4 +108,5 @@ def _table(read: Steps) -> tuple[list[str], list[list[str]]]:
         ]
         for step in [*read.steps, read.noise]
     ]  # fmt: skip
-    return head, rows
+    shown = 2 if all(step.held_out is None for step in read.steps) else len(head)
+    return head[:shown], [row[:shown] for row in rows]
