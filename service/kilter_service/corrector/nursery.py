@@ -142,8 +142,9 @@ def _live(entry: str, spec: StreamSpec | QuerySpec, pipe: Connection) -> NoRetur
     code = 1
     try:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        pipe.send(os.getpid())
-        enter(entry, spec, pipe)
+        with suppress(BrokenPipeError):  # whoever ordered it is gone: nothing to do
+            pipe.send(os.getpid())
+            enter(entry, spec, pipe)
         code = 0
     except BaseException:
         traceback.print_exc()

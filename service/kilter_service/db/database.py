@@ -76,7 +76,7 @@ class Database:
 
     @contextmanager
     def _session(self, sessions: sessionmaker[Session]) -> Iterator[Session]:
-        with outages(self._folder), sessions.begin() as session:
+        with outages(self._folder, writes=sessions is not self._reading), sessions.begin() as session:
             yield session
 
     def close(self) -> None:

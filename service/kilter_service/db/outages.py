@@ -32,10 +32,10 @@ def is_read_only(folder: Path) -> bool:
 
 
 @contextmanager
-def outages(folder: Path | None = None) -> Iterator[None]:
+def outages(folder: Path | None = None, *, writes: bool = True) -> Iterator[None]:
     """Raise ``DatabaseAwayError`` where the server is gone or the disk full or read-only, of SQLite that of ``folder``.
 
-    Other errors pass.
+    Other errors pass; so does a write that the database refuses to a session that only reads.
     """
     try:
         yield
@@ -45,5 +45,7 @@ def outages(folder: Path | None = None) -> Iterator[None]:
         if known is not None and known.code == FAILED_CODE and folder is not None and is_read_only(folder):
             raise DatabaseAwayError(READ_ONLY, code=READ_ONLY_CODE) from error
         if known is None or known.code not in (AWAY_CODE, FULL_CODE, READ_ONLY_CODE):
+            raise
+        if known.code == READ_ONLY_CODE and not writes and (folder is None or not is_read_only(folder)):
             raise
         raise DatabaseAwayError(known.message, code=known.code) from error

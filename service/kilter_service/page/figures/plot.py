@@ -16,7 +16,8 @@ COLOURS = (BLUE, ORANGE, GREEN, PURPLE, RED, GREY)
 DASHES = ("", "6 3", "2 3", "8 3 2 3", "1 4", "12 4")
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 14.0, 44.0
 LEGEND_LINE, LETTER = 18.0, 6.6  # height of a line of the legend, width of a letter: pixels at 12
-SLANT = 45  # degrees, of names that have no room side by side
+SLANT_DEG = 45  # of names that have no room side by side
+ACROSS, DOWN = math.cos(math.pi / 4), math.sin(math.pi / 4)  # of a slanted name one pixel long
 FONT = 'font-family="system-ui, sans-serif" font-size="12"'
 
 
@@ -175,7 +176,7 @@ class Plot:
         bottom = self.height - BOTTOM
         if not self._below():
             return f'<text x="{x}" y="{bottom + 17}" text-anchor="middle">{escape(text)}</text>'
-        turned = f'transform="translate({x + 4} {bottom + 13}) rotate(-{SLANT})"'
+        turned = f'transform="translate({x + 4} {bottom + 13}) rotate(-{SLANT_DEG})"'
         return f'<text {turned} text-anchor="end">{escape(text)}</text>'
 
     def _x_ticks(self) -> list[tuple[float, str]]:
@@ -193,14 +194,14 @@ class Plot:
 
     def _letters(self) -> int:
         """How long a slanted name may be: the first begins within the picture."""
-        return int((LEFT + self._room() / 2) / (LETTER * math.cos(math.radians(SLANT))))
+        return int((LEFT + self._room() / 2) / (LETTER * ACROSS))
 
     def _below(self) -> float:
         """Pixels for names that are slanted, because they have no room side by side."""
         longest = max((len(name) for name in self.x.names), default=0)
         if not longest or LETTER * (longest + 1) <= self._room():
             return 0.0
-        return math.sin(math.radians(SLANT)) * LETTER * min(longest, self._letters())
+        return DOWN * LETTER * min(longest, self._letters())
 
 
 def _stroke(colour: str, dash: str) -> str:

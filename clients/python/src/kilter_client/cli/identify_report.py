@@ -35,7 +35,8 @@ def show_identification(result: Mapping[str, Any]) -> None:
     for line in _lines(result):
         say(line)
     show_load_model(result.get("load_model") or [])
-    _influence((result.get("influence") or []) if result.get("method") == "influence" else [])
+    if (result.get("method") or {}).get("name") == "influence":  # of the others the page shows it
+        _influence(result.get("influence") or [])
 
 
 def _set_aside(rows: list[Mapping[str, Any]]) -> Iterator[str]:
