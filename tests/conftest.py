@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -25,3 +27,14 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real measurements not found in {folder}: set KILTER_SHARED_DATA to their folder")
     return folder
+
+
+@pytest.fixture
+def kilterd() -> Iterator[Callable[[list[str]], None]]:
+    """The command of the server, in this process; what it sets up for its log lines ends with the test."""
+    from kilter_service.__main__ import main
+
+    yield main
+    for handler in [one for one in logging.root.handlers if type(one) is logging.StreamHandler]:
+        logging.root.removeHandler(handler)
+    logging.getLogger("kilter.access").disabled = True

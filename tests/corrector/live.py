@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import zenoh
 
+from kilter_client.setpoint import Setpoint
 from kilter_client.stream import CorrectedStream
 from kilter_service.corrector import wire
 from kilter_service.corrector.process import Corrector
 from kilter_service.corrector.session import config
+from kilter_service.corrector.wire import Status
 
 ROBOT = "katana450-chapter4"
 ROOT = f"kilter/@v1/test/{ROBOT}"
@@ -24,6 +26,13 @@ def until(condition: Callable[[], bool], seconds: float = 12.0) -> None:
     while not condition():
         assert time.monotonic() < end, "waited too long"
         time.sleep(0.01)
+
+
+def on_time(setpoints: Iterable[Setpoint]) -> list[str]:
+    """Sources of all but the few frames that a busy machine itself kept for longer than they may be old."""
+    sources = [setpoint.source for setpoint in setpoints if setpoint.status != Status.STALE.name]
+    assert len(sources) > 10
+    return sources
 
 
 def open_stream(corrector: Corrector, name: str, **options: object) -> CorrectedStream:

@@ -12,7 +12,6 @@ import pytest
 from kilter_client import sessions
 from kilter_client.signing import Session, on_this_machine
 from kilter_client.stream import CorrectedStream
-from kilter_service.__main__ import main
 from kilter_service.corrector.process import Corrector
 from tests.corrector.live import ROBOT, Q, open_stream, until
 
@@ -43,19 +42,26 @@ def renew(stream: CorrectedStream) -> None:
     stream._ask_again.set()
 
 
-def rotate(corrector: Corrector, overlap_h: float) -> None:
-    main(["stream-keys", "--data", str(corrector.file.parent), "--rotate", "--overlap-h", str(overlap_h)])
-    corrector.poll()
+@pytest.fixture
+def rotate(kilterd: Callable[[list[str]], None], corrector: Corrector) -> Callable[[float], None]:
+    """Rotate the keys, with so many hours in which the ones before are valid."""
+    command = ["stream-keys", "--data", str(corrector.file.parent), "--rotate", "--overlap-h"]
+
+    def rotated(overlap_h: float) -> None:
+        kilterd([*command, str(overlap_h)])
+        corrector.poll()
+
+    return rotated
 
 
-def test_a_renewal_and_a_rotation_cost_no_setpoint(corrector: Corrector) -> None:
+def test_a_renewal_and_a_rotation_cost_no_setpoint(corrector: Corrector, rotate: Callable[[float], None]) -> None:
     with open_stream(corrector, "renewed", signed=True) as stream:
         first = session_of(stream)
         renew(stream)
         sent = flows(stream, lambda: session_of(stream).id != first.id)
         second = session_of(stream)
         assert second.master == first.master
-        rotate(corrector, overlap_h=1.0)
+        rotate(1.0)
         sent += flows(stream, lambda: True)
         assert session_of(stream) == second  # it is valid until it ends or is renewed
         renew(stream)
@@ -75,14 +81,14 @@ def test_a_session_that_ended_in_use_is_followed_by_another(corrector: Corrector
 
 
 def test_a_session_whose_secret_is_gone_is_followed_by_another(
-    corrector: Corrector, monkeypatch: pytest.MonkeyPatch
+    corrector: Corrector, rotate: Callable[[float], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As after a rotation without overlap, or a clock that was set forward beyond it: nothing is answered any more."""
     monkeypatch.setattr(sessions, "UNANSWERED_S", 0.2)
     with open_stream(corrector, "orphaned", signed=True, deadline_s=0.05) as stream:
         first = session_of(stream)
         until(lambda: stream.correct(Q).source == "corrected")
-        rotate(corrector, overlap_h=0.0)
+        rotate(0.0)
         os.kill(corrector._children["stream"].pid or 0, signal.SIGKILL)
         until(lambda: not corrector._children["stream"].alive)
         corrector.poll()

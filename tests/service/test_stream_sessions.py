@@ -7,13 +7,13 @@ import shutil
 import stat
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import httpx
 import pytest
 
 from kilter_client.signing import from_document, on_this_machine
-from kilter_service.__main__ import main
 from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings
 from kilter_service.signing.masters import masters_in
@@ -49,12 +49,12 @@ def test_a_session_needs_the_token_and_a_robot(client: httpx.Client) -> None:
 
 
 def test_a_rotation_keeps_the_secret_before_it_for_the_overlap(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kilterd: Callable[[list[str]], None]
 ) -> None:
     file = tmp_path / "stream-keys.json"
     before = masters_in(file)
     old = on_this_machine(file, "local", "arm", "main")
-    main(["stream-keys", "--data", str(tmp_path), "--rotate", "--overlap-h", "1"])
+    kilterd(["stream-keys", "--data", str(tmp_path), "--rotate", "--overlap-h", "1"])
     assert "valid for 1.0 h" in capsys.readouterr().out
     after = masters_in(file)
     assert after.all[0].secret == before.all[0].secret
@@ -63,7 +63,7 @@ def test_a_rotation_keeps_the_secret_before_it_for_the_overlap(
     assert new is not None
     for session in (old, new):
         assert after.key_of(session.id, "local", "arm", "main") == session.key
-    main(["stream-keys", "--data", str(tmp_path), "--rotate", "--overlap-h", "0"])
+    kilterd(["stream-keys", "--data", str(tmp_path), "--rotate", "--overlap-h", "0"])
     ended = masters_in(file)
     assert ended.key_of(new.id, "local", "arm", "main") is None
 
