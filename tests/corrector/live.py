@@ -28,11 +28,11 @@ def until(condition: Callable[[], bool], seconds: float = 12.0) -> None:
         time.sleep(0.01)
 
 
-def on_time(setpoints: Iterable[Setpoint]) -> list[str]:
-    """Sources of all but the few frames that a busy machine itself kept for longer than they may be old."""
-    sources = [setpoint.source for setpoint in setpoints if setpoint.status != Status.STALE.name]
-    assert len(sources) > 10
-    return sources
+def on_time(setpoints: Iterable[Setpoint]) -> list[tuple[str, str | None]]:
+    """Source and status of all but the few frames that a busy machine itself kept for longer than they may be old."""
+    found = [(one.source, one.status) for one in setpoints if one.status != Status.STALE.name]
+    assert len(found) > 10
+    return found
 
 
 def open_stream(corrector: Corrector, name: str, **options: object) -> CorrectedStream:

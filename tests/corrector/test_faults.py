@@ -350,7 +350,7 @@ def test_the_stream_outlives_the_api_and_the_database(tmp_path: Path, katana: Ca
         finally:
             server.send_signal(signal.SIGTERM)
             server.wait(60)
-    assert set(on_time(used)) == {"corrected"}
+    assert set(on_time(used)) == {("corrected", "OK")}
     assert epochs == {1}
 
 

@@ -42,7 +42,7 @@ with CorrectedStream("katana", data=Path(sys.argv[1]), stream="clock", deadline_
     while True:
         given = stream.correct([0.1, 0.6, 0.4, 0.3, 0.2])
         if given.status != "STALE":  # the busy machine kept the frame for longer than it may be old
-            print(given.source, flush=True)
+            print(given.source, given.status, flush=True)
         time.sleep(0.02)
 """
 
@@ -199,7 +199,7 @@ def whole(world: World) -> None:
     assert not world._threads[-1].is_alive()
     found = world.http.get("/v1/robots/katana/campaigns", params={"limit": 1000}).json()["campaigns"]
     assert [(one["id"], one["rows"]) for one in found] == [(world.first, ROWS), *world.stored]
-    assert set(world.sources) == {"corrected"}
+    assert set(world.sources) == {"corrected OK"}
     with Kilter(world.url, token=world.token) as kilter:
         assert kilter.verify_audit()["entries"] > len(found)
     backups.restore(elsewhere(world), backups.backup(world.settings, world.settings.data.parent / "all.backup")[0])
