@@ -203,6 +203,7 @@ def test_a_version_of_a_worker_is_in_the_audit_of_whoever_asked_for_it(
     told = client.get(f"/v1/jobs/{job}").json()
     version = told["result"]["version_id"]
     assert told["asked_by"] == "anna"
+    assert [one["asked_by"] for one in client.get("/v1/jobs").json()["jobs"]] == ["anna"]
     (entry,) = entries(client)[before:]
     assert (entry["actor"], entry["token_id"], entry["role"]) == ("anna", made["id"], "operator")
     assert (entry["address"], entry["route"]) == ("127.0.0.1", "kilterd worker")
@@ -229,6 +230,7 @@ def test_a_version_that_an_earlier_kilter_was_asked_for_says_that_nobody_is_know
     Runner(database).run(claim)
     assert entries(client)[-1]["actor"] == "unknown"
     assert client.get(f"/v1/jobs/{job}").json()["asked_by"] == ""
+    assert [one["asked_by"] for one in client.get("/v1/jobs").json()["jobs"]] == [""]
 
 
 def test_the_audit_comes_in_pages(client: httpx.Client) -> None:

@@ -96,6 +96,7 @@ class ListedJob:
     fraction: float
     stage: str
     error: dict[str, str] | None
+    asked_by: str
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
@@ -110,4 +111,3 @@ class JobRecord(ListedJob):
     attempts: int
     result: dict[str, Any] | None
     asked: Asked
-    asked_by: str

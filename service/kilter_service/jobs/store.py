@@ -99,8 +99,8 @@ def listed(session: Session, robot: str | None, page: Page) -> list[ListedJob]:
     """Return the newest jobs, of one robot or of all, one more than the page shows; results are large and stay unread."""
     row = JobRow
     columns = (
-        row.id, row.kind, row.robot_id, row.name, row.state, row.fraction, row.stage, row.error, row.created_at,
-        row.started_at, row.finished_at,
+        row.id, row.kind, row.robot_id, row.name, row.state, row.fraction, row.stage, row.error,
+        func.coalesce(row.asked_by["actor"].as_string(), ""), row.created_at, row.started_at, row.finished_at,
     )  # fmt: skip
     query = select(*columns).order_by(row.created_at.desc(), row.id)
     if allowed_robots() is not None:

@@ -86,7 +86,6 @@ def job(record: JobRecord) -> Job:
         confirmation=record.request.confirmation,
         options=options,
         attempts=record.attempts,
-        asked_by=record.asked_by,
         result=None if record.result is None else as_written(result, record.result),
     )
 
@@ -105,6 +104,7 @@ def _told(record: ListedJob) -> dict[str, Any]:
         "state": record.state,
         "progress": Progress(fraction=record.fraction, stage=record.stage),
         "error": None if record.error is None else JobError(**record.error),
+        "asked_by": record.asked_by,
         "created_at": record.created_at,
         "started_at": record.started_at,
         "finished_at": record.finished_at,

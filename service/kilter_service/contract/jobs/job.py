@@ -120,6 +120,9 @@ class JobSummary(Strict):
     state: State = Field(description="`queued` and `running` become one of the other three.")
     progress: Progress = Field(description="How far it is.")
     error: JobError | None = Field(description="Why it failed; null: it did not.")
+    asked_by: str = Field(
+        "", description="Who asked for it: name of the token; empty: not noted by an earlier release."
+    )
     created_at: datetime = Field(description="When it was asked for.")
     started_at: datetime | None = Field(description="When it began; null: not yet.")
     finished_at: datetime | None = Field(description="When it was over; null: not yet.")
@@ -130,9 +133,6 @@ class _Job(JobSummary):
     validation: list[str] | Fraction | Folds | None = Field(description="What it holds out, as asked.")
     confirmation: list[str] = Field([], description="Campaigns in which what it finds must be seen again.")
     attempts: int = Field(description="How often a worker began it.")
-    asked_by: str = Field(
-        "", description="Who asked for it: name of the token; empty: not noted by an earlier release."
-    )
 
 
 class IdentifyJob(_Job):

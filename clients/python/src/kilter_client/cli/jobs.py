@@ -89,7 +89,8 @@ def _show_list(document: dict[str, Any]) -> None:
             job["state"],
             f"{100 * float((job.get('progress') or {}).get('fraction') or 0):.0f} %",
             str(job.get("created_at", ""))[:16].replace("T", " "),
+            job.get("asked_by", ""),
         )
         for job in document["jobs"]
     ]
-    show_rows(("job", "kind", "robot", "name", "state", "done", "made"), rows)
+    show_rows(("job", "kind", "robot", "name", "state", "done", "made", "by"), rows)

@@ -70,6 +70,8 @@ class Progress(Record):
 class JobSummary(Record):
     """A job in a list."""
 
+    asked_by: str
+    """Who asked for it: name of the token; empty: not noted by an earlier release."""
     created_at: str
     """When it was asked for."""
     error: JobError | None
