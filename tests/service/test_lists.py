@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import datetime, timedelta
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
 import pytest
 from sqlalchemy import Engine, event
 
-from kilter_service.db import Database
+from kilter_service.db import Database, tables
 from tests.service.made_versions import store_version
 
 ROWS = {**{f"q{j}_deg": [10.0, 20.0] for j in range(1, 6)}, "y_mm": [1.0, 2.0], "z_mm": [3.0, 4.0]}
@@ -139,3 +141,16 @@ def test_longer_lists_ask_the_database_no_more_often(client: httpx.Client, datab
                 client.get(address).raise_for_status()
             asked.setdefault(address, []).append(len(said))
     assert all(len(set(counts)) == 1 for counts in asked.values()), asked
+
+
+def test_what_is_made_after_the_clock_was_set_back_comes_first(
+    client: httpx.Client, robot: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wishes = {"tokens": {"role": "viewer"}, "fleet-jobs": {"robots": [robot], "options": {"level": 1}}}
+    for hours, name in ((0, "before"), (-24, "after"), (-23, "last")):
+        clock = SimpleNamespace(now=lambda zone, h=hours: datetime.now(zone) + timedelta(hours=h))
+        monkeypatch.setattr(tables, "datetime", clock)
+        for address, wish in wishes.items():
+            client.post(f"/v1/{address}", json={"name": name, **wish}).raise_for_status()
+    for address, field in (("tokens", "tokens"), ("fleet-jobs", "fleet_jobs")):
+        assert [one["name"] for one in pages(client, f"/v1/{address}", field, 2)] == ["last", "after", "before"]

@@ -317,14 +317,17 @@ class MeshRow(Row):
 
 
 def _come_last(_mapper: Mapper[Any], connection: Connection, row: Any) -> None:
-    """Date a row after all others of its robot: the clock may have been set back, and `latest` is the newest."""
+    """Date a row after the others (of its robot): the clock may have been set back, and `latest` is the newest."""
     if row.created_at is None:
         others = type(row).__table__.c
-        newest = connection.execute(select(func.max(others.created_at)).where(others.robot_id == row.robot_id)).scalar()
+        query = select(func.max(others.created_at))
+        if "robot_id" in others:
+            query = query.where(others.robot_id == row.robot_id)
+        newest = connection.execute(query).scalar()
         row.created_at = now() if newest is None else max(now(), newest + MOMENT)
 
 
-for _dated in (CampaignRow, JobRow, VersionRow):
+for _dated in (CampaignRow, FleetJobRow, JobRow, TokenRow, VersionRow):
     event.listen(_dated, "before_insert", _come_last)
 
 OF_PEOPLE = frozenset({"name", "notes", "retired_at", "retired_by"})  # what may change of a version
