@@ -113,6 +113,14 @@ def test_constant_temperature_and_what_nothing_shows_are_said_in_words(robot):
     assert not [u for u in report.not_testable if "inf" in u.reason.split()]
 
 
+def test_what_only_rounding_errors_show_is_said_to_show_at_no_size(robot):
+    rows = replace(campaign(robot, loads=(0.0,)), payload_kg=None)
+    report = find_gap(robot, rows, QUICK)
+    (absorbed,) = [u for u in report.not_testable if u.id == "reading_tilt"]
+    assert "at no size" in absorbed.reason, absorbed.reason
+    assert not [u for u in report.not_testable if "e+1" in u.reason]
+
+
 def test_the_document_is_plain_json(backlash):
     document = json.loads(json.dumps(backlash.to_document(), allow_nan=False))
     wanted = {

@@ -19,6 +19,7 @@ from kilter_core.types import Bools, Floats
 
 DETECTED = 30.0  # post-geometry non-centrality that a 1 % family-wise test finds in 95 % of cases
 BARELY = 1e-4  # share of a signature left off geometry below which errors of the geometry itself decide
+NEVER = 1e6  # times the plausible: what would show only there is a signature of rounding errors
 ALIASED = 0.9
 SHOWN = 24
 
@@ -158,13 +159,12 @@ def _reason(c: Candidate, judged: Testability, problem: LinearizedProblem, rows:
         return f"The geometric parameters absorb it completely{why}."
     worst = int(columns[int(np.argmax(judged.smallest[columns]))])
     p = library.parameters[worst]
-    if not np.isfinite(judged.smallest[worst]):
+    plausible = max(abs(p.lower), abs(p.upper))
+    if not judged.smallest[worst] < NEVER * plausible:
         return f"{p.name} would show at no size: the geometric parameters absorb it, or nothing measured moves with it."
     unit, scale = WIRE.get(p.unit, (p.unit, 1.0))
     size = f"{judged.smallest[worst] * scale:.3g} {unit}".removesuffix(" 1")
-    return (
-        f"Only {p.name} above {size} would show, more than the plausible {max(abs(p.lower), abs(p.upper)) * scale:.3g}."
-    )
+    return f"Only {p.name} above {size} would show, more than the plausible {plausible * scale:.3g}."
 
 
 def _constant(c: Candidate, rows: Observations) -> str:
