@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from kilter_core.gap.search.candidates import FAMILY, JOINT, WHOLE, Candidate
 from kilter_core.gap.search.gram import Gram
@@ -75,3 +76,25 @@ def test_of_noise_of_unknown_size_no_pair_is_named():
         search = selector(candidates, gram, 40, absolute=False)
         named += search.pair(gram, (), CRITICAL) is not None
     assert named <= 1
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_exchanges_that_run_in_a_circle_end_where_they_would_without_doing_one_twice(seed):
+    rng = np.random.default_rng(seed)
+    states = [(a, b, c) for a in range(3) for b in range(3, 6) for c in range(6, 8)]
+    following = {state: states[k] for state, k in zip(states, rng.integers(0, len(states), len(states)), strict=True)}
+    done = []
+
+    class Circling(Selector):
+        def _exchanged(self, gram, chosen, critical):
+            done.append(chosen)
+            return following[chosen]
+
+    W = rng.standard_normal((20, 8))
+    gram = gram_of(W, W[:, 0])
+    plain = selector([candidate("column", (k,)) for k in range(8)], gram, 20, absolute=True)
+    end = states[0]
+    for _ in range(3 * len(end)):
+        end = following[end]
+    assert Circling(plain.scorer, plain.rows, plain.limits).swapped(gram, states[0], CRITICAL) == end
+    assert len(done) == len(set(done))

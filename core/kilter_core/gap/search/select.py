@@ -150,20 +150,32 @@ class Selector:
             chosen = after
 
     def swapped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
-        """Replace one or two members by one outside as long as the criterion grows."""
-        for _ in range(3 * len(chosen)):
-            best, gain = chosen, SMALLEST_GAIN
-            for out in [(m,) for m in chosen] + list(itertools.combinations(chosen, 2)):
-                rest, problem = tuple(m for m in chosen if m not in out), self.without(gram, out)
-                variance = self.variance(problem, chosen)
-                now = self.criterion(problem, chosen, variance)
-                k, value = self._best_instead(problem, rest, variance, critical, set(chosen))
-                if k is not None and value - now > gain:
-                    best, gain = (*rest, k), value - now
-            if best == chosen:
-                return chosen
-            chosen = best
-        return chosen
+        """Replace one or two members by one outside as long as the criterion grows, at most three times for each.
+
+        It may grow in a circle: with another member out, the errors of the loads count anew. Then no step is done twice.
+        """
+        path = [chosen]
+        for left in reversed(range(3 * len(chosen))):
+            after = self._exchanged(gram, path[-1], critical)
+            if after == path[-1]:
+                break
+            if after in path:
+                circle = path[path.index(after) :]
+                return circle[left % len(circle)]
+            path.append(after)
+        return path[-1]
+
+    def _exchanged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+        """Replace the one or two members by the one outside with which the criterion grows most, if it does."""
+        best, gain = chosen, SMALLEST_GAIN
+        for out in [(m,) for m in chosen] + list(itertools.combinations(chosen, 2)):
+            rest, problem = tuple(m for m in chosen if m not in out), self.without(gram, out)
+            variance = self.variance(problem, chosen)
+            now = self.criterion(problem, chosen, variance)
+            k, value = self._best_instead(problem, rest, variance, critical, set(chosen))
+            if k is not None and value - now > gain:
+                best, gain = (*rest, k), value - now
+        return best
 
     def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace a family by two others that together explain as much for less: with enough joints it imitates both."""
