@@ -24,6 +24,7 @@ MOST_JOINTS = 0.6
 MOST_OF_IT = 0.5  # of what is left, from which an addition is tried plain when what it was improved to failed
 TRIED = 4
 SMALLEST_GAIN = 0.2  # criterion points: below this two explanations are one, and the library's order decides
+SAME = 1e-6  # criterion points that are rounding errors
 CLEARLY_WRONG = 2.0  # standard deviations below zero at which a positive parameter contradicts physics
 HIDING = 3.0  # standard deviations of chi-square above its freedom at which effects may hide one another
 PAIRED = 25
@@ -172,7 +173,7 @@ class Selector:
             rest, problem = tuple(m for m in chosen if m not in out), self.without(gram, out)
             variance = self.variance(problem, chosen)
             now = self.criterion(problem, chosen, variance)
-            k, value = self._best_instead(problem, rest, variance, critical, set(chosen))
+            k, value = self._best_instead(problem, rest, variance, critical, set(chosen), now + gain)
             if k is not None and value - now > gain:
                 best, gain = (*rest, k), value - now
         return best
@@ -340,16 +341,26 @@ class Selector:
         return self.criterion(gram, one, variance) > self.criterion(gram, other, variance) - self.slack(one)
 
     def _best_instead(
-        self, gram: Gram, rest: tuple[int, ...], variance: float, critical: float, taken: set[int]
+        self,
+        gram: Gram,
+        rest: tuple[int, ...],
+        variance: float,
+        critical: float,
+        taken: set[int],
+        least: float = -np.inf,
     ) -> tuple[int | None, float]:
+        """Best candidate to enter a set, and the criterion with it; None where no one's can be clearly above ``least``."""
         columns = self.columns(rest)
         given = gram.given(columns)
         scores = self.scorer.scores(given)
         value = np.round(scores.S / variance - scores.d * np.log(self.rows) - MARGIN * self.scorer.empirical, 1)
         able = (scores.p < critical) & (scores.d > 0)
         able[list(taken)] = False
+        without = self.criterion(gram, rest, variance)
+        if without + np.max(value, where=able, initial=-np.inf) < least - SAME:  # its signs need not be looked at
+            return None, -np.inf
         k, worth = self._first(gram, rest, np.asarray(value), able)
-        return k, self.criterion(gram, rest, variance) + worth
+        return k, without + worth
 
     def _members(self, gram: Gram, rest: tuple[int, ...], family: int, variance: float) -> tuple[int, ...]:
         """Joints of a family that pay their price, by dropping the least worthy one after another."""
