@@ -17,6 +17,7 @@ from kilter_service.corrector.wire import Status
 
 ROBOT = "katana450-chapter4"
 ROOT = f"kilter/@v1/test/{ROBOT}"
+MOST_LATE = 3  # of the setpoints of one test
 Q = (0.1, 0.6, 0.4, 0.3, 0.2)
 
 
@@ -30,9 +31,10 @@ def until(condition: Callable[[], bool], seconds: float = 12.0) -> None:
 
 def on_time(setpoints: Iterable[Setpoint]) -> list[tuple[str, str | None]]:
     """Source and status of all but the few frames that a busy machine itself kept for longer than they may be old."""
-    found = [(one.source, one.status) for one in setpoints if one.status != Status.STALE.name]
-    assert len(found) > 10
-    return found
+    found = [(one.source, one.status) for one in setpoints]
+    late = [one for one in found if one[1] == Status.STALE.name]
+    assert len(late) <= MOST_LATE, late
+    return [one for one in found if one not in late]
 
 
 def open_stream(corrector: Corrector, name: str, **options: object) -> CorrectedStream:

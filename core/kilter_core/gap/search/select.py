@@ -153,7 +153,8 @@ class Selector:
     def swapped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace one or two members by one outside as long as the criterion grows, at most three times for each.
 
-        It may grow in a circle: with another member out, the errors of the loads count anew. Then no step is done twice.
+        It may go in a circle: a scan can see directions of nearly dependent columns that the criterion of the whole set
+        does not (docs/explanation/surprises.md). Then no step is done twice.
         """
         path = [chosen]
         for left in reversed(range(3 * len(chosen))):
