@@ -22,7 +22,7 @@ LONGEST_FOLDER = 80  # with the name of a socket in it: the system takes 107 cha
 
 
 def private_folder(path: Path) -> Path:
-    """Make a folder that only its owner may enter, or take the rights of others from one that is there.
+    """Make a folder that only its owner may enter; one that is there, which may be of anybody's, stays as it is.
 
     Raises:
         ServiceError: it cannot be made.
@@ -37,7 +37,6 @@ def private_folder(path: Path) -> Path:
             code="data_unusable",
             path=str(path),
         ) from error
-    keep_private(path)
     return path
 
 
@@ -52,19 +51,23 @@ def private_file(path: Path) -> None:
 
 
 def keep_private(path: Path) -> None:
-    """Take the rights of others from a file or folder, if it is this account's: an older Kilter gave some.
+    """Take the rights of others from what Kilter has made, if it is this account's: an older Kilter gave some.
 
-    A folder with the sticky bit, as /tmp, belongs to everybody on purpose: a database may be in it, and it stays open.
+    Never of a folder that somebody else may have made: a backup into a folder of the user's closed it to the database
+    server whose data lay below, and as root it would have closed ``/``.
     """
     with contextlib.suppress(OSError):
         found = path.stat()
         mode = stat.S_IMODE(found.st_mode)
-        if mode & UMASK and not mode & stat.S_ISVTX and found.st_uid == os.geteuid():
+        if mode & UMASK and found.st_uid == os.geteuid():
             path.chmod(mode & ~UMASK)
 
 
 def protect(data: Path, *databases: str) -> None:
-    """Give a data folder, and the databases that are in it already, to their owner alone."""
+    """Make the data folder for its owner alone where there is none, and close the databases that are in it already.
+
+    The rights of a folder that is there are its owner's choice; `kilterd doctor` says where others may enter it.
+    """
     private_folder(data)
     for name in databases:
         for path in data.glob(f"{name}*"):  # SQLite's -wal and -shm too
@@ -80,6 +83,7 @@ class Scratch:
 
     def __init__(self, shared: Path) -> None:
         private_folder(shared)
+        keep_private(shared)
         with _held(shared / LOCK):
             clean(shared)
             self.folder = Path(tempfile.mkdtemp(prefix=f"{os.getpid()}-", dir=shared))

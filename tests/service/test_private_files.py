@@ -55,7 +55,7 @@ def test_a_database_opened_by_a_library_user_is_the_owners(tmp_path: Path) -> No
         os.umask(before)
 
 
-def test_what_an_older_kilter_left_open_is_closed(tmp_path: Path) -> None:
+def test_files_that_an_older_kilter_left_open_are_closed(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir(mode=0o755)
     for name in ("kilter.sqlite", "kilter.sqlite-wal", "jobs.sqlite", "other.txt"):
         (tmp_path / "data" / name).touch(mode=0o644)
@@ -63,18 +63,57 @@ def test_what_an_older_kilter_left_open_is_closed(tmp_path: Path) -> None:
     protect(tmp_path / "data", "kilter.sqlite", "jobs.sqlite")
     found = {path.name: mode(path) for path in (tmp_path / "data").iterdir()}
     assert found == {"kilter.sqlite": 0o600, "kilter.sqlite-wal": 0o600, "jobs.sqlite": 0o600, "other.txt": 0o644}
-    assert mode(tmp_path / "data") == 0o700
+    assert mode(tmp_path / "data") == 0o755
 
 
-def test_a_folder_that_everybody_shares_stays_open(tmp_path: Path) -> None:
-    """A database in /tmp, opened by root, closed /tmp to all other accounts."""
+@pytest.mark.parametrize("rights", [0o755, 0o775, 0o1777])
+def test_a_folder_of_somebody_stays_as_open_as_it_was(tmp_path: Path, rights: int) -> None:
+    """A database in /tmp, opened by root, closed /tmp to all other accounts; a backup did so to the folder it went to."""
     shared = tmp_path / "shared"
     shared.mkdir()
-    shared.chmod(0o1777)
+    shared.chmod(rights)
     database = Database(f"sqlite:///{shared}/kilter.sqlite")
     database.close()
-    assert mode(shared) == 0o1777
+    assert mode(shared) == rights
     assert mode(shared / "kilter.sqlite") == 0o600
+
+
+def rights_of(folder: Path, but: Path) -> dict[str, tuple[int, int, int, str]]:
+    """Mode, owner, group and content of all that lies in a folder, but for what lies in one of them."""
+    found = {}
+    for path in [folder, *folder.rglob("*")]:
+        if path != but and but not in path.parents:
+            state = path.stat()
+            content = path.read_bytes().hex() if path.is_file() else ""
+            found[str(path)] = (stat.S_IMODE(state.st_mode), state.st_uid, state.st_gid, content)
+    return found
+
+
+def test_no_command_touches_what_is_not_its_own(tmp_path: Path) -> None:
+    """`kilterd backup NAME` set the folder above NAME to 0700; it ended a PostgreSQL whose data lay below."""
+    data, theirs = tmp_path / "data", tmp_path / "theirs"
+    (theirs / "backups").mkdir(parents=True)
+    (theirs / "postgresql").mkdir()
+    (theirs / "postgresql" / "PG_VERSION").write_text("15")
+    for path in (tmp_path, theirs, theirs / "backups", theirs / "postgresql"):
+        path.chmod(0o755)
+    before = rights_of(tmp_path, data)
+    written = theirs / "one.kilter-backup"
+    commands = [
+        ["migrate"], ["backup", str(written)], ["backup", str(theirs / "backups")], ["verify"], ["verify", str(written)],
+        ["doctor"], ["restore", str(written), "--data", str(tmp_path / "data" / "restored")],
+    ]  # fmt: skip
+    for command in commands:
+        done = subprocess.run(
+            [sys.executable, "-m", "kilter_service", command[0], "--data", str(data), *command[1:]],
+            env={name: value for name, value in os.environ.items() if not name.startswith("KILTER_")},
+            cwd=REPOSITORY, check=False, capture_output=True, text=True, umask=0o022,
+        )  # fmt: skip
+        assert done.returncode == 0 or command == ["doctor"], done.stderr  # which may find this machine's disk too full
+        after = rights_of(tmp_path, data)
+        backups = {path for path in after if ".kilter-backup" in path}
+        assert {path: after[path] for path in after if path not in backups} == before, command
+        assert {after[path][0] for path in backups} <= {0o600}
 
 
 def test_folders_of_killed_processes_are_removed_and_those_of_living_ones_stay(tmp_path: Path) -> None:

@@ -53,7 +53,11 @@ def permissions(settings: Settings) -> tuple[bool, str]:
     if not os.access(data, os.W_OK | os.X_OK):
         return _wrong(f"{data} cannot be written to: give it to this account (`chown`), or set KILTER_DATA to another")
     files = [path for name in (DATABASE_FILE, JOBS_FILE, TOKEN_FILE) for path in data.glob(f"{name}*")]
-    for path in (data, *files):
+    if stat.S_IMODE(data.stat().st_mode) & UMASK:
+        return _wrong(
+            f"{data} is open to other accounts: run `chmod go= {data}`, unless others need the folder; no start changes it"
+        )
+    for path in files:
         if stat.S_IMODE(path.stat().st_mode) & UMASK:
             return _wrong(f"{path} is open to other accounts: run `chmod go= {path}` (the next start does it too)")
     return _ok(f"{data} belongs to its owner alone")
