@@ -17,6 +17,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
+from kilter_core.correct.kernels import layout
 from kilter_core.correct.program import CorrectionOptions, Track, compile_program
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration, RobotModel
@@ -252,3 +253,32 @@ def test_near_a_singular_posture_the_true_arm_is_not_made_worse() -> None:
     assert (after < 0.5 * before).all()
     clear = good & ((result.flags & (DAMPED | RESIDUAL)) == 0)
     assert misses(ideal.moved(errors), ideal, result.q[clear], q[clear])[0].max(initial=0.0) < 1e-6
+
+
+@pytest.mark.parametrize("n", [5, 6, 7])
+def test_what_is_said_to_be_left_is_left(n: int) -> None:
+    ideal, real, calibration, q = arm_with_errors(n, 50 + n)
+    q = np.vstack([q, joints(ideal, 60, np.random.default_rng(n))])  # near singular postures too
+    result = compile_program(calibration, CorrectionOptions(farthest_m=0.1)).correct_rows(q)
+    check_left(real, ideal, result.q, q, result.left, result.left_rad)
+    assert np.linalg.norm(result.left, axis=1).max() > 1e-5 or n == 5
+
+
+def check_left(real: Arm, ideal: Arm, q: np.ndarray, at: np.ndarray, left: np.ndarray, left_rad: np.ndarray) -> None:
+    """Hold ``left`` (N, 3), in the axes of the base, and ``left_rad`` (N,) against where the arms are."""
+    (p, R), (wanted, W) = real.poses(q), ideal.poses(at)
+    np.testing.assert_allclose(left, (p - wanted) @ ideal.base.rotation, rtol=0.0, atol=2e-8)
+    turns = np.array([np.linalg.norm(pin.log3(a.T @ b)) for a, b in zip(R, W, strict=True)])
+    np.testing.assert_allclose(left_rad, turns, rtol=0.0, atol=1e-5)
+
+
+def test_what_is_left_while_a_stream_ramps_in_is_said() -> None:
+    ideal, real, calibration, q = arm_with_errors(6, 46)
+    q = np.tile(q[0], (600, 1))
+    track = Track(compile_program(calibration, CorrectionOptions(farthest_m=0.1)))
+    done, out, info, _ = track.follow(q, 1, np.full(len(q), 0.002))
+    assert done == len(q)
+    left = info[:, layout.LEFT : layout.LEFT + 3]
+    check_left(real, ideal, out, q, left, info[:, layout.LEFT_TURN])
+    np.testing.assert_allclose(left[0], info[0, layout.REMOVED : layout.REMOVED + 3] * -1.0, atol=1e-6)
+    assert np.linalg.norm(left[-1]) < 1e-8

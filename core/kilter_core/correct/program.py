@@ -98,7 +98,8 @@ class CorrectedRows:
 
     ``q (N, n)``; ``error_removed (N, 3)`` m, the tool error predicted without correction, in the wanted base frame;
     ``residual (N,)`` m, what remains of it; ``status (N,)`` as in the stream; ``flags (N,)``; ``limit_mask (N,)`` bits
-    of the joints concerned.
+    of the joints concerned. ``left (N, 3)`` m and ``left_rad (N,)`` are the remaining error of the tool, actual minus
+    wanted, in the wanted base frame, and its angle.
     """
 
     q: Floats
@@ -107,6 +108,8 @@ class CorrectedRows:
     status: Ints
     flags: Ints
     limit_mask: Ints
+    left: Floats
+    left_rad: Floats
 
 
 @dataclass(frozen=True)
@@ -155,11 +158,13 @@ class CorrectionProgram:
         stream.correct_rows(self.memory(), len(self.array), n, x, width, signs, out, info, status)
         return CorrectedRows(
             q=out,
-            error_removed=-info[:, 4:7],
+            error_removed=-info[:, layout.REMOVED : layout.REMOVED + 3],
             residual=info[:, 2],
             status=status,
             flags=info[:, 0].astype(np.int64),
             limit_mask=info[:, 1].astype(np.int64),
+            left=info[:, layout.LEFT : layout.LEFT + 3],
+            left_rad=info[:, layout.LEFT_TURN],
         )
 
 

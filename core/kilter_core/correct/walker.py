@@ -23,6 +23,8 @@ from kilter_core.types import Floats, Ints
 
 Stretches = Sequence[tuple[slice, CorrectionProgram]]  # rows under one load and temperature, with their program
 
+_REMOVED, _LEFT = slice(layout.REMOVED, layout.REMOVED + 3), slice(layout.LEFT, layout.LEFT + 3)
+
 MOST_CONDITIONS = 200
 SLICE = 64
 
@@ -40,7 +42,8 @@ class Refusal:
 class Walked:
     """N corrected points: ``q (N, n)`` rad or m, NaN where refused; ``info (N, INFO)`` of the kernel; ``status (N,)``.
 
-    ``done`` points came before the first refusal.
+    ``done`` points came before the first refusal. ``left (N, 3)`` m and ``left_rad (N,)`` are the remaining error of the
+    tool, actual minus wanted, in the wanted base frame, and its angle; NaN where refused.
     """
 
     q: Floats
@@ -56,22 +59,49 @@ class Walked:
         return Refusal(self.done, int(self.status[self.done]), int(self.info[self.done, 1]))
 
     @property
-    def flags(self) -> int:
+    def left(self) -> Floats:
+        """What is left of the error of the tool (N, 3) m."""
+        return self.info[:, layout.LEFT : layout.LEFT + 3]
+
+    @property
+    def left_rad(self) -> Floats:
+        """The angle that is left (N,) rad."""
+        return self.info[:, layout.LEFT_TURN]
+
+    @property
+    def flags(self) -> Ints:
+        """How each point was corrected (N,); 0 where refused."""
+        return np.where(self.status == layout.OK, self.info[:, 0], 0.0).astype(np.int64)
+
+    @property
+    def limit_mask(self) -> Ints:
+        """Bits (N,) of the joints at a limit; 0 in points that were not looked at."""
+        return np.where(self.status >= 0, self.info[:, 1], 0.0).astype(np.int64)
+
+    @property
+    def all_flags(self) -> int:
         """How the points before the first refusal were corrected, all flags together."""
-        return int(np.bitwise_or.reduce(self.info[: self.done, 0].astype(np.int64)))
+        return int(np.bitwise_or.reduce(self.flags[: self.done]))
 
 
 @dataclass(frozen=True)
 class CorrectedTrajectory:
     """Rows as they were wanted, and corrected; effects that were left out, by id.
 
-    ``q (N, n)`` rad or m and ``error_removed (N, 3)`` m are NaN where ``status (N,)`` is not 0.
+    ``q (N, n)`` rad or m, ``error_removed (N, 3)`` m, ``left (N, 3)`` m and ``left_rad (N,)`` are NaN where
+    ``status (N,)`` is not 0. ``left`` is what remains of the error of the tool, actual minus wanted, in the wanted base
+    frame, and ``left_rad`` its angle; ``flags (N,)`` say how a row was corrected; ``limit_mask (N,)`` has the bits of the
+    joints at a limit.
     """
 
     wanted: Observations
     q: Floats
     error_removed: Floats
+    left: Floats
+    left_rad: Floats
     status: Ints
+    flags: Ints
+    limit_mask: Ints
     not_corrected: tuple[str, ...]
     reversal_band: float
 
@@ -111,7 +141,7 @@ def walk_whole(track: Track, x: Floats, width: int, steps: Floats) -> Walked:
     """Correct all points ``x (N, width * n)`` or none: a refusal leaves the memory of the track as it was."""
     done, q, info, status = track.follow(x, width, steps, atomic=True)
     if done < len(q):
-        q[:] = np.nan
+        q[:], info[:, layout.REMOVED :] = np.nan, np.nan
     return Walked(q, info, status, done)
 
 
@@ -169,7 +199,8 @@ def _apart(program: CorrectionProgram, x: Floats, width: int, direction: Floats)
         given[0], qd=given[1] if width == 3 else None, qdd=given[2] if width == 3 else None, direction=direction
     )
     info = np.zeros((len(x), layout.INFO))
-    info[:, 0], info[:, 1], info[:, 4:7] = found.flags, found.limit_mask, -found.error_removed
+    info[:, 0], info[:, 1] = found.flags, found.limit_mask
+    info[:, _REMOVED], info[:, _LEFT], info[:, layout.LEFT_TURN] = -found.error_removed, found.left, found.left_rad
     # What a stream refuses before it corrects is refused here too.
     joints = program.array[program.moves + 1 : program.moves + 1 + n]
     outside = ~((given[0] >= joints[:, layout.LOWER]) & (given[0] <= joints[:, layout.UPPER]))
@@ -181,7 +212,7 @@ def _apart(program: CorrectionProgram, x: Floats, width: int, direction: Floats)
 def _each(q: Floats, info: Floats, status: Ints) -> Walked:
     """Points that are refused one by one: those keep no numbers."""
     refused = status != layout.OK
-    q[refused], info[refused, 4:7] = np.nan, np.nan
+    q[refused], info[refused, layout.REMOVED :] = np.nan, np.nan
     return Walked(q, info, status, int(refused.argmax()) if refused.any() else len(q))
 
 
@@ -225,8 +256,10 @@ def correct_trajectory(
     else:
         walked = walk_apart(stretches, x, width, _named(rows, options.reversal_band))
     left_out = tuple(sorted({name for _, program in stretches for name in program.unsupported}))
-    removed = -walked.info[:, 4:7]
-    return CorrectedTrajectory(rows, walked.q, removed, walked.status, left_out, options.reversal_band)
+    return CorrectedTrajectory(
+        rows, walked.q, -walked.info[:, _REMOVED], walked.left, walked.left_rad, walked.status, walked.flags,
+        walked.limit_mask, left_out, options.reversal_band,
+    )  # fmt: skip
 
 
 def _follow_one_another(rows: Observations) -> bool:

@@ -147,7 +147,7 @@ class Stream:
             steps = np.full(len(request.values), request.step_ns * 1e-9)
             steps[0] = dt
             walked = walk_whole(track, request.values, width, steps)
-            refused, flags, numbers, info = walked.refusal, walked.flags, walked.q, walked.info[-1]
+            refused, flags, numbers, info = walked.refusal, walked.all_flags, walked.q, walked.info[-1]
             status, mask = (refused.status, refused.limit_mask) if refused else (0, 0)
         if status != Status.OK:
             return self._refused(header, Status(status), active, mask, arrival_ns)

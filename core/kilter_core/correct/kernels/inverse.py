@@ -29,6 +29,8 @@ from kilter_core.correct.kernels.layout import (
     JOINT,
     KIND,
     LARGEST,
+    LEFT,
+    LEFT_TURN,
     LIMITED,
     LINE,
     LOAD_CHAIN,
@@ -38,11 +40,13 @@ from kilter_core.correct.kernels.layout import (
     MULTIPLIER,
     RATIO,
     REACHED,
+    REMOVED,
     RESIDUAL,
     ROWS,
     SINE,
     SINGULAR,
     STEP,
+    STEPPED,
     WANTED,
     WEIGHT,
 )
@@ -137,7 +141,8 @@ def _command(W, n, oj, og):
     largest = 0.0
     for j in range(oj, oj + n):
         new = W[j, WANTED] + joint_step(W, j, og)
-        largest = max(largest, abs(new - W[j, COMMAND]))
+        W[j, STEPPED] = new - W[j, COMMAND]
+        largest = max(largest, abs(W[j, STEPPED]))
         W[j, COMMAND] = new
     return largest
 
@@ -190,7 +195,7 @@ def solve(P, W, state, info, n, m, dynamic, dt, warm):
                 wanted_tool(P, W, m, oj, True)
             damped = _linearise(P, W, S, wanted if rows < n else actual, n, m, oj, og, rows)
             for i in range(3):
-                info[4 + i] = W[og + i, ERROR] + W[og + i, ADDED]
+                info[REMOVED + i] = W[og + i, ERROR] + W[og + i, ADDED]
         else:
             step_multipliers(W, og, damped, False)
         before = largest
@@ -202,9 +207,39 @@ def solve(P, W, state, info, n, m, dynamic, dt, warm):
         ):
             break
     _report(W, info, og, rows, d)
+    if it + 1 < rounds:
+        _left_after_step(W, info, n, oj, d, rotation_between(actual, wanted))
+    else:
+        left_at(P, W, S, info, n, m, oj, dynamic, wanted)
     if not info[3] <= P[S, REACHED]:
         flags |= RESIDUAL
     return flags | (LIMITED if limited else 0) | (DAMPED if damped else 0)
+
+
+@compiled(**FAST)
+def _left_after_step(W, info, n, oj, d, turn):
+    """What is left after the last step of the search, which was small: its Jacobian tells the step's share."""
+    for r in range(3):
+        step = 0.0
+        for j in range(oj, oj + n):
+            step += W[j, COLUMN + r] * W[j, STEPPED]
+        info[LEFT + r] = step - d[r]
+    info[LEFT_TURN] = math.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
+
+
+@compiled(**EXACT)
+def left_at(P, W, S, info, n, m, oj, dynamic, wanted):
+    """What is left of the tool's error at the commands in W, evaluated there."""
+    at = int(P[S, LOAD_CHAIN])
+    if P[S, LOADED] != 0.0:
+        load_frames(P, W, at, m, oj)
+        load_moments(P, W, S, m, oj, dynamic)
+    deflections(P, W, n, m, oj)
+    actual = identified_tool(P, W, m, oj)
+    for r in range(3):
+        info[LEFT + r] = actual[9 + r] - wanted[9 + r]
+    x, y, z = rotation_between(actual, wanted)
+    info[LEFT_TURN] = math.sqrt(x * x + y * y + z * z)
 
 
 @compiled(**EXACT)

@@ -16,7 +16,9 @@ of joints, ``oj`` the first joint row and ``og`` the first task row of the scrat
 from __future__ import annotations
 
 COLUMNS = 48
-INFO = 8  # flags, limit mask, residual m, residual of all rows, error removed x y z m, iterations
+# info: flags, limit mask, residual m, residual of all rows, error removed x y z m, iterations; then of the joints that are
+# answered the remaining error of the tool, actual minus wanted: x y z m in the axes of the wanted base, the angle rad
+INFO, REMOVED, LEFT, LEFT_TURN = 12, 4, 8, 11
 
 # move rows
 NOMINAL, IDENTIFIED, KIND, JOINT, RATIO, PRIMARY, MASS, COM, INERTIA = 0, 12, 24, 25, 26, 27, 28, 29, 32
@@ -37,7 +39,17 @@ HYSTERESIS, LOADED, REACHED, N, M, WEAK, CURVES, BENDINGS, MOUNT, LOAD_CHAIN = 2
 LINE, SINE, COSINE, LOAD, ON_BASE = 12, 18, 19, 20, 26
 # scratch of a joint
 WANTED, COMMAND, SHIFT, TILT_A, TILT_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN = 0, 1, 2, 3, 4, 5, 6, 9, 10, 11
-COLUMN, REVERSED_AT_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW, GUESSED, TWIST, ROOT, END = 12, 18, 19, 20, 21, 22, 28, 34
+COLUMN, REVERSED_AT_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW, GUESSED, TWIST, ROOT, END, STEPPED = (
+    12,
+    18,
+    19,
+    20,
+    21,
+    22,
+    28,
+    34,
+    40,
+)
 # scratch of a task row: factor row, residual, multiplier, right-hand side, then damping, matrix and eigenvector rows,
 # and what the first guess adds to the residual
 ERROR, MULTIPLIER, RIGHT, DAMPING, MATRIX, VECTOR, ADDED = 6, 7, 8, 9, 15, 21, 27
@@ -47,4 +59,7 @@ OFFSET, LAST_DELTA, SMOOTH, SMOOTH_SPEED, GUESS, SLOPE = 6, 7, 8, 9, 10, 11
 STARTED, REBASE, REMAINING, LENGTH = 0, 1, 2, 3
 
 OK, NOT_FINITE, JOINT_LIMIT, TOO_LARGE, RATE_LIMIT = 0, 5, 6, 7, 8
+# LIMITED: a sign change at its rate; SATURATED: the correction is held at its limit; SLOWED: it is held back by the bound
+# on its own rate or acceleration.
 DYNAMIC, RAMPING, LIMITED, DAMPED, RESIDUAL = 0x0100, 0x0200, 0x0400, 0x0800, 0x1000
+SATURATED, SLOWED = 0x2000, 0x4000

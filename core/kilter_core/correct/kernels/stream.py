@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from kilter_core.arm.kernels.compiled import EXACT, compiled
-from kilter_core.correct.kernels.inverse import solve
+from kilter_core.correct.kernels.chain import wanted_tool
+from kilter_core.correct.kernels.inverse import left_at, solve
 from kilter_core.correct.kernels.layout import (
     ACCEL_NOW,
     COLUMN,
@@ -35,6 +36,7 @@ from kilter_core.correct.kernels.layout import (
     RATE_LIMIT,
     REBASE,
     REMAINING,
+    REMOVED,
     REVERSED_AT,
     REVERSED_AT_NEW,
     SIDE,
@@ -161,7 +163,7 @@ def _verdict(P, W, info, out, remaining, n, m):
         if not P[j, LOWER] <= out[i] <= P[j, UPPER]:
             outside |= 1 << i
     S = P.shape[0] - 1
-    far = math.sqrt(info[4] * info[4] + info[5] * info[5] + info[6] * info[6])
+    far = math.sqrt(info[REMOVED] ** 2 + info[REMOVED + 1] ** 2 + info[REMOVED + 2] ** 2)
     if large != 0 or not far <= P[S, FARTHEST]:
         info[1] = large
         return TOO_LARGE
@@ -205,6 +207,15 @@ def _commit(P, W, state, out, remaining, length, n, m, dt, fresh):
 
 
 @compiled(**EXACT)
+def _tell_left(P, W, S, info, out, n, m, dynamic):
+    """What is left of the tool's error at joints that are not those of the search, into the info."""
+    oj = m + 1
+    for i in range(n):
+        W[oj + i, COMMAND] = out[i]
+    left_at(P, W, S, info, n, m, oj, dynamic, wanted_tool(P, W, m, oj, False))
+
+
+@compiled(**EXACT)
 def correct_setpoint(P, W, state, x, width, dt, out, info):
     """Correct one setpoint of a stream and return its status; only status 0 leaves numbers and changes ``state``."""
     S = P.shape[0] - 1
@@ -226,6 +237,8 @@ def correct_setpoint(P, W, state, x, width, dt, out, info):
     info[0] = flags | (RAMPING if remaining > 0.0 else 0)
     if status == OK:
         _commit(P, W, state, out, remaining, length, n, m, dt, fresh)
+        if remaining > 0.0:
+            _tell_left(P, W, S, info, out, n, m, dynamic)
     else:
         for i in range(n):
             out[i] = math.nan
