@@ -32,9 +32,13 @@ from kilter_service.settings import LOCK_FILE, Settings
 
 log = logging.getLogger("kilter.serve")
 
+Missing = dict[str, str]  # parts that are not ready, by name, and what is wrong with each
 SUPERVISED = "KILTER_SUPERVISED"
 BESIDE, BEGAN = "KILTER_BESIDE", "KILTER_BEGAN"  # as health.service reads them, which imports SQLAlchemy
+STARTING = "is starting"  # as health.service says it
 CHECK_S = 0.1
+NEEDED = ("api", "corrector")  # without which no setpoint is corrected, or nobody can say by what
+SETTLED_S = 3.0  # what is missing for so long, and not because it starts, is not waited for
 READY_S = 300.0  # the first start on a machine compiles the kernels, on a busy one for minutes
 STOP_S = 8.0
 REFUSED = 2  # what a process ends with when its settings cannot be: the same again would end the same
@@ -197,8 +201,9 @@ def serve(settings: Settings) -> None:
             children.append(Child("ros2", settings))
         try:
             _start(settings, children, stop)
-            if _wait_until_ready(settings, children, url_of(opened, settings), stop):
-                document = _document(settings, url_of(opened, settings))
+            missing = _wait_until_standing(settings, children, url_of(opened, settings), stop)
+            if missing is not None:
+                document = _document(settings, url_of(opened, settings), missing)
                 file.write(document)
                 print(json.dumps(document), flush=True)
             while not stop.wait(CHECK_S):
@@ -208,8 +213,9 @@ def serve(settings: Settings) -> None:
             _stop(children)
 
 
-def _document(settings: Settings, url: str) -> dict[str, Any]:
-    return {"url": url, "pid": os.getpid(), "zenoh": _zenoh(settings), "data": str(settings.data)}
+def _document(settings: Settings, url: str, missing: Missing) -> dict[str, Any]:
+    found = {"url": url, "pid": os.getpid(), "zenoh": _zenoh(settings), "data": str(settings.data)}
+    return found | ({"missing": missing} if missing else {})
 
 
 def _start(settings: Settings, children: list[Child], stop: threading.Event) -> None:
@@ -241,31 +247,59 @@ def _stop(children: list[Child]) -> None:
         child.wait(deadline)
 
 
-def _wait_until_ready(settings: Settings, children: list[Child], url: str, stop: threading.Event) -> bool:
+def _wait_until_standing(settings: Settings, children: list[Child], url: str, stop: threading.Event) -> Missing | None:
+    """Wait until all is ready, or until only parts are missing that the arm's correction does without.
+
+    Returns what is missing, in words; None when it was stopped meanwhile. A disk that is nearly full or a worker that ends
+    at every start must not end a corrector that corrects: others ask for readiness, this one whether the processes stand.
+
+    Raises:
+        ServiceError: no setpoint can be corrected: the API or the corrector ends at every start, or did not start in time.
+
+    """
     deadline = time.monotonic() + READY_S
+    since, before = time.monotonic(), None
     while not stop.wait(CHECK_S / 2):
         for child in children:
             child.refuse_if_refused()  # later a port may be taken for a moment, and everything else goes on
             child.watch()
-            child.refuse_if_hopeless()
-        if _answers(f"{url}/v1/health/ready") and _zenoh(settings) is not None:
-            return True
+            if child.name in NEEDED and _zenoh(settings) is None:
+                child.refuse_if_hopeless()
+        missing = None if _zenoh(settings) is None else _missing(url)
+        if missing == {}:
+            return missing
+        lasting = missing is not None and all(_lasts(name, said, children) for name, said in missing.items())
+        if not lasting or before is None or missing is None or missing.keys() != before.keys():
+            since = time.monotonic()
+        elif time.monotonic() - since > SETTLED_S:
+            for name, said in missing.items():
+                log.error("%s: %s. Setpoints are corrected meanwhile.", name, said)
+            return missing
+        before = missing
         if time.monotonic() > deadline:
             raise ServiceError(f"Not all processes were ready within {READY_S:.0f} s; their messages are above.")
-    return False
+    return None
 
 
-def _answers(url: str) -> bool:
+def _lasts(name: str, said: str, children: list[Child]) -> bool:
+    """Whether a part is missing for longer than a start takes."""
+    hopeless = any(child.name == name and child.quick_ends >= MOST_QUICK_ENDS for child in children)
+    return hopeless or not said.startswith(STARTING)
+
+
+def _missing(url: str) -> Missing | None:
+    """What health finds wrong, by part; None when the API does not answer."""
     # Asked is this machine's own socket, and no token is sent: the certificate may be for other names only. A default
     # context would read all certificates that the machine trusts, which kept a core busy while the others started.
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     try:
         # The URL of our own listener.
-        with urllib.request.urlopen(url, timeout=2, context=context) as answer:  # noqa: S310
-            return bool(answer.status == 200)
-    except (urllib.error.URLError, OSError):
-        return False
+        with urllib.request.urlopen(f"{url}/v1/health", timeout=2, context=context) as answer:  # noqa: S310
+            checks: dict[str, dict[str, Any]] = json.load(answer)["checks"]
+    except (urllib.error.URLError, OSError, ValueError, KeyError):
+        return None
+    return {name: str(check["detail"]) for name, check in checks.items() if not check["ok"]}
 
 
 def _zenoh(settings: Settings) -> str | None:

@@ -1,0 +1,75 @@
+"""A part that is missing at the start does not take the arm's correction with it, and is named."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from kilter_service.settings import Settings
+from kilter_service.supervisor import MOST_QUICK_ENDS
+from tests.service.test_serve import REPOSITORY, Server, children
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of its own with 12 MB of room."""
+    place = tmp_path / "small"
+    place.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=12m", "tmpfs", str(place)]
+    if subprocess.run(command, check=False, capture_output=True).returncode != 0:
+        pytest.skip("this account may not mount a disk")
+    yield place
+    subprocess.run(["umount", "--lazy", str(place)], check=True)
+
+
+def test_a_nearly_full_disk_is_named_and_setpoints_are_corrected(settings: Settings, small_disk: Path) -> None:
+    """It was never ready, and after 300 s the corrector was ended with all the rest, without a word about the disk."""
+    if settings.database_url is not None:
+        pytest.skip("the database is not on that disk")
+    server = Server(settings.model_copy(update={"data": small_disk / "data"}))
+    try:
+        assert server.ready["missing"].keys() == {"disk"}
+        assert "200 MB are needed: make room in" in server.ready["missing"]["disk"]
+        assert server.ready["zenoh"].startswith("tcp/127.0.0.1:")
+        assert children(server.process.pid).keys() == {"api", "worker", "corrector"}
+    finally:
+        assert server.stop() == 0
+        assert server.process.stdout is not None
+        server.process.stdout.close()
+
+
+def test_a_worker_that_ends_again_and_again_at_the_start_ends_nothing_else(settings: Settings) -> None:
+    command = [sys.executable, "-m", "kilter_service", "serve"]
+    process = subprocess.Popen(
+        command, env={**os.environ, **settings.environment()}, cwd=REPOSITORY, stdout=subprocess.PIPE
+    )
+    watch = threading.Timer(90, process.kill)
+    watch.start()
+    try:
+        killed: list[int] = []
+        while len(killed) <= MOST_QUICK_ENDS and process.poll() is None:
+            with suppress(OSError):  # it ended while it was looked at
+                worker = children(process.pid).get("worker")
+                if worker is not None and worker not in killed:
+                    os.kill(worker, signal.SIGKILL)
+                    killed.append(worker)
+            time.sleep(0.01)
+        assert process.stdout is not None
+        ready = json.loads(process.stdout.readline() or b"{}")
+        assert ready.get("zenoh", "").startswith("tcp/127.0.0.1:")
+    finally:
+        watch.cancel()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 0
+        assert process.stdout is not None
+        process.stdout.close()
