@@ -63,8 +63,8 @@ static void answer(const char *hex) {
         printf("not an answer\n");
         return;
     }
-    printf("seq %llu status %u epoch %u version %016llx mask %u", (unsigned long long)said.seq, said.status,
-           (unsigned)said.epoch, (unsigned long long)said.version, said.limit_mask);
+    printf("seq %llu status %u epoch %u version %016llx mask %u left %ld", (unsigned long long)said.seq, said.status,
+           (unsigned)said.epoch, (unsigned long long)said.version, said.limit_mask, (long)said.left_nm);
     for (int i = 0; i < said.joints; i++) printf(" %.17g", said.q[i]);
     printf("\n");
 }

@@ -23,7 +23,8 @@
  *       44      2  uint16   status
  *       46      2  uint16   limit_mask, bit 0 is joint 1
  *       48      4  uint32   processing_ns
- *       52      4  int32    reserved, 0
+ *       52      4  int32    left_nm, how far the tool stays from where it should be with the joints answered, nm;
+ *                            2147483647 for that and more, 0 unless the status is KILTER_OK (0 always: an old corrector)
  *
  * A signed message has the magic "KLT2" and 32 more bytes: session id and tag. Beyond the corrector's own machine no others are
  * taken. Ask the API for a session (POST /v1/robots/{robot}/stream/sessions), fill a kilter_session with its id and key, send
@@ -56,7 +57,7 @@
 enum { KILTER_QD = 0x0001, KILTER_QDD = 0x0002, KILTER_VERSION = 0x0004, KILTER_RESET = 0x0008, KILTER_SETTLED = 0x0010 };
 enum {
     KILTER_DYNAMIC = 0x0100, KILTER_RAMPING = 0x0200, KILTER_LIMITED = 0x0400, KILTER_DAMPED = 0x0800,
-    KILTER_RESIDUAL = 0x1000
+    KILTER_RESIDUAL = 0x1000, KILTER_SATURATED = 0x2000, KILTER_SLOWED = 0x4000
 };
 enum {
     KILTER_OK, KILTER_STALE, KILTER_SEQ_GAP, KILTER_SEQ_BACK, KILTER_BAD_FRAME, KILTER_NOT_FINITE, KILTER_JOINT_LIMIT,
@@ -67,6 +68,7 @@ enum {
 typedef struct {
     uint64_t seq, t_send_ns, t_apply_ns, version;
     uint32_t epoch, processing_ns;
+    int32_t left_nm;             /* never negative */
     uint16_t flags, status, limit_mask;
     uint8_t joints;              /* 0 unless the status is KILTER_OK */
     double q[KILTER_MAX_JOINTS]; /* written only when the status is KILTER_OK */
@@ -128,6 +130,7 @@ static inline int kilter_decode(const uint8_t *data, size_t length, kilter_answe
     joints = data[5];
     answer->status = (uint16_t)kilter_get(data + 44, 2);
     if (joints > KILTER_MAX_JOINTS || answer->status > KILTER_SESSION_EXPIRED) return 0;
+    if (data[55] & 0x80) return 0; /* less than nothing cannot be left */
     if ((answer->status == KILTER_OK) != (joints > 0) || length != head + 8 * (size_t)joints) return 0;
     answer->joints = (uint8_t)joints;
     answer->flags = (uint16_t)kilter_get(data + 6, 2);
@@ -138,6 +141,7 @@ static inline int kilter_decode(const uint8_t *data, size_t length, kilter_answe
     answer->epoch = (uint32_t)kilter_get(data + 40, 4);
     answer->limit_mask = (uint16_t)kilter_get(data + 46, 2);
     answer->processing_ns = (uint32_t)kilter_get(data + 48, 4);
+    answer->left_nm = (int32_t)kilter_get(data + 52, 4);
     for (int i = 0; i < joints; i++) {
         uint64_t bits = kilter_get(data + head + 8 * (size_t)i, 8);
         memcpy(&answer->q[i], &bits, 8);

@@ -55,12 +55,18 @@ def test_c_writes_the_bytes_of_a_setpoint(controller: Path) -> None:
 
 def test_c_reads_an_answer_and_a_refusal(controller: Path) -> None:
     header = wire.Header(0, 2, 0, 9, 100, 200)
-    good = wire.encode_answer(header, np.array([0.1, -2.5]).tobytes(), version=0xABC, epoch=5)
+    good = wire.encode_answer(header, np.array([0.1, -2.5]).tobytes(), version=0xABC, epoch=5, left_nm=123456)
     bad = wire.encode_refusal(header, Status.JOINT_LIMIT, version=0xABC, epoch=5, limit_mask=3)
     said = talk(controller, [f"a {good.hex()}", f"a {bad.hex()}"])
     assert said[0].split()[:10] == ["seq", "9", "status", "0", "epoch", "5", "version", "0000000000000abc", "mask", "0"]
-    assert [float(x) for x in said[0].split()[10:]] == [0.1, -2.5]
-    assert said[1] == "seq 9 status 6 epoch 5 version 0000000000000abc mask 3"
+    assert said[0].split()[10:12] == ["left", "123456"]
+    assert [float(x) for x in said[0].split()[12:]] == [0.1, -2.5]
+    assert said[1] == "seq 9 status 6 epoch 5 version 0000000000000abc mask 3 left 0"
+
+
+def test_the_flags_of_the_header_file_are_those_of_the_frames() -> None:
+    named = dict(re.findall(r"KILTER_(\w+) = 0x([0-9A-Fa-f]{4})\b", HEADER.read_text()))
+    assert {name: int(value, 16) for name, value in named.items()} == {flag.name: int(flag) for flag in wire.Flag}
 
 
 def test_c_and_python_refuse_the_same_frames(controller: Path) -> None:

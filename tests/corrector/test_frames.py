@@ -22,7 +22,7 @@ POINT = bytes.fromhex(
 )  # fmt: skip
 ANSWER = bytes.fromhex(
     "4b4c5431" "00" "02" "0001" "0700000000000000" "6400000000000000" "c800000000000000"
-    "efcdab8967452301" "05000000" "0000" "0000" "39300000" "00000000"
+    "efcdab8967452301" "05000000" "0000" "0000" "39300000" "40e20100"  # 123456 nm are left
     "000000000000f03f" "000000000000e0bf"
 )  # fmt: skip
 REFUSAL = bytes.fromhex(
@@ -46,12 +46,33 @@ def test_a_point_has_these_bytes() -> None:
 def test_an_answer_has_these_bytes() -> None:
     header = wire.decode_header(POINT)
     made = wire.encode_answer(
-        header, POINT[32:], version=0x0123456789ABCDEF, epoch=5, flags=Flag.DYNAMIC, processing_ns=12345
+        header, POINT[32:], version=0x0123456789ABCDEF, epoch=5, flags=Flag.DYNAMIC, processing_ns=12345, left_nm=123456
     )
     assert made == ANSWER
     answer = wire.decode_answer(ANSWER)
     assert (answer.version, answer.epoch, answer.status) == (0x0123456789ABCDEF, 5, Status.OK)
     assert answer.values.tolist() == [[1.0, -0.5]]
+    theirs = client.decode(ANSWER)
+    assert theirs is not None
+    assert answer.left_nm == theirs.left_nm == 123456
+
+
+def test_less_than_nothing_cannot_be_left() -> None:
+    for left_nm, good in ((-1, False), (-(2**31), False), (0, True), (2**31 - 1, True)):
+        data = ANSWER[:52] + struct.pack("<i", left_nm) + ANSWER[56:]
+        decoded = client.decode(data)
+        assert (decoded is not None and decoded.left_nm == left_nm) == good
+        if good:
+            assert wire.decode_answer(data).left_nm == left_nm
+        else:
+            with pytest.raises(wire.FrameError):
+                wire.decode_answer(data)
+
+
+def test_what_is_left_is_the_longest_in_nanometres_and_never_overflows() -> None:
+    assert wire.nanometres(np.array([3e-6, -4e-6, 0.0])) == 5000
+    assert wire.nanometres(np.array([[1e-9, 0.0, 0.0], [0.0, 0.0, -7e-4], [0.0, 2e-5, 0.0]])) == 700_000
+    assert wire.nanometres(np.array([1e3, 0.0, 0.0])) == 2**31 - 1
 
 
 def test_a_refusal_has_these_bytes_and_no_numbers() -> None:
@@ -70,6 +91,8 @@ def test_both_codecs_know_the_same_statuses_and_flags() -> None:
     assert tuple(status.name for status in Status) == client.STATUSES
     assert (client.QD, client.QDD, client.VERSION) == (Flag.QD, Flag.QDD, Flag.VERSION)
     assert (client.RESET, client.SETTLED) == (Flag.RESET, Flag.SETTLED)
+    for flag in Flag:
+        assert getattr(client, flag.name) == flag
 
 
 @given(

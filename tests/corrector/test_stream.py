@@ -14,6 +14,7 @@ from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
 from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
+from kilter_service.corrector.fast_path import PERIOD_BITS
 from kilter_service.corrector.specs import Rules
 from kilter_service.corrector.stream import Stream
 from kilter_service.corrector.wire import Answer, Flag, Kind, Status
@@ -75,6 +76,84 @@ def test_a_setpoint_is_corrected(active: Active, katana: Calibration) -> None:
 def test_speeds_and_accelerations_make_the_moments_dynamic(active: Active) -> None:
     answer = Controller(active).send(Q + [0.5] * 5 + [2.0] * 5, flags=RESET | Flag.QD | Flag.QDD)
     assert answer.header.flags & Flag.DYNAMIC
+
+
+def through_the_wrist(count: int = 800) -> np.ndarray:
+    """A path of a UR10 that crosses the singularity of its wrist (joint 5 at zero) slowly."""
+    q = np.tile([0.3, -1.2, 1.4, -0.7, 0.0, 0.4], (count, 1))
+    q[:, 4] = np.linspace(-0.02, 0.02, count)
+    q[:, 0] += 0.1 * np.linspace(0.0, 1.0, count) ** 2
+    return q
+
+
+def test_both_paths_say_what_is_left_in_the_same_bytes_through_a_singularity(
+    ur10: Calibration, active_of: Callable[..., Active], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    active = active_of(ur10)
+    fast, full = Stream(), Stream()
+    monkeypatch.setattr(full._fast, "take", lambda clock: False)
+    slow, calls = fast._full_path, [0]
+
+    def counting(*frame: Any) -> bytes | None:
+        calls[0] += 1
+        return slow(*frame)
+
+    monkeypatch.setattr(fast, "_full_path", counting)
+    left, damped = [], 0
+    for k, q in enumerate(through_the_wrist()):
+        now = 10**12 + 2 * MS * k
+        data = wire.encode_setpoints(
+            q[None], joints=6, seq=k, t_send_ns=now, t_apply_ns=0, flags=RESET if k == 0 else 0
+        )
+        one, other = (stream.answer(data, now, active) for stream in (fast, full))
+        assert one is not None and other is not None
+        assert (one[:48], one[52:]) == (other[:48], other[52:]), k
+        answer = wire.decode_answer(one)
+        left.append(answer.left_nm)
+        damped += bool(answer.header.flags & Flag.DAMPED)
+    assert calls[0] <= 3  # the first frames; all others took the fast path
+    assert damped > 0
+    assert fast.counters.made == full.counters.made
+    assert fast.counters.made["damped"] == damped
+    assert fast.counters.most_left_nm[1] == full.counters.most_left_nm[1] == max(left) > 0
+
+
+def test_what_was_left_is_forgotten_after_two_periods(monkeypatch: pytest.MonkeyPatch) -> None:
+    counters, period = Stream().counters, 1 << PERIOD_BITS
+    now = [100 * period]
+    monkeypatch.setattr("kilter_service.corrector.fast_path.time.monotonic_ns", lambda: now[0])
+    counters.count_made(0, 500, now[0])
+    assert counters.most_left_nm == (500, 500)
+    now[0] += period
+    counters.count_made(0, 300, now[0])
+    assert counters.most_left_nm == (500, 500)
+    now[0] += period
+    assert counters.most_left_nm == (300, 500)
+    counters.count_made(0, 10, now[0])
+    assert counters.most_left_nm == (300, 500)
+    now[0] += 2 * period
+    assert counters.most_left_nm == (0, 500)
+
+
+def test_a_chunk_says_the_most_that_is_left_at_any_of_its_points(
+    ur10: Calibration, active_of: Callable[..., Active]
+) -> None:
+    active, path = active_of(ur10), through_the_wrist(200)
+    apart, together = Stream(), Stream()
+    left = []
+    for k, q in enumerate(path):
+        now = 10**12 + 2 * MS * k
+        data = wire.encode_setpoints(q[None], joints=6, seq=k, t_send_ns=now, t_apply_ns=0, flags=RESET if k == 0 else 0)
+        answer = apart.answer(data, now, active)
+        assert answer is not None
+        left.append(wire.decode_answer(answer).left_nm)
+    data = wire.encode_setpoints(
+        path, joints=6, seq=0, t_send_ns=10**12, t_apply_ns=0, flags=RESET, step_ns=2 * MS
+    )
+    answer = together.answer(data, 10**12, active)
+    assert answer is not None
+    assert wire.decode_answer(answer).left_nm == max(left)
+    assert len(set(left)) > 10
 
 
 def test_a_chunk_equals_its_points(active: Active) -> None:
@@ -319,5 +398,6 @@ def test_the_fast_path_of_plain_setpoints_is_the_full_path(active: Active, monke
         seq = max(seq, full._sequence.clock.seq)
     assert refused[0] < 3000
     first, second = fast.counters, full.counters
-    assert (first.by_status, first.limited, first.damped) == (second.by_status, second.limited, second.damped)
+    assert (first.by_status, first.made) == (second.by_status, second.made)
+    assert first.most_left_nm == second.most_left_nm
     assert sum(count > 0 for count in first.by_status) >= 7

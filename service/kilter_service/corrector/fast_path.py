@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.correct.kernels import layout
 from kilter_core.correct.kernels.layout import COLUMNS
 from kilter_core.correct.kernels.stream import correct_setpoint
 from kilter_core.correct.program import Track
@@ -33,19 +34,43 @@ from kilter_service.corrector.wire import Flag, Kind, Status
 SEQ, TRANSIT, SEEN, SENT, PACE, APPLIED, ANSWERED = range(7)
 MOST_AGE, SET_BACK, DRIFT, SLACK = 7, 8, 9, 10  # the last two are floats
 ROWS, JOINTS, VERSION, EPOCH, OUT_HEAD, IN_HEAD = 11, 12, 13, 14, 15, 15  # IN_HEAD + number of vectors, 1 to 3
-COUNTS, LIMITED, DAMPED, SPENT, LONGEST, LAST = 19, 35, 36, 37, 38, 39  # COUNTS + status
-OUT = 40
+COUNTS, LIMITED, DAMPED, SATURATED, SLOWED, SPENT, LONGEST, LAST = 19, 35, 36, 37, 38, 39, 40, 41  # COUNTS + status
+# what was left of the error of the tool, nm: the most since the stream began, in the present period and in the one before
+MOST_LEFT, PERIOD, LEFT_NOW, LEFT_BEFORE = 42, 43, 44, 45
+OUT = 46
 OUT_WORDS = 7 + wire.MAX_JOINTS
 IN = OUT + OUT_WORDS
 HEADER = wire.HEADER.size
 BINS = IN + 4 + 3 * wire.MAX_JOINTS  # answers by the time they took: two bins an octave, the first up to 1.4 µs
 MOST_BINS = 40
 WORDS = BINS + MOST_BINS
-TOOL = slice(4, 7)  # of the info of a correction
+PERIOD_BITS = 30  # a period is 2^30 ns, about a second
+TOOL, LEFT = slice(layout.REMOVED, layout.REMOVED + 3), slice(layout.LEFT, layout.LEFT + 3)  # of the info of a correction
+LEFT_X, LEFT_Y, LEFT_Z = layout.LEFT, layout.LEFT + 1, layout.LEFT + 2
+MOST_LEFT_NM = wire.MOST_LEFT_NM
 MOST = 2**63 - 1  # what is larger than this takes the full path, where integers are unbounded
 MOST_NS = 0xFFFFFFFF  # of the time that fits into an answer
-IS_LIMITED, IS_DAMPED = int(Flag.LIMITED), int(Flag.DAMPED)
+IS_LIMITED, IS_DAMPED, IS_SATURATED, IS_SLOWED = map(int, (Flag.LIMITED, Flag.DAMPED, Flag.SATURATED, Flag.SLOWED))
+HELD_BACK = (
+    ("rate_limited", LIMITED, Flag.LIMITED),
+    ("damped", DAMPED, Flag.DAMPED),
+    ("saturated", SATURATED, Flag.SATURATED),
+    ("slowed", SLOWED, Flag.SLOWED),
+)
 FLAGS = {1: 0, 2: int(Flag.QD), 3: Flag.QD | Flag.QDD}
+
+
+def note_left(words: Any, left_nm: int, arrival: int) -> None:
+    """Note what was left of an error: the most of all, of this period and of the one before."""
+    period = arrival >> PERIOD_BITS
+    if period != words[PERIOD]:
+        words[LEFT_BEFORE] = words[LEFT_NOW] if period == words[PERIOD] + 1 else 0
+        words[PERIOD], words[LEFT_NOW] = period, 0
+    words[LEFT_NOW] = max(words[LEFT_NOW], left_nm)
+    words[MOST_LEFT] = max(words[MOST_LEFT], left_nm)
+
+
+_note_left = compiled(**EXACT)(note_left)
 
 
 def _compiled() -> Any:
@@ -99,6 +124,14 @@ def _compiled() -> Any:
             words[LIMITED] += 1
         if made & IS_DAMPED:
             words[DAMPED] += 1
+        if made & IS_SATURATED:
+            words[SATURATED] += 1
+        if made & IS_SLOWED:
+            words[SLOWED] += 1
+        left = math.sqrt(info[LEFT_X] * info[LEFT_X] + info[LEFT_Y] * info[LEFT_Y] + info[LEFT_Z] * info[LEFT_Z])
+        left_nm = int(min(1e9 * left + 0.5, MOST_LEFT_NM))
+        _note_left(words, left_nm, arrival)
+        words[OUT + 6] = left_nm << 32  # the time spent comes into the lower half when it is known
         words[OUT] = words[OUT_HEAD] | (made << 48)
         words[OUT + 1], words[OUT + 2], words[OUT + 3] = seq, sent, apply
         words[OUT + 4], words[OUT + 5] = words[VERSION], words[EPOCH]
@@ -147,14 +180,17 @@ class Counters:
         return int(self._words[COUNTS])
 
     @property
-    def limited(self) -> int:
-        """Answers in which a sign change was held to its rate."""
-        return int(self._words[LIMITED])
+    def made(self) -> dict[str, int]:
+        """Answers whose correction was held back, by what held it."""
+        return {name: int(self._words[word]) for name, word, _ in HELD_BACK}
 
     @property
-    def damped(self) -> int:
-        """Answers near a singularity."""
-        return int(self._words[DAMPED])
+    def most_left_nm(self) -> tuple[int, int]:
+        """The most that was left of the error of the tool: lately, that is, in one to two periods; since the stream began."""
+        words = self._words
+        since = (time.monotonic_ns() >> PERIOD_BITS) - int(words[PERIOD])
+        lately = max(int(words[LEFT_NOW]) if since < 2 else 0, int(words[LEFT_BEFORE]) if since < 1 else 0)
+        return lately, int(words[MOST_LEFT])
 
     @property
     def last(self) -> int:
@@ -181,21 +217,23 @@ class Counters:
             bins[bin_of(pending)] += 1
         return bins
 
-    def count_flags(self, flags: int) -> None:
-        """Count how an answer of the full path was made."""
-        self._words[LIMITED] += bool(flags & Flag.LIMITED)
-        self._words[DAMPED] += bool(flags & Flag.DAMPED)
+    def count_made(self, flags: int, left_nm: int, arrival_ns: int) -> None:
+        """Count how an answer of the full path was made, and what was left."""
+        for _, word, flag in HELD_BACK:
+            self._words[word] += bool(flags & flag)
+        note_left(self._words, left_nm, arrival_ns)
 
     def document(self) -> dict[str, Any]:
-        """Counts by name; times are those inside the corrector."""
+        """Counts by name; times are those inside the corrector, lengths what was left of the error of the tool."""
+        lately, most = self.most_left_nm
         counts, last, pending = self.by_status, self.last, int(self._words[OUT + 6]) & MOST_NS
         answered = sum(counts)
         mean = (int(self._words[SPENT]) + pending) / answered / 1000.0 if answered else None
         return {
             "received": answered,
             "counters": {status.name: counts[status] for status in Status},
-            "rate_limited": self.limited,
-            "damped": self.damped,
+            **self.made,
+            "left_mm": {"lately": round(lately * 1e-6, 6), "max": round(most * 1e-6, 6)},
             "last_status": Status(last).name if last >= 0 else None,
             "processing_us": {
                 "mean": None if mean is None else round(mean, 2),
@@ -212,6 +250,7 @@ class Answered(NamedTuple):
     wanted: bytes  # float64, rad or m
     corrected: bytes
     tool: bytes  # by how much the tool would be off without the correction: x, y, z, m
+    left_nm: int  # and by how much it is with it
 
 
 class FastPath:
@@ -270,7 +309,8 @@ class FastPath:
         joints = int(words[OUT]) >> 40 & 0xFF
         wanted, corrected = words[IN + 4 : IN + 4 + joints], words[OUT + 7 : OUT + 7 + joints]
         flags = int(words[OUT]) >> 48 & 0xFFFF
-        return Answered(int(words[SEEN]), flags, wanted.tobytes(), corrected.tobytes(), self._info[TOOL].tobytes())
+        tool, left_nm = self._info[TOOL].tobytes(), int(words[OUT + 6]) >> 32
+        return Answered(int(words[SEEN]), flags, wanted.tobytes(), corrected.tobytes(), tool, left_nm)
 
     def give(self, clock: Clock) -> None:
         """Write into ``clock`` the present state of the stream."""

@@ -120,7 +120,7 @@ def correct_trajectory(request: Trajectory, active: Active | None) -> bytes:
         raise QueryError(name, f"Point {refused.index} is refused: {name}.", refused.index, refused.limit_mask)
     spent = min(time.monotonic_ns() - began, 0xFFFFFFFF)
     head = wire.HEADER.pack(wire.MAGIC, Kind.TRAJECTORY, joints, walked.all_flags, request.header.seq, 0, 0)
-    verdict = wire.VERDICT.pack(active.number, active.epoch, Status.OK, 0, spent, 0)
+    verdict = wire.VERDICT.pack(active.number, active.epoch, Status.OK, 0, spent, wire.nanometres(walked.left))
     return b"".join([head, verdict, wire.BLOCK.pack(len(walked.q), joints), request.t.tobytes(), walked.q.tobytes()])
 
 

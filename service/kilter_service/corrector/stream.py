@@ -11,7 +11,7 @@ from kilter_core.correct.walker import walk_whole
 from kilter_service.corrector import wire
 from kilter_service.corrector.active import Active
 from kilter_service.corrector.admission import Clock
-from kilter_service.corrector.fast_path import TOOL, Answered, FastPath
+from kilter_service.corrector.fast_path import LEFT, TOOL, Answered, FastPath
 from kilter_service.corrector.specs import Rules
 from kilter_service.corrector.wire import Flag, Kind, Setpoints, Status
 
@@ -143,21 +143,23 @@ class Stream:
         if header.kind == Kind.POINT:
             status = track.step(request.values[0], width, dt)
             flags, mask, numbers, info = int(track.info[0]), int(track.info[1]), track.out, track.info
+            left_nm = wire.nanometres(info[LEFT]) if status == Status.OK else 0
         else:
             steps = np.full(len(request.values), request.step_ns * 1e-9)
             steps[0] = dt
             walked = walk_whole(track, request.values, width, steps)
             refused, flags, numbers, info = walked.refusal, walked.all_flags, walked.q, walked.info[-1]
             status, mask = (refused.status, refused.limit_mask) if refused else (0, 0)
+            left_nm = 0 if refused else wire.nanometres(walked.left)
         if status != Status.OK:
             return self._refused(header, Status(status), active, mask, arrival_ns)
         points = len(request.values)
         clock.applied_ns = at + (points - 1) * request.step_ns
         clock.answered_ns = arrival_ns
-        self.counters.count_flags(flags)
+        self.counters.count_made(flags, left_nm, arrival_ns)
         corrected, n = numbers.tobytes(), header.joints
         self._full = Answered(
-            arrival_ns, flags, request.values[-1, :n].tobytes(), corrected[-8 * n :], info[TOOL].tobytes()
+            arrival_ns, flags, request.values[-1, :n].tobytes(), corrected[-8 * n :], info[TOOL].tobytes(), left_nm
         )
         return wire.encode_answer(
             header,
@@ -166,6 +168,7 @@ class Stream:
             epoch=active.epoch,
             flags=flags,
             processing_ns=self.counters.count(Status.OK, arrival_ns),
+            left_nm=left_nm,
             points=points,
             step_ns=request.step_ns,
         )

@@ -125,7 +125,7 @@ class Telemetry:
 
 
 def shown(last: Answered) -> dict[str, Any]:
-    """A corrected setpoint in numbers: rad or m of each joint, m at the tool."""
+    """A corrected setpoint in numbers: rad or m of each joint, m at the tool, mm of what is left there."""
     wanted, corrected, tool = (np.frombuffer(part) for part in (last.wanted, last.corrected, last.tool))
     return {
         "arrival_ns": last.arrival_ns,
@@ -133,4 +133,5 @@ def shown(last: Answered) -> dict[str, Any]:
         "wanted": wanted.tolist(),
         "correction": (corrected - wanted).tolist(),
         "tool": tool.tolist(),
+        "left_mm": last.left_nm * 1e-6,
     }

@@ -6,6 +6,7 @@ when the status is OK: a refused setpoint leaves nothing that could be sent to a
 
 from __future__ import annotations
 
+import math
 import struct
 from enum import IntEnum
 from typing import NamedTuple
@@ -17,13 +18,14 @@ Floats = NDArray[np.float64]
 
 MAGIC = b"KLT1"
 HEADER = struct.Struct("<4sBBHQQQ")  # magic, kind, joints, flags, seq, t_send_ns, t_apply_ns
-VERDICT = struct.Struct("<QIHHIi")  # version, epoch, status, limit mask, processing ns, reserved
+VERDICT = struct.Struct("<QIHHIi")  # version, epoch, status, limit mask, processing ns, left nm
 BLOCK = struct.Struct("<II")  # points, step_ns of a chunk; points, joints of a trajectory
 VERSION = struct.Struct("<Q")
 
 MAX_JOINTS = 16  # the limit mask has 16 bits
 MAX_CHUNK = 4096
 MAX_TRAJECTORY = 1_000_000
+MOST_LEFT_NM = 2**31 - 1  # what is left beyond two metres is said to be this
 
 
 class Kind(IntEnum):
@@ -47,6 +49,8 @@ class Flag(IntEnum):  # not IntFlag: its operators are Python, and nine of them 
     LIMITED = 0x0400  # a sign change was held to the rate limit
     DAMPED = 0x0800  # near a singularity: the correction is damped
     RESIDUAL = 0x1000  # the wanted pose is out of reach of the correction; the nearest was taken
+    SATURATED = 0x2000  # the correction is held at its limit, and part of the error is left
+    SLOWED = 0x4000  # the correction is held back by the bound on its rate or acceleration
 
 
 IN_FLAGS = 0x001F
@@ -109,6 +113,7 @@ class Answer(NamedTuple):
     status: Status
     limit_mask: int
     processing_ns: int
+    left_nm: int
     step_ns: int
     values: Floats
 
@@ -116,6 +121,12 @@ class Answer(NamedTuple):
 def width(flags: int) -> int:
     """How many vectors of joints one point has: 1 with q, 2 with qd, 3 with qdd."""
     return 1 + bool(flags & Flag.QD) + bool(flags & Flag.QDD)
+
+
+def nanometres(left: Floats) -> int:
+    """Length of the longest of the errors ``left (..., 3)`` m as it stands in an answer; the fast path computes the same."""
+    x, y, z = left[..., 0], left[..., 1], left[..., 2]
+    return int(min(1e9 * math.sqrt(np.max(x * x + y * y + z * z)) + 0.5, MOST_LEFT_NM))
 
 
 def decode_header(data: bytes) -> Header:
@@ -200,12 +211,13 @@ def encode_answer(
     flags: int = 0,
     limit_mask: int = 0,
     processing_ns: int = 0,
+    left_nm: int = 0,
     points: int = 1,
     step_ns: int = 0,
 ) -> bytes:
     """Bytes of an OK answer: the header echoed, the verdict, then the corrected joints in ``numbers``."""
     head = HEADER.pack(MAGIC, header.kind, header.joints, flags, header.seq, header.t_send_ns, header.t_apply_ns)
-    verdict = VERDICT.pack(version, epoch, 0, limit_mask, processing_ns, 0)
+    verdict = VERDICT.pack(version, epoch, 0, limit_mask, processing_ns, left_nm)
     if header.kind == Kind.CHUNK:
         return head + verdict + BLOCK.pack(points, step_ns) + numbers
     return head + verdict + numbers
@@ -230,9 +242,9 @@ def decode_answer(data: bytes) -> Answer:
     offset = HEADER.size + VERDICT.size
     if len(data) < offset:
         raise FrameError("cut off", header)
-    version, epoch, status, mask, processing_ns, _ = VERDICT.unpack_from(data, HEADER.size)
-    if status not in Status._value2member_map_ or header.joints > MAX_JOINTS:
-        raise FrameError(f"unknown status {status} or number of joints", header)
+    version, epoch, status, mask, processing_ns, left_nm = VERDICT.unpack_from(data, HEADER.size)
+    if status not in Status._value2member_map_ or header.joints > MAX_JOINTS or left_nm < 0:
+        raise FrameError(f"unknown status {status} or number of joints, or less than nothing is left", header)
     points, step_ns = 1, 0
     if status == Status.OK and header.kind == Kind.CHUNK:
         if len(data) < offset + BLOCK.size:
@@ -242,4 +254,4 @@ def decode_answer(data: bytes) -> Answer:
     if (status == Status.OK) != (header.joints > 0) or len(data) != offset + 8 * points * header.joints:
         raise FrameError("numbers do not fit the status or the number of joints", header)
     values = np.frombuffer(data, dtype="<f8", offset=offset).reshape(-1, max(header.joints, 1))
-    return Answer(header, version, epoch, Status(status), mask, processing_ns, step_ns, values)
+    return Answer(header, version, epoch, Status(status), mask, processing_ns, left_nm, step_ns, values)

@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 MAGIC = b"KLT1"
 HEADER = struct.Struct("<4sBBHQQQ")  # magic, kind, joints, flags, seq, t_send_ns, t_apply_ns
-VERDICT = struct.Struct("<QIHHIi")  # version, epoch, status, limit mask, processing ns, reserved
+VERDICT = struct.Struct("<QIHHIi")  # version, epoch, status, limit mask, processing ns, left nm
 BLOCK = struct.Struct("<II")  # points, step_ns
 POINT, CHUNK = 0, 1
 QD, QDD, VERSION, RESET, SETTLED = 0x0001, 0x0002, 0x0004, 0x0008, 0x0010
+DYNAMIC, RAMPING, LIMITED, DAMPED, RESIDUAL, SATURATED, SLOWED = (1 << k for k in range(8, 15))
 STATUSES = (
     "OK", "STALE", "SEQ_GAP", "SEQ_BACK", "BAD_FRAME", "NOT_FINITE", "JOINT_LIMIT", "CORRECTION_TOO_LARGE",
     "RATE_LIMIT", "NO_VERSION", "VERSION_MISMATCH", "OVERLOAD", "NO_SESSION", "UNSIGNED", "SESSION_EXPIRED",
@@ -35,6 +36,7 @@ class Answer(NamedTuple):
     kind: int = POINT
     points: int = 1
     step_ns: int = 0
+    left_nm: int = 0
 
 
 def encode(
@@ -65,8 +67,8 @@ def decode(data: bytes) -> Answer | None:
     if len(data) < start:
         return None
     magic, kind, joints, flags, seq, sent, apply = HEADER.unpack_from(data)
-    version, epoch, status, mask, processing_ns, _ = VERDICT.unpack_from(data, HEADER.size)
-    if magic != MAGIC or status >= len(STATUSES) or (status == 0) != (joints > 0):
+    version, epoch, status, mask, processing_ns, left_nm = VERDICT.unpack_from(data, HEADER.size)
+    if magic != MAGIC or status >= len(STATUSES) or (status == 0) != (joints > 0) or left_nm < 0:
         return None
     points, step_ns = 1, 0
     if status == 0 and kind == CHUNK:
@@ -78,5 +80,6 @@ def decode(data: bytes) -> Answer | None:
         return None
     q = struct.unpack_from(f"<{points * joints}d", data, start)
     return Answer(
-        seq, flags, version, epoch, STATUSES[status], mask, processing_ns, joints, q, sent, apply, kind, points, step_ns
-    )
+        seq, flags, version, epoch, STATUSES[status], mask, processing_ns, joints, q, sent, apply, kind, points, step_ns,
+        left_nm,
+    )  # fmt: skip
