@@ -106,7 +106,8 @@ def test_both_paths_say_what_is_left_in_the_same_bytes_through_a_singularity(
             q[None], joints=6, seq=k, t_send_ns=now, t_apply_ns=0, flags=RESET if k == 0 else 0
         )
         one, other = (stream.answer(data, now, active) for stream in (fast, full))
-        assert one is not None and other is not None
+        assert one is not None
+        assert other is not None
         assert (one[:48], one[52:]) == (other[:48], other[52:]), k
         answer = wire.decode_answer(one)
         left.append(answer.left_nm)
@@ -143,13 +144,13 @@ def test_a_chunk_says_the_most_that_is_left_at_any_of_its_points(
     left = []
     for k, q in enumerate(path):
         now = 10**12 + 2 * MS * k
-        data = wire.encode_setpoints(q[None], joints=6, seq=k, t_send_ns=now, t_apply_ns=0, flags=RESET if k == 0 else 0)
+        data = wire.encode_setpoints(
+            q[None], joints=6, seq=k, t_send_ns=now, t_apply_ns=0, flags=RESET if k == 0 else 0
+        )
         answer = apart.answer(data, now, active)
         assert answer is not None
         left.append(wire.decode_answer(answer).left_nm)
-    data = wire.encode_setpoints(
-        path, joints=6, seq=0, t_send_ns=10**12, t_apply_ns=0, flags=RESET, step_ns=2 * MS
-    )
+    data = wire.encode_setpoints(path, joints=6, seq=0, t_send_ns=10**12, t_apply_ns=0, flags=RESET, step_ns=2 * MS)
     answer = together.answer(data, 10**12, active)
     assert answer is not None
     assert wire.decode_answer(answer).left_nm == max(left)

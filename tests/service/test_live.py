@@ -53,6 +53,27 @@ def test_numbers_are_in_the_units_of_people() -> None:
     assert (shown.condition, shown.refusals) == ("corrected", {})
 
 
+def test_what_held_corrections_back_is_said_with_what_is_left() -> None:
+    def told(k: int, damped: int, saturated: int = 0, slowed: int = 0) -> dict[str, Any]:
+        left = {"lately": 0.3127 if damped else 0.0, "max": 1.2}
+        return message(k, 50 * k, 50 * k, damped=damped, saturated=saturated, slowed=slowed, left_mm=left)
+
+    quiet = heard(*(told(k, 0) for k in range(1, 12))).shown("main", 1.1)
+    assert (quiet.words, quiet.held_back, quiet.left_mm) == ("Every setpoint is corrected.", {}, 0.0)
+    damped = heard(*(told(k, 3 * max(0, k - 4), 1 if k > 8 else 0) for k in range(1, 12))).shown("main", 1.1)
+    assert damped.words == (
+        "Every setpoint is corrected. Of the last 500 setpoints 21 were damped near a singularity and 1 was held at the "
+        "limits of the version; at most 0.313 mm of the error at the tool was left."
+    )
+    assert (damped.held_back, damped.left_mm, damped.most_left_mm) == ({"damped": 21, "saturated": 1}, 0.3127, 1.2)
+    slowed = heard(*(told(k, 0, 0, k) for k in range(1, 12))).shown("main", 1.1)
+    assert "10 were held back by the bound on rate and acceleration; less than 0.001 mm" in slowed.words
+    later = heard(*(told(k, 9) for k in range(1, 25))).shown("main", 2.4)
+    assert later.words == "Every setpoint is corrected."  # that was more than a second ago
+    assert later.held_back == {"damped": 9}
+    assert heard(message(1, 50, 50)).shown("main", 0.1).left_mm is None  # an earlier corrector does not say
+
+
 def test_conditions_follow_the_last_second() -> None:
     good = [message(k, 50 * k, 50 * k) for k in range(1, 12)]
     partly = heard(*good, message(12, 600, 590)).shown("main", 1.2)

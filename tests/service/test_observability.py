@@ -24,6 +24,7 @@ from kilter_service.db import Database
 from kilter_service.health import store as health
 from kilter_service.observability import logs, tracing
 from kilter_service.observability.requests import UNKNOWN
+from kilter_service.observability.service import HELD_BACK
 from kilter_service.settings import Settings
 
 TRACE = "0af7651916cd43dd8448eb211c80319c"
@@ -83,7 +84,8 @@ def test_metrics_say_that_the_database_does_not_answer(client: httpx.Client, dat
 def test_streams_are_counted_by_robot_and_status(client: httpx.Client, database: Database) -> None:
     said = {
         "robot": "arm", "stream": "main", "received": 12, "counters": {"OK": 10, "STALE": 2}, "version_id": "ver_1",
-        "epoch": 3, "processing_us": {"mean": 5.0, "max": 40.0},
+        "epoch": 3, "processing_us": {"mean": 5.0, "max": 40.0}, "rate_limited": 1, "damped": 4, "saturated": 0,
+        "slowed": 2, "left_mm": {"lately": 0.31, "max": 0.9},
     }  # fmt: skip
     with database.transaction() as session:
         health.beat(session, "corrector", "local", 1, {"streams": [said]})
@@ -93,6 +95,21 @@ def test_streams_are_counted_by_robot_and_status(client: httpx.Client, database:
     assert sample(client, "kilter_stream_processing_seconds_count", **place) == 12
     assert sample(client, "kilter_stream_processing_seconds_sum", **place) == pytest.approx(60e-6)
     assert sample(client, "kilter_stream_epoch", **place, version_id="ver_1") == 3
+    held_back = [sample(client, "kilter_stream_held_back_total", **place, by=by) for by in HELD_BACK]
+    assert held_back == [1, 4, 0, 2]
+    assert sample(client, "kilter_stream_left_meters", **place) == pytest.approx(0.31e-3)
+
+
+def test_a_corrector_of_an_earlier_release_is_counted_too(client: httpx.Client, database: Database) -> None:
+    said = {
+        "robot": "arm", "stream": "main", "received": 1, "counters": {"OK": 1}, "version_id": "ver_1", "epoch": 3,
+        "processing_us": {"mean": 5.0, "max": 40.0}, "rate_limited": 0, "damped": 7,
+    }  # fmt: skip
+    with database.transaction() as session:
+        health.beat(session, "corrector", "local", 1, {"streams": [said]})
+    place = {"robot": "arm", "stream": "main"}
+    assert sample(client, "kilter_stream_held_back_total", **place, by="damped") == 7
+    assert "kilter_stream_left_meters{" not in client.get("/metrics").text
 
 
 def test_a_request_keeps_the_name_that_its_caller_gave(client: httpx.Client) -> None:

@@ -45,23 +45,29 @@ BINS = IN + 4 + 3 * wire.MAX_JOINTS  # answers by the time they took: two bins a
 MOST_BINS = 40
 WORDS = BINS + MOST_BINS
 PERIOD_BITS = 30  # a period is 2^30 ns, about a second
-TOOL, LEFT = slice(layout.REMOVED, layout.REMOVED + 3), slice(layout.LEFT, layout.LEFT + 3)  # of the info of a correction
+TOOL, LEFT = (
+    slice(layout.REMOVED, layout.REMOVED + 3),
+    slice(layout.LEFT, layout.LEFT + 3),
+)  # of the info of a correction
 LEFT_X, LEFT_Y, LEFT_Z = layout.LEFT, layout.LEFT + 1, layout.LEFT + 2
 MOST_LEFT_NM = wire.MOST_LEFT_NM
 MOST = 2**63 - 1  # what is larger than this takes the full path, where integers are unbounded
 MOST_NS = 0xFFFFFFFF  # of the time that fits into an answer
 IS_LIMITED, IS_DAMPED, IS_SATURATED, IS_SLOWED = map(int, (Flag.LIMITED, Flag.DAMPED, Flag.SATURATED, Flag.SLOWED))
-HELD_BACK = (
-    ("rate_limited", LIMITED, Flag.LIMITED),
-    ("damped", DAMPED, Flag.DAMPED),
-    ("saturated", SATURATED, Flag.SATURATED),
-    ("slowed", SLOWED, Flag.SLOWED),
-)
+HELD_BACK = {"rate_limited": LIMITED, "damped": DAMPED, "saturated": SATURATED, "slowed": SLOWED}
 FLAGS = {1: 0, 2: int(Flag.QD), 3: Flag.QD | Flag.QDD}
 
 
-def note_left(words: Any, left_nm: int, arrival: int) -> None:
-    """Note what was left of an error: the most of all, of this period and of the one before."""
+def note_made(words: Any, made: int, left_nm: int, arrival: int) -> None:
+    """Count what held a correction back; note what is left: the most of all, of this period and of the one before."""
+    if made & IS_LIMITED:
+        words[LIMITED] += 1
+    if made & IS_DAMPED:
+        words[DAMPED] += 1
+    if made & IS_SATURATED:
+        words[SATURATED] += 1
+    if made & IS_SLOWED:
+        words[SLOWED] += 1
     period = arrival >> PERIOD_BITS
     if period != words[PERIOD]:
         words[LEFT_BEFORE] = words[LEFT_NOW] if period == words[PERIOD] + 1 else 0
@@ -70,7 +76,7 @@ def note_left(words: Any, left_nm: int, arrival: int) -> None:
     words[MOST_LEFT] = max(words[MOST_LEFT], left_nm)
 
 
-_note_left = compiled(**EXACT)(note_left)
+_note_made = compiled(**EXACT)(note_made)
 
 
 def _compiled() -> Any:
@@ -120,17 +126,9 @@ def _compiled() -> Any:
         made = int(info[0])
         words[COUNTS] += 1
         words[LAST] = 0
-        if made & IS_LIMITED:
-            words[LIMITED] += 1
-        if made & IS_DAMPED:
-            words[DAMPED] += 1
-        if made & IS_SATURATED:
-            words[SATURATED] += 1
-        if made & IS_SLOWED:
-            words[SLOWED] += 1
         left = math.sqrt(info[LEFT_X] * info[LEFT_X] + info[LEFT_Y] * info[LEFT_Y] + info[LEFT_Z] * info[LEFT_Z])
         left_nm = int(min(1e9 * left + 0.5, MOST_LEFT_NM))
-        _note_left(words, left_nm, arrival)
+        _note_made(words, made, left_nm, arrival)
         words[OUT + 6] = left_nm << 32  # the time spent comes into the lower half when it is known
         words[OUT] = words[OUT_HEAD] | (made << 48)
         words[OUT + 1], words[OUT + 2], words[OUT + 3] = seq, sent, apply
@@ -182,7 +180,7 @@ class Counters:
     @property
     def made(self) -> dict[str, int]:
         """Answers whose correction was held back, by what held it."""
-        return {name: int(self._words[word]) for name, word, _ in HELD_BACK}
+        return {name: int(self._words[word]) for name, word in HELD_BACK.items()}
 
     @property
     def most_left_nm(self) -> tuple[int, int]:
@@ -219,9 +217,7 @@ class Counters:
 
     def count_made(self, flags: int, left_nm: int, arrival_ns: int) -> None:
         """Count how an answer of the full path was made, and what was left."""
-        for _, word, flag in HELD_BACK:
-            self._words[word] += bool(flags & flag)
-        note_left(self._words, left_nm, arrival_ns)
+        note_made(self._words, flags, left_nm, arrival_ns)
 
     def document(self) -> dict[str, Any]:
         """Counts by name; times are those inside the corrector, lengths what was left of the error of the tool."""

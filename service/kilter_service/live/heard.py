@@ -22,6 +22,13 @@ MADE = {
     0x0400: "a change of sign is held to its rate",
     0x0800: "damped near a singularity",
     0x1000: "the nearest pose that can be reached",
+    0x2000: "held at its limit",
+    0x4000: "held back by its rate",
+}
+HELD_BACK = {  # counters of the corrector, in words
+    "damped": "damped near a singularity",
+    "saturated": "held at the limits of the version",
+    "slowed": "held back by the bound on rate and acceleration",
 }
 WHY = {
     "STALE": "they arrive too late",
@@ -42,11 +49,12 @@ WHY = {
 
 
 class Counted(NamedTuple):
-    """Counts at a moment of the corrector's clock, s."""
+    """Counts at a moment of the corrector's clock, s; ``held_back`` as in HELD_BACK."""
 
     moment_s: float
     received: int
     good: int
+    held_back: tuple[int, ...]
 
 
 class Heard:
@@ -92,7 +100,8 @@ class Heard:
             self._moved_s = now_s
         latest_ns = max(document["seen_ns"], (document["last"] or {}).get("arrival_ns", 0))
         self._moved_s = max(self._moved_s, now_s - max(0.0, moment_s - latest_ns / 1e9))
-        self._counts.append(Counted(moment_s, received, int(document["counters"].get("OK", 0))))
+        held_back = tuple(int(document.get(name, 0)) for name in HELD_BACK)
+        self._counts.append(Counted(moment_s, received, int(document["counters"].get("OK", 0)), held_back))
         by_time = document.get("by_time")
         if by_time and (not self._times or moment_s - self._times[-1][0] >= 1.0):
             self._times.append((moment_s, by_time))
@@ -106,7 +115,7 @@ class Heard:
         return StreamShown(
             name=name,
             condition=condition,
-            words=_words(condition, document["last_status"], seen_s),
+            words=_words(condition, document["last_status"], seen_s) + self._held_back_words(condition),
             rate_hz=0.0 if condition == "silent" else self._rate_hz(),
             received=int(document["received"]),
             corrected=int(counters.get("OK", 0)),
@@ -116,10 +125,31 @@ class Heard:
             joints=[] if last is None else _joints(document, last),
             # While the correction is ramped in, the corrector knows only where that ends.
             tool_mm=None if last is None or last["flags"] & RAMPING else to_mm(math.hypot(*last["tool"])),
+            left_mm=None if condition == "silent" else self._left_mm,
+            most_left_mm=document.get("left_mm", {}).get("max"),
+            held_back={name: int(document[name]) for name in HELD_BACK if document.get(name)},
             made=[] if last is None else [words for flag, words in MADE.items() if last["flags"] & flag],
             signed=bool(document.get("signed")),
             times=self._times_shown(),
         )
+
+    @property
+    def _left_mm(self) -> float | None:
+        """The most that was left lately; None when the corrector does not say."""
+        left_mm: float | None = self._document.get("left_mm", {}).get("lately")
+        return left_mm
+
+    def _held_back_words(self, condition: Condition) -> str:
+        """What held corrections back in the last second, and what was left of the error."""
+        start, end = self._recent()
+        counts = zip(HELD_BACK.values(), end.held_back, start.held_back, strict=True)
+        held = [
+            f"{now - then} {'was' if now - then == 1 else 'were'} {words}" for words, now, then in counts if now > then
+        ]
+        if not held or condition == "silent":
+            return ""
+        left = "" if self._left_mm is None else f"; {_mm_text(self._left_mm)} of the error at the tool was left"
+        return f" Of the last {end.received - start.received} setpoints {' and '.join(held)}{left}."
 
     def _recent(self) -> tuple[Counted, Counted]:
         end = self._counts[-1]
@@ -156,6 +186,10 @@ class Heard:
 def _edges_us(bins: int) -> tuple[float, ...]:
     """Where the bins of the corrector begin, µs: two an octave (docs/reference/stream.md)."""
     return tuple(round(2.0 ** (0.5 * k), 1) if k else 0.0 for k in range(bins))
+
+
+def _mm_text(value: float) -> str:
+    return f"at most {value:.3g} mm" if value >= 0.001 else "less than 0.001 mm"
 
 
 def _share_us(counts: Sequence[int], share: float) -> float | None:

@@ -36,7 +36,9 @@ class TimesShown:
 
 @dataclass(frozen=True)
 class StreamShown:
-    """A stream. ``refusals`` and ``received`` count since it began; ``tool_mm`` is how far the correction moves the tool."""
+    """A stream. ``refusals``, ``received`` and ``held_back`` count since it began; ``tool_mm`` is how far the correction moves
+    the tool, ``left_mm`` the most that it lately left of the error there and ``most_left_mm`` ever, None when unknown.
+    """
 
     name: str
     condition: Condition
@@ -49,6 +51,9 @@ class StreamShown:
     seen_s: float
     joints: list[JointShown]
     tool_mm: float | None
+    left_mm: float | None
+    most_left_mm: float | None
+    held_back: dict[str, int]
     made: list[str]  # how the last correction was made, in words
     signed: bool
     times: TimesShown | None

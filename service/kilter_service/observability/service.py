@@ -21,6 +21,7 @@ log = logging.getLogger("kilter.api")
 MEDIA_TYPE = CONTENT_TYPE_LATEST
 DATABASE_UP = "Whether the database answers."
 LATELY_S = 3600.0
+HELD_BACK = ("rate_limited", "damped", "saturated", "slowed")  # counters of a stream's status
 
 
 def text(database: Database) -> bytes:
@@ -82,19 +83,28 @@ def _of_streams(streams: Sequence[Mapping[str, Any]]) -> Iterable[Metric]:
     answers = CounterMetricFamily("kilter_stream_answers", "Setpoints answered.", labels=("robot", "stream", "status"))
     text = "Time in the corrector from the arrival of a setpoint to its answer."
     spent = SummaryMetricFamily("kilter_stream_processing_seconds", text, labels=("robot", "stream"))
-    longest, versions = [], []
+    text = "Setpoints corrected whose correction was held back, by what held it."
+    held_back = CounterMetricFamily("kilter_stream_held_back", text, labels=("robot", "stream", "by"))
+    longest, versions, left = [], [], []
     for one in streams:
         place, times = (one["robot"], one["stream"]), one["processing_us"]
         for status, count in one["counters"].items():
             answers.add_metric((*place, status), count)
         spent.add_metric(place, count_value=one["received"], sum_value=one["received"] * (times["mean"] or 0.0) * 1e-6)
+        for by in HELD_BACK:
+            held_back.add_metric((*place, by), one.get(by, 0))  # a corrector of an earlier release does not count all
+        if "left_mm" in one:
+            left.append((place, one["left_mm"]["lately"] * 1e-3))
         longest.append((place, times["max"] * 1e-6))
         versions.append(((*place, one["version_id"] or ""), float(one["epoch"] or 0)))
     yield answers
+    yield held_back
     yield spent
     yield _gauge(
         "kilter_stream_processing_longest_seconds", "The longest of these times.", ("robot", "stream"), longest
     )
+    text = "The most that was left of the error of the tool after correction in the last two seconds, by the version."
+    yield _gauge("kilter_stream_left_meters", text, ("robot", "stream"), left)
     text = "Epoch of the version that a stream corrects with."
     yield _gauge("kilter_stream_epoch", text, ("robot", "stream", "version_id"), versions)
 

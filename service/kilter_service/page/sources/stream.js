@@ -97,6 +97,9 @@ class Section {
     link(this.field("version"), stream.version_id, !stream.version_id ? "none" : stream.version_id === active ? ", the active one" : ", not the active one");
     const moves = stream.condition !== "silent" && stream.condition !== "bypass";
     write(this.field("tool"), moves ? length(stream.tool_mm) : "–");
+    write(this.field("left"), moves ? length(stream.left_mm) : "–");
+    const held = Object.entries(stream.held_back).map(([name, n]) => `${count(n)} ${name}`).join(", ");
+    write(this.field("held"), (held || "none") + (stream.most_left_mm === null ? "" : `; at most ${length(stream.most_left_mm)} left`));
     write(this.field("joint"), moves && stream.joints.length ? this.largest(stream.joints) : "–");
     if (stream.joints.length) this.plot(stream, moves);
     this.element.querySelector("[data-plots]").hidden = !this.joints.some((line) => line.some((value) => value !== null));
