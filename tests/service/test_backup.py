@@ -19,7 +19,7 @@ from sqlalchemy import text
 
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
-from kilter_service.backup import service, store
+from kilter_service.backup import manifest, service, store
 from kilter_service.db import Database, revision
 from kilter_service.errors import ServiceError
 from kilter_service.settings import Settings
@@ -100,7 +100,7 @@ def test_a_restored_server_answers_the_same(source: tuple[Settings, httpx.Client
     done = kilterd(settings, "backup", str(tmp_path / "backups"))
     assert done.returncode == 0, done.stderr
     assert (
-        "holds 1 robots, 3 campaigns with 6 chunks, 2 versions, 1 shapes of links; every hash was checked."
+        "holds 1 robots, 3 campaigns with 6 chunks, 2 versions, 1 shapes of links; every row of every table has its hash."
         in done.stdout
     )
     file, hashes = sorted((tmp_path / "backups").iterdir())
@@ -231,6 +231,83 @@ def test_a_backup_that_was_changed_is_not_restored(source: tuple[Settings, httpx
     assert [one.name for one in new.data.iterdir()] == ["serve.lock"]
 
 
+def dump(path: Path) -> list[str]:
+    """Everything that is stored in a file."""
+    with closing(sqlite3.connect(path)) as file:
+        return list(file.iterdump())
+
+
+@pytest.mark.parametrize(
+    ("statement", "table"),
+    [
+        ("UPDATE versions SET report = '{}' WHERE id = 'ver_0000000000000001'", "versions"),
+        ("UPDATE campaigns SET name = 'other' WHERE name = 'c1'", "campaigns"),
+        ("DELETE FROM activations WHERE id = 1", "activations"),
+        ("UPDATE activations SET forced = NOT forced", "activations"),
+        ("CREATE TABLE more (a)", "more"),
+        ("DROP TABLE meshes", "meshes"),
+    ],
+)
+def test_a_backup_notices_rows_without_a_hash_of_their_own(
+    statement: str, table: str, source: tuple[Settings, httpx.Client], tmp_path: Path
+) -> None:
+    """Reports, results, roles and activations were altered and restored without a word."""
+    path, _ = service.backup(source[0], tmp_path / "one.backup")
+    path.with_name("one.backup.sha256").unlink()
+    with closing(sqlite3.connect(path)) as file:
+        for trigger in file.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+            file.execute(f"DROP TRIGGER {trigger[0]}")
+        file.execute(statement)
+        file.commit()
+    found = service.verify(path)
+    assert any(one.startswith(f"Table {table} ") for one in found.damaged), found.damaged
+    with pytest.raises(ServiceError, match=f"Table {table} "):
+        service.restore(plain(tmp_path, "new"), path)
+
+
+def test_no_flipped_bit_of_a_backup_is_restored(source: tuple[Settings, httpx.Client], tmp_path: Path) -> None:
+    path, _ = service.backup(source[0], tmp_path / "one.backup")
+    whole, stored = path.read_bytes(), dump(path)
+    beside = path.with_name("one.backup.sha256")
+    chance = np.random.default_rng(3)
+    noticed = 0
+    for at in chance.integers(len(whole), size=25).tolist():
+        flipped = bytearray(whole)
+        flipped[at] ^= 1 << int(chance.integers(8))
+        path.write_bytes(flipped)
+        assert service.verify(path).damaged, at
+        hashes = beside.read_bytes()
+        beside.unlink()
+        if service.verify(path).damaged:
+            noticed += 1
+        else:  # a bit that holds nothing
+            assert dump(path) == stored, at
+        beside.write_bytes(hashes)
+    assert noticed > 5
+
+
+def test_a_flipped_bit_beside_a_backup_is_noticed(source: tuple[Settings, httpx.Client], tmp_path: Path) -> None:
+    path, _ = service.backup(source[0], tmp_path / "one.backup")
+    beside = path.with_name("one.backup.sha256")
+    flipped = bytearray(beside.read_bytes())
+    flipped[5] ^= 128
+    beside.write_bytes(flipped)
+    assert "one.backup.sha256: one of the two was altered" in service.verify(path).damaged[0]
+
+
+def test_damaged_json_is_a_finding(source: tuple[Settings, httpx.Client], tmp_path: Path) -> None:
+    other = damage(source[0], tmp_path, "UPDATE robots SET chain = '{\"elements'")
+    done = kilterd(other, "verify")
+    assert done.returncode == 1
+    assert "Not all robots can be read, what one holds is damaged" in done.stdout
+
+
+def test_a_check_of_the_data_says_what_has_no_hash(source: tuple[Settings, httpx.Client], tmp_path: Path) -> None:
+    said = kilterd(source[0], "verify").stdout
+    assert "reports, results, roles, tokens and activations have none here" in said
+    assert "every" not in said
+
+
 def test_older_and_newer_backups(source: tuple[Settings, httpx.Client], tmp_path: Path) -> None:
     from alembic import command
 
@@ -238,6 +315,7 @@ def test_older_and_newer_backups(source: tuple[Settings, httpx.Client], tmp_path
     path.with_name("one.backup.sha256").unlink()
     older = tmp_path / "older.backup"
     shutil.copy(path, older)
+    manifest.remove(older)  # an older Kilter wrote none
     database = Database(f"sqlite:///{older}")
     command.downgrade(revision.configuration(database.url), "0005")
     database.close()

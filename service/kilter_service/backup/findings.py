@@ -15,6 +15,7 @@ class Findings:
     chunks: int = 0
     versions: int = 0
     meshes: int = 0
+    every_row: bool = False  # all tables were compared with a backup's manifest, or one was written
 
     def add(self, sentence: str) -> None:
         """Note one more."""
@@ -24,3 +25,12 @@ class Findings:
         """Say how much was looked at."""
         meshes = f", {self.meshes} shapes of links" if self.meshes else ""
         return f"{self.robots} robots, {self.campaigns} campaigns with {self.chunks} chunks, {self.versions} versions{meshes}"
+
+    def checked(self) -> str:
+        """Say which of it was checked by a hash."""
+        if self.every_row:
+            return "every row of every table has its hash"
+        return (
+            "robots, chunks, calibrations and shapes have their hashes; reports, results, roles, tokens and activations have "
+            "none here, only in a backup that this Kilter wrote"
+        )

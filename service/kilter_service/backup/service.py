@@ -16,7 +16,7 @@ from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from kilter_service.backup import store
+from kilter_service.backup import manifest, store
 from kilter_service.backup.findings import Findings
 from kilter_service.db import Database, revision
 from kilter_service.db.failures import in_words
@@ -51,6 +51,8 @@ def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
             _copy_rows(database, part)
         found = _checked(part)
         _refuse_damaged(found, "The database is damaged, so there is no new backup")
+        manifest.write(part)
+        found.every_row = True
         _put(part, path)
         _write_hash(path)
     finally:
@@ -95,7 +97,10 @@ def verify(path: Path) -> Findings:
             f"There is no backup {path}: give the file that `kilterd backup` wrote.", code="backup_refused"
         )
     with tempfile.TemporaryDirectory(prefix="kilter-verify-") as folder:
-        return _checked_copy(path, Path(folder) / "copy.sqlite")
+        found = _checked_copy(path, Path(folder) / "copy.sqlite")
+    if not _has_hash(path):
+        found.add(f"The backup does not have the hash in {_hash_file(path).name}: one of the two was altered.")
+    return found
 
 
 def verify_stored(settings: Settings, *, quick: bool = False) -> Findings:
@@ -114,7 +119,15 @@ def _checked_copy(path: Path, copy: Path) -> Findings:
     """Copy a backup, bring the copy to the revision of this Kilter and check it."""
     private_file(copy)
     shutil.copyfile(path, copy)
-    return _checked(copy)
+    try:
+        altered = manifest.compare(copy)
+        manifest.remove(copy)
+    except sqlite3.DatabaseError as error:
+        return _damage(error)
+    found = _checked(copy)
+    found.damaged[:0] = altered or []
+    found.every_row = altered is not None
+    return found
 
 
 def _checked(path: Path) -> Findings:
@@ -237,8 +250,14 @@ def _write_hash(path: Path) -> None:
     _hash_file(path).write_text(f"{_sha256(path)}  {path.name}\n", encoding="utf-8")  # for sha256sum --check
 
 
+def _has_hash(path: Path) -> bool:
+    """Whether a backup has the hash that lies beside it; one that lost that file has its manifest."""
+    beside = _hash_file(path)
+    return not beside.exists() or beside.read_bytes().split()[:1] == [_sha256(path).encode()]
+
+
 def _check_hash(path: Path) -> None:
-    if _hash_file(path).exists() and _hash_file(path).read_text(encoding="utf-8").split()[:1] != [_sha256(path)]:
+    if not _has_hash(path):
         raise ServiceError(
             f"{path} does not have the hash in {_hash_file(path).name}: it was changed or copied badly. Take another copy, "
             "or an older backup.",

@@ -36,6 +36,8 @@ def check(database: Database, *, quick: bool = False) -> Findings:
                 part(session, found, quick)
         except DBAPIError as error:
             found.add(f"Not all {what} can be read: {error.orig}.")
+        except (ValueError, TypeError, KeyError) as error:  # JSON that is no longer JSON, or of another shape
+            found.add(f"Not all {what} can be read, what one holds is damaged: {error}.")
     return found
 
 
