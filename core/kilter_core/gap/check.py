@@ -11,13 +11,13 @@ from kilter_core.gap.evidence.holding_out import parted
 from kilter_core.gap.evidence.replication import refuse_unfit
 from kilter_core.gap.evidence.testability import Testability, Visible, testability, untestable, visible
 from kilter_core.gap.find import beginning, of_this_robot
-from kilter_core.gap.noise.motion import is_trajectory
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library, Untestable
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.identify.compare import poses_of, thinned
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.motions import is_trajectory
 from kilter_core.types import unheard
 
 MOST_POSES = 500  # looked at: half a second

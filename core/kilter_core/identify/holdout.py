@@ -1,23 +1,32 @@
 """Setting observations aside: always whole poses, so that a repeat never sits on both sides.
 
 Of rows held by sockets, planes and bars whole placements are set aside: where a placement stands is fitted to its rows, so
-rows of one placement on both sides would judge themselves.
+rows of one placement on both sides would judge themselves. Of several motions whole ones are, of a single one its end:
+neighbouring samples are the same measurement twice.
+
+What is drawn depends on the joint readings and the seed only, never on the order of the rows, on ids or on the kind of job:
+the same campaign and the same share are the same poses for whoever holds them out, and versions can be compared there. A
+share is where folds begin: half of the poses are the first of two folds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from hashlib import blake2b
 
 import numpy as np
 
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.measurement.contacts import placements
 from kilter_core.observations import Observations
-from kilter_core.types import Ints
+from kilter_core.observations.motions import is_trajectory, segments
+from kilter_core.types import Floats, Ints
 
 FEWEST_PLACEMENTS = 2  # one to fit, one to hold out
 REMEDY = "Measure in another socket, plane or bar mount too, name a campaign of other placements to validate"
+STEP = 1e-6  # rad or m: readings are the same to this, through whatever unit they came
+EDGE = 0.381966  # of a step, where steps begin: at no decimal that a file would write
 
 
 @dataclass(frozen=True)
@@ -27,8 +36,38 @@ class Folds:
     folds: int
 
 
+@dataclass(frozen=True)
+class _Units:
+    """What is set aside whole: ``order (N,)`` is the place of each row's unit in the draw, of ``count``.
+
+    ``names`` are those of placements. Of a ``few`` units one is held out however small the share.
+    """
+
+    order: Ints
+    count: int
+    names: tuple[str, ...] = ()
+    few: bool = False
+
+    @staticmethod
+    def of(observations: Observations, seed: int, parts: int | None = None) -> _Units:
+        """Placements, motions, or poses; a single motion is cut into ``parts``, its samples when None."""
+        placed = placements(observations)
+        if placed is not None:
+            return _Units(_drawn(placed[0], observations, seed), len(placed[1]), placed[1], few=True)
+        if not is_trajectory(observations):
+            groups = observations.pose_groups()
+            return _Units(_drawn(groups, observations, seed), int(groups.max(initial=-1)) + 1)
+        motion = segments(observations)
+        count = int(motion.max()) + 1
+        if count >= (parts or FEWEST_PLACEMENTS):
+            return _Units(_drawn(motion, observations, seed), count, few=True)
+        late = np.arange(len(motion))[::-1]  # the end comes first: a share is what comes after the rest
+        return _Units(late, len(motion))
+
+
 def split(observations: Observations, fraction: float, seed: int) -> tuple[Ints, Ints]:
-    """Row indices (train, held out), with ``fraction`` of the poses (of contacts the placements) held out at random.
+    """Row indices (train, held out), with ``fraction`` of the poses held out: of contacts of the placements, of motions of
+    these, or the end of one.
 
     Raises:
         OptionError: a fraction outside (0, 1). TooFewPosesError: a side without poses or placements.
@@ -36,21 +75,21 @@ def split(observations: Observations, fraction: float, seed: int) -> tuple[Ints,
     """
     if not 0.0 < fraction < 1.0:
         raise OptionError(f"validation is {fraction}: give a fraction between 0 and 1.", option="validation")
-    groups, names = _units(observations)
-    if names and len(names) < FEWEST_PLACEMENTS:
+    units = _Units.of(observations, seed)
+    if units.names and len(units.names) < FEWEST_PLACEMENTS:
         raise TooFewPosesError(
-            f"All rows are held by {names[0]}, and held out are whole placements. {REMEDY}, or leave the fraction out.",
-            placements=len(names),
+            f"All rows are held by {units.names[0]}, and held out are whole placements. {REMEDY}, or leave the fraction "
+            "out.",
+            placements=len(units.names),
         )
-    shuffled = np.random.default_rng(seed).permutation(groups.max() + 1)
-    held = round(fraction * len(shuffled))
-    if names:  # of three sockets a tenth is one of them
-        held = min(max(held, 1), len(names) - 1)
-    if held == 0 or held == len(shuffled):
+    held = round(fraction * units.count)
+    if units.few:  # a tenth of three sockets is one of them
+        held = min(max(held, 1), units.count - 1)
+    if held == 0 or held == units.count:
         raise TooFewPosesError(
-            f"{len(shuffled)} poses cannot be split {1 - fraction:.0%} to {fraction:.0%}: measure more."
+            f"{units.count} poses cannot be split {1 - fraction:.0%} to {fraction:.0%}: measure more."
         )
-    inside = np.isin(groups, shuffled[:held])
+    inside = units.order < held
     return np.flatnonzero(~inside), np.flatnonzero(inside)
 
 
@@ -63,23 +102,51 @@ def fold_splits(observations: Observations, folds: int, seed: int) -> Iterator[t
     """
     if folds < 2:
         raise OptionError(f"folds is {folds}: give two or more.", option="validation")
-    groups, names = _units(observations)
-    shuffled = np.random.default_rng(seed).permutation(groups.max() + 1)
-    if names and len(names) < folds:
-        fewer = f"give {len(names)} folds or fewer, or m" if len(names) >= FEWEST_PLACEMENTS else "m"
+    units = _Units.of(observations, seed, folds)
+    if units.names and units.count < folds:
+        fewer = f"give {units.count} folds or fewer, or m" if units.count >= FEWEST_PLACEMENTS else "m"
         raise TooFewPosesError(
-            f"{len(names)} placements ({', '.join(names)}) cannot make {folds} folds, for held out are whole placements: "
-            f"{fewer}{REMEDY[1:]}.",
-            placements=len(names),
+            f"{units.count} placements ({', '.join(units.names)}) cannot make {folds} folds, for held out are whole "
+            f"placements: {fewer}{REMEDY[1:]}.",
+            placements=units.count,
         )
-    if len(shuffled) < folds:
-        raise TooFewPosesError(f"{len(shuffled)} poses cannot make {folds} folds: give fewer folds.")
-    for part in np.array_split(shuffled, folds):
-        inside = np.isin(groups, part)
+    if units.count < folds:
+        raise TooFewPosesError(f"{units.count} poses cannot make {folds} folds: give fewer folds.")
+    for part in np.array_split(np.arange(units.count), folds):
+        inside = np.isin(units.order, part)
         yield np.flatnonzero(~inside), np.flatnonzero(inside)
 
 
-def _units(observations: Observations) -> tuple[Ints, tuple[str, ...]]:
-    """What is held out whole (N,): poses, or placements with their names."""
-    placed = placements(observations)
-    return (observations.pose_groups(), ()) if placed is None else placed
+def _drawn(groups: Ints, observations: Observations, seed: int) -> Ints:
+    """Place (N,) of each row's group in an order drawn from its joint readings.
+
+    Groups of one row and of several come in proportion from the beginning on: repeats show the noise, on either side.
+    """
+    count = int(groups.max(initial=-1)) + 1
+    by_group = np.argsort(groups, kind="stable")
+    start = np.searchsorted(groups[by_group], np.arange(count))
+    keys = [np.minimum.reduceat(key[by_group], start) for key in _keys(observations, seed)]
+    again = np.bincount(groups, minlength=count) > 1
+    place = np.zeros(count)
+    for kind in (again, ~again):
+        own = np.flatnonzero(kind)
+        place[own[np.lexsort([key[own] for key in reversed(keys)])]] = (np.arange(len(own)) + 0.5) / max(len(own), 1)
+    order = np.empty(count, dtype=np.int64)
+    order[np.lexsort([keys[0], place])] = np.arange(count)
+    return order[groups]
+
+
+def _keys(observations: Observations, seed: int) -> list[Floats]:
+    """What a draw goes by (N,) each: the joints; for groups at the same joints what they carried, and when they were."""
+    o = observations
+    beside = (o.direction, o.payload_kg, o.payload_com, o.temperature_c, o.t, o.position)
+    columns = [c.reshape(len(o), -1) for c in beside if c is not None]
+    return [_hashed(o.q, seed), _hashed(np.hstack([o.q, *columns]), seed)]
+
+
+def _hashed(values: Floats, seed: int) -> Floats:
+    """A number in [0, 1) for each row (N, c), the same on every machine."""
+    steps = np.floor(np.nan_to_num(values) / STEP + EDGE).astype("<i8")
+    key = int(seed).to_bytes(8, "little")
+    found = [int.from_bytes(blake2b(row.tobytes(), digest_size=7, key=key).digest(), "little") for row in steps]
+    return np.array(found, dtype=np.float64) / 2.0**56

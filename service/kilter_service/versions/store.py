@@ -66,6 +66,7 @@ class Training:
 
     ``fraction`` of the poses was held out by a job of ``kind`` with ``seed``; None when all were fitted. ``unasked`` says
     that the job held them out by its own rule. ``rounded``: poses were told apart by rounded readings then.
+    ``by_content``: they were drawn from what the rows hold, not from their order.
     """
 
     kind: str
@@ -74,10 +75,12 @@ class Training:
     seed: int
     unasked: bool = False
     rounded: bool = False
+    by_content: bool = True
 
 
 ROBOT_HASHED = 2  # the hash scheme of new versions: calibration, limits and the robot's chain
 POSES, BY_DISTANCE = "poses", "by distance"  # versions without it were split by rounded readings
+SPLIT, BY_CONTENT = "split", "by content"  # versions without it were split by the order of their rows
 
 
 def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
@@ -97,7 +100,7 @@ def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
             name=references.free_name(session, "version", robot_id, new.name) if new.name else "",
             robot_sha256=chain,
             calibration=new.calibration,
-            report={**new.report, POSES: BY_DISTANCE},
+            report={**new.report, POSES: BY_DISTANCE, SPLIT: BY_CONTENT},
             covariance=new.covariance,
             campaigns=new.campaigns,
             limits=new.limits,
@@ -294,7 +297,10 @@ def trainings(session: Session, version_id: str) -> list[Training]:
         unasked = following.report.get(HELD_OUT) if held is None else None
         campaigns, seed = tuple(dict.fromkeys(used)), int(options.get("seed", 0))
         rounded = POSES not in following.report
-        found.append(Training(request.kind, campaigns, asked or unasked, seed, unasked is not None, rounded))
+        by_content = following.report.get(SPLIT) == BY_CONTENT
+        found.append(
+            Training(request.kind, campaigns, asked or unasked, seed, unasked is not None, rounded, by_content)
+        )
         following = None if following.parent_id is None else session.get(VersionRow, following.parent_id)
     return found
 

@@ -14,6 +14,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.db import Session
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
+from kilter_service.versions.earlier_splits import fitted_by_order
 from kilter_service.versions.store import Training
 
 if TYPE_CHECKING:
@@ -155,12 +156,11 @@ class _Trained:
 
 def _draw(training: Training, rows: Observations, fraction: float) -> Ints:
     """Indices of the rows that a job fits when a fraction is held out."""
-    from kilter_core.gap.evidence.holding_out import held_out
     from kilter_core.identify.holdout import split
 
-    if training.kind == "gap":
-        return held_out(rows, None if training.unasked else fraction, training.seed)[0]
-    return split(rows, fraction, training.seed)[0]
+    if training.by_content:
+        return split(rows, fraction, training.seed)[0]
+    return fitted_by_order(rows, fraction, training)
 
 
 def _free(rows: Observations, trained: Bools, poses: Floats) -> Bools:

@@ -100,7 +100,7 @@ def test_the_gap_bar_falls_step_by_step_and_no_label_comes_twice(robot):
     held = [b["held_out"] for b in bars]
     assert np.all((ends[:, 0] < held[:-1]) & (held[:-1] < ends[:, 1]))
     assert ends[0, 0] > ends[-1, 1]  # the gap is closed beyond what the choice of poses explains
-    assert ends[-1, 0] < held[-1] < ends[-1, 1]  # and what is left is noise
+    assert held[-2] == pytest.approx(held[-1], rel=0.3)  # and what is left is noise, as 25 poses tell it
     assert bars[-1]["held_out_interval"] is None
 
 

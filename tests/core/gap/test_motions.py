@@ -9,9 +9,11 @@ import pytest
 
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.control import by_blocks
-from kilter_core.gap.noise.motion import blocks, correlation_length, hold_out, is_trajectory, segments, windows_of
+from kilter_core.gap.noise.motion import blocks, correlation_length, windows_of
 from kilter_core.gap.search.tails import tail
+from kilter_core.identify.holdout import split
 from kilter_core.observations import Observations
+from kilter_core.observations.motions import is_trajectory, segments
 from tests.core.gap.simulated import katana
 
 EFFECTS = ("backlash", "axial_compliance", "eccentricity", "encoder_scale", "link_bending", "unknown_joint_curve")
@@ -131,11 +133,11 @@ def test_the_error_of_joints_is_per_joint():
 
 def test_of_a_motion_the_end_is_held_out_and_of_several_whole_ones():
     _, rows = motion(8, 0.0)
-    inside, outside = hold_out(rows, 0.25, 0)
+    inside, outside = split(rows, 0.25, 0)
     assert inside.max() < outside.min()
     assert len(outside) == 250
     three = Observations.concatenate([rows] * 3)
-    inside, outside = hold_out(three, 0.3, 0)
+    inside, outside = split(three, 0.3, 0)
     assert len(outside) == 1000
     assert len(np.unique(segments(three)[outside])) == 1
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import OptionError, TooFewPosesError
+from kilter_core.gap.evidence.holding_out import held_out
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.holdout import fold_splits, split
 from kilter_core.observations import Observations
@@ -60,6 +63,59 @@ def test_the_seed_decides() -> None:
     o = rows(list(range(50)), True)
     np.testing.assert_array_equal(split(o, 0.3, 1)[1], split(o, 0.3, 1)[1])
     assert not np.array_equal(split(o, 0.3, 1)[1], split(o, 0.3, 2)[1])
+
+
+def repeated(seed: int) -> Observations:
+    """Measured poses, every fourth of them three times, as a file in degrees would say them."""
+    rng = np.random.default_rng(seed)
+    q = np.round(np.degrees(rng.uniform(-2.0, 2.0, (80, 6))), 3)
+    q = np.repeat(q, np.where(np.arange(80) % 4 == 0, 3, 1), axis=0)
+    return Observations(np.radians(q), position=rng.normal(size=(len(q), 3)))
+
+
+def named(o: Observations, held: np.ndarray) -> set[bytes]:
+    """The poses held out, by their joints in thousandths of a degree."""
+    return {row.tobytes() for row in np.round(np.degrees(o.q[held]) * 1e3).astype(int)}
+
+
+@given(st.integers(0, 50), st.floats(0.05, 0.9))
+def test_neither_the_order_of_rows_nor_their_ids_nor_their_unit_choose_the_poses(seed: int, share: float) -> None:
+    o = repeated(seed)
+    held = named(o, split(o, share, 3)[1])
+    order = np.random.default_rng([seed, 1]).permutation(len(o))
+    shuffled = o.select(order)
+    assert named(shuffled, split(shuffled, share, 3)[1]) == held
+    ids = np.random.default_rng([seed, 2]).permutation(1000)[o.pose_groups()]
+    with_ids = replace(o, pose_id=ids, q=np.radians(np.degrees(o.q)))
+    assert named(with_ids, split(with_ids, share, 3)[1]) == held
+
+
+def test_a_search_and_an_identification_hold_the_same_quarter_out() -> None:
+    o = repeated(1)
+    asked, unasked = held_out(o, 0.25, 0)[1], held_out(o, None, 0)[1]
+    np.testing.assert_array_equal(asked, split(o, 0.25, 0)[1])
+    np.testing.assert_array_equal(unasked, split(o, 0.25, 0)[1])
+
+
+def test_a_smaller_share_is_part_of_a_larger_one_and_of_the_first_folds() -> None:
+    o = repeated(2)
+    fifth, quarter = (named(o, split(o, share, 0)[1]) for share in (0.2, 0.25))
+    assert fifth < quarter
+    assert named(o, next(fold_splits(o, 4, 0))[1]) == quarter
+
+
+def test_repeats_are_held_out_in_the_proportion_they_have() -> None:
+    o = repeated(3)
+    for share in (0.1, 0.25, 0.5):
+        groups = o.pose_groups()
+        held = np.unique(groups[split(o, share, 0)[1]])
+        assert np.sum(np.bincount(groups)[held] > 1) == pytest.approx(share * 20, abs=1)
+
+
+def test_another_campaign_of_the_same_poses_holds_the_same_out() -> None:
+    o = repeated(4)
+    again = replace(o, position=o.position + 1.0)
+    assert named(again, split(again, 0.3, 0)[1]) == named(o, split(o, 0.3, 0)[1])
 
 
 def test_impossible_splits_are_refused() -> None:

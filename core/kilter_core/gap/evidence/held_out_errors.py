@@ -14,13 +14,14 @@ from kilter_core.gap.evidence.adequacy import gain, left_out_errors, left_out_fl
 from kilter_core.gap.evidence.intervals import inflation, interval_width
 from kilter_core.gap.evidence.posterior import SMALLEST, Posterior
 from kilter_core.gap.evidence.predicted import surely_predicted
-from kilter_core.gap.noise.motion import blocks, is_trajectory, motion_blocks
+from kilter_core.gap.noise.motion import blocks, motion_blocks
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.in_space import fit_rms, noise_rms, root_of
 from kilter_core.gap.search.linearized import ProblemSettings, solved
 from kilter_core.gap.search.prepare import Prepared, windowed
 from kilter_core.gap.search.source import Source
 from kilter_core.observations import Observations
+from kilter_core.observations.motions import is_trajectory
 from kilter_core.types import Bools, Floats, Ints
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is not a measurement

@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_core.errors import ObservationError, OptionError
-from kilter_core.gap.noise.motion import hold_out, is_trajectory
+from kilter_core.identify.holdout import split
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import contacts_of, placements
 from kilter_core.observations import Observations
+from kilter_core.observations.motions import is_trajectory
 from kilter_core.types import Ints
 
 SHARE = 0.25  # of the poses, held out when nothing else is asked
@@ -41,7 +42,7 @@ def share_of(rows: Observations, validation: float | None) -> float:
 
 
 def held_out(rows: Observations, validation: float | None, seed: int) -> tuple[Ints, Ints]:
-    """Row indices (train, held out): whole poses, of contacts whole placements, of motions whole motions or the end of one.
+    """Row indices (train, held out), the same that an identification holds out of these rows with this share and seed.
 
     Raises:
         OptionError: a fraction outside [0, 1). TooFewPosesError: a side without poses.
@@ -50,9 +51,7 @@ def held_out(rows: Observations, validation: float | None, seed: int) -> tuple[I
     share = share_of(rows, validation)
     if share == 0.0:
         return np.arange(len(rows)), np.zeros(0, dtype=np.int64)
-    if validation is None and not is_trajectory(rows) and placements(rows) is None:
-        return _evenly(rows, share, seed)
-    return hold_out(rows, share, seed)
+    return split(rows, share, seed)
 
 
 def parted(
@@ -128,13 +127,3 @@ def _contents(rows: Observations) -> Ints:
     parts = [rows.q, *(v.reshape(len(rows), -1) for v in values if v is not None)]
     whole = np.nan_to_num(np.hstack(parts), nan=1e3)
     return np.ascontiguousarray(np.round(whole / SAME_ROW).astype(np.int64))
-
-
-def _evenly(rows: Observations, share: float, seed: int) -> tuple[Ints, Ints]:
-    """Poses measured once and poses measured again held out in the same proportion: the repeats show the noise."""
-    groups = rows.pose_groups()
-    again = np.bincount(groups) > 1
-    rng = np.random.default_rng(seed)
-    held = [rng.permutation(np.flatnonzero(kind))[: int(share * np.sum(kind))] for kind in (again, ~again)]
-    inside = np.isin(groups, np.concatenate(held))
-    return np.flatnonzero(~inside), np.flatnonzero(inside)

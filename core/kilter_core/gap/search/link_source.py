@@ -10,11 +10,11 @@ import numpy as np
 
 from kilter_core.effects import Batch, Effect
 from kilter_core.gap.noise.from_repeats import Noise
-from kilter_core.gap.noise.motion import segments
 from kilter_core.gap.search.source import Linear, Source
 from kilter_core.measurement.kind import Unit
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
+from kilter_core.observations.motions import segments
 from kilter_core.types import Bools, Floats, Ints
 
 

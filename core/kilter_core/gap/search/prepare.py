@@ -12,11 +12,9 @@ import scipy.linalg
 from kilter_core.errors import NotConvergedError, ObservationError, TooFewPosesError
 from kilter_core.gap.noise.from_repeats import Noise, fit_noise, repeat_noise, sensors, spikes, stated_noise
 from kilter_core.gap.noise.motion import (
-    FEWEST_ROWS,
     averaged,
     blocks,
     correlation_length,
-    is_trajectory,
     motion_blocks,
     windows_of,
 )
@@ -37,6 +35,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.motions import FEWEST_ROWS, is_trajectory
 from kilter_core.types import Bools, Floats, Ints, Progress, unheard
 
 NOT_FITTED = "geometry_not_fitted"
