@@ -64,7 +64,7 @@ def test_a_version_that_predicts_worse_is_not_offered(
     ]
     assert run(asked) == 0
     said = " ".join("".join(capsys.readouterr()).split())
-    assert "predicts held-out poses worse than a simpler model" in said
+    assert "not fit to correct with: Held-out poses are predicted worse" in said
     assert "kilter activate" not in said
     (version,) = kilter.versions.list(robot)
     assert "worse_than_geometry" in {w["code"] for w in kilter.versions.get(version["id"])["warnings"]}

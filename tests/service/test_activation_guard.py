@@ -333,7 +333,7 @@ def test_a_version_that_predicts_nothing_at_all_is_refused(lab: Lab) -> None:
     wild = lab.stored(good, "wild", blow_up)
     refused = lab.activate(wild).json()
     assert refused["code"] == "activation_refused"
-    assert codes(refused["context"]["objections"]) == {"worse_than_registration"}
+    assert codes(refused["context"]["objections"]) == {"worse_than_registration", "another_arm"}
     assert judged in refused["detail"]
 
 

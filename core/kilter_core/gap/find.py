@@ -49,6 +49,7 @@ from kilter_core.gap.search.renewed_search import rejudged
 from kilter_core.gap.search.row_warnings import clock_warnings
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.identify.load_model import far_from_stated
+from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.report import large_residual
@@ -188,7 +189,7 @@ class _Run:
             next_poses=self._next_poses(found, effects), negative_control=control,
             alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(
-                *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
+                *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
                 *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *self._unplanned(effects),
             ),
             figures=figures(found, rows, gap, held), library=prepared.library,

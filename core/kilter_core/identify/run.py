@@ -23,6 +23,7 @@ from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.observability import correlated_groups, observability
 from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
 from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
@@ -261,6 +262,7 @@ def _reported(
         warnings=(
             *warnings_of(fit, train, repeats),
             *(() if learned is None else (learned.warning(),)),
+            *another_arm(calibration),
             *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
         ),
         method=options.method,

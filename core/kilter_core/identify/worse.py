@@ -88,10 +88,14 @@ def worse_warning(
     code: str, words: str, before: float, after: float, beyond_chance: bool, unit: str = "mm"
 ) -> dict[str, Any]:
     """Warn that held-out poses are predicted worse than by something simpler; beyond chance, activation is refused."""
+    advice = (
+        "do not activate this version. Measure more poses, spread over the joints, or free fewer parameters and effects."
+        if beyond_chance
+        else "by no more than chance explains. Measure more poses, spread over the joints, before you rely on the difference."
+    )
     return {
         "code": code, f"simpler_{unit}": before, f"identified_{unit}": after, "beyond_chance": beyond_chance,
-        "message": f"Held-out poses are predicted worse ({after:.3g} {unit}) than with {words} ({before:.3g} {unit}): do not "
-        "activate this version. Measure more poses, spread over the joints, or free fewer parameters and effects.",
+        "message": f"Held-out poses are predicted worse ({after:.3g} {unit}) than with {words} ({before:.3g} {unit}): {advice}",
     }  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from kilter_service.contract.versions import Comparison, CorrectionLimits, Objec
 from kilter_service.db import Database, Session
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
-from kilter_service.versions.objections import objections_of
+from kilter_service.versions.objections import objections_of, of_calibration
 from kilter_service.versions.store import Training
 from kilter_service.versions.unseen import Archive, Unseen
 from kilter_service.wire import to_mm
@@ -65,7 +65,7 @@ def judge(database: Database, version_id: str) -> Verdict:
                 return Verdict(version_id, (), None, ())
             new, active = store.calibration(session, version_id), None if last is None else last.version_id
             cases = _cases(session, row.robot_id, new, store.trainings(session, version_id), active)
-        return _first(cases, own)
+        return _first(cases, [*own, *of_calibration(new, own)])
 
 
 def judge_unstored(
@@ -83,7 +83,8 @@ def judge_unstored(
     with database.reading() as session:
         new = Calibration.from_document(robots.core_robot(session, robot_id), calibration)
         cases = _cases(session, robot_id, new, [training], active)
-    return _first(cases, objections_of(report, limits))
+    own = objections_of(report, limits)
+    return _first(cases, [*own, *of_calibration(new, own)])
 
 
 def _first(cases: list[Case], own: list[Objection]) -> Verdict:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.versions import CorrectionLimits, Objection
 
-CODES = ("heldout_worse_than_registration", "worse_than_geometry")  # warnings that say what this module looks for
+if TYPE_CHECKING:
+    from kilter_core.model import Calibration
+
+# Warnings that say "do not activate": of held-out poses, of the arm itself, of a confirmation.
+CODES = ("heldout_worse_than_registration", "worse_than_geometry", "another_arm", "confirmation_worse")
+HELD_OUT_CODES = CODES[:2]
 ERRORS_OF_DOUBT, SHARE_OF_DOUBT = (
     2.0,
     0.01,
@@ -29,8 +34,18 @@ def objections_of(report: Mapping[str, Any], limits: CorrectionLimits) -> list[O
     return [*named, *_worse_held_out(metrics.get("validation") or {}, named), *_too_large(metrics, limits)]
 
 
+def of_calibration(calibration: Calibration, said: Sequence[Objection]) -> list[Objection]:
+    """Return what the arm of a version says against it, where its report has not: earlier releases did not look."""
+    from kilter_core.identify.plausibility.another_arm import another_arm  # compiled kernels
+
+    codes = {one.code for one in said}
+    found = [Objection(code=w["code"], message=w["message"]) for w in another_arm(calibration)]
+    return [one for one in found if one.code not in codes]
+
+
 def _worse_held_out(held: Mapping[str, Any], named: list[Objection]) -> list[Objection]:
-    """The simpler model that its own held-out rows prefer, unless a warning has said so."""
+    """The simpler model that its own held-out rows prefer, unless a warning of held-out poses has said so."""
+    named = [one for one in named if one.code in HELD_OUT_CODES]
     found = held.get("identified") or {}
     for stage, what in SIMPLER.items():
         simpler = held.get(stage) or {}

@@ -19,9 +19,6 @@ MEASURES = (
     ("orientation_deg", "orientation deg"),
 )
 
-# Warnings with which a version is not offered for activation.
-WORSE = {"heldout_worse_than_registration", "worse_than_geometry"}
-
 
 def show_job(job: dict[str, Any]) -> None:
     """Print a job: how it stands, and what is in its result."""
@@ -38,15 +35,11 @@ def show_job(job: dict[str, Any]) -> None:
         show_result(result)
     version = result.get("version_id")
     if version and job["kind"] != "evaluate":
-        codes = {w.get("code") for w in result.get("warnings") or () if isinstance(w, Mapping)}
-        _show_made(version, result.get("objections") or [], bool(WORSE & codes))
+        _show_made(version, result.get("objections") or [])
 
 
-def _show_made(version: str, objections: Sequence[Mapping[str, Any]], worse: bool) -> None:
+def _show_made(version: str, objections: Sequence[Mapping[str, Any]]) -> None:
     """Print the version a job made, and how to go on unless something speaks against it."""
-    if worse:
-        say(f"version {version} is stored, but predicts held-out poses worse than a simpler model: see the warnings")
-        return
     if not objections:
         say(f"version {version}; make it the one that corrects with: kilter activate {version}")
         return
