@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from operator import add, le, sub
+from operator import add, sub
 
 from kilter_client.frames import Answer
 from kilter_client.in_use import InUse
@@ -18,7 +18,7 @@ ROUNDING = 1e-9
 class Carried:
     """Correction of one stream; ``delta`` is empty before the first answer.
 
-    It changes from nothing to the largest in ``quickest_s`` at the least, whatever the answers say.
+    It changes no faster than the version in use states and the caller allows, whatever the answers say.
     """
 
     def __init__(
@@ -28,12 +28,11 @@ class Carried:
         settled: bool,
         hold_cycles: int,
         release_s: float,
-        quickest_s: float,
     ) -> None:
         self.delta: tuple[float, ...] = ()
         self._in_use, self._statistics = in_use, statistics
         self._settled = settled
-        self._hold_cycles, self._release_s, self._quickest_s = hold_cycles, release_s, quickest_s
+        self._hold_cycles, self._release_s = hold_cycles, release_s
         self._misses = 0
         self._offset: tuple[float, ...] = ()
         self._fade_ns = 0
@@ -58,38 +57,54 @@ class Carried:
             self._begin_fade(tuple(map(sub, self.delta, delta)))
         self._misses = 0
         self.delta = self._bounded(self._faded(delta), pause_s, moved)
+        self._statistics.note(answer.flags, answer.left_nm)
+        if self.delta == delta:  # as nearly always
+            self._statistics.corrected += 1
+            return Setpoint(
+                answer.q, source="corrected", wanted=wanted, status="OK", flags=answer.flags, round_trip_s=trip,
+                left_nm=answer.left_nm, lag=(0.0,) * len(wanted), lag_mm=0.0,
+            )  # fmt: skip
+        self._statistics.slowed += 1
+        lag = tuple(map(sub, delta, self.delta))
         return Setpoint(
-            _sum(wanted, self.delta), source="corrected", wanted=wanted, status="OK", flags=answer.flags,
-            round_trip_s=trip,
+            _sum(wanted, self.delta), source="slowed", wanted=wanted, status="OK", flags=answer.flags,
+            round_trip_s=trip, lag=lag, lag_mm=self._in_use.at_tool_mm(lag),
         )  # fmt: skip
 
     def follow_chunk(
         self, rows: Sequence[tuple[float, ...]], q: Sequence[float], steps_s: Sequence[float]
-    ) -> tuple[float, ...]:
-        """Take the corrections of a chunk over; ``rows`` begin with the setpoint before it. Returns all joints."""
+    ) -> tuple[tuple[float, ...], float]:
+        """Take the corrections of a chunk over; ``rows`` begin with the setpoint before it.
+
+        Returns all joints, and how far one of them lags at most.
+        """
         out: list[float] = []
-        self._misses = 0
+        self._misses, lag = 0, 0.0
         for k, (before, row, step_s) in enumerate(zip(rows[:-1], rows[1:], steps_s, strict=True)):
             n = len(row)
             delta = tuple(map(sub, q[k * n : (k + 1) * n], row))
             self.delta = self._bounded(delta, step_s, farthest(row, before))
+            lag = max(lag, farthest(delta, self.delta))
             out += _sum(row, self.delta)
         self._offset = ()
-        return tuple(out)
+        return tuple(out), lag
 
     def _bounded(self, delta: tuple[float, ...], pause_s: float, moved: float) -> tuple[float, ...]:
-        """``delta``, or as much of the way to it as the correction may change by."""
+        """``delta``, or as much of the straight way to it as the correction may change by.
+
+        All joints go the same share of their way: joint by joint, those that move little would arrive before those that
+        move much, and between two corrections that both leave the tool in place the tool would move.
+        """
         before = self.delta or (delta if self._settled else (0.0,) * len(delta))
-        limits = self._in_use.limits
-        share, besides = min(pause_s, MOST_PAUSE_S) / self._quickest_s, MOTION_SHARE * moved + ROUNDING
+        rates = self._in_use.rates
+        pause_s, besides = min(pause_s, MOST_PAUSE_S), MOTION_SHARE * moved + ROUNDING
         changes = list(map(abs, map(sub, delta, before)))
-        if max(changes) <= min(limits) * share + besides:  # as nearly always
+        if max(changes) <= min(rates) * pause_s + besides:  # as nearly always
             return delta
-        reach = [most * share + besides for most in limits]
-        if all(map(le, changes, reach)):
+        share = min((rate * pause_s + besides) / change for rate, change in zip(rates, changes, strict=True) if change)
+        if share >= 1.0:
             return delta
-        self._statistics.slowed += 1
-        return tuple(old + min(max(new - old, -r), r) for new, old, r in zip(delta, before, reach, strict=True))
+        return tuple(old + share * (new - old) for new, old in zip(delta, before, strict=True))
 
     def _begin_fade(self, offset: tuple[float, ...]) -> None:
         """From here on ``offset`` is added to the correction and fades out."""

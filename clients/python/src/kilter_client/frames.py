@@ -19,9 +19,49 @@ STATUSES = (
 )  # fmt: skip
 
 
-class Answer(NamedTuple):
-    """A decoded answer; ``q`` holds the points one after another and is empty unless the status is OK."""
+class Made:
+    """How a correction was made, by the flags of its answer. ``flags`` 0: not corrected, or by no answer of this cycle."""
 
+    __slots__ = ()
+    flags: int
+
+    @property
+    def dynamic(self) -> bool:
+        """The loads include the motion."""
+        return bool(self.flags & DYNAMIC)
+
+    @property
+    def ramping(self) -> bool:
+        """The start of the stream or a change of version is still being ramped in."""
+        return bool(self.flags & RAMPING)
+
+    @property
+    def limited(self) -> bool:
+        """A change of sign (clearance, backlash) is held to its rate."""
+        return bool(self.flags & LIMITED)
+
+    @property
+    def damped(self) -> bool:
+        """Near a singularity: a direction that the joints can hardly move in is given up, orientation before position."""
+        return bool(self.flags & DAMPED)
+
+    @property
+    def residual(self) -> bool:
+        """The wanted pose cannot be reached; the nearest was taken."""
+        return bool(self.flags & RESIDUAL)
+
+    @property
+    def saturated(self) -> bool:
+        """The correction is held at the limits of the version."""
+        return bool(self.flags & SATURATED)
+
+    @property
+    def slowed(self) -> bool:
+        """The correction comes later than it should: held back by a bound on its rate or acceleration."""
+        return bool(self.flags & SLOWED)
+
+
+class _Answer(NamedTuple):
     seq: int
     flags: int
     version: int
@@ -37,6 +77,27 @@ class Answer(NamedTuple):
     points: int = 1
     step_ns: int = 0
     left_nm: int = 0
+    lag: float = 0.0
+
+
+class Answer(Made, _Answer):
+    """A decoded answer; ``q`` holds the points one after another and is empty unless the status is OK.
+
+    ``lag`` is how far a joint of ``q`` is at most from what the corrector answered, rad or m: the stream follows an answer
+    more slowly that changes faster than it may.
+    """
+
+    __slots__ = ()
+
+    @property
+    def slowed(self) -> bool:
+        """The correction comes later than it should: held back by a bound on its rate, in the corrector or here."""
+        return self.lag > 0.0 or bool(self.flags & SLOWED)
+
+    @property
+    def left_mm(self) -> float | None:
+        """How far the tool stays from where it should be, by the version; None when ``q`` is not what was answered."""
+        return self.left_nm * 1e-6 if self.status == "OK" and not self.lag else None
 
 
 def encode(

@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from operator import mul
 from typing import Any
 
 MOST_BYTES = 16_384
@@ -37,6 +38,12 @@ def read(payload: bytes) -> dict[str, Any] | None:
         return None
 
 
+def _positive(value: object) -> float | None:
+    """A number of an announcement that is finite and not negative; None for anything else."""
+    good = type(value) in (int, float) and 0.0 <= float(value) < math.inf  # type: ignore[arg-type]
+    return float(value) if good else None  # type: ignore[arg-type]
+
+
 def pair_of(document: dict[str, Any]) -> Pair:
     """Epoch and version number of an announcement."""
     return document["epoch"], int(document["version"], 16)
@@ -45,17 +52,20 @@ def pair_of(document: dict[str, Any]) -> Pair:
 class InUse:
     """Versions in use, from announcements and from answers to the question which one is active.
 
-    ``largest_rad`` and ``largest_m`` are the caller's ceiling; a version's own limits count where they are less.
+    ``largest_rad`` and ``largest_m`` are the caller's ceiling, in ``quickest_s`` at the least; a version's own limits and
+    rates count where they are less.
     """
 
-    def __init__(self, largest_rad: float, largest_m: float) -> None:
-        self._ceiling = (largest_rad, largest_m)
+    def __init__(self, largest_rad: float, largest_m: float, quickest_s: float = 0.2) -> None:
+        self._ceiling, self._quickest_s = (largest_rad, largest_m), quickest_s
         self._kinds: list[str] = []  # of the joints; they stay what they were at first, for a robot stays what it is
         self._announced: deque[Pair] = deque(maxlen=8)
         self._confirmed: tuple[Pair, ...] = ()
         self.active: dict[str, Any] | None = None
         self.known: frozenset[Pair] = frozenset()
         self.limits: tuple[float, ...] = ()  # largest correction of each joint, rad or m
+        self.rates: tuple[float, ...] = ()  # how fast that of each joint may change, rad/s or m/s
+        self._levers: tuple[float, ...] = ()  # by how much a joint moves the tool at most, mm for each rad or m
 
     def announce(self, payload: bytes) -> None:
         """Hear an announcement: answers of its version are taken from here on, beside those known."""
@@ -83,6 +93,8 @@ class InUse:
         same = [document for document in documents if (pair_of(document),) == before]
         self.active = (same or sorted(documents, key=pair_of))[-1]
         self.limits = self._limits(documents)
+        self.rates = self._rates(documents)
+        self._levers = self._levers_of(self.active)
         self._renew()
 
     def _fits(self, document: dict[str, Any]) -> bool:
@@ -97,6 +109,30 @@ class InUse:
             kinds, joints = self.active.get("joint_kinds"), self.active["joints"]
             self._kinds = kinds if isinstance(kinds, list) and len(kinds) == joints else ["revolute"] * joints
         return tuple((metres if kind == "prismatic" else radians) + ROUNDING for kind in self._kinds)
+
+    def _rates(self, documents: list[dict[str, Any]]) -> tuple[float, ...]:
+        """Of each joint the least of the ceiling and the rate announced; where none is, the largest in the quickest time."""
+        radians = [math.radians(rate) for d in documents if (rate := _positive(d.get("rate_deg_s"))) is not None]
+        metres = [rate / 1000.0 for d in documents if (rate := _positive(d.get("rate_mm_s"))) is not None]
+        found = []
+        for kind, limit in zip(self._kinds, self.limits, strict=True):
+            stated, ceiling = (metres, self._ceiling[1]) if kind == "prismatic" else (radians, self._ceiling[0])
+            found.append(min(max(stated), ceiling / self._quickest_s) if stated else limit / self._quickest_s)
+        return tuple(found)
+
+    def _levers_of(self, document: dict[str, Any]) -> tuple[float, ...]:
+        levers = document.get("levers_mm")
+        if not isinstance(levers, list) or len(levers) != len(self._kinds):
+            return ()
+        read_ones = [_positive(lever) for lever in levers]
+        if any(lever is None for lever in read_ones):
+            return ()
+        scales = [1000.0 if kind == "prismatic" else 1.0 for kind in self._kinds]
+        return tuple(lever * scale for lever, scale in zip(read_ones, scales, strict=True) if lever is not None)
+
+    def at_tool_mm(self, lag: Sequence[float]) -> float | None:
+        """How far the tool is off at most when the joints are off by ``lag``, rad or m; None when that cannot be told."""
+        return sum(map(mul, map(abs, lag), self._levers)) if self._levers else None
 
     def _renew(self) -> None:
         self.known = frozenset((*self._confirmed, *self._announced))

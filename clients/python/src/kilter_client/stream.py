@@ -5,9 +5,11 @@
     for q in corrected(setpoints, robot="katana450", period_s=0.004):
         send_to_arm(q)
 
-Joints are radians (metres for a prismatic joint). Every answer says where it comes from: "corrected"; "held", when
-the answer was late or refused and the last correction is used again; or "bypass", when that lasted too long and the
-correction is being released. Nothing here needs numpy; zenoh is loaded when a stream is opened.
+Joints are radians (metres for a prismatic joint). Every answer says where it comes from: "corrected"; "slowed", when
+the correction is followed more slowly than the corrector answers; "held", when the answer was late or refused and the
+last correction is used again; or "bypass", when that lasted too long and the correction is being released.
+``q.damped``, ``q.saturated`` and ``q.slowed`` say what held a correction back, ``q.left_mm`` what that leaves at the
+tool. Nothing here needs numpy; zenoh is loaded when a stream is opened.
 """
 
 from __future__ import annotations
@@ -33,6 +35,7 @@ from kilter_client.signing import Session
 
 __all__ = ["CorrectedStream", "Setpoint", "Statistics", "StreamError", "corrected", "find_corrector"]
 
+_SLACK_NS = 100_000_000  # by which setpoints may act further apart than they are sent
 _MISSES = 3  # answers missed in a row, after which the corrector is asked for its nonce
 _LOST_ITS_PLACE = ("STALE", "SEQ_BACK", "RATE_LIMIT")  # the corrector's past refuses, so it starts anew
 _LOST_FRAMES = ("SEQ_GAP", "OVERLOAD")  # so it does when these come twice in a row
@@ -53,8 +56,8 @@ class CorrectedStream(Link):
         version: number of the version to insist on (``active["version"]``, hexadecimal); others are refused.
         largest_deg: no correction of a joint beyond this is taken, whatever the version allows.
         largest_mm: the same for prismatic joints.
-        quickest_s: the time in which the correction may change from nothing to its largest while the arm rests. In motion
-            it may change by a tenth of that besides.
+        quickest_s: the time in which the correction may change from nothing to ``largest_deg`` (or ``largest_mm``) while the
+            arm rests, and no faster than the version states. In motion it may change by a tenth of that motion besides.
         connect_timeout_s: how long to wait for the corrector and its version when the stream is opened.
         data: data folder of the server, to find the corrector file.
         session: keys of a session (``kilter_client.signing.from_document`` of an answer of the API); default is a new one.
@@ -92,7 +95,7 @@ class CorrectedStream(Link):
             endpoints = endpoints or list(found["endpoints"].values())
             site = site or str(found["site"])
         self.statistics = statistics or Statistics()
-        in_use = InUse(math.radians(largest_deg), largest_mm / 1000.0)
+        in_use = InUse(math.radians(largest_deg), largest_mm / 1000.0, quickest_s)
         sessions = Sessions(site, robot, stream, endpoints, found, signed)
         super().__init__(
             Place(site, robot, stream, endpoints), self.statistics, in_use, sessions, sessions.first(session)
@@ -101,12 +104,12 @@ class CorrectedStream(Link):
         self.deadline_s = deadline_s
         self.connect_timeout_s = connect_timeout_s
         self._acceptance = Acceptance(self.statistics, in_use, version, self._ask_again.set, self._signer)
-        self._carried = Carried(in_use, self.statistics, settled, hold_cycles, release_s, quickest_s)
+        self._carried = Carried(in_use, self.statistics, settled, hold_cycles, release_s)
         self._zenoh_config = zenoh_config
         self._settled = settled
         self._flags = RESET | (SETTLED if settled else 0)
         self._wanted: tuple[float, ...] = ()  # the last setpoint, and when it was sent
-        self._sent_ns = 0
+        self._sent_ns = self._applied_ns = 0  # the latter as the caller said, 0 when not
         self._lost = False  # the last answer said that frames are missing
         self._misses = 0  # in a row
 
@@ -164,11 +167,10 @@ class CorrectedStream(Link):
         before, last_ns = self._wanted or wanted, self._sent_ns
         answer, trip = self._ask(values, wanted, flags, t_apply_ns)
         self._wanted = wanted
-        pause_s, moved = (self._sent_ns - last_ns) * 1e-9, farthest(wanted, before)
+        pause_s, moved = self._pause_s(last_ns, t_apply_ns), farthest(wanted, before)
         if answer is None or answer.status != "OK":
             self._heed(answer)
             return self._carried.hold(wanted, answer)
-        self.statistics.corrected += 1
         self._lost = False
         return self._carried.follow(wanted, answer, trip, pause_s, moved)
 
@@ -192,17 +194,29 @@ class CorrectedStream(Link):
         if not rows:
             raise StreamError("A chunk has no points: give at least one.")
         values = [x for row in rows for x in row]
-        last_ns = self._sent_ns
-        answer, _ = self._ask(values, values, self._flags, t_apply_ns, points=len(rows), step_ns=round(step_s * 1e9))
+        last_ns, step_ns = self._sent_ns, round(step_s * 1e9)
+        answer, _ = self._ask(values, values, self._flags, t_apply_ns, points=len(rows), step_ns=step_ns)
+        pause_s = self._pause_s(last_ns, t_apply_ns, (len(rows) - 1) * step_ns)
         if answer is None or answer.status != "OK":
             self._heed(answer)
             self._wanted = rows[-1]
             return answer
         self._lost = False
-        steps = [(self._sent_ns - last_ns) * 1e-9] + [step_s] * (len(rows) - 1)
-        q = self._carried.follow_chunk([self._wanted or rows[0], *rows], answer.q, steps)
+        steps = [pause_s] + [step_s] * (len(rows) - 1)
+        q, lag = self._carried.follow_chunk([self._wanted or rows[0], *rows], answer.q, steps)
         self._wanted = rows[-1]
-        return answer._replace(q=q)
+        self.statistics.note(answer.flags, answer.left_nm)
+        return answer._replace(q=q, lag=lag)
+
+    def _pause_s(self, last_ns: int, t_apply_ns: int, ahead_ns: int = 0) -> float:
+        """Time since the setpoint before it, sent at ``last_ns``, as the corrector takes it: by when they act, if that is said.
+
+        A cycle that begins late does not act late. ``ahead_ns``: how long after the first point of a chunk its last one acts.
+        """
+        passed, step = self._sent_ns - last_ns, t_apply_ns - self._applied_ns
+        stated = t_apply_ns and self._applied_ns and step > 0
+        self._applied_ns = t_apply_ns and t_apply_ns + ahead_ns
+        return (min(step, passed + _SLACK_NS) if stated else passed) * 1e-9
 
     def _ask(
         self, values: Sequence[float], wanted: Sequence[float], flags: int, t_apply_ns: int, **chunk: int
