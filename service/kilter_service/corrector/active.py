@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
@@ -26,6 +28,15 @@ class Active:
     joint_names: tuple[str, ...] = ()
     joint_kinds: tuple[str, ...] = ()
 
+    @cached_property
+    def levers_mm(self) -> list[float | None]:
+        """How far each joint moves the tool at most, mm per rad or per mm; None where nothing bounds it."""
+        from kilter_core.correct.levers import levers  # loads compiled kernels: the supervisor has none
+
+        scales = [1.0 if kind == "prismatic" else 1e3 for kind in self.joint_kinds]
+        found = levers(self.program).tolist()
+        return [round(m * k, 3) if m < math.inf else None for m, k in zip(found, scales, strict=True)]
+
     def announcement(self) -> bytes:
         """JSON that goes out on the ``active`` key."""
         document = {
@@ -41,6 +52,7 @@ class Active:
             "largest_deg": self.largest_deg,
             "largest_mm": self.largest_mm,
             "ramp_s": self.ramp_s,
+            "levers_mm": self.levers_mm if self.joint_kinds else None,
         }
         return json.dumps(document).encode()
 
