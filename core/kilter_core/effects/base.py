@@ -217,6 +217,10 @@ class Effect(ABC):
         """The effect as it is in this batch: what a blur softens is soft without it too."""
         return self
 
+    def smooth_over(self, load_nm: float) -> bool:
+        """Whether what it does follows the load without steps that are narrower than this."""
+        return True
+
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Fill in what the configuration leaves open, from the robot and, where given, the rows to identify it on.
 

@@ -84,6 +84,10 @@ class ClearanceTilt(Effect):
             joint.tilt_by_vector = self.share == "vector"
         return True
 
+    def smooth_over(self, load_nm: float) -> bool:
+        """Whether every sign changes over more than this."""
+        return float(np.min(self.softening_nm)) > load_nm
+
     def softened(self, batch: Batch) -> Self:
         """The sign as soft as it is in this batch."""
         if batch.blur is None:

@@ -22,7 +22,8 @@ class LoadError(Effect):
 
     Of each link with a mass: mass beyond what was stated, at the stated centre, and first moment beyond. Of the payload,
     in rows that carry one: mass and shift of its place. ``payload_kg`` is the mean payload of the rows it is identified
-    on, which scales the prior of its mass; 0 leaves the payload as stated. Priors are those of the robot.
+    on, which scales the prior of its mass; 0 leaves the payload as stated. Priors are those of the robot, or the same for
+    all bodies: ``mass_share`` of the mass, and ``centre_m`` of each coordinate of the centre.
     """
 
     id = "load_error"
@@ -38,6 +39,12 @@ class LoadError(Effect):
     payload_kg: float = option(
         0.0, "Mean payload of the rows, kg, which scales the prior of its mass; 0: the payload is as stated.", low=0.0
     )
+    mass_share: float = option(
+        0.0, "Standard deviation of every mass as a share of it; 0: what the robot says of each.", low=0.0
+    )
+    centre_m: float = option(
+        0.0, "Standard deviation of each coordinate of every centre, m; 0: what the robot says of each.", low=0.0
+    )
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Take the mean payload from the rows."""
@@ -47,7 +54,7 @@ class LoadError(Effect):
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Mass (kg) and first moment (kg m) of each link with a mass, then mass (kg) and place (m) of the payload."""
-        out = [p for k in weighed(robot) for p in _of_link(k + 1, robot.links[k])]
+        out = [p for k in weighed(robot) for p in _of_link(k + 1, self._known(robot.links[k]))]
         return (*out, *self._of_payload(robot))
 
     def local(self, batch: Batch, values: Floats) -> Local:
@@ -64,10 +71,15 @@ class LoadError(Effect):
         links = tuple(range(len(slopes) - len(slopes.payload)))
         return links + ((slopes.payload or NO_COLUMNS) if self.payload_kg > 0.0 else ())
 
+    def _known(self, link: Link) -> Link:
+        """The link with its standard deviations, those of the options before its own."""
+        mass = self.mass_share * link.mass if self.mass_share > 0.0 else link.mass_sigma
+        return replace(link, mass_sigma=mass, com_sigma=self.centre_m if self.centre_m > 0.0 else link.com_sigma)
+
     def _of_payload(self, robot: Robot) -> tuple[Parameter, ...]:
         if not self.payload_kg > 0.0:
             return ()
-        share, centre = robot.payload_sigma
+        share, centre = self.mass_share or robot.payload_sigma[0], self.centre_m or robot.payload_sigma[1]
         most = 10.0 * self.payload_kg
         mass = Parameter(
             "load_payload_mass",

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from kilter_core.arm.robot import Robot
+from kilter_core.identify.carried_masses import beside_masses, of_masses
 from kilter_core.identify.estimate import START_SIGMA_RAD, prepared
 from kilter_core.identify.identifiability import NullDirection, identifiable, null_directions
 from kilter_core.identify.learned import gated
@@ -101,14 +102,15 @@ def check_identification(
     whole = fit_at(problem, values, problem.linearised(values))
     fit = marginal(whole)
     names, prior = fit.names, fit.problem.prior_sigma
-    directions = null_directions(fit.J, names, prior)
+    directions = null_directions(*beside_masses(fit))
+    asked = ~of_masses(fit.problem.model)[fit.problem.free]
     known = identifiable(fit.sigma, prior) & ~np.isin(names, list(_of_still_joints(fit)))
     return IdentificationCheck(
-        names=names,
-        known=tuple(name for name, told in zip(names, known, strict=True) if told),
-        rank=len(names) - sum(d.structural for d in directions),
+        names=tuple(name for name, own in zip(names, asked, strict=True) if own),
+        known=tuple(name for name, told in zip(names, known & asked, strict=True) if told),
+        rank=int(np.count_nonzero(asked)) - sum(d.structural for d in directions),
         directions=directions,
-        unknown=tuple(_unknown(whole, fit, directions, known, options)),
+        unknown=tuple(_unknown(whole, fit, directions, known | ~asked, options)),
         noise=noise,
         noise_source=source,
     )

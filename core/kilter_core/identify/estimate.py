@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.errors import TooFewPosesError
+from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at, solve
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.redescending import redescend
@@ -207,8 +208,12 @@ def _returned(fit: Fit, unobservable: Floats, anchor: Floats) -> Floats:
 
 
 def refuse_too_few(model: RobotModel, measurement: Measurement, free: Ints) -> None:
-    """Raise :class:`TooFewPosesError` unless the distinct poses give at least as many numbers as there are unknowns."""
+    """Raise :class:`TooFewPosesError` unless the distinct poses give at least as many numbers as there are unknowns.
+
+    Masses that are carried as uncertain count as known: their priors say how well.
+    """
     poses, numbers = measurement.poses, measurement.numbers()
+    free = free[~of_masses(model)[free]]
     needed = poses + math.ceil((len(free) - numbers) / measurement.equations_per_pose)
     if numbers < len(free):
         raise TooFewPosesError(

@@ -35,7 +35,9 @@ class IdentifyOptions:
     should put the tool where the nominal robot would be: "robot" (its own base and tool: the measurements were taken in
     them), "registration" (where the nominal robot fits the measurements best), or "auto": the robot's own for a frame
     that is fixed or that the registration finds within 10 mm and 1 degree of it. ``refit`` ("base",) gives every campaign
-    and session a base of its own, () one base to all; None leaves that to the device of the campaign.
+    and session a base of its own, () one base to all; None leaves that to the device of the campaign. ``masses``
+    "uncertain" carries the errors of masses and centres beside effects that follow the load, "as_stated" does not;
+    ``mass_sigma_percent`` and ``com_sigma_mm`` are how well they are known, where it is not as the robot says.
     """
 
     level: int | None = None
@@ -55,6 +57,9 @@ class IdentifyOptions:
     intervals: str | None = None
     socket_distances_mm: Mapping[str, float] = field(default_factory=dict)
     refit: tuple[str, ...] | None = None
+    masses: str = "uncertain"
+    mass_sigma_percent: float | None = None
+    com_sigma_mm: float | None = None
 
     def __post_init__(self) -> None:
         self._one_of("level", (None, 1, 2, 3))
@@ -64,6 +69,7 @@ class IdentifyOptions:
         self._one_of("loss", ("linear", "huber", "tukey"))
         self._one_of("intervals", (None, "bootstrap", "profile"))
         self._one_of("reference", ("auto", "robot", "registration"))
+        self._check_masses()
         if self.refit not in (None, (), ("base",)):
             raise OptionError(f'refit is {self.refit!r}: give ["base"] or [].', option="refit", value=self.refit)
         if self.noise_mm is not None and not self.noise_mm > 0:
@@ -86,6 +92,19 @@ class IdentifyOptions:
             raise OptionError(
                 f"Level {self.level} has no effects: drop them, or ask for level 3.", option="level", level=self.level
             )
+
+    def _check_masses(self) -> None:
+        """Refuse widths that are none, and those of masses that count as exact."""
+        self._one_of("masses", ("uncertain", "as_stated"))
+        for name in ("mass_sigma_percent", "com_sigma_mm"):
+            sigma = getattr(self, name)
+            if sigma is not None and not sigma > 0:
+                raise OptionError(f"{name} must be above 0: it is a standard deviation.", option=name)
+            if sigma is not None and self.masses == "as_stated":
+                raise OptionError(
+                    f"{name} says how well masses are known, masses as_stated that they are exact: leave one of them out.",
+                    option=name,
+                )
 
     def _check_method(self) -> None:
         """Refuse a method that there is not, and what does not go with the one there is."""

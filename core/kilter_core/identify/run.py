@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError, OptionError
+from kilter_core.identify.carried_masses import beside_masses, masses_said, with_masses
 from kilter_core.identify.folds import continues, cross_validated, in_fitted_frames
 from kilter_core.identify.holdout import Folds, split
 from kilter_core.identify.identifiability import NullDirection, null_directions
@@ -66,6 +67,7 @@ class Identification:
     influence: list[dict[str, Any]] | None = None
     intervals: Intervals | None = None
     learned: Learned | None = None
+    masses: dict[str, Any] | None = None  # how they were taken, where an effect follows the load
     own_frames: tuple[OwnFrame, ...] = ()
     inside: Ints | None = None  # rows of those given that were fitted, all when None
     fitted_rows: RowErrors | None = None
@@ -122,6 +124,7 @@ class Identification:
             "intervals": None if self.intervals is None else self.intervals.kind,
             "learned": None if self.learned is None else self.learned.to_document(),
             "load_model": self.load_model,
+            "masses": self.masses,
             **_together(self.fit),
             **({} if self.shares is None else self.shares.to_document(self.fitted_kinds, self.held_kinds)),
             "base_refitted": [frame.to_document() for frame in self.own_frames],
@@ -258,7 +261,8 @@ def _reported(
         noise_source="residuals of the fit" if sigma is None else "repeats",
         repeats=repeats,
         predictive=predictive(fit, repeats, None if options.noise_mm is None else options.noise_mm * 1e-3),
-        null_directions=null_directions(fit.J, fit.names, fit.problem.prior_sigma),
+        null_directions=null_directions(*beside_masses(fit)),
+        masses=masses_said(calibration.robot, calibration.model.effects, options),
         warnings=(
             *warnings_of(fit, train, repeats),
             *(() if learned is None else (learned.warning(),)),
@@ -297,8 +301,9 @@ def _together(fit: Fit) -> dict[str, Any]:
     millimetre = float(np.mean(fit.problem.weights.points)) * 1e3
     poses = int(fit.problem.measurement.observations.pose_groups().max()) + 1
     groups = correlated_groups(fit.covariance, fit.names)
+    J, _, prior_sigma = beside_masses(fit)
     return {
-        "observability": observability(fit.J * fit.problem.prior_sigma * millimetre, poses).to_document(),
+        "observability": observability(J * prior_sigma * millimetre, poses).to_document(),
         "correlated_groups": [{"parameters": list(g.names), "correlation": g.strongest} for g in groups],
     }
 
@@ -307,8 +312,8 @@ def begin_with(robot: Robot, train: Observations, options: IdentifyOptions, star
     """The model to fit at its starting values: the effects asked for, or with none asked those of the start."""
     effects = tuple(effect.on(robot, train) for effect in options.make_effects())
     if start is None:
-        return Calibration.nominal(robot, effects)
-    return start.with_effects(effects or start.model.effects)
+        return Calibration.nominal(robot, with_masses(effects, robot, train, options))
+    return start.with_effects(with_masses(effects or start.model.effects, robot, train, options))
 
 
 def refuse_missing_columns(begin: Calibration, train: Observations) -> None:

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.effects import Batch, Effect, Local
-from kilter_core.types import Floats
+from kilter_core.types import Bools, Floats
 
 STEP = (
     1e-3  # of the rms load over which slopes are taken: effects are linear in the loads, or smooth over more than that
 )
 LEAST_NM = 1e-9
+NEAR = 3.0  # standard deviations from zero within which the sign of a load is in doubt
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,19 @@ def _slopes(effect: Effect, batch: Batch, values: Floats) -> Iterator[Slope]:
             here = ... if name == "axial" else (..., part)
             step[here] = max(STEP * float(np.sqrt(np.mean(load[here] ** 2))) if load.size else 0.0, LEAST_NM)
             ahead, behind = (effect.local(replace(batch, **{name: load + way * step}), values) for way in (1.0, -1.0))
-            yield Slope(name, part, _over(ahead, behind, 2.0 * float(step[here].flat[0]) if load.size else 1.0))
+            width = float(step[here].flat[0]) if load.size else 0.5
+            slope = _over(ahead, behind, 2.0 * width)
+            yield Slope(
+                name, part, slope if effect.smooth_over(width) else _without_steps(slope, np.abs(load[here]) <= width)
+            )
+
+
+def _without_steps(slope: Local, across: Bools) -> Local:
+    """The slope without the rows (N, n) in which a sign changes within the step: nothing follows a step but by chance."""
+    for moved in (slope.dq, slope.xi):
+        if moved is not None:
+            moved[across] = 0.0
+    return slope
 
 
 def _over(ahead: Local, behind: Local, width: float) -> Local:
@@ -97,3 +110,31 @@ def _over(ahead: Local, behind: Local, width: float) -> Local:
         return None if one is None or other is None else (one - other) / width
 
     return Local(slope(ahead.dq, behind.dq), slope(ahead.xi, behind.xi), slope(ahead.base, behind.base))
+
+
+def blur_of(effects: Iterable[Effect], batch: Batch, covariance: Floats) -> Floats:
+    """Standard deviation (n, 2) N·m of the load across and about each joint, in the rows where its sign is in doubt.
+
+    ``covariance`` is that of the load errors of the one effect among ``effects`` that is a nuisance, SI; ``batch`` has the
+    loads that its values leave.
+    """
+    slopes = batch.slopes
+    assert slopes is not None
+    columns = next(e for e in effects if e.nuisance).load_columns(slopes)
+    known = [k for k, c in enumerate(columns) if c >= 0]
+    kept = [columns[k] for k in known]
+    C = covariance[np.ix_(known, known)]
+
+    def near(name: str, part: int, load: Floats) -> list[float]:
+        """Deviations (n,) of one component, in the rows where its sign is in doubt."""
+        by = slopes.of(name, part)[kept]
+        sigma = np.sqrt(np.maximum(np.einsum("knj,knj->nj", by, np.tensordot(C, by, axes=1)), 0.0))
+        return [_where_near(load[:, j], sigma[:, j]) for j in range(load.shape[1])]
+
+    across = [near("wrench", 3 + a, batch.moment[:, :, a]) for a in range(2)]
+    return np.stack([np.max(across, axis=0), near("axial", 0, batch.axial)], axis=1)
+
+
+def _where_near(load: Floats, sigma: Floats) -> float:
+    near = np.abs(load) < NEAR * sigma
+    return float(np.median(sigma[near])) if near.any() else 0.0

@@ -343,6 +343,12 @@ class LoadErrorEffect(_Whole):
         0.0,
         description="Mean payload of the rows, kg, which scales the prior of its mass; 0: the payload is as stated.",
     )
+    mass_share: Annotated[float, Field(ge=0.0)] = Field(
+        0.0, description="Standard deviation of every mass as a share of it; 0: what the robot says of each."
+    )
+    centre_m: Annotated[float, unit("m", ge=0.0)] = Field(
+        0.0, description="Standard deviation of each coordinate of every centre, m; 0: what the robot says of each."
+    )
 
 
 # fmt: off

@@ -141,6 +141,13 @@ class LoadNumber(Stored):
     seen: bool | None = Field(None, description="Whether the data could see it.")
 
 
+class MassesTaken(Stored):
+    """How an identification took masses and centres, where an effect follows the load."""
+
+    carried: bool | None = Field(None, description="Whether their errors were carried beside the effects.")
+    sentence: str | None = Field(None, description="With which standard deviations, and how to change that, in words.")
+
+
 class Reference(Stored):
     """Where the frames that a correction works in come from."""
 
@@ -299,6 +306,7 @@ class FitDetails(Stored):
     intervals: str | None = Field(None, description="What the intervals rest on: `bootstrap` or `profile`.")
     learned: Learned | None = Field(None, description="Whether a learned effect predicts better.")
     load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
+    masses: MassesTaken | None = Field(None, description="How masses were taken; null: no effect follows the load.")
     observability: Observability | None = Field(None, description="Observability indices of the poses.")
     correlated_groups: list[CorrelatedGroup] | None = Field(None, description="Parameters that go together.")
     base_refitted: list[OwnBase] | None = Field(None, description="Bases that were fitted to rows of their own.")

@@ -33,7 +33,7 @@ def test_the_mass_behind_a_mimic_joint_counts_in_an_identification() -> None:
     for joint, c in SOFT.items():
         bent[:, joint - 1] += c * load[:, joint - 1]
     rows = Observations(q, position=arm.poses(bent)[0] + rng.normal(0.0, NOISE_M, (60, 3)))
-    options = IdentifyOptions(effects=({"id": "axial_compliance", "joints": list(SOFT)},))
+    options = IdentifyOptions(effects=({"id": "axial_compliance", "joints": list(SOFT)},), masses="as_stated")
     found, without = (
         identify(robot_from_document(own.document()), rows, None, options)
         for own in (arm, replace(arm, bodies=arm.bodies[:6], base=pin.SE3.Identity()))

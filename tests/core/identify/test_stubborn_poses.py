@@ -136,7 +136,7 @@ def observed(arm: Arm, q: Floats, rng: np.random.Generator, see: str) -> Observa
 SHAPES: dict[str, tuple[Callable[[np.random.Generator], tuple[Arm, Floats]], dict[str, Any]]] = {
     "grid": (grid, {}),
     "grid with compliance": (grid, {"effects": ("axial_compliance",)}),
-    "grid with full tilting": (grid, {"level": 3}),
+    "grid with full tilting": (grid, {"level": 3, "masses": "as_stated"}),
     "lines": (lines, {"effects": ("axial_compliance",)}),
     "column": (column, {}),
     "torso": (torso, {"effects": ("axial_compliance", "radial_compliance")}),

@@ -14,9 +14,8 @@ from kilter_core.gap.search.source import Source
 from kilter_core.gap.search.tool_source import ToolSource
 from kilter_core.measurement import Measurement
 from kilter_core.model import RobotModel
+from kilter_core.model.load_errors import blur_of as shared_blur
 from kilter_core.types import Floats, Ints
-
-NEAR = 3.0  # standard deviations from zero within which the sign of a load is in doubt
 
 
 def tool_source(
@@ -64,24 +63,4 @@ def blurred(source: Source, values: Floats, covariance: Floats | None = None) ->
 def blur_of(source: Source, values: Floats, covariance: Floats) -> Floats:
     """Standard deviation (n, 2) N·m of the load across and about each joint, in the rows where its sign is in doubt."""
     batch = source.model.loaded(source.batch, source.model_values(values))
-    slopes = batch.slopes
-    assert slopes is not None
-    effect = next(e for e in source.model.effects if e.nuisance)
-    columns = effect.load_columns(slopes)
-    known = [k for k, c in enumerate(columns) if c >= 0]
-    kept = [columns[k] for k in known]
-    C = covariance[np.ix_(known, known)]
-
-    def near(name: str, part: int, load: Floats) -> list[float]:
-        """Deviations (n,) of one component, in the rows where its sign is in doubt."""
-        by = slopes.of(name, part)[kept]
-        sigma = np.sqrt(np.maximum(np.einsum("knj,knj->nj", by, np.tensordot(C, by, axes=1)), 0.0))
-        return [_where_near(load[:, j], sigma[:, j]) for j in range(load.shape[1])]
-
-    across = [near("wrench", 3 + a, batch.moment[:, :, a]) for a in range(2)]
-    return np.stack([np.max(across, axis=0), near("axial", 0, batch.axial)], axis=1)
-
-
-def _where_near(load: Floats, sigma: Floats) -> float:
-    near = np.abs(load) < NEAR * sigma
-    return float(np.median(sigma[near])) if near.any() else 0.0
+    return shared_blur(source.model.effects, batch, covariance)

@@ -11,6 +11,7 @@ from kilter_core.identify.estimate import estimate
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.methods.kalman import Prior, kalman
 from kilter_core.identify.methods.loads import ROUNDS, continued, reloaded
+from kilter_core.identify.methods.signs import SHARPENINGS, likelier, sharpened, softened
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS
 from kilter_core.measurement import Measurement
@@ -30,7 +31,25 @@ def fit_by_method(
     Only ``kalman`` continues from a ``prior``. With ``tilt_first`` the effects of the start are held (thesis 4.22, 5.20);
     a start that has none of their values gets them fitted first, the chain held at its nominal values.
     """
-    fit = _fitted(start, measurement, options, progress, prior)
+    asked = measurement, options, prior
+    fit = _loaded(start, _fitted(start, measurement, options, progress, prior), *asked)
+    soft = softened(fit)
+    if soft is None:
+        return fit
+    try:
+        anew = _fitted(
+            replace(start, model=replace(start.model, effects=soft.effects)), measurement, options, None, prior
+        )
+        other = _sharpened(start, anew, *asked)
+    except NotConvergedError:  # the fit with sharp signs stands
+        return fit
+    return other if likelier(other, fit) else fit
+
+
+def _loaded(
+    start: Calibration, fit: Fit, measurement: Measurement, options: IdentifyOptions, prior: Prior | None
+) -> Fit:
+    """Fit again at the loads that a fit leads to, until they change nothing that counts."""
     for _ in range(ROUNDS - 1):
         model = reloaded(fit)
         if model is None:
@@ -39,6 +58,18 @@ def fit_by_method(
             fit = _again(start, model, fit, measurement, options, prior)
         except NotConvergedError:  # the fit that ended stands, at the loads that it took
             break
+    return fit
+
+
+def _sharpened(
+    start: Calibration, fit: Fit, measurement: Measurement, options: IdentifyOptions, prior: Prior | None
+) -> Fit:
+    """Fit again with signs as soft as the fit before leaves the loads, until that changes no sign that matters."""
+    for _ in range(SHARPENINGS):
+        model = sharpened(fit, start.model, reloaded(fit))
+        if model is None:
+            break
+        fit = _again(start, model, fit, measurement, options, prior)
     return fit
 
 
@@ -54,7 +85,7 @@ def _again(
     if options.method in ("least_squares", "global_search") and options.loss != "tukey" and not options.tilt_first:
         found = continued(fit, model, options)
     else:
-        begin = replace(start, model=replace(start.model, load_chain=model.load_chain))
+        begin = replace(start, model=replace(start.model, effects=model.effects, load_chain=model.load_chain))
         method = "least_squares" if options.method == "global_search" else options.method
         found = _fitted(begin, measurement, replace(options, method=method), None, prior)
     return replace(found, iterations=fit.iterations + found.iterations, report={**fit.report, **found.report})

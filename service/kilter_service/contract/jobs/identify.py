@@ -27,7 +27,7 @@ from kilter_service.contract.jobs.shared import (
     Version,
 )
 from kilter_service.contract.methods import MethodName
-from kilter_service.contract.units import Asked, Deg, Mm
+from kilter_service.contract.units import Asked, Deg, Mm, Percent
 
 
 class IdentifyOptions(Asked):
@@ -76,6 +76,18 @@ class IdentifyOptions(Asked):
     )
     intervals: Literal["bootstrap", "profile"] | None = Field(
         None, description="Add 95 % intervals that do not rest on the covariance; null: none."
+    )
+    masses: Literal["uncertain", "as_stated"] = Field(
+        "uncertain",
+        description="`uncertain`: errors of masses and centres are carried beside effects that follow the load, as "
+        "`load_error` does; `as_stated`: masses are exact.",
+    )
+    mass_sigma_percent: Annotated[Percent, Field(gt=0)] | None = Field(
+        None, description="Standard deviation of every mass, percent of it, above 0; null: what the robot says of each."
+    )
+    com_sigma_mm: Annotated[Mm, Field(gt=0)] | None = Field(
+        None,
+        description="Standard deviation of each coordinate of every centre of mass, mm, above 0; null: what the robot says.",
     )
     socket_distances_mm: dict[
         Annotated[str, Field(pattern=r"^[0-9]+-[0-9]+$", max_length=32)], Annotated[Mm, Field(gt=0)]

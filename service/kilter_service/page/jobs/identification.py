@@ -14,6 +14,7 @@ from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.jobs import stages
 from kilter_service.page.shared.cumulative import cumulative
+from kilter_service.page.shared.masses import of_a_mass
 from kilter_service.page.words import mm, number
 from kilter_service.versions import service as versions
 
@@ -44,7 +45,7 @@ def shown(database: Database, job: IdentifyJob) -> dict[str, Any]:
         ),
         "effects": gain_of_effects(judged),
         "seen": [row for row in result.parameters or [] if row.identifiable is not False],
-        "unseen": [row for row in result.parameters or [] if row.identifiable is False],
+        "unseen": [row for row in result.parameters or [] if row.identifiable is False and not of_a_mass(row.name)],
         "groups": groups,
         "map": correlation_map(groups, covariance),
         "influence": influence_chart(result.influence or []),

@@ -12,6 +12,7 @@ from kilter_service.db import Database
 from kilter_service.page.figures.plot import GREY, Plot
 from kilter_service.page.figures.scale import around, named
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
+from kilter_service.page.shared.masses import of_a_mass
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.versions import service
@@ -72,7 +73,8 @@ def version(database: Database, version_id: str) -> Shown:
     """Return a version."""
     found = service.get(database, version_id)
     told = [one for one in found.parameters if one.identifiable is not False and one.value is not None]
-    unseen = [one for one in found.parameters if one.identifiable is False or one.value is None]
+    unknown = [one for one in found.parameters if one.identifiable is False or one.value is None]
+    unseen = [one for one in unknown if not of_a_mass(one.name)]
     others = service.listed(database, found.robot, Page(limit=MOST_SHOWN)).versions
     rest = [one for one in others if one.id != version_id]
     return Shown(found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), told, unseen, rest)

@@ -34,6 +34,8 @@ def show_identification(result: Mapping[str, Any]) -> None:
     """Print what an identification adds: method, intervals, learning, observability, groups, influence."""
     for line in _lines(result):
         say(line)
+    if result.get("masses"):
+        say(result["masses"]["sentence"])
     show_load_model(result.get("load_model") or [])
     if (result.get("method") or {}).get("name") == "influence":  # of the others the page shows it
         _influence(result.get("influence") or [])

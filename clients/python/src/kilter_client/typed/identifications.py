@@ -99,6 +99,16 @@ class Learned(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MassesTaken(Record):
+    """How an identification took masses and centres, where an effect follows the load."""
+
+    carried: bool | None
+    """Whether their errors were carried beside the effects."""
+    sentence: str | None
+    """With which standard deviations, and how to change that, in words."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Method(Record):
     """The method of a fit, and what it reports."""
 
@@ -228,6 +238,8 @@ class IdentifyResult(ShownFit, Record):
     """Whether a learned effect predicts better."""
     load_model: Records[LoadNumber]
     """Masses and centres as stated and as found."""
+    masses: MassesTaken | None
+    """How masses were taken; None: no effect follows the load."""
     measurements: Records[KindOfMeasurement]
     """What each kind of measurement says."""
     method: Method | None

@@ -80,6 +80,7 @@ MODULE_OF = {
     "LoadNumber": "fits",
     "MadeToken": "others",
     "Margin": "fits",
+    "MassesTaken": "identifications",
     "Member": "fits",
     "Mesh": "robots",
     "Method": "identifications",

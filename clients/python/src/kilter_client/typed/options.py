@@ -63,6 +63,8 @@ class IdentifyOptions(TypedDict, total=False):
 
     base: Literal["free", "fixed", "removed"]
     """Whether the base is fitted; `removed`: only distances between poses count."""
+    com_sigma_mm: float | None
+    """Standard deviation of each coordinate of every centre of mass, mm, above 0; None: what the robot says."""
     effects: Sequence[str | Mapping[str, Any]]
     """Effects to identify, by id or with options; empty: none, at level 3 the thesis's three."""
     fix: Sequence[str]
@@ -77,6 +79,10 @@ class IdentifyOptions(TypedDict, total=False):
     """The largest correction the version may make; None: 1 degree and 5 mm."""
     loss: Literal["linear", "huber", "tukey"]
     """`huber` bounds what a wrong row can pull, `tukey` sets it aside and names it."""
+    mass_sigma_percent: float | None
+    """Standard deviation of every mass, percent of it, above 0; None: what the robot says of each."""
+    masses: Literal["uncertain", "as_stated"]
+    """`uncertain`: errors of masses and centres are carried beside effects that follow the load, as `load_error` does; `as_stated`: masses are exact."""
     method: Literal[
         "least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search", "linear_least_squares"
     ]

@@ -13,6 +13,7 @@ from kilter_client.typed.identifications import (
     JointMotions,
     KindOfMeasurement,
     Learned,
+    MassesTaken,
     Method,
     Noise,
     Observability,
@@ -72,6 +73,8 @@ class Details(Record):
     """Whether a learned effect predicts better."""
     load_model: Records[LoadNumber]
     """Masses and centres as stated and as found."""
+    masses: MassesTaken | None
+    """How masses were taken; None: no effect follows the load."""
     measured_by: str | None
     """What joints were measured by: `inclinometer` or `link-side encoder`."""
     measurements: Records[KindOfMeasurement]

@@ -1,0 +1,114 @@
+"""Masses that are never quite as stated: their errors are carried, with their priors, beside the effects that follow loads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from kilter_core.arm.loads.slopes import EACH, weighed
+from kilter_core.arm.robot import Robot
+from kilter_core.effects import Effect
+from kilter_core.effects.load_error import LoadError
+from kilter_core.identify.least_squares import Fit
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.registry import METHODS
+from kilter_core.model import RobotModel
+from kilter_core.observations import Observations
+from kilter_core.types import Bools, Floats
+
+MM = 1e3
+
+
+def with_masses(
+    effects: tuple[Effect, ...], robot: Robot, rows: Observations, options: IdentifyOptions
+) -> tuple[Effect, ...]:
+    """The effects with the errors of the loads behind them, where one follows the load and none says it already.
+
+    Methods that end at no least-squares minimum know no priors, so nothing could be carried there, nor beside effects that
+    are held (``tilt_first``).
+    """
+    able = METHODS[options.method].minimum and not options.tilt_first
+    if options.masses != "uncertain" or not able or not follow_loads(effects):
+        return effects
+    if any(e.nuisance for e in effects):
+        return tuple(_as_known(e, options) if isinstance(e, LoadError) else e for e in effects)
+    carried = _as_known(LoadError().on(robot, rows), options)
+    return (*effects, carried) if carried.parameters(robot) else effects
+
+
+def follow_loads(effects: tuple[Effect, ...]) -> list[str]:
+    """Ids of the effects that read loads."""
+    return list(dict.fromkeys(e.id for e in effects if "moments" in e.needs and not e.changes_loads))
+
+
+def of_masses(model: RobotModel) -> Bools:
+    """Which of the model's parameters (P,) are errors of masses and centres."""
+    out = np.zeros(len(model.names), dtype=bool)
+    for effect, where in zip(model.effects, model.effect_slices().values(), strict=True):
+        out[where] = effect.nuisance
+    return out
+
+
+def beside_masses(fit: Fit) -> tuple[Floats, tuple[str, ...], Floats]:
+    """Whitened Jacobian (R, K), names and prior sigmas (K,) of what is fitted beside the masses.
+
+    Masses are known as well as they were stated: that poses do not see them is not the poses' fault.
+    """
+    kept = ~of_masses(fit.problem.model)[fit.problem.free]
+    names = tuple(name for name, own in zip(fit.names, kept, strict=True) if own)
+    return fit.J[:, kept], names, fit.problem.prior_sigma[kept]
+
+
+def masses_said(robot: Robot, effects: tuple[Effect, ...], options: IdentifyOptions) -> dict[str, Any] | None:
+    """How masses were taken beside the effects of the model, with a sentence; None where no effect follows the load."""
+    following = ", ".join(follow_loads(effects))
+    if not following:
+        return None
+    carried = next((e for e in effects if isinstance(e, LoadError)), None)
+    if carried is not None:
+        share, centre = _widths(carried, robot)
+        text = (
+            f"Masses and centres count as uncertain beside {following}: by {share} of each mass and {centre} of each "
+            "coordinate of a centre (standard deviations; load_model lists them). mass_sigma_percent and com_sigma_mm, or "
+            'the robot, say how well they are known; masses "as_stated" takes them as exact.'
+        )
+    elif not METHODS[options.method].minimum:
+        text = (
+            f"Method {options.method} knows no priors: masses count as exact, so {following} may be off as far as they are "
+            "wrong. Take method least_squares."
+        )
+    elif options.tilt_first:
+        text = f"With tilt_first {following} are held, so nothing is said of the masses: they count as exact."
+    elif options.masses == "as_stated":
+        text = f"Masses and centres count as exact, as asked: the sigmas of {following} leave out what errors of the masses do."
+    else:
+        text = f"No link has a mass and no row a payload, so there is nothing for {following} to follow."
+    return {"carried": carried is not None, "sentence": text}
+
+
+def _widths(effect: LoadError, robot: Robot) -> tuple[str, str]:
+    """Standard deviations of masses, in percent of each, and of centres: the least and the largest where they differ."""
+    found = effect.parameters(robot)
+    links = [robot.links[k].mass for k in weighed(robot)]
+    masses = [*links, *([effect.payload_kg] if effect.payload_kg > 0.0 else [])]
+    shares = [100.0 * p.prior_sigma / m for p, m in zip(found[::EACH], masses, strict=True)]
+    # A first moment is mass times centre; of the payload the place itself is known.
+    places = [MM * p.prior_sigma / m for p, m in zip(found[1::EACH], [*links, 1.0], strict=False)]
+    return _span(shares, "%"), _span(places, "mm")
+
+
+def _span(values: list[float], unit: str) -> str:
+    low, high = min(values), max(values)
+    return f"{high:.3g} {unit}" if high - low < 1e-6 * high else f"{low:.3g} to {high:.3g} {unit}"
+
+
+def _as_known(effect: LoadError, options: IdentifyOptions) -> LoadError:
+    """The errors with the widths that were asked for."""
+    share, centre = options.mass_sigma_percent, options.com_sigma_mm
+    return replace(
+        effect,
+        mass_share=effect.mass_share if share is None else share / 100.0,
+        centre_m=effect.centre_m if centre is None else centre / MM,
+    )
