@@ -1,7 +1,7 @@
 """Whether what was identified is still the arm that is described: distances and angles of consecutive axes.
 
 A fit with enough freedom makes one arm of another: rows of a robot of 0.9 m on a preset of 1.3 m were fitted to 0.05 mm, with
-a link longer by 52 mm and an axis turned by 90 degrees. What is compared does not depend on how the arm is described, and
+a link longer by 52 mm and an axis rotated by 90 degrees. What is compared does not depend on how the arm is described, and
 no zero of a joint enters it: a joint that was mastered wrong is the same arm.
 """
 
@@ -25,7 +25,7 @@ NAMED = 4  # differences in a sentence, the largest first
 
 @dataclass(frozen=True)
 class Difference:
-    """How far apart two axes, or the feet of their common normals, are as described and as found, m or rad."""
+    """How far apart two axes, or the ends of their common normals, are as described and as found, m or rad."""
 
     what: str
     nominal: float
@@ -119,7 +119,7 @@ def _distance(axes: tuple[Floats, Floats], k: int, parallel: bool) -> float:
 
 
 def _along(axes: tuple[Floats, Floats], k: int) -> float:
-    """Length m along an axis between the feet of its common normals with the axes before and after it."""
+    """Length m along an axis between the ends of its common normals with the axes before and after it."""
     return abs(_foot(axes, k, k + 1) - _foot(axes, k, k - 1))
 
 
