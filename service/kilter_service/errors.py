@@ -68,6 +68,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "cancelled": (409, "The job was cancelled"),
     "job_finished": (409, "The job has already finished"),
     "no_active_version": (409, "The robot has no active version"),
+    "rows_not_reached": (409, "Rows are not corrected to within what is stated"),
     "activation_refused": (409, "The version predicts worse than the one it would replace"),
     "activation_overtaken": (409, "Other versions were activated meanwhile"),
     "nothing_to_roll_back": (409, "There is no earlier version to return to"),

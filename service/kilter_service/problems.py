@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Mapping
+from html import escape
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
@@ -62,6 +63,8 @@ def problem(
     status = status or listed
     REFUSALS.labels(code).inc()
     refusals.note(request, code)
+    if request.headers.get("hx-request") == "true":
+        return _part(code, title, detail, status, _headers(code, status, context))
     document = {
         "type": f"urn:kilter:problem:{code}",
         "title": title,
@@ -72,6 +75,15 @@ def problem(
         "request_id": getattr(request.state, "request_id", new_request_id()),
     }
     return Response(json.dumps(document, default=plain), status, _headers(code, status, context), MEDIA_TYPE)
+
+
+def _part(code: str, title: str, detail: str, status: int, headers: dict[str, str] | None) -> Response:
+    """What a person reads where a part of a page was to stand: the page itself says the refusals that its views know."""
+    told = f"<strong>{escape(title)}.</strong> {escape(detail[:MOST_DETAIL])}"
+    text = (
+        f'<div class="note bad" role="alert" data-code="{escape(code)}">{told} Close this, or load the page anew.</div>'
+    )
+    return Response(text, status, headers, "text/html; charset=utf-8")
 
 
 def _bounded(context: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,9 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
+from sqlalchemy import update
+
+from kilter_service.db.tables import ChunkRow
 
 from .conftest import opened
 from .made import SCRIPT, Made, made
@@ -248,3 +251,39 @@ def test_errors_by_cause_stand_in_nobodys_way(chromium: Browser, server: httpx.C
         page.locator("#by-factor").get_by_text("made from no campaign").wait_for()  # htmx has asked
         found = Axe().run(page)
         assert found.violations_count == 0, found.generate_report()
+
+
+def damaged(there: Made) -> None:
+    """Take the rows of the campaign away from under the database: whatever reads them fails in a way nobody foresaw."""
+    with there.database.transaction() as session:
+        session.execute(update(ChunkRow).values(parquet=b"PAR1 and then nothing that a reader knows"))
+
+
+def test_a_part_that_fails_is_a_sentence_and_keeps_nobody_from_going_back(tmp_path: Path, migrated: Path) -> None:
+    with made(tmp_path, migrated) as there:
+        activate(there, there.poor)
+        activate(there, there.good)
+        damaged(there)
+        part = {"HX-Request": "true"}
+        dialog = there.client.get(f"/robots/{there.robot}/rollback", headers=part).raise_for_status()
+        assert "What it would correct could not be computed" in words(dialog.text)
+        etag = re.search(r'name="etag" value="([^"]*)"', dialog.text)
+        assert etag is not None
+        assert "Go back now" in dialog.text
+        for path in (
+            f"/versions/{there.poor}/by-factor?campaign={there.campaign}",
+            f"/versions/{there.good}/by-factor?campaign={there.campaign}",
+        ):
+            answer = there.client.get(path, headers=part)
+            assert answer.status_code in (400, 500), path
+            assert answer.headers["content-type"].startswith("text/html"), path
+            assert 'role="alert"' in answer.text, path
+            assert "{" not in words(answer.text), path
+        gone = there.client.get("/no/such/part", headers=part)
+        assert (gone.status_code, gone.headers["content-type"]) == (404, "text/html; charset=utf-8")
+        page = there.client.get(f"/versions/{there.poor}/by-factor?campaign={there.campaign}")
+        assert page.headers["content-type"].startswith("text/html")
+        assert "To the robots" in page.text
+        sent = there.client.post(f"/robots/{there.robot}/rollback", data={"etag": html.unescape(etag[1])}, headers=part)
+        assert sent.status_code < 500, sent.text
+        assert active(there) == there.poor

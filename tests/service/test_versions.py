@@ -201,7 +201,8 @@ def test_correction_over_http_is_that_of_stream_and_query(client: httpx.Client, 
     q, t = joints(columns), np.array(columns["t_s"])
 
     out = client.post("/v1/robots/katana/correct", json=columns).json()
-    assert list(out) == [*columns, "dx_mm", "dy_mm", "dz_mm", "u95_x_mm", "u95_y_mm", "u95_z_mm", "status"]
+    told = ["left_mm", "left_x_mm", "left_y_mm", "left_z_mm", "u95_x_mm", "u95_y_mm", "u95_z_mm", "flags", "status"]
+    assert list(out) == [*columns, "dx_mm", "dy_mm", "dz_mm", *told]
     assert {cell for axis in "xyz" for cell in out[f"u95_{axis}_mm"]} == {None}  # nothing is known of this version
     assert out["t_s"] == columns["t_s"]
     assert set(out["status"]) == {"OK"}

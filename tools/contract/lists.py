@@ -66,8 +66,9 @@ def _presets() -> Iterator[dict[str, str]]:
 
 
 def _columns() -> Iterator[dict[str, str]]:
-    """The rows of the page on columns, which says of each what it means."""
-    for row in ROW.finditer(COLUMNS_PAGE.read_text(encoding="utf-8")):
+    """The rows of the page on columns of measurements, which says of each what it means."""
+    page = COLUMNS_PAGE.read_text(encoding="utf-8").partition("\n## ")[0]
+    for row in ROW.finditer(page):
         meaning = re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", row["meaning"]).replace("`", "")
         meaning = re.sub(r" See [^.]+$", "", meaning)
         yield {"columns": row["names"].replace("`", ""), "meaning": meaning}

@@ -2,12 +2,24 @@ function [q, info] = correct(robot, q_deg, varargin)
 % CORRECT  Correct a trajectory: rows of joint readings in degrees (prismatic joints: mm).
 %   q = kilter.correct('arm', q_deg)
 %   [q, info] = kilter.correct('arm', q_deg, 't_s', t, 'payload_kg', 2, 'version', 'ver_7c')
-%   Q has NaN where a row could not be corrected; INFO.status says why, INFO.error_mm (N, 3) is the tool error removed.
+%   [q, info] = kilter.correct('arm', q_deg, 'task', 'pose', 'strict', true)
+%   Q has NaN where a row could not be corrected; INFO.status says why, INFO.error_mm (N, 3) is the tool error removed,
+%   INFO.left_mm (N, 1) what is left of it. The status is OK where that is within what is stated, else DAMPED or LIMITED.
+%   'strict' makes any other status than OK an error.
 [given, ~] = kilter.internal.options(varargin);
 path = ['/v1/robots/' kilter.internal.quote(robot) '/correct'];
-if isfield(given, 'version')
-    path = [path '?version=' kilter.internal.quote(given.version)];
-    given = rmfield(given, 'version');
+sign = '?';
+for name = {'version', 'task', 'strict'}
+    if isfield(given, name{1})
+        value = given.(name{1});
+        if ~ischar(value)
+            words = {'false', 'true'};
+            value = words{1 + logical(value)};
+        end
+        path = [path sign name{1} '=' kilter.internal.quote(value)]; %#ok<AGROW>
+        sign = '&';
+        given = rmfield(given, name{1});
+    end
 end
 described = kilter.robot(robot);
 names = cell(1, size(q_deg, 2));
@@ -34,7 +46,8 @@ for k = 1:numel(names)
     q(:, k) = numbers(answer.(names{k}));
 end
 info = struct('status', {cellstr(answer.status)}, ...
-    'error_mm', [numbers(answer.dx_mm), numbers(answer.dy_mm), numbers(answer.dz_mm)]);
+    'error_mm', [numbers(answer.dx_mm), numbers(answer.dy_mm), numbers(answer.dz_mm)], ...
+    'left_mm', numbers(answer.left_mm));
 end
 
 function item = one(list, k)

@@ -9,19 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
-from kilter_service.corrector.wire import Status
+from kilter_service.correction.outcome import OK
+from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.correct.walker import CorrectedTrajectory
+    from kilter_service.correction.outcome import Outcome
 
 NANO = 1_000_000_000
 
 
-def joint_trajectory(names: Sequence[str], t: NDArray[np.float64] | None, done: CorrectedTrajectory) -> bytes:
-    """Write positions (rad, m) over the time from the first row.
+def joint_trajectory(
+    names: Sequence[str], t: NDArray[np.float64] | None, found: Outcome, notes: Sequence[str] = ()
+) -> bytes:
+    """Write positions (rad, m) over the time from the first row; comments have the notes, and what is left of rows.
 
     Raises:
-        ObservationError: no ``t_s``, times that do not rise, or a row that was not corrected: a trajectory has no gaps.
+        ObservationError: no ``t_s``, times that do not rise, or a row that was refused: a trajectory has no gaps.
 
     """
     if t is None:
@@ -30,14 +33,14 @@ def joint_trajectory(names: Sequence[str], t: NDArray[np.float64] | None, done: 
     if len(late):
         row = int(late[0]) + 2
         raise ObservationError(f"Row {row}, column 't_s': the time must rise from row to row.", row=row, column="t_s")
-    _refuse_gaps(done)
-    return "".join(_lines(names, t - t[0], done.q)).encode()
+    _refuse_gaps(found)
+    return "".join((*(f"# {note}\n" for note in notes), *_lines(names, t - t[0], found))).encode()
 
 
-def _refuse_gaps(done: CorrectedTrajectory) -> None:
-    bad = np.flatnonzero(done.status != Status.OK)
+def _refuse_gaps(found: Outcome) -> None:
+    bad = np.flatnonzero(~found.answered)
     if len(bad):
-        word = Status(int(done.status[bad[0]])).name
+        word = found.words[int(bad[0])]
         raise ObservationError(
             f"Row {int(bad[0]) + 1} is not corrected ({word}), {len(bad)} rows in all: a JointTrajectory cannot have a "
             "gap. Take CSV, which marks such rows, or leave them out.",
@@ -46,12 +49,14 @@ def _refuse_gaps(done: CorrectedTrajectory) -> None:
         )
 
 
-def _lines(names: Sequence[str], t: NDArray[np.float64], q: NDArray[np.float64]) -> Iterator[str]:
+def _lines(names: Sequence[str], t: NDArray[np.float64], found: Outcome) -> Iterator[str]:
     yield "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: ''\njoint_names:\n"
     yield from (f"- '{name.replace(chr(39), chr(39) * 2)}'\n" for name in names)
     yield "points:\n"
-    for time, row in zip(np.round(t * NANO).astype(np.int64).tolist(), q.tolist(), strict=True):
-        yield f"- positions: [{', '.join(_yaml(value) for value in row)}]\n"
+    times, left = np.round(t * NANO).astype(np.int64).tolist(), to_mm(found.left).tolist()
+    for time, row, word, kept in zip(times, found.done.q.tolist(), found.words, left, strict=True):
+        remark = "" if word == OK else f"  # {word}: {kept:.3g} mm left"
+        yield f"- positions: [{', '.join(_yaml(value) for value in row)}]{remark}\n"
         yield f"  time_from_start: {{sec: {time // NANO}, nanosec: {time % NANO}}}\n"
 
 

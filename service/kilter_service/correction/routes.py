@@ -44,8 +44,18 @@ Centre = Annotated[
         description="Centre of that mass in the tool frame, mm, as `x,y,z`; left out: the tool point.",
     ),
 ]
+Task = Annotated[
+    Literal["position", "pose"] | None,
+    Query(description="What is held: the position first, as by default, or the whole pose alike."),
+]
+Strictly = Annotated[
+    bool,
+    Query(
+        description="Refuse the whole trajectory, naming the rows, unless each is corrected to within what is stated."
+    ),
+]
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array"}}}
-ANSWER = "The trajectory corrected, with dx_mm, dy_mm, dz_mm, status"
+ANSWER = "The trajectory corrected, with dx_mm, dy_mm, dz_mm, left_mm, u95_x_mm, flags, status"
 CONTENT = {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS}
 
 
@@ -62,13 +72,17 @@ async def correct(
     settings: SettingsOfApp,
     version: str | None = None,
     format: Literal["ros2-yaml"] | None = None,  # noqa: A002 (the name of the export's parameter)
+    task: Task = None,
+    strict: Strictly = False,
     payload_kg: Payload = None,
     payload_com_mm: Centre = None,
 ) -> Response:
     """Correct a trajectory (CSV, Parquet or JSON columns) with the active version, or with the one named.
 
     The numbers are those of the stream. The answer has the format that was sent; ``format=ros2-yaml`` asks for a ROS 2
-    JointTrajectory instead. Effects of the version that a correction leaves out are named in ``Kilter-Not-Corrected``.
+    JointTrajectory instead. `status` is `OK` where what the correction leaves (`left_mm`) is within what is stated, else
+    `DAMPED` or `LIMITED`; refused rows have no numbers. ``strict`` refuses the whole trajectory unless every row is `OK`.
+    Effects of the version that a correction leaves out are named in ``Kilter-Not-Corrected``.
     Where neither the path nor ``payload_kg`` states a load, the robot's default load is taken; ``Kilter-Notes`` says so, or
     that effects which follow the load were corrected without one.
     """
@@ -77,8 +91,9 @@ async def correct(
         path = folder / "body"
         await spool_upload(request, path, settings.max_upload_mb)
         carried = Carried(payload_kg, _point(payload_com_mm))
+        wanted = service.Wanted(version, format, task, strict)
         file, left_out, notes = await compute(
-            request, _corrected, database, robot, version, path, media, format, settings.temperature_c, carried
+            request, _corrected, database, robot, path, media, wanted, settings.temperature_c, carried
         )
     headers = {"Content-Length": str(file.seek(0, 2))} | ({NOT_CORRECTED: ", ".join(left_out)} if left_out else {})
     headers |= {NOTES: " | ".join(notes)} if notes else {}
@@ -104,10 +119,10 @@ def _point(text: str | None) -> tuple[float, float, float] | None:
 
 
 def _corrected(
-    database: Database, robot: str, version: str | None, path: Path, *rest: Any
+    database: Database, robot: str, path: Path, *rest: Any
 ) -> tuple[IO[bytes], tuple[str, ...], tuple[str, ...]]:
     """Correct into a file without a name: a client that reads slowly holds no memory, and leaves nothing when it goes."""
-    answer = service.correct(database, robot, version, path, *rest)
+    answer = service.correct(database, robot, path, *rest)
     file = tempfile.TemporaryFile(prefix="kilter-corrected-")  # noqa: SIM115 (the answer is sent after this)
     file.write(answer.content)
     return file, answer.not_corrected, answer.notes

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
 
 from kilter_service.campaigns.assemble import observations
+from kilter_service.campaigns.columns import Column
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.correction import load
+from kilter_service.correction import load, outcome
 from kilter_service.correction.formats import read_trajectory, write_trajectory
 from kilter_service.correction.ros2 import joint_trajectory
-from kilter_service.correction.uncertainty import uncertainty
 from kilter_service.correction.wire import cells, options_of, with_verdict
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
@@ -18,13 +22,32 @@ from kilter_service.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 from kilter_service.versions.records import VersionRecord
+from kilter_service.wire import to_mm
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from kilter_core.correct.program import CorrectionOptions
 
 
 ROS2 = "ros2-yaml"
+MOST_NAMED = 20  # rows that a refusal names
 NOTHING_STATED = load.Carried()
+
+
+class Wanted(NamedTuple):
+    """How to correct: ``version`` None is the active one, ``task`` None the default; ``form`` "ros2-yaml" is another format.
+
+    ``strict``: a row that is not corrected to within what is stated is an error.
+    """
+
+    version: str | None = None
+    form: str | None = None
+    task: Literal["position", "pose"] | None = None
+    strict: bool = False
+
+
+AS_ALWAYS = Wanted()
 
 
 class Answer(NamedTuple):
@@ -38,49 +61,75 @@ class Answer(NamedTuple):
 def correct(
     database: Database,
     robot: str,
-    version: str | None,
     path: Path,
     media: str,
-    form: str | None = None,
+    wanted: Wanted = AS_ALWAYS,
     temperature_c: float | None = None,
     carried: load.Carried = NOTHING_STATED,
 ) -> Answer:
-    """Correct a trajectory with a version, by default the active one; ``form`` "ros2-yaml" asks for another format back.
+    """Correct a trajectory.
 
     ``temperature_c`` is that of the arm where the trajectory does not say, and ``carried`` is the load on its tool.
 
     Raises:
         ObservationError: the file is not a trajectory of this robot.
-        OptionError: the load is stated twice, or half.
-        ServiceError: no such robot or version, or none is active.
+        OptionError: the load is stated twice, or half; or a task that the arm has too few joints for.
+        ServiceError: no such robot or version, or none is active; or ``strict``, and a row is not within what is stated.
 
     """
-    from kilter_core.correct.walker import correct_trajectory  # loads compiled kernels: not at the start of the process
-
     with database.reading() as session:
-        row, options = _version(session, robot, version, temperature_c)
+        row, options = _version(session, robot, wanted, temperature_c)
         calibration, known = versions.calibration(session, row.id), versions.known(session, row.id)
     kinds = [joint.kind for joint in calibration.robot.joints]
-    table, columns = read_trajectory(path, media, kinds, MAX_ROS2_ROWS if form == ROS2 else MAX_TRAJECTORY_ROWS)
+    table, columns = read_trajectory(path, media, kinds, MAX_ROS2_ROWS if wanted.form == ROS2 else MAX_TRAJECTORY_ROWS)
     stated = observations(table, columns, {})
     rows = load.under(stated, carried, calibration.robot)
-    done = correct_trajectory(calibration, rows, options)
-    notes = load.load_notes(calibration, stated.payload_kg is not None, done.not_corrected, carried)
-    if form == ROS2:
+    found = outcome.correct(calibration, rows, options, known)
+    if wanted.strict:
+        _refuse_what_is_left(found)
+    left_out = found.done.not_corrected
+    told = load.load_notes(calibration, stated.payload_kg is not None, left_out, carried)
+    notes = (*told, *outcome.summary(found))
+    if wanted.form == ROS2:
         names = [joint.name for joint in calibration.robot.joints]
-        return Answer(joint_trajectory(names, rows.t, done), done.not_corrected, notes)
+        return Answer(joint_trajectory(names, rows.t, found, notes), left_out, notes)
+    return Answer(write_trajectory(with_verdict(_with_joints(table, columns, found), found), media), left_out, notes)
+
+
+def _with_joints(table: pa.Table, columns: Sequence[Column], found: outcome.Outcome) -> pa.Table:
+    """The table with the corrected joints in place of the wanted ones."""
     joints = sorted((c for c in columns if c.quantity == "q"), key=lambda c: c.number or 0)
     for k, column in enumerate(joints):
-        readings = cells(done.q[:, k] / column.factor)
+        readings = cells(found.done.q[:, k] / column.factor)
         table = table.set_column(table.column_names.index(column.name), column.name, readings)
-    u95 = uncertainty(calibration, done, known, temperature_c)
-    return Answer(write_trajectory(with_verdict(table, done, u95), media), done.not_corrected, notes)
+    return table
+
+
+def _refuse_what_is_left(found: outcome.Outcome) -> None:
+    """Refuse a trajectory with a row that is not corrected to within what is stated."""
+    words = np.array(found.words)
+    rows = np.flatnonzero(words != outcome.OK)
+    if not len(rows):
+        return
+    counts = ", ".join(f"{word} {count}" for word, count in Counter(words[rows].tolist()).items())
+    named = ", ".join(str(row + 1) for row in rows[:MOST_NAMED].tolist())
+    known = found.left[rows]
+    worst = None if np.isnan(known).all() else to_mm(float(np.nanmax(known)))
+    raise ServiceError(
+        f"{len(rows)} of {len(words)} rows are not corrected to within what is stated ({counts}), the first of them row "
+        f"{int(rows[0]) + 1}{'' if worst is None else f'; at worst {worst:.2g} mm are left'}. Nothing is answered. Without "
+        "strict the answer has every row with its status and left_mm; another path keeps away from singularities and limits.",
+        code="rows_not_reached",
+        rows=f"{named}{' ...' if len(rows) > MOST_NAMED else ''}",
+        counts=dict(Counter(words[rows].tolist())),
+        worst_left_mm=worst,
+    )
 
 
 def _version(
-    session: Session, robot: str, version: str | None, temperature_c: float | None
+    session: Session, robot: str, wanted: Wanted, temperature_c: float | None
 ) -> tuple[VersionRecord, CorrectionOptions]:
-    stored = robots.get(session, robot)
+    stored, version = robots.get(session, robot), wanted.version
     if version is None:
         active = versions.active_entry(session, stored.id)
         if active is None:
@@ -93,4 +142,4 @@ def _version(
     row = versions.get(session, version)
     if row.robot_id != stored.id:
         raise ServiceError(f"Version {version} is not of robot {robot!r}.", code="option_invalid", version=version)
-    return row, options_of(CorrectionLimits(**row.limits), temperature_c)
+    return row, options_of(CorrectionLimits(**row.limits), temperature_c, wanted.task)

@@ -3,45 +3,59 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.corrector.wire import Status
+from kilter_service.correction.outcome import flag_names
+from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kilter_core.correct.program import CorrectionOptions
-    from kilter_core.correct.walker import CorrectedTrajectory
+    from kilter_core.correct.program import CorrectionOptions, Task
+    from kilter_service.correction.outcome import Outcome
 
 Floats = NDArray[np.float64]
 
 
-def options_of(limits: CorrectionLimits, temperature_c: float | None) -> CorrectionOptions:
-    """Return how to correct within the limits of a version, the arm at this temperature."""
+def options_of(limits: CorrectionLimits, temperature_c: float | None, task: str | None = None) -> CorrectionOptions:
+    """Return how to correct within the limits of a version, the arm at this temperature; ``task`` None: the default."""
     from kilter_core.correct.program import (
         CorrectionOptions,
     )  # loads compiled kernels: not at the start of the API process
 
-    return CorrectionOptions(
+    options = CorrectionOptions(
         largest_rad=math.radians(limits.max_joint_deg),
         largest_m=limits.max_position_mm * 1e-3,
         farthest_m=limits.max_position_mm * 1e-3,
         temperature_c=temperature_c,
     )
+    return options if task is None else replace(options, task=cast("Task", task))
 
 
-def with_verdict(table: pa.Table, done: CorrectedTrajectory, u95: Floats) -> pa.Table:
-    """Add to a trajectory what was removed of the error, half the interval that is left, and the status."""
-    removed = done.error_removed * 1e3
-    for k, axis in enumerate("xyz"):
-        table = table.append_column(f"d{axis}_mm", cells(removed[:, k]))
-    for k, axis in enumerate("xyz"):
-        table = table.append_column(f"u95_{axis}_mm", cells(u95[:, k] * 1e3))
-    return table.append_column("status", [[Status(code).name for code in done.status.tolist()]])
+def with_verdict(table: pa.Table, found: Outcome) -> pa.Table:
+    """Add to a trajectory what was removed of the error, what is left, half the interval that holds it, and the status."""
+    import pyarrow as pa
+
+    done = found.done
+    columns = _along("d", done.error_removed) | {"left_mm": cells(to_mm(found.left))} | _along("left_", done.left)
+    if found.turns:
+        columns["left_deg"] = cells(to_deg(done.left_rad))
+    columns |= _along("u95_", found.u95)
+    columns["flags"] = pa.array([flag_names(one) for one in done.flags.tolist()], pa.string())
+    columns["status"] = pa.array(found.words, pa.string())
+    for name, column in columns.items():
+        table = table.append_column(name, column)
+    return table
+
+
+def _along(name: str, values: Floats) -> dict[str, pa.Array]:
+    """Columns in mm of vectors (N, 3) m."""
+    return {f"{name}{axis}_mm": cells(to_mm(values[:, k])) for k, axis in enumerate("xyz")}
 
 
 def cells(values: Floats) -> pa.Array:

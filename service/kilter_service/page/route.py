@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Awaitable, Callable
 from typing import Any
 from urllib.parse import quote
@@ -13,9 +14,11 @@ from fastapi.responses import RedirectResponse
 from kilter_core.errors import CoreError
 from kilter_service.audit import refusals
 from kilter_service.db.failures import in_words
-from kilter_service.errors import PROBLEMS
+from kilter_service.errors import PROBLEMS, ServiceError
 from kilter_service.page.shell import HEADERS, is_part, redirect, render, root_of
 from kilter_service.routing import GuardedRoute
+
+log = logging.getLogger("kilter.page")
 
 Handler = Callable[[Request], Awaitable[Response]]
 UNKNOWN = (400, "This cannot be done")
@@ -35,15 +38,23 @@ class PageRoute(GuardedRoute):
             except (CoreError, RequestValidationError) as error:
                 response = refused(request, error)
             except Exception as error:
-                known = in_words(error)
-                if known is None:
-                    raise
-                response = refused(request, known)
+                response = refused(request, in_words(error) or _failed(request))
             for name, value in HEADERS.items():
                 response.headers.setdefault(name, value)
             return response
 
         return handle
+
+
+def _failed(request: Request) -> CoreError:
+    """Log what nobody foresaw; whoever asked for it reads a sentence, not JSON, and the rest of the page goes on."""
+    named = getattr(request.state, "request_id", "")
+    log.exception("request %s %s %s failed", named, request.method, request.url.path)
+    return ServiceError(
+        f"This part could not be computed. The rest of the page works: close or leave it and go on. The server's log has the "
+        f"cause under request {named}.",
+        code="internal_error",
+    )
 
 
 def refused(request: Request, error: CoreError | RequestValidationError) -> Response:

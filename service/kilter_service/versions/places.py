@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_service.campaigns import store as campaigns
+from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.correction.wire import options_of
 from kilter_service.corrector.wire import Status
 from kilter_service.db import Database
 from kilter_service.errors import ServiceError
 from kilter_service.versions import store
-from kilter_service.versions.preview import WIDEST, drawn
+from kilter_service.versions.preview import drawn
 from kilter_service.versions.residuals import Part, frames_of, parts_of, refitted
 
 if TYPE_CHECKING:
@@ -185,15 +186,16 @@ def spread(at: Floats, size: Floats, most: int = MOST_ROWS) -> Ints:
 
 
 def reach(database: Database, version: str) -> Reach:
-    """Return how far a version corrects the tool, and how well it knows it, all over the joint limits."""
+    """Return how far a version corrects the tool, and how well it knows it, wherever it corrects within the joint limits."""
     from kilter_core.correct.walker import correct_trajectory  # loads compiled kernels: not at the start
     from kilter_core.identify.uncertainty.predictive import QUANTILE, acting
     from kilter_core.observations import Observations
 
     with database.reading() as session:
+        limits = CorrectionLimits(**store.get(session, version).limits)
         calibration, known = store.calibration(session, version), store.known(session, version)
     rows = Observations(q=drawn(calibration.robot, DRAWN))
-    done = correct_trajectory(calibration, rows, options_of(WIDEST, None))
+    done = correct_trajectory(calibration, rows, options_of(limits, None))
     good = done.status == Status.OK
     rows = rows.select(good)
     before = np.linalg.norm(done.error_removed[good], axis=1)

@@ -1,10 +1,12 @@
-"""How a version would correct where the robot is driven, before it is activated."""
+"""What a version does where the robot is driven, before it is activated: the correction itself, at those poses.
+
+:func:`foreseen` is for whoever decides by it, such as the guard of activation; :func:`preview` says it over the wire.
+"""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,43 +15,69 @@ from kilter_core.observations import Observations
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.correction import outcome
 from kilter_service.correction.wire import options_of
-from kilter_service.corrector.wire import Status
 from kilter_service.db import Database
 from kilter_service.versions import store, wire
-from kilter_service.versions.records import Foreseen, VersionRecord
+from kilter_service.versions.records import Foreseen
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
-    from kilter_core.correct.walker import CorrectedTrajectory
+    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.model import Calibration
 
 Floats = NDArray[np.float64]
+Within = Literal["campaigns", "limits"]
 
 MOST_POSES = 2000
 DRAWN_POSES = 500
 FREE_TURN_RAD, FREE_SHIFT_M = math.pi, 0.5  # of a joint without limits
-WIDEST = CorrectionLimits(max_joint_deg=30.0, max_position_mm=200.0)
 
 
 def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:
-    """Correct the poses that the robot was driven to, else poses drawn within its limits; nothing is stored.
+    """Say what a version does over the robot's poses; nothing is stored.
 
     Raises:
         ServiceError: no such version.
 
     """
-    from kilter_core.correct.walker import correct_trajectory  # loads compiled kernels: not at the start of the process
+    robot, within, found = foreseen(database, version_id, temperature_c)
+    return wire.preview(version_id, robot, found, within, temperature_c)
 
+
+def foreseen(database: Database, version_id: str, temperature_c: float | None) -> tuple[Robot, Within, Foreseen]:
+    """Correct the poses that the robot was driven to ("campaigns"), else poses drawn within its joint limits ("limits").
+
+    Raises:
+        ServiceError: no such version.
+
+    """
     with database.reading() as session:
         record = store.get(session, version_id)
-        calibration = store.calibration(session, version_id)
+        calibration, known = store.calibration(session, version_id), store.known(session, version_id)
         driven = campaigns.driven(session, record.robot_id, calibration.robot, MOST_POSES)
     q = drawn(calibration.robot) if driven is None else driven[:MOST_POSES]
-    rows = Observations(q=q)
-    wide = correct_trajectory(calibration, rows, options_of(WIDEST, temperature_c))
-    narrow = correct_trajectory(calibration, rows, options_of(CorrectionLimits(**record.limits), temperature_c))
-    found = _found(record, calibration.robot, rows.q, wide, narrow)
-    return wire.preview(found, within="limits" if driven is None else "campaigns", temperature_c=temperature_c)
+    found = at_poses(calibration, known, CorrectionLimits(**record.limits), q, temperature_c)
+    return calibration.robot, "limits" if driven is None else "campaigns", found
+
+
+def at_poses(
+    calibration: Calibration,
+    known: Predictive | None,
+    limits: CorrectionLimits,
+    q: Floats,
+    temperature_c: float | None = None,
+) -> Foreseen:
+    """Correct poses ``q (N, n)`` as `correct` corrects a file of them without times, within these limits."""
+    found = outcome.correct(calibration, Observations(q=q), options_of(limits, temperature_c), known)
+    return Foreseen(
+        q=q,
+        words=tuple(found.words),
+        moved=np.linalg.norm(found.done.error_removed, axis=1),
+        left=found.left,
+        delta=found.done.q - q,
+        unsupported=found.done.not_corrected,
+    )
 
 
 def drawn(robot: Robot, count: int = DRAWN_POSES) -> Floats:
@@ -59,23 +87,3 @@ def drawn(robot: Robot, count: int = DRAWN_POSES) -> Floats:
     outside = low > high  # limits that lie beyond a full turn
     low, high = np.where(outside, robot.limits[:, 0], low), np.where(outside, robot.limits[:, 1], high)
     return np.random.default_rng(0).uniform(low, high, (count, len(free)))
-
-
-def _found(
-    record: VersionRecord, robot: Robot, q: Floats, wide: CorrectedTrajectory, narrow: CorrectedTrajectory
-) -> Foreseen:
-    good, taken = wide.status == Status.OK, narrow.status == Status.OK
-    moved = np.linalg.norm(wide.error_removed, axis=1)
-    worst = int(np.nanargmax(moved)) if good.any() else None
-    return Foreseen(
-        version_id=record.id,
-        robot=robot,
-        poses=len(q),
-        corrected=int(taken.sum()),
-        refused=dict(Counter(Status(int(code)).name for code in narrow.status[~taken].tolist())),
-        mean=float(moved[taken].mean()) if taken.any() else None,
-        largest=None if worst is None else float(moved[worst]),
-        largest_at=None if worst is None else q[worst],
-        joints=np.abs(wide.q - q)[good].max(axis=0) if good.any() else None,
-        unsupported=list(narrow.not_corrected),
-    )

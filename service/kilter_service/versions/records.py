@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+import numpy as np
+from numpy.typing import NDArray
 
-    from kilter_core.arm.robot import Robot
+Floats = NDArray[np.float64]
 
-    Floats = NDArray[np.float64]
+ANSWERED = frozenset({"OK", "DAMPED", "LIMITED"})  # verdicts on rows that have numbers
 
 
 @dataclass(frozen=True)
@@ -60,17 +60,51 @@ class ActivationRecord:
 
 @dataclass(frozen=True)
 class Foreseen:
-    """What a version would do, m and rad: movement of the tool, ``mean`` and ``largest``, with the joints (n,) there;
-    ``joints (n,)`` the largest correction of each.
+    """What a version would do at N poses ``q (N, n)`` within its own limits, m and rad.
+
+    ``words (N,)`` is the verdict on each pose, as in a corrected file: OK, DAMPED, LIMITED, or why it is refused.
+    ``moved (N,)`` and ``left (N,)`` are how far the tool is moved and what is left of its error, NaN where refused;
+    ``delta (N, n)`` the corrections of the joints. ``unsupported`` effects are not corrected at run time.
     """
 
-    version_id: str
-    robot: Robot
-    poses: int
-    corrected: int
-    refused: dict[str, int]
-    mean: float | None
-    largest: float | None
-    largest_at: Floats | None
-    joints: Floats | None
-    unsupported: list[str]
+    q: Floats
+    words: tuple[str, ...]
+    moved: Floats
+    left: Floats
+    delta: Floats
+    unsupported: tuple[str, ...]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many poses have which verdict."""
+        return dict(Counter(self.words))
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Poses that are refused, by why."""
+        return {word: count for word, count in self.counts.items() if word not in ANSWERED}
+
+    @property
+    def corrected(self) -> int:
+        """Poses that get numbers."""
+        return len(self.words) - sum(self.refused.values())
+
+    @property
+    def furthest(self) -> int | None:
+        """The pose whose tool is moved furthest; None: all are refused."""
+        return largest(self.moved)
+
+    @property
+    def worst(self) -> int | None:
+        """The pose at which most is left; None: all are refused."""
+        return largest(self.left)
+
+    @property
+    def by_joint(self) -> list[int | None]:
+        """For each joint the pose of its largest correction; None: all are refused."""
+        return [largest(np.abs(column)) for column in self.delta.T]
+
+
+def largest(sizes: Floats) -> int | None:
+    """Return where the largest number is; None: there is none."""
+    return None if np.isnan(sizes).all() else int(np.nanargmax(sizes))

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from kilter_service.contract.fits import Covariance, Metrics, NullDirection, Parameter, Remark
 from kilter_service.contract.previews import JointPreview, VersionPreview
@@ -23,12 +27,10 @@ from kilter_service.versions.records import ActivationRecord, Foreseen, VersionR
 from kilter_service.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from kilter_core.arm.robot import Robot
     from kilter_core.identify.compare import Difference
 
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 READ_OUT = ("effects", "metrics")  # of a summary, what no field of the record holds
 OF_ITS_OWN = ("parameters", "null_directions", "noise_mm", "warnings", "metrics")  # parts of a report with fields
@@ -93,31 +95,43 @@ def rival(difference: Difference, errors: Floats) -> Rival:
     )
 
 
-def preview(found: Foreseen, within: Literal["campaigns", "limits"], temperature_c: float | None) -> VersionPreview:
+def preview(
+    version_id: str, robot: Robot, found: Foreseen, within: Literal["campaigns", "limits"], temperature_c: float | None
+) -> VersionPreview:
     """Say how a version would correct."""
-    scale, units = joint_scale(found.robot), joint_units(found.robot)
-    at = None if found.largest_at is None else [float(v) * k for v, k in zip(found.largest_at, scale, strict=True)]
-    sizes = [None] * len(scale) if found.joints is None else (found.joints * scale).tolist()
+    scale, units, counts = joint_scale(robot), joint_units(robot), found.counts
+    shown = [_joints(found.q, place, scale) for place in found.by_joint]
+    sizes = [None if at is None else float(abs(found.delta[at, k])) * scale[k] for k, at in enumerate(found.by_joint)]
     return VersionPreview(
-        version_id=found.version_id,
+        version_id=version_id,
         within=within,
-        poses=found.poses,
+        poses=len(found.q),
         corrected=found.corrected,
+        damped=counts.get("DAMPED", 0),
+        limited=counts.get("LIMITED", 0),
         refused=found.refused,
-        mean_mm=None if found.mean is None else to_mm(found.mean),
-        largest_mm=None if found.largest is None else to_mm(found.largest),
-        largest_at=None if at is None else [round(value, 4) for value in at],
+        mean_mm=to_mm(float(np.nanmean(found.moved))) if found.corrected else None,
+        largest_mm=None if found.furthest is None else to_mm(float(found.moved[found.furthest])),
+        largest_at=_joints(found.q, found.furthest, scale),
+        left_mm=None if found.worst is None else to_mm(float(found.left[found.worst])),
+        left_at=_joints(found.q, found.worst, scale),
         joints=[
             JointPreview(
                 joint=joint.name,
                 largest_deg=size if unit == "deg" else None,
                 largest_mm=size if unit == "mm" else None,
+                largest_at=at,
             )
-            for joint, unit, size in zip(found.robot.joints, units, sizes, strict=True)
+            for joint, unit, size, at in zip(robot.joints, units, sizes, shown, strict=True)
         ],
-        unsupported_effects=found.unsupported,
+        unsupported_effects=list(found.unsupported),
         temperature_c=temperature_c,
     )
+
+
+def _joints(q: Floats, place: int | None, scale: Sequence[float]) -> list[float] | None:
+    """A pose in degrees and mm."""
+    return None if place is None else [round(float(v) * k, 4) for v, k in zip(q[place], scale, strict=True)]
 
 
 def noise_of(report: dict[str, Any]) -> tuple[float, float]:
@@ -128,7 +142,6 @@ def noise_of(report: dict[str, Any]) -> tuple[float, float]:
 
 def residual_columns(error: Floats, u95: Floats, turn: Floats, size: Floats) -> dict[str, Any]:
     """Say what is left of rows: errors and half intervals (N, 3) m, rotations (N,) rad, and their length (N,) in sigma."""
-    import numpy as np
     import pyarrow as pa
 
     columns = {f"d{axis}_mm": to_mm(error[:, k]) for k, axis in enumerate("xyz")}

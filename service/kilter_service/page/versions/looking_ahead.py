@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,8 @@ from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
 from kilter_service.robots import service as robots
 from kilter_service.versions import activation, service
 from kilter_service.versions.expected import tag_of_robot
+
+log = logging.getLogger("kilter.page")
 
 NAMES = {
     "json": "Kilter's own document",
@@ -33,13 +36,17 @@ REFUSED = {
 
 @dataclass(frozen=True)
 class Ahead:
-    """A version that may be activated, beside the one that is active; ``etag`` is the state that this was looked at in."""
+    """A version that may be activated, beside the one that is active; ``etag`` is the state that this was looked at in.
+
+    ``preview`` None could not be computed; ``failed`` says so.
+    """
 
     version: Version
     accuracy: Accuracy | None
     active: Version | None
     active_accuracy: Accuracy | None
-    preview: VersionPreview
+    preview: VersionPreview | None
+    failed: str
     where: Sequence[tuple[str, str]]
     refused: Sequence[tuple[int, str]]
     etag: str
@@ -56,19 +63,34 @@ class Download:
 
 
 def of(database: Database, version_id: str, temperature_c: float | None) -> Ahead:
-    """Look at what a version would do."""
+    """Look at what a version would do. A preview that fails is a sentence: it decides nothing, and keeps nobody."""
     found = service.get(database, version_id)
     etag = tag_of_robot(database, found.robot)  # before the rest: what changes meanwhile is refused later
     robot = robots.get(database, found.robot)
     active = None if robot.active_version is None else service.get(database, robot.active_version)
-    preview = service.preview(database, version_id, temperature_c)
+    preview, failed = _previewed(database, version_id, temperature_c)
     units = ["mm" if joint.kind == "prismatic" else "°" for joint in robot.joints]
-    angles = zip(robot.joints, preview.largest_at or [], units, strict=False)
+    largest_at, refused = ([], {}) if preview is None else (preview.largest_at or [], preview.refused)
+    angles = zip(robot.joints, largest_at, units, strict=False)
     return Ahead(
-        found, accuracy_of(found.metrics), active, None if active is None else accuracy_of(active.metrics), preview,
+        found, accuracy_of(found.metrics), active, None if active is None else accuracy_of(active.metrics), preview, failed,
         [(joint.name, f"{value:.1f} {unit}" if unit == "mm" else f"{value:.1f}{unit}") for joint, value, unit in angles],
-        [(count, REFUSED.get(why, why.lower().replace("_", " "))) for why, count in preview.refused.items()], etag,
+        [(count, REFUSED.get(why, why.lower().replace("_", " "))) for why, count in refused.items()], etag,
     )  # fmt: skip
+
+
+def _previewed(database: Database, version_id: str, temperature_c: float | None) -> tuple[VersionPreview | None, str]:
+    """The preview, or why there is none."""
+    try:
+        return service.preview(database, version_id, temperature_c), ""
+    except CoreError as error:
+        return None, f"What it would correct could not be computed: {error.message}"
+    except Exception:
+        log.exception("the preview of version %s failed", version_id)
+        return None, (
+            "What it would correct could not be computed; the server's log has the cause. Going on does not need it: only "
+            "look at a corrected path before the arm moves by it."
+        )
 
 
 def back(database: Database, robot: str, temperature_c: float | None) -> Ahead:

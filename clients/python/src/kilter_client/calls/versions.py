@@ -88,12 +88,17 @@ def correct(
     form: str | None,
     payload_kg: float | None = None,
     payload_com_mm: Sequence[float] | None = None,
+    *,
+    task: str | None = None,
+    strict: bool = False,
 ) -> Steps[Answer]:
-    """Correct a trajectory."""
+    """Correct a trajectory; ``strict`` refuses it unless every row is corrected to within what is stated."""
     chosen = None if not version else (yield from id_of("version", version, robot))
     wanted = {
         "version": chosen,
         "format": form or None,
+        "task": task or None,
+        "strict": strict or None,
         "payload_kg": payload_kg,
         "payload_com_mm": None if payload_com_mm is None else ",".join(f"{float(value)!r}" for value in payload_com_mm),
     }

@@ -7,6 +7,7 @@ import io
 import json
 from collections import Counter
 from collections.abc import Mapping
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,9 +28,19 @@ if TYPE_CHECKING:
     from kilter_client.results.corrected import Corrected
 
 
+ANSWERED = frozenset({"OK", "DAMPED", "LIMITED"})  # rows that have numbers
+
+
+class Task(StrEnum):
+    """What a correction holds first."""
+
+    POSITION = "position"
+    POSE = "pose"
+
+
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
-    app.command(epilog="Example: kilter correct ur10 path.csv -o corrected.csv")(correct)
+    app.command(epilog="Example: kilter correct ur10 path.csv -o corrected.csv --version latest --strict")(correct)
     app.command(epilog="Example: kilter status")(status)
 
 
@@ -47,55 +58,64 @@ def correct(
         float | None, typer.Option(min=0.0, help="Mass on the tool along the whole path, kg; 0 for an empty tool.")
     ] = None,
     payload_com_mm: PayloadCentre = None,
+    version: Annotated[
+        str | None,
+        typer.Option(help="Version to correct with: id or its beginning, name, or `latest`; default: the active one."),
+    ] = None,
+    task: Annotated[
+        Task | None, typer.Option(help="What is held: the position first (default), or position and orientation alike.")
+    ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit code 1, and write nothing, unless the status of every row is OK.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
-    """Correct a trajectory (t_s, q1_deg, ...) with the active version; the answer has the format that was sent.
+    """Correct a trajectory (t_s, q1_deg, ...); the answer has the format that was sent.
 
     dx_mm, dy_mm, dz_mm are where the uncorrected tool would be minus where it should be, along the axes of the base frame
-    that the version corrects in; the command says which one that is. Exit code 1 when no row could be corrected.
+    that the version corrects in; the command says which one that is. left_mm is what the correction leaves of it: the
+    status is OK where that is within what is stated, else DAMPED or LIMITED. Exit code 1 when no row could be corrected.
     """
     if as_json and output is None:
         raise UsageError("--json reports what was written: name the file with -o.")
     centre = arguments.three("--payload-com-mm", payload_com_mm)
     trajectory = prepare(file, column_map=column_map)
     with on_interrupt(partial(_not_written, output)), Kilter() as kilter:
-        version = kilter.robots.get(robot).get("active_version")
+        used = version or kilter.robots.get(robot).get("active_version")
         content = kilter.correct(
-            robot, trajectory, version=version, form=form, payload_kg=payload_kg, payload_com_mm=centre
-        )
-        frames = {} if version is None else frames_of(kilter.versions.get(version))
+            robot, trajectory, version=used, form=form, payload_kg=payload_kg, payload_com_mm=centre,
+            task=None if task is None else task.value, strict=strict,
+        )  # fmt: skip
+        found = None if used is None else kilter.versions.get(used, robot=robot)
+        frames = {} if found is None else frames_of(found)
     status = {} if form else verdicts(content, trajectory.content_type)
     _remark(content, status, as_json)
-    refused = bool(status) and not status.get("OK")
     if frames and not form:
         note(f"dx_mm, dy_mm, dz_mm are along the axes of the {frames['axes']}.", as_json)
     if output is None:
         typer.get_binary_stream("stdout").write(content)
-        raise typer.Exit(1 if refused else 0)
-    write(output, content)
-    document = {
-        "robot": robot,
-        "output": str(output),
-        "bytes": len(content),
-        "status": status,
-        "version_id": version,
-        "frames": frames,
-        "not_corrected": list(content.left_out),
-        "notes": list(content.notes),
-    }
-    emit(
-        document,
-        as_json,
-        lambda _: say(f"{output}: {sum(status.values()) or len(content)} {'rows' if status else 'bytes'}"),
-    )
-    if refused:
+    else:
+        write(output, content)
+        of_version = {"version_id": None if found is None else found["id"], "frames": frames}
+        _show_written({"robot": robot, "output": str(output), "status": status, **of_version}, content, as_json)
+    if status and not ANSWERED & set(status):
         note("Error: no row could be corrected; the column status says why.", as_json)
         raise typer.Exit(1)
 
 
+def _show_written(told: dict[str, Any], content: Corrected, as_json: bool) -> None:
+    rows = sum(told["status"].values())
+    document = told | {
+        "bytes": len(content),
+        "not_corrected": list(content.left_out),
+        "notes": list(content.notes),
+    }
+    emit(document, as_json, lambda _: say(f"{told['output']}: {rows or len(content)} {'rows' if rows else 'bytes'}"))
+
+
 def _remark(content: Corrected, status: Mapping[str, int], as_json: bool) -> None:
     """Say what is not corrected, and which load was taken."""
-    left = {name: count for name, count in status.items() if name != "OK"}
+    left = {name: count for name, count in status.items() if name not in ANSWERED}
     if left:
         counts = ", ".join(f"{name} {count}" for name, count in left.items())
         note(f"Warning: {sum(left.values())} rows are not corrected and have empty cells ({counts}).", as_json)

@@ -30,7 +30,8 @@ class Corrected(bytes):
 
     @property
     def rows(self) -> Rows:
-        """The rows: joints in deg (prismatic in mm), the predicted error removed as ``dx_mm`` to ``dz_mm``, ``status``.
+        """The rows: joints in deg (prismatic in mm), the predicted error removed as ``dx_mm`` to ``dz_mm``, what is left of
+        it as ``left_mm``, half the 95 % interval of where the tool is as ``u95_x_mm`` to ``u95_z_mm``, ``flags``, ``status``.
 
         Raises:
             MissingPackageError: it is Parquet and pyarrow is not installed.
@@ -59,7 +60,9 @@ class Corrected(bytes):
 
     @property
     def status(self) -> dict[str, int]:
-        """How many rows have which status; those that are not ``OK`` are not corrected and have empty cells."""
+        """How many rows have which status: ``OK`` where what is left is within what is stated, ``DAMPED`` and ``LIMITED``
+        where it is not; all others are refusals, whose cells are empty.
+        """
         return dict(Counter(self.rows.to_dict().get("status", ())))
 
     def save(self, path: Path | str) -> Path:
@@ -76,7 +79,8 @@ class Corrected(bytes):
         if self.media_type not in (CSV_TYPE, JSON_TYPE):
             return f"corrected trajectory: {len(self)} bytes of {self.media_type}{left}"
         told = ", ".join(f"{count} {name}" for name, count in self.status.items())
-        return f"corrected trajectory: {len(self.rows)} rows ({told}), largest change {_largest(self.rows)}{left}"
+        change, kept = _largest(self.rows, "dx_mm", "dy_mm", "dz_mm"), _largest(self.rows, "left_mm")
+        return f"corrected trajectory: {len(self.rows)} rows ({told}), largest change {change}, most left {kept}{left}"
 
     def __str__(self) -> str:
         return repr(self)
@@ -87,10 +91,10 @@ class Corrected(bytes):
         return self.rows._repr_html_()
 
 
-def _largest(rows: Rows) -> str:
-    """The largest correction of the tool."""
+def _largest(rows: Rows, *names: str) -> str:
+    """The largest length of these columns together."""
     columns = rows.to_dict()
-    steps = zip(*(columns.get(f"d{axis}_mm", ()) for axis in "xyz"), strict=True)
+    steps = zip(*(columns.get(name, ()) for name in names), strict=True)
     sizes = [sum(float(d) ** 2 for d in step) ** 0.5 for step in steps if None not in step]
     return f"{max(sizes, default=0.0):.3g} mm"
 

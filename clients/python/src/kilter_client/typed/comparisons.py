@@ -56,6 +56,8 @@ class JointPreview(Record):
 
     joint: str
     """Name of the joint."""
+    largest_at: tuple[float, ...]
+    """The joints there: degrees, mm for prismatic ones."""
     largest_deg: float | None
     """Largest correction, degrees; None: prismatic, or nothing was corrected."""
     largest_mm: float | None
@@ -64,16 +66,24 @@ class JointPreview(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class VersionPreview(Record):
-    """How a version would correct, without activating it."""
+    """How a version would correct, without activating it: what `correct` does with these poses, within its limits."""
 
     corrected: int
-    """How many of them it would correct."""
+    """How many of them get corrected joints, damped and limited ones among them."""
+    damped: int
+    """How many of these keep more of their error than is stated: a singularity is near, or out of reach."""
     joints: Records[JointPreview]
-    """The largest correction of each joint, limits left aside."""
+    """The largest correction of each joint."""
     largest_at: tuple[float, ...]
     """The joints there: degrees, mm for prismatic ones."""
     largest_mm: float | None
-    """Largest movement of the tool by the correction, mm, limits left aside."""
+    """Largest movement of the tool by the correction, mm; None: as above."""
+    left_at: tuple[float, ...]
+    """The joints there: degrees, mm for prismatic ones."""
+    left_mm: float | None
+    """The most that a correction leaves of the tool's error by the version, mm; None: as above."""
+    limited: int
+    """How many of these keep more of their error than is stated because the correction is at a limit."""
     mean_mm: float | None
     """Mean movement of the tool by the correction, mm; None: nothing was corrected."""
     poses: int

@@ -135,22 +135,27 @@ def correct(
     form: str | None = None,
     payload_kg: float | None = None,
     payload_com_mm: Sequence[float] | None = None,
+    task: str | None = None,
+    strict: bool = False,
 ) -> Steps[Corrected]:
     """Correct a trajectory with the active version, or with ``version``.
 
-    The answer has the format that was sent, CSV for arrays; ``form="ros2-yaml"`` asks for a ROS 2 JointTrajectory.
+    The answer has the format that was sent, CSV for arrays; ``form="ros2-yaml"`` asks for a ROS 2 JointTrajectory. Its
+    ``left_mm`` is what the correction leaves of each row; ``status`` is ``OK`` where that is within what is stated.
 
     Args:
         robot: name of the robot.
         trajectory: a path; or columns by name (``{"t_s": ..., "q1_deg": ...}``), a structured array, a pandas DataFrame.
         columns: names of the columns of an array of two dimensions, with units.
-        version: another version than the active one.
+        version: another version than the active one: id or its beginning, name, or ``"latest"``.
         form: another format than the one sent.
         payload_kg: mass on the tool along the whole path, kg.
         payload_com_mm: its centre in the tool frame, mm.
+        task: ``"position"`` holds the position first, as by default; ``"pose"`` position and orientation alike.
+        strict: refuse the trajectory unless every row is corrected to within what is stated.
 
     Raises:
-        ConflictError: the robot has no active version.
+        ConflictError: the robot has no active version; or ``strict``, and a row is not.
         ObservationError: the rows are not what their columns say.
         FileError, UsageError: the trajectory is neither such a file nor rows.
 
@@ -159,8 +164,9 @@ def correct(
 
     chosen = None if not version else reference("version", version)
     answer = yield from calls.correct(
-        reference("robot", robot), rows_of(trajectory, columns), chosen, form, payload_kg, payload_com_mm
-    )
+        reference("robot", robot), rows_of(trajectory, columns), chosen, form, payload_kg, payload_com_mm,
+        task=task, strict=strict,
+    )  # fmt: skip
     corrected = Corrected(answer.content)
     corrected.media_type = answer.headers.get("content-type", "").partition(";")[0]
     corrected.left_out = tuple(filter(None, answer.headers.get("kilter-not-corrected", "").split(", ")))
