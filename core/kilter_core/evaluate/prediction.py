@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.errors import OptionError
-from kilter_core.identify.estimate import estimate
+from kilter_core.identify.estimate import frames_alone
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
@@ -107,5 +107,4 @@ def _refitted(calibration: Calibration, measurement: Measurement, frames: tuple[
     model, values = calibration.model.absorb_frame_increments(calibration.values)
     held = model.names[6 : model.n_geometric - 6] + model.names[model.n_geometric :]
     options = IdentifyOptions(fix=held, tool="free" if "tool" in frames else "fixed")
-    fit = estimate(Calibration(model, values), measurement, options)
-    return fit.calibration()
+    return frames_alone(Calibration(model, values, calibration.marker_points), measurement, options)

@@ -10,11 +10,12 @@ from kilter_core.arm.robot import Robot
 from kilter_core.gap.evidence.holding_out import parted
 from kilter_core.gap.evidence.replication import refuse_unfit
 from kilter_core.gap.evidence.testability import Testability, Visible, testability, untestable, visible
-from kilter_core.gap.find import beginning, of_this_robot
+from kilter_core.gap.find import beginning
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library, Untestable
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.identify.compare import poses_of, thinned
+from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.motions import is_trajectory
@@ -56,8 +57,8 @@ def check_gap(
         for rows in (observations, validation):
             if isinstance(rows, Observations):
                 refuse_unfit(robot, rows, confirmation)
-        of_this_robot(begin, confirmation)
-    of_this_robot(begin, observations)
+        refuse_mixed_up(begin, confirmation)
+    refuse_mixed_up(begin, observations)
     searched, _ = parted(observations, validation, options.seed)
     rows = _fewer(searched)
     prepared = prepare_data(begin, rows, options, unheard)

@@ -50,12 +50,10 @@ from kilter_core.gap.search.row_warnings import clock_warnings
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.identify.load_model import far_from_stated
 from kilter_core.identify.plausibility.another_arm import another_arm
-from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
-from kilter_core.identify.plausibility.plausibility import refuse_foreign
+from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.report import large_residual
 from kilter_core.identify.worse import WORSE_THAN_GEOMETRY, Difference, PoseErrors, worse, worse_warning
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import held
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Progress, unheard
@@ -94,8 +92,8 @@ def find_gap(
         for rows in (observations, validation):
             if isinstance(rows, Observations):
                 refuse_unfit(robot, rows, confirmation)
-        of_this_robot(begin, confirmation)
-    remarks = (*of_this_robot(begin, observations), *clock_warnings(observations))
+        refuse_mixed_up(begin, confirmation)
+    remarks = (*refuse_mixed_up(begin, observations), *clock_warnings(observations))
     observations, validation = parted(observations, validation, options.seed)
     prepared = prepare_data(begin, observations, options, _part(progress, 0.0, 0.15))
     report = _Run(robot, begin, prepared, options, validation, confirmation, progress).report()
@@ -113,14 +111,6 @@ def beginning(robot: Robot, start: Calibration | None) -> Calibration:
             option="start",
         )
     return start
-
-
-def of_this_robot(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
-    """Refuse rows that a mix-up explains far better than physics; return warnings about what only looks odd."""
-    if rows.position is None and rows.markers is None and not held(rows):
-        refuse_foreign_links(begin.robot, rows)
-        return ()
-    return refuse_foreign(begin, Measurement.of(rows, begin.marker_points, held=True))
 
 
 def _part(progress: Progress, low: float, high: float) -> Progress:

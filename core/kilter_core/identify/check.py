@@ -21,9 +21,6 @@ from kilter_core.identify.least_squares import Fit, Problem, Weights, fit_at
 from kilter_core.identify.measuring import measurement_for
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
-from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
-from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.report import still_joints
 from kilter_core.identify.run import begin_with, refuse_missing_columns
 from kilter_core.identify.setups import Frames, marginal, of_the_arm
@@ -83,6 +80,9 @@ def check_identification(
 ) -> IdentificationCheck:
     """Say what an identification with these options could tell from the rows it would fit.
 
+    Whether the rows are of this robot is asked of the whole campaign, before rows are held out
+    (:func:`kilter_core.identify.plausibility.belonging.refuse_mixed_up`).
+
     Raises:
         TooFewPosesError, OptionError, ObservationError: what the identification would be refused with.
 
@@ -93,9 +93,6 @@ def check_identification(
     if frames is not None:
         begin, train = frames.in_model(begin), frames.laid(train)
     measurement = measurement_for(train, options, begin.marker_points)
-    refuse_feigned_turns(begin, measurement.of_tool())
-    refuse_foreign(begin, measurement.of_tool())
-    refuse_foreign_links(begin.robot, train)
     begin = gated(begin, train, options, None)[0]
     noise, source = _noise(train, options)
     problem, values = prepared(begin, measurement, replace(options, loss="linear", noise_mm=noise * 1e3))

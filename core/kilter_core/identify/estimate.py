@@ -41,8 +41,25 @@ def registration_only(start: Calibration, measurement: Measurement, loss: str = 
     options = IdentifyOptions(
         loss=bounded(loss), fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :]
     )
-    fit = estimate(start, measurement, options)
-    return fit.calibration()
+    return frames_alone(start, measurement, options)
+
+
+def frames_alone(start: Calibration, measurement: Measurement, options: IdentifyOptions) -> Calibration:
+    """Fit frames only, as the options leave them free; a fit that ends further off than the start is not taken."""
+    found = estimate(start, measurement, options).calibration()
+    return start if _further_off(found, start, measurement) else found
+
+
+def _further_off(found: Calibration, start: Calibration, measurement: Measurement) -> bool:
+    """Whether mean and rms of every error are larger than those of the start: a loss may trade one for another."""
+    for ours, before in zip(measurement.errors(found), measurement.errors(start), strict=True):
+        if ours is None or before is None:
+            continue
+        sizes = [np.abs(e.reshape(len(e), -1)) for e in (ours, before)]
+        far = [(np.linalg.norm(e, axis=1).mean(), np.sqrt(np.mean(e**2))) for e in sizes]
+        if not all(a > b for a, b in zip(*far, strict=True)):
+            return False
+    return True
 
 
 def bounded(loss: str) -> str:

@@ -25,9 +25,7 @@ from kilter_core.identify.noise import Repeats
 from kilter_core.identify.observability import correlated_groups, observability
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.another_arm import another_arm
-from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
-from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
-from kilter_core.identify.plausibility.plausibility import refuse_foreign
+from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.redescending import set_aside
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
 from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
@@ -37,7 +35,6 @@ from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
 from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
 from kilter_core.identify.worse import PoseErrors, geometry_alone
-from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -158,6 +155,7 @@ def identify(
     progress = progress or unheard
     begin = begin_with(robot, train, options, start)
     nominal = Calibration.nominal(robot)
+    remarks = _belonging(begin, train, validation)
     begin, train, validation, frames = _in_one_frame(begin, train, validation, options)
     progress(0.02, "splitting by pose")
     held, compared, by_row, kinds = NOTHING_HELD
@@ -167,7 +165,6 @@ def identify(
     train, validation, options, (inside, outside) = _parted(train, validation, options, begin)
     measurement = measurement_for(train, options, begin.marker_points)
     of_tool = measurement.of_tool()
-    remarks = _implausible(begin, of_tool, train)
     found = in_fitted_frames(begin, of_tool, options, prior)
     wanted = wanted_frames(begin, found, of_tool, options, continues(options, prior))
     begin, learned = gated(begin, train, options, prior)
@@ -206,11 +203,12 @@ def _in_one_frame(
     return frames.in_model(begin), frames.laid(train), seen, frames
 
 
-def _implausible(begin: Calibration, of_tool: Measurement, train: Observations) -> tuple[dict[str, Any], ...]:
-    """Refuse rows that cannot be of this robot; what is odd about them."""
-    refuse_feigned_turns(begin, of_tool)
-    remarks = refuse_foreign(begin, of_tool)
-    refuse_foreign_links(begin.robot, train)
+def _belonging(begin: Calibration, train: Observations, validation: Validation) -> tuple[dict[str, Any], ...]:
+    """Refuse rows that cannot be of this robot, before any of them are held out; what is odd about those to fit."""
+    refuse_missing_columns(begin, train)
+    remarks = refuse_mixed_up(begin, train)
+    if isinstance(validation, Observations):
+        refuse_mixed_up(begin, validation)
     return remarks
 
 

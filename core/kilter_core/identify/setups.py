@@ -17,7 +17,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.effects import BASE, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
-from kilter_core.identify.estimate import bounded, estimate
+from kilter_core.identify.estimate import bounded, frames_alone
 from kilter_core.identify.kinds import KindErrors, errors_of, pooled
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.measuring import measurement_for
@@ -269,8 +269,7 @@ def with_base(calibration: Calibration, measurement: Measurement, loss: str) -> 
     alone = without_frames(calibration)
     model, values = alone.model.absorb_frame_increments(alone.values)
     options = IdentifyOptions(fix=model.names[6:], tool="fixed", loss=bounded(loss))
-    fit = estimate(Calibration(model, values, measurement.marker_points), measurement, options)
-    return fit.calibration()
+    return frames_alone(Calibration(model, values, measurement.marker_points), measurement, options)
 
 
 def _apart(code: int, use: str, before: Floats, after: Floats) -> OwnFrame:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.frames import best_frames
 from kilter_core.measurement.marker_shape import fit_poses
 from kilter_core.model import RobotModel
 from kilter_core.transforms import inverse, nearest_rotation
 from kilter_core.types import Bools, Floats
 
-LINEAR_POSES = 6  # 15 unknowns at three numbers a pose need five; one more keeps the start from following noise
+FEWEST_POSES = 6  # nine unknowns at three numbers a pose: fewer, and the tool point would follow noise
+MOST_POSES = 5000  # that a start is found from
 
 
 def register(
@@ -18,9 +20,9 @@ def register(
 ) -> tuple[Floats, Floats]:
     """Starting base and tool poses (4, 4) without any guess, from the model's flange poses.
 
-    With flange frames (F, f) and measured points p = R (f + F t) + b the equation is linear in M = R', c = -R'b and the
-    tool point t: M p + c - F t = f. M is then made a rotation. Orientation, when measured, gives the tool's rotation as the
-    mean of (R F)' R_measured. Frames that are not free (``base``, ``tool``) are kept as the model has them.
+    Both together are the best there are (:func:`kilter_core.measurement.frames.best_frames`), by positions and, where it
+    was measured, by orientation; then the tool's rotation is the mean of (R F)' R_measured. Frames that are not free
+    (``base``, ``tool``) are kept as the model has them.
     """
     if not (base or tool):
         return model.T_base, model.T_tool
@@ -28,8 +30,10 @@ def register(
     T_base, T_tool = model.T_base.copy(), model.T_tool.copy()
     flange = _flange(model, values, measurement)
     f, F, p = flange[use, :3, 3], flange[use, :3, :3], position[use]
-    if base and tool and len(p) >= LINEAR_POSES:
-        T_base, T_tool[:3, 3] = linear_frames(f, F, p, T_tool[:3, 3])
+    if base and tool and len(p) >= FEWEST_POSES:
+        some = slice(None, None, max(1, len(p) // MOST_POSES))
+        turned = None if rotation is None else rotation[use][some]
+        T_base, T_tool[:3, 3] = best_frames(f[some], F[some], p[some], T_tool[:3, 3], turned)
     elif base:
         T_base = _rigid(f + F @ T_tool[:3, 3], p)
     if tool:
@@ -64,22 +68,3 @@ def _rigid(body: Floats, world: Floats) -> Floats:
     T[:3, :3] = nearest_rotation((world - w).T @ (body - b))
     T[:3, 3] = w - T[:3, :3] @ b
     return T
-
-
-def linear_frames(f: Floats, F: Floats, p: Floats, guess: Floats) -> tuple[Floats, Floats]:
-    """Base pose (4, 4) and tool point (3,) from flange positions f (N, 3) and rotations F (N, 3, 3) to points p (N, 3)."""
-    rows = len(f)
-    A = np.zeros((rows, 3, 15))
-    centre = p.mean(axis=0)
-    for i in range(3):
-        A[:, i, 3 * i : 3 * i + 3] = p - centre
-        A[:, i, 9 + i] = 1.0
-    A[:, :, 12:] = -F
-    # A ridge towards the nominal tool point: poses that share an orientation cannot tell the tool from the base.
-    ridge = 1e-4 * np.sqrt(rows) * np.hstack([np.zeros((3, 12)), np.eye(3)])
-    solution = np.linalg.lstsq(
-        np.vstack([A.reshape(-1, 15), ridge]),
-        np.concatenate([f.reshape(-1), -0.0 + 1e-4 * np.sqrt(rows) * guess]),
-        rcond=None,
-    )[0]
-    return _rigid(f + F @ solution[12:], p), solution[12:]

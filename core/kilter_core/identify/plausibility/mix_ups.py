@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.types import Floats
+from kilter_core.types import Floats, Ints
 
 DEGREES = 180.0 / np.pi
 # What the values were, what they were declared as, and what converts them to what they were.
@@ -20,15 +20,43 @@ LENGTHS = (
     ("centimetres", "metres", 1e-2), ("centimetres", "millimetres", 10.0),
 )  # fmt: skip
 COLUMNS = "the columns, or their names in the column map,"
+JOIN = "join joints and measurements by pose number or time again, and upload again"
+
+
+def _shifted(by: int) -> Callable[[int], Ints]:
+    return lambda count: (np.arange(count) + by) % count
+
+
+def _as_text(count: int) -> Ints:
+    """Rows from 1 in the order of their numbers as text: 1, 10, 11, 2."""
+    return np.array(sorted(range(count), key=lambda row: str(row + 1)), dtype=np.int64)
+
+
+# Rows whose joints belong to a measurement: what it looks like, the remedy, and the row (N,) of every row.
+ELSEWHERE: dict[str, tuple[str, str, Callable[[int], Ints]]] = {
+    **{
+        f"{steps:+d}": (
+            f"Each measurement looks to be of the joints {abs(steps) if abs(steps) > 1 else 'one'} row"
+            f"{'s' * (abs(steps) > 1)} {'above' if steps < 0 else 'below'}", JOIN, _shifted(steps),
+        )
+        for steps in (-1, 1, -2, 2, -3, 3)
+    },
+    "backwards": ("Joints and measurements look to be in opposite order of rows", "reverse one of them, and upload again",
+                  lambda count: np.arange(count)[::-1]),
+    "joints as text": ("The joints look sorted by their numbers as text (1, 10, 11, 2), the measurements by number",
+                       "sort both by number, and upload again", lambda count: np.argsort(_as_text(count))),
+    "points as text": ("The measurements look sorted by their numbers as text (1, 10, 11, 2), the joints by number",
+                       "sort both by number, and upload again", _as_text),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class MixUp:
     """One mix-up, what to do about it, and how to read the rows without it.
 
-    The reading is: take the joints of the row ``shift`` further on (``backwards``: rows in reverse), in this ``order``, in
-    the units they have on the wire, times ``factor (n,)`` plus ``offset (n,)``; points times ``length``, one coordinate with
-    the other sign if ``mirror``.
+    The reading is: take the joints of another row (``rows`` of :data:`ELSEWHERE`), in this ``order``, in the units they
+    have on the wire, times ``factor (n,)`` plus ``offset (n,)``; points times ``length``, one coordinate with the other
+    sign if ``mirror``.
     """
 
     sentence: str
@@ -38,8 +66,8 @@ class MixUp:
     offset: Floats | None = None
     length: float = 1.0
     mirror: bool = False
-    shift: int = 0
-    backwards: bool = False
+    rows: str = ""
+    of_units: bool = False  # of joints
 
     def joints(self, q: Floats, unit: Floats) -> Floats:
         """Joint readings (N, n) as they were meant; ``unit (n,)`` converts rad and m to degrees and mm."""
@@ -82,13 +110,8 @@ def mix_ups(robot: Robot) -> Iterator[MixUp]:
         f"correct {COLUMNS} and upload again",
         mirror=True,
     )
-    for shift in (-1, 1):
-        yield MixUp(
-            f"Each measurement looks to be of the joints one row {'above' if shift < 0 else 'below'}",
-            "join joints and measurements by row or time again, and upload again",
-            shift=shift,
-        )
-    yield MixUp("Joints and measurements look to be in opposite order of rows", "reverse one of them", backwards=True)
+    for name, (sentence, remedy, _) in ELSEWHERE.items():
+        yield MixUp(sentence, remedy, rows=name)
 
 
 def _orders(n: int) -> Iterator[MixUp]:
@@ -135,6 +158,7 @@ def _units(robot: Robot) -> Iterator[MixUp]:
                 f"{who} like {was} declared as {declared}",
                 f"give the columns, or the column map, the unit {was}",
                 factor=_at(n, which, factor),
+                of_units=True,
             )
     for j in set(range(n)) - set(revolute):
         for was, declared, factor in LENGTHS[:2]:
@@ -142,6 +166,7 @@ def _units(robot: Robot) -> Iterator[MixUp]:
                 f"Joint {j + 1} looks like {was} declared as {declared}",
                 f"give its column the unit {was}",
                 factor=_at(n, [j], factor),
+                of_units=True,
             )
 
 

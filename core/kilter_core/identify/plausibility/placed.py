@@ -7,13 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from kilter_core.identify.plausibility.mix_ups import MixUp, wire_units
+from kilter_core.identify.plausibility.mix_ups import ELSEWHERE, MixUp, wire_units
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.frames import best_frames
 from kilter_core.measurement.marker_shape import fit_poses
-from kilter_core.measurement.registration import linear_frames
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.transforms import nearest_rotation, skew
 from kilter_core.types import Bools, Floats, Ints
 
 ROWS = 100
@@ -38,32 +37,27 @@ class Placed:
 
 
 def place(flange: Floats, points: Floats, limit: float = np.inf) -> Placed:
-    """Best base and tool for flange poses (K, 4, 4) and the points (K, 3) measured with them.
+    """Best base and tool for flange poses (K, 4, 4) and the points (K, 3) measured with them, the farthest rows aside.
 
-    A start that leaves more than ``limit`` m is not refined.
+    What leaves more than ``limit`` m with all rows is not placed again without the farthest.
     """
-    f, F = flange[:, :3, 3], flange[:, :3, :3]
-    base, tool = linear_frames(f, F, points, np.zeros(3))
-    placed = _measured(Placed(base[:3, :3], base[:3, 3], tool, np.zeros(0), 0.0), flange, points)
+    near = np.ones(len(points), dtype=bool)
+    placed = _placed(flange, points, near, None)
     for _ in range(STEPS if placed.size <= limit else 0):
-        near = _near(placed.miss)
-        after = _measured(_step(placed, flange[near], points[near]), flange, points)
-        if after.size > 0.999 * placed.size:
-            return after if after.size < placed.size else placed
+        before, near = near, _near(placed.miss)
+        if np.array_equal(before, near):
+            break
+        after = _placed(flange, points, near, placed.rotation)
+        if after.size >= placed.size:
+            break
         placed = after
     return placed
 
 
-def _step(placed: Placed, flange: Floats, points: Floats) -> Placed:
-    """One Gauss-Newton step in the nine numbers; a faint ridge holds what the poses do not determine."""
-    arm = placed.at(flange) - placed.place
-    J = np.concatenate([-skew(arm), np.tile(np.eye(3), (len(arm), 1, 1)), placed.rotation @ flange[:, :3, :3]], axis=2)
-    J = J.reshape(-1, FRAMES)
-    r = (points - placed.place - arm).reshape(-1)
-    H = J.T @ J
-    x = np.linalg.solve(H + 1e-8 * np.trace(H) * np.eye(FRAMES), J.T @ r)
-    rotation = nearest_rotation((np.eye(3) + skew(x[None, :3])[0]) @ placed.rotation)
-    return replace(placed, rotation=rotation, place=placed.place + x[3:6], tool=placed.tool + x[6:])
+def _placed(flange: Floats, points: Floats, near: Bools, rotation: Floats | None) -> Placed:
+    """Base and tool that place the rows ``near`` best; near a base ``rotation`` (3, 3) where one is known."""
+    base, tool = best_frames(flange[near, :3, 3], flange[near, :3, :3], points[near], np.zeros(3), near=rotation)
+    return _measured(Placed(base[:3, :3], base[:3, 3], tool, np.zeros(0), 0.0), flange, points)
 
 
 def _measured(placed: Placed, flange: Floats, points: Floats) -> Placed:
@@ -82,8 +76,8 @@ def _near(miss: Floats) -> Bools:
 class Sample:
     """Up to ``ROWS`` rows of a campaign, in the order they were measured; ``row`` are their numbers from 0.
 
-    ``points (K, 3)`` and, where measured, ``rotations (K, 3, 3)`` are of the tool. ``beside`` are the joints of rows a
-    step away, ``opposite`` those of the row as far from the end.
+    ``points (K, 3)`` and, where measured, ``rotations (K, 3, 3)`` are of the tool. ``elsewhere`` are the joints of other
+    rows, by the names of :data:`kilter_core.identify.plausibility.mix_ups.ELSEWHERE`.
     """
 
     begin: Calibration
@@ -92,27 +86,26 @@ class Sample:
     rotations: Floats | None
     row: Ints
     session: Ints
-    beside: dict[int, Floats]
-    opposite: Floats
+    elsewhere: dict[str, Floats]
     limit: float = np.inf  # m that the start of a placement may leave and still be refined
 
     @staticmethod
     def of(begin: Calibration, measurement: Measurement) -> Sample:
         """Take distinct poses evenly from the rows whose tool can be seen."""
         o = measurement.observations
-        first = np.unique(o.pose_groups(), return_index=True)[1]
-        row = np.sort(first)[np.unique(np.linspace(0, len(first) - 1, min(ROWS, len(first))).astype(np.int64))]
+        row = _of_each_pose(o.pose_groups())
+        row = row[np.unique(np.linspace(0, len(row) - 1, min(ROWS, len(row))).astype(np.int64))]
         points, rotations, use = _seen(measurement, o.select(row))
-        row, q, last = row[use], o.q, len(o) - 1
+        row, q = row[use], o.q
         session = np.zeros(len(row), dtype=np.int64) if o.session is None else o.session[row]
         # The rows of a session stay together, those of one in time.
         order = np.lexsort((row if o.t is None else o.t[row], session))
         row, session = row[order], session[order]
-        beside = {k: q[(row + k) % len(q)] for k in (-1, 1)}
+        elsewhere = {name: q[of(len(q))[row]] for name, (_, _, of) in ELSEWHERE.items()}
         rotations = None if rotations is None else rotations[use][order]
         bare = begin.with_effects(())
         bare = replace(bare, model=bare.model.in_frames(np.eye(4), np.eye(4)))
-        return Sample(bare, q[row], points[use][order], rotations, row, session, beside, q[last - row])
+        return Sample(bare, q[row], points[use][order], rotations, row, session, elsewhere)
 
     def __len__(self) -> int:
         return len(self.q)
@@ -121,19 +114,18 @@ class Sample:
         """Some of the rows."""
         return replace(
             self, q=self.q[index], points=self.points[index], row=self.row[index], session=self.session[index],
-            rotations=None if self.rotations is None else self.rotations[index], opposite=self.opposite[index],
-            beside={k: q[index] for k, q in self.beside.items()},
+            rotations=None if self.rotations is None else self.rotations[index],
+            elsewhere={name: q[index] for name, q in self.elsewhere.items()},
         )  # fmt: skip
 
     def without(self, mix_up: MixUp) -> Sample:
         """The rows read as they would have been without a mix-up."""
         unit = wire_units(self.begin.robot)
-        q = self.opposite if mix_up.backwards else self.beside[mix_up.shift] if mix_up.shift else self.q
+        q = self.elsewhere[mix_up.rows] if mix_up.rows else self.q
         return replace(
             self, q=mix_up.joints(q, unit), limit=self.limit * max(1.0, mix_up.length), points=mix_up.points(self.points),
             rotations=None if self.rotations is None else mix_up.rotations(self.rotations),
-            beside={k: mix_up.joints(v, unit) for k, v in self.beside.items()},
-            opposite=mix_up.joints(self.opposite, unit),
+            elsewhere={name: mix_up.joints(q, unit) for name, q in self.elsewhere.items()},
         )  # fmt: skip
 
     @cached_property
@@ -150,9 +142,32 @@ class Sample:
         return place(self.flange, self.points, self.limit)
 
     @cached_property
+    def lengths(self) -> float:
+        """Rms length (m) of what the flange's places show of the chain beside one point fixed to the flange.
+
+        A point fixed to the flange is what the tool takes up; zero where the flange only rotates about one point.
+        """
+        return untold(self.flange)
+
+    @cached_property
     def spread(self) -> float:
         """Rms distance (m) of the points, or of the flange where that is less, from their middle."""
         return min(_spread(self.points), _spread(self.flange[:, :3, 3]))
+
+
+def untold(flange: Floats) -> float:
+    """Rms motion (m) of flange poses (K, 4, 4) that no point fixed to the flange takes up; zero on a sphere."""
+    f, F = flange[:, :3, 3], flange[:, :3, :3]
+    known = np.concatenate([np.tile(np.eye(3), (len(f), 1, 1)), F], axis=2).reshape(-1, 6)
+    left = f.reshape(-1) - known @ np.linalg.lstsq(known, f.reshape(-1), rcond=None)[0]
+    return float(np.sqrt(np.sum(left**2) / len(f)))
+
+
+def _of_each_pose(pose: Ints) -> Ints:
+    """A row of every pose, in turn the first and the last of it: rows that are one off show at the ends of its repeats."""
+    first = np.unique(pose, return_index=True)[1]
+    last = len(pose) - 1 - np.unique(pose[::-1], return_index=True)[1]
+    return np.sort(np.where(np.arange(len(first)) % 2 == 0, first, last))
 
 
 def _seen(measurement: Measurement, rows: Observations) -> tuple[Floats, Floats | None, Bools]:

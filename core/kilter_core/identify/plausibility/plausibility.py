@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 
 from kilter_core.errors import ObservationError
+from kilter_core.identify.plausibility.believable import believable
 from kilter_core.identify.plausibility.mix_ups import LENGTHS, MixUp, mix_ups
 from kilter_core.identify.plausibility.orientation_mix_ups import rotation_faults
 from kilter_core.identify.plausibility.placed import ROWS, Placed, Sample, place
+from kilter_core.identify.plausibility.unrelated import unrelated
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.marker_checks import equal_markers
 from kilter_core.model import Calibration
@@ -64,7 +66,8 @@ def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[s
         return copied
     found = _diagnosed(sample) or _changed(sample) or _in_part(sample)
     if found is not None:
-        _refuse(found.sentences, found.remedies, found.before * 1e3, found.after * 1e3, "mm")
+        _refuse(found.sentences, found.remedies, _mm(found.before), _mm(found.after), "mm")
+    _refuse_unrelated(sample)
     if sample.rotations is None or _far(sample):
         return copied
     accused, warnings = rotation_faults(sample, o.rotation is not None)
@@ -93,6 +96,20 @@ def _refuse(sentences: tuple[str, ...], remedies: tuple[str, ...], before: float
     )  # fmt: skip
 
 
+def _refuse_unrelated(sample: Sample) -> None:
+    """Refuse rows of which base and tool make no more than of shuffled ones, and which no mix-up explains."""
+    found = unrelated(sample) if _far(sample) else None
+    if found is not None:
+        before, shuffled = _mm(found.left), _mm(found.shuffled)
+        raise ObservationError(
+            f"Joints and positions do not belong together: with base and tool registered {before:.3g} mm are left, "
+            f"{shuffled:.3g} mm with the rows shuffled, and no mix-up of columns, signs, units, zeros or rows explains it. "
+            "Remedy: join each measurement with the joints of its own pose again, by pose number or time, and check that "
+            "the robot is the one that was measured.",
+            code=FOREIGN, looks=["Joints and positions do not belong together"], before_mm=before, shuffled_mm=shuffled,
+        )  # fmt: skip
+
+
 def _far(sample: Sample) -> bool:
     """Whether base and tool alone leave more than real arms do."""
     return sample.placed.size > max(NEAR_M, NEAR * sample.spread)
@@ -113,7 +130,7 @@ def _diagnosed(sample: Sample) -> Finding | None:
         after = hurried.without(first)
         for m in known:
             both = frozenset((id(first), id(m)))
-            if len(both) == 2 and both not in done and not (m.shift or m.backwards or first.length != 1.0 != m.length):
+            if len(both) == 2 and both not in done and not (m.rows or first.length != 1.0 != m.length):
                 done.add(both)
                 pairs.append(((first, m), after.without(m)))
     return _certain(sample, pairs, PAIRS)
@@ -129,7 +146,10 @@ def _seeds(sample: Sample, read: list[tuple[MixUp, Sample]]) -> list[MixUp]:
 
 def _certain(sample: Sample, read: Sequence[tuple[tuple[MixUp, ...], Sample]], stricter: float = 1.0) -> Finding | None:
     """The best reading, with those about as good, if it is far better than the rows as they are."""
-    best = min((s for _, s in read), key=_misfit)
+    read = [(ms, s) for ms, s in sorted(read, key=lambda pair: _misfit(pair[1])) if believable(sample, ms, s)]
+    if not read:
+        return None
+    best = read[0][1]
     if _misfit(best) * FACTOR * stricter > _misfit(sample) or _misfit(best) * stricter > GOOD:
         return None
     alike = [m for m, s in read if _misfit(s) <= ALIKE * _misfit(best)]
@@ -168,7 +188,7 @@ def _changed_in_order(sample: Sample) -> Finding | None:
         return None
     what, where = _what_moved(late, head, tail, size), f"row {sample.row[cut] + 1}"
     return Finding(
-        (f"{what} looks changed by {moved * 1e3:.3g} mm from {where} on",),
+        (f"{what} looks changed by {_mm(moved):.3g} mm from {where} on",),
         ("make a campaign of the rows before and one of those after it, and identify them apart",),
         sample.placed.size, size,
     )  # fmt: skip
@@ -242,6 +262,10 @@ def _parts(sample: Sample) -> list[tuple[Sample, Sample, str]]:
     out.append((sample.part(rows[-third:]), sample.part(rows[:third]), "in the later rows"))
     out.append((sample.part(rows[:third]), sample.part(rows[-third:]), "in the earlier rows"))
     return out
+
+
+def _mm(metres: float) -> float:
+    return 1e3 * metres
 
 
 def _size(points: Floats) -> float:

@@ -71,6 +71,7 @@ def foresee(job: JobInput, found: Foresight) -> None:
         doubts(job.robot, _named(job), job.devices, job.options.sheet_order)
         train, validation = _rows(job, Setups(options.refit, job.devices))
         found.learn_from(train)
+        _refuse_mixed_up(job, train, validation)
         if isinstance(validation, Observations):
             found.hold("campaigns", validation)
         elif isinstance(validation, Folds):
@@ -84,6 +85,17 @@ def foresee(job: JobInput, found: Foresight) -> None:
             options = between_rows(options, train)
         found.identification = check_identification(job.robot, train, options, job.calibration)
         found.missing += [Lack(u.name, u.reason, u.remedy) for u in found.identification.unknown]
+
+
+def _refuse_mixed_up(job: JobInput, train: Observations, validation: Observations | float | Folds | None) -> None:
+    from kilter_core.identify.plausibility.belonging import refuse_mixed_up
+    from kilter_core.model import Calibration
+    from kilter_core.observations import Observations
+
+    begin = job.calibration or Calibration.nominal(job.robot)
+    for rows in (train, validation):
+        if isinstance(rows, Observations):
+            refuse_mixed_up(begin, rows)
 
 
 def _named(job: JobInput) -> list[tuple[str, Observations]]:

@@ -1,0 +1,41 @@
+"""Whether rows belong to a robot: the one question that upload, dry run, page, check, `identify` and `gap` ask alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
+from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
+from kilter_core.identify.plausibility.plausibility import refuse_foreign
+from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+
+
+def refuse_mixed_up(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
+    """Refuse rows that a mix-up explains far better than physics; return warnings about what only looks odd.
+
+    Give all ``rows`` of a campaign in the order they came, before any are held out: joints of the row above are found
+    only where the row above is there. Set-ups of an instrument, each in a frame of its own, are judged one by one.
+
+    Raises:
+        ObservationError: ``foreign_observations`` or ``markers_swapped``, with what looks wrong, how much that explains,
+            and the remedy, which was tried; or what is wrong with the columns.
+
+    """
+    warnings: list[dict[str, Any]] = []
+    if rows.position is not None or rows.markers is not None:
+        for part in _parts(rows):
+            of_tool = Measurement.of(part, begin.marker_points, held=True).of_tool()
+            refuse_feigned_turns(begin, of_tool)
+            warnings += [w for w in refuse_foreign(begin, of_tool) if w not in warnings]
+    refuse_foreign_links(begin.robot, rows)
+    return tuple(warnings)
+
+
+def _parts(rows: Observations) -> list[Observations]:
+    if rows.setup is None or len(codes := np.unique(rows.setup)) < 2:
+        return [rows]
+    return [rows.select(rows.setup == code) for code in codes]

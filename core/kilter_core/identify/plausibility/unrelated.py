@@ -1,0 +1,97 @@
+"""Joints and positions that do not belong together: no base and no tool makes more of them than of shuffled rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kilter_core.identify.plausibility.believable import reach
+from kilter_core.identify.plausibility.placed import Sample, place
+from kilter_core.observations import Observations
+from kilter_core.types import Floats
+
+SHUFFLES = 5
+SHARE = 0.5  # of what shuffled rows leave: rows that belong together leave far less
+OF_REACH = 0.1  # more than this is left by no arm that is the one described
+MOVED_M = 0.02  # rms distance of points and flange from their middle, below which nothing is told
+STEPS = 8
+DIFFERENCE_RAD = 1e-5
+EXPLAINED = 0.2  # share of the residual that joint zeros may leave and still explain it
+
+
+@dataclass(frozen=True)
+class Unrelated:
+    """What base and tool leave (m) of the rows, and of the same rows shuffled."""
+
+    left: float
+    shuffled: float
+
+
+def unrelated(sample: Sample) -> Unrelated | None:
+    """Say whether joints and positions belong together at all; None where they do.
+
+    What wrong zeros of the joints explain belongs together: an arm that was never mastered leaves a lot, and can be
+    identified.
+    """
+    if sample.spread < MOVED_M:
+        return None
+    left, shuffled = sample.placed.size, _shuffled(sample)
+    if left <= SHARE * shuffled and left <= OF_REACH * reach(sample.begin.robot):
+        return None
+    if _with_zeros(sample) < EXPLAINED * left:
+        return None
+    return Unrelated(left, shuffled)
+
+
+def _shuffled(sample: Sample) -> float:
+    rng = np.random.default_rng(0)
+    return float(np.median([place(sample.flange[rng.permutation(len(sample))], sample.points).size
+                            for _ in range(SHUFFLES)]))  # fmt: skip
+
+
+def _with_zeros(sample: Sample) -> float:
+    """Rms m that is left when the zeros of the joints are fitted too, from where they are."""
+    now = sample
+    for _ in range(STEPS):
+        changed = _zeroed(now)
+        if changed.placed.size >= 0.999 * now.placed.size:
+            break
+        now = changed
+    return now.placed.size
+
+
+def _zeroed(sample: Sample) -> Sample:
+    """The sample after one damped step in the zeros of its joints, base and tool following."""
+    n, placed = sample.q.shape[1], sample.placed
+    here = placed.at(sample.flange)
+    columns = [(_moved(sample, _one(n, k)) - here).reshape(-1) / DIFFERENCE_RAD for k in range(n)]
+    frames = [_frame(sample, k) for k in range(9)]
+    J = np.column_stack([*columns, *frames])
+    r = (sample.points - here).reshape(-1)
+    H = J.T @ J
+    x = np.linalg.solve(H + 1e-6 * np.trace(H) / len(H) * np.eye(len(H)), J.T @ r)
+    tried = [replace(sample, q=sample.q + share * x[:n]) for share in (1.0, 0.5, 0.25)]
+    return min(tried, key=lambda s: s.placed.size)
+
+
+def _one(n: int, k: int) -> Floats:
+    return np.asarray(DIFFERENCE_RAD * np.eye(n)[k])
+
+
+def _moved(sample: Sample, by: Floats) -> Floats:
+    """Points (K, 3) of the placed sample with its joints moved."""
+    seen = sample.begin.predict(Observations(q=sample.q + by))
+    flange = np.tile(np.eye(4), (len(sample), 1, 1))
+    flange[:, :3, :3], flange[:, :3, 3] = seen.rotation, seen.position
+    return sample.placed.at(flange)
+
+
+def _frame(sample: Sample, k: int) -> Floats:
+    """Derivative (3 K,) of the placed points by a number of the base (rotation, place) or of the tool point."""
+    placed, axis = sample.placed, np.eye(3)[k % 3]
+    if k < 3:
+        return np.asarray(np.cross(axis, placed.at(sample.flange) - placed.place).reshape(-1))
+    if k < 6:
+        return np.tile(axis, len(sample))
+    return np.asarray((placed.rotation @ sample.flange[:, :3, :3] @ axis).reshape(-1))

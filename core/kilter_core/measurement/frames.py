@@ -1,0 +1,120 @@
+"""The best base pose and tool point for flange poses and what was seen of them: no start, and so no wrong one.
+
+With flange frames (F, f), measured points p = b + R (f + F t) say R'p - f = R'b + F t. For a known base rotation R that is
+linear in base and tool, by a matrix that does not depend on R. Projected on what neither can explain, the loss is quadratic
+in the nine entries of R' alone, whatever the number of rows: all of SO(3) can be looked through, and the best of it is
+walked to its end. Left free to be any matrix, as in the linear solution for all unknowns at once, R' collapses to zero
+wherever the flange moves on a sphere (a wrist, a shoulder, a head with two axes): the tool then explains everything.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kilter_core.transforms import nearest_rotation, skew
+from kilter_core.types import Floats
+
+RIDGE = 1e-4  # of a row's weight: poses that share an orientation cannot tell the tool from the base
+WALKED = 6  # of the places looked at, the best, from which a walk begins
+TOGETHER, STEPS = 6, 20  # steps of all walks, then of the best one
+DAMPING = 2e-3
+SETTLED = 1e-9  # share of the loss that another step must gain
+AXES = skew(np.eye(3))
+LEVER = 0.1  # of the spread of the points, m that a radian of orientation counts for: positions decide where they can
+
+
+def best_frames(
+    f: Floats, F: Floats, p: Floats, guess: Floats, turned: Floats | None = None, near: Floats | None = None
+) -> tuple[Floats, Floats]:
+    """Base pose (4, 4) and tool point (3,) from flange positions f (N, 3) and rotations F (N, 3, 3) to points p (N, 3).
+
+    ``guess (3,)`` is the tool point where the poses do not tell it, ``turned (N, 3, 3)`` the measured orientation. With a
+    base rotation ``near (3, 3)`` only the minimum near it is found.
+    """
+    loss = _Loss(f, F, p, guess, turned)
+    starts = _everywhere() if near is None else near.T[None]
+    if near is None:
+        starts = starts[np.argsort(loss.at(starts))[:WALKED]]
+    turns = _walked(loss, starts, TOGETHER) if len(starts) > 1 else starts
+    turn = nearest_rotation(_walked(loss, turns[[int(np.argmin(loss.at(turns)))]], STEPS)[0])
+    shift, tool = loss.linear(turn)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turn.T, turn.T @ shift + p.mean(axis=0)
+    return T, tool
+
+
+class _Loss:
+    """Sum of squares m² that base and tool leave for a base rotation, of which R' is the inverse: |B vec(R') - d|²."""
+
+    def __init__(self, f: Floats, F: Floats, p: Floats, guess: Floats, turned: Floats | None) -> None:
+        count = len(f)
+        ridge = RIDGE * np.sqrt(count)
+        moved = p - p.mean(axis=0)
+        # R'p, row by row: entry (i, k) of R' multiplies coordinate k of the point in equation i.
+        self._turning = np.concatenate([np.einsum("ij,nk->nijk", np.eye(3), moved).reshape(-1, 9), np.zeros((3, 9))])
+        self._constant = np.concatenate([f.reshape(-1), -ridge * guess])
+        known = np.zeros((count, 3, 6))
+        known[:, :, :3], known[:, :, 3:] = np.eye(3), F
+        self._known = np.concatenate([known.reshape(-1, 6), np.hstack([np.zeros((3, 3)), ridge * np.eye(3)])])
+        Q = np.linalg.qr(self._known)[0]
+        both = np.column_stack([self._turning, self._constant])
+        left = both - Q @ (Q.T @ both)
+        if turned is not None:
+            left = np.concatenate([left, _of_orientation(F, turned, LEVER * float(np.sqrt(np.mean(moved**2))))])
+        R = np.asarray(np.linalg.qr(left, mode="r"))
+        self.B, self.d = R[:, :9], R[:, 9]
+
+    def at(self, turns: Floats) -> Floats:
+        """Loss (K,) of rotations R' (K, 3, 3)."""
+        return np.asarray(np.sum(self.residual(turns) ** 2, axis=1))
+
+    def residual(self, turns: Floats) -> Floats:
+        """Residuals (K, m) of rotations."""
+        return np.asarray(turns.reshape(-1, 9) @ self.B.T - self.d)
+
+    def linear(self, turn: Floats) -> tuple[Floats, Floats]:
+        """Place (3,) of the base from the middle of the points, in the base's axes, and tool point (3,) for one rotation R'."""
+        x = np.linalg.lstsq(self._known, self._turning @ turn.reshape(-1) - self._constant, rcond=None)[0]
+        return np.asarray(x[:3]), np.asarray(x[3:])
+
+
+def _of_orientation(F: Floats, turned: Floats, lever: float) -> Floats:
+    """Rows (9 N, 10) that say how far R' S - F T is from zero for the best tool rotation T, m."""
+    rows = np.einsum("ij,nkl->niljk", np.eye(3), turned).reshape(len(F), 9, 9)
+    known = np.einsum("nik,lm->nilkm", F, np.eye(3)).reshape(-1, 9)
+    Q = np.linalg.qr(known)[0]
+    left = rows.reshape(-1, 9)
+    return np.asarray(lever * np.column_stack([left - Q @ (Q.T @ left), np.zeros(len(left))]))
+
+
+def _walked(loss: _Loss, turns: Floats, steps: int) -> Floats:
+    """Rotations R' (K, 3, 3) after damped Gauss-Newton steps on SO(3), each from its own start."""
+    damping, now = np.full(len(turns), DAMPING * float(np.sum(loss.B**2))), loss.at(turns)
+    for _ in range(steps):
+        J = (turns[:, None] @ AXES).reshape(len(turns), 3, 9) @ loss.B.T
+        H = J @ J.transpose(0, 2, 1) + damping[:, None, None] * np.eye(3)
+        there = turns @ _rotations(-np.linalg.solve(H, J @ loss.residual(turns)[:, :, None])[:, :, 0])
+        then = loss.at(there)
+        better = then < now
+        gain = float((now - then).max())
+        turns, now = np.where(better[:, None, None], there, turns), np.where(better, then, now)
+        damping = np.where(better, damping / 10.0, damping * 10.0)
+        if 0.0 <= gain < SETTLED * now.min():
+            break
+    return turns
+
+
+def _rotations(w: Floats) -> Floats:
+    """Rotations (K, 3, 3) by rotation vectors (K, 3): Rodrigues' formula."""
+    angle = np.linalg.norm(w, axis=1)[:, None, None]
+    W = skew(w)
+    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * W + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * (W @ W))
+
+
+@cache
+def _everywhere() -> Floats:
+    """Rotations (60, 3, 3) evenly over SO(3), the icosahedron's: no rotation is farther than 45 degrees from one of them."""
+    return np.asarray(Rotation.create_group("I").as_matrix())

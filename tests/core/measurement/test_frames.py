@@ -1,0 +1,45 @@
+"""The best base and tool are found wherever the flange moved, also on a sphere; truth is Pinocchio's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from kilter_core.measurement.frames import best_frames
+from tests.core.truth import some_arm, some_pose, ur10
+
+NOISE_M = 2e-5
+
+
+@pytest.mark.parametrize("moving", [[0, 1], [1, 2], [3, 4], [4, 5], [3, 4, 5], range(6)])
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("random", [False, True])
+def test_what_is_left_is_the_noise(moving: list[int], turned: bool, random: bool) -> None:
+    rng = np.random.default_rng(len(moving) + 10 * moving[0])
+    arm = some_arm(rng, 6) if random else ur10(base=some_pose(rng, 3.0), tool=some_pose(rng, 0.3))
+    q = np.tile(rng.uniform(-2, 2, 6), (60, 1))
+    q[:, list(moving)] = rng.uniform(-2, 2, (60, len(moving)))
+    bare = replace(arm, base=pin.SE3.Identity(), tool=pin.SE3.Identity())
+    (f, F), (p, R) = bare.poses(q), arm.poses(q)
+    p = p + rng.normal(0.0, NOISE_M, p.shape)
+    T, tool = best_frames(f, F, p, np.zeros(3), R if turned else None)
+    left = p - (T[:3, 3] + (f + F @ tool) @ T[:3, :3].T)
+    assert np.sqrt(np.mean(np.sum(left**2, axis=1))) < 1.3 * np.sqrt(3.0) * NOISE_M
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
+    if turned and random:
+        np.testing.assert_allclose(T[:3, :3], arm.base.rotation, atol=2e-3)
+
+
+def test_orientation_decides_what_positions_do_not_tell() -> None:
+    """One joint moves: positions lie on a circle, and only the orientation says how the flange stands beside it."""
+    rng = np.random.default_rng(4)
+    arm = ur10(base=some_pose(rng, 3.0), tool=some_pose(rng, 0.3))
+    q = np.tile(rng.uniform(-1, 1, 6), (30, 1))
+    q[:, [0, 5]] = rng.uniform(-1.5, 1.5, (30, 2))
+    bare = replace(arm, base=pin.SE3.Identity(), tool=pin.SE3.Identity())
+    (f, F), (p, R) = bare.poses(q), arm.poses(q)
+    T, _ = best_frames(f, F, p, arm.tool.translation, R)
+    np.testing.assert_allclose(T[:3, :3], arm.base.rotation, atol=1e-5)

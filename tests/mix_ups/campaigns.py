@@ -1,0 +1,110 @@
+"""Campaigns that are what they say, and the same with something mixed up between joints and measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.robot import Robot
+from kilter_core.observations import Observations
+from tests.core.campaigns import measured
+from tests.core.truth import Floats
+from tests.mix_ups.arms import BUILDS, Pair, some_pair
+
+SEES = ("position", "pose", "markers")
+
+
+@dataclass(frozen=True)
+class Genuine:
+    """What was measured of an arm, how, and which joints moved."""
+
+    robot: Robot
+    rows: Observations
+    pair: Pair
+    kind: str
+
+
+def genuine(seed: int, build: str | None = None, moving: int | None = None, see: str | None = None) -> Genuine:
+    """A campaign; ``moving`` joints next to each other move, the others stay somewhere."""
+    rng = np.random.default_rng(seed)
+    build = build or list(BUILDS)[seed % len(BUILDS)]
+    pair = some_pair(build, rng)
+    see = see or SEES[int(rng.integers(3))]
+    count = int(rng.choice([20, 40, 80]))
+    low, high = pair.ranges.T
+    share = 1.0 if moving else rng.choice([1.0, 0.5, 0.2])
+    q = rng.uniform(share * low, share * high, (count, pair.drawn.n))
+    if moving:
+        first = int(rng.integers(0, pair.drawn.n - min(moving, pair.drawn.n) + 1))
+        still = [j for j in range(pair.drawn.n) if not first <= j < first + moving]
+        q[:, still] = rng.uniform(0.5 * low, 0.5 * high)[still]
+    if rng.random() < 0.3:
+        q = np.repeat(q, 3, axis=0)
+    noise = float(rng.choice([1e-5, 5e-5, 2e-4]))
+    rows = measured(pair.true, q, rng, noise, see)
+    return Genuine(robot_from_document(pair.drawn.document()), rows, pair, f"{build}, {moving or 'all'} move, {see}")
+
+
+def _units(robot: Robot) -> Floats:
+    return np.array([180.0 / np.pi if j.kind == "revolute" else 1e3 for j in robot.joints])
+
+
+def _swapped(g: Genuine, rng: np.random.Generator) -> Observations:
+    order = np.arange(g.robot.n_joints)
+    order[[0, 1]] = [1, 0]
+    unit = _units(g.robot)
+    return replace(g.rows, q=(g.rows.q * unit)[:, order] / unit)
+
+
+def _sign(g: Genuine, rng: np.random.Generator) -> Observations:
+    return replace(g.rows, q=g.rows.q * np.where(np.arange(g.robot.n_joints) == 1, -1.0, 1.0))
+
+
+def _degrees(g: Genuine, rng: np.random.Generator) -> Observations:
+    revolute = np.array([j.kind == "revolute" for j in g.robot.joints])
+    return replace(g.rows, q=np.where(revolute, np.radians(g.rows.q), g.rows.q))
+
+
+def _one_in_radians(g: Genuine, rng: np.random.Generator) -> Observations:
+    joint = next(j for j in range(1, g.robot.n_joints) if g.robot.joints[j].kind == "revolute")
+    return replace(g.rows, q=np.where(np.arange(g.robot.n_joints) == joint, np.radians(g.rows.q), g.rows.q))
+
+
+def _zero(g: Genuine, rng: np.random.Generator) -> Observations:
+    """Of the second joint that turns, which neither base nor tool takes up."""
+    turning = [j for j in range(g.robot.n_joints) if g.robot.joints[j].kind == "revolute"]
+    return replace(g.rows, q=g.rows.q - np.where(np.arange(g.robot.n_joints) == turning[1], np.pi / 2.0, 0.0))
+
+
+def _points(change: Callable[[Floats], Floats]) -> Callable[[Genuine, np.random.Generator], Observations]:
+    def mixed(g: Genuine, rng: np.random.Generator) -> Observations:
+        if g.rows.markers is not None:
+            return replace(g.rows, markers=change(g.rows.markers))
+        assert g.rows.position is not None
+        return replace(g.rows, position=change(g.rows.position))
+
+    return mixed
+
+
+def _joints_of(
+    order: Callable[[int, np.random.Generator], NDArray[np.int64]],
+) -> Callable[[Genuine, np.random.Generator], Observations]:
+    return lambda g, rng: replace(g.rows, q=g.rows.q[order(len(g.rows), rng)])
+
+
+MIXED: dict[str, Callable[[Genuine, np.random.Generator], Observations]] = {
+    "two joints swapped": _swapped,
+    "a joint of the other sign": _sign,
+    "radians declared as degrees": _degrees,
+    "one joint in radians": _one_in_radians,
+    "a zero 90 degrees off": _zero,
+    "millimetres declared as metres": _points(lambda p: p * 1e3),
+    "inches declared as millimetres": _points(lambda p: p / 25.4),
+    "x and y exchanged": _points(lambda p: p[..., [1, 0, 2]]),
+    "shifted by one row": _joints_of(lambda n, rng: np.roll(np.arange(n), 1)),
+    "shuffled": _joints_of(lambda n, rng: rng.permutation(n)),
+}

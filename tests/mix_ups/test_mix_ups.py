@@ -1,0 +1,92 @@
+"""Ten mix-ups on five builds of arms are refused; genuine campaigns, also of few moving joints, are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kilter_core.errors import ObservationError
+from kilter_core.evaluate import evaluate
+from kilter_core.identify import identify
+from kilter_core.identify.plausibility.believable import reach
+from kilter_core.identify.plausibility.belonging import refuse_mixed_up
+from kilter_core.model import Calibration
+from tests.mix_ups.arms import BUILDS
+from tests.mix_ups.campaigns import MIXED, genuine
+from tests.mix_ups.score import bounds, of_few_joints, said
+
+NAMED = {
+    "two joints swapped": "swapped",
+    "radians declared as degrees": "like radians declared as degrees",
+    "one joint in radians": "like radians declared as degrees",
+    "millimetres declared as metres": "millimetres declared as metres",
+    "inches declared as millimetres": "inches declared as millimetres",
+    "shifted by one row": "of the joints one row below",
+    "shuffled": "Joints and positions do not belong together",
+}
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_mix_ups_are_refused(build: str) -> None:
+    g = genuine(list(BUILDS).index(build) + 50, build)
+    assert said(g) == ""
+    for name, mix in MIXED.items():
+        text = said(g, mix(g, np.random.default_rng(1)))
+        assert NAMED.get(name, "Remedy: ") in text, f"{name}: {text}"
+
+
+@pytest.mark.parametrize("seed", range(100, 140))
+def test_genuine_campaigns_are_not_accused(seed: int) -> None:
+    g = genuine(seed, moving=of_few_joints(seed) or (3 if seed % 2 else None))
+    assert said(g) == "", g.kind
+
+
+@pytest.mark.slow
+def test_two_hundred_mix_ups_and_a_thousand_genuine_campaigns() -> None:
+    accused = [seed for seed in range(2000, 3000) if said(genuine(seed, moving=of_few_joints(seed)))]
+    assert not accused
+    missed = [
+        (seed, build, name)
+        for seed in range(5)
+        for build in BUILDS
+        for name, mix in MIXED.items()
+        if not said((g := genuine(900 + seed, build)), mix(g, np.random.default_rng(seed)))
+    ]
+    assert bounds(len(missed), 250)[1] < 0.03, missed
+
+
+def test_rows_shifted_by_one_are_named_whatever_is_held_out() -> None:
+    """Every second row alone shows nothing of the row above: the whole campaign is asked before a quarter is held out."""
+    g = genuine(11, "6R", see="position")
+    rows = replace(g.rows, q=np.roll(g.rows.q, 1, axis=0))
+    with pytest.raises(ObservationError, match="joints one row below") as refused:
+        identify(g.robot, rows, 0.25)
+    assert refused.value.code == "foreign_observations"
+
+
+def test_a_refit_of_few_joints_ends_no_worse_than_it_started() -> None:
+    """A head of two axes that meet: its flange moves on a sphere, where the linear start collapsed."""
+    for seed in range(4):
+        g = genuine(7000 + 5 * seed, "7R", moving=2, see="position")
+        found = evaluate(Calibration.nominal(g.robot), g.rows, ["base", "tool"])
+        assert found["identified"]["rms_mm"] < 5.0
+        assert found["identified"]["rms_mm"] <= found["nominal"]["rms_mm"]
+
+
+def test_an_arm_that_was_never_mastered_is_not_called_another() -> None:
+    """Zeros off by 20 degrees leave hundreds of millimetres, and belong to the rows: a fit finds them."""
+    g = genuine(21, "6R", see="position")
+    off = np.radians([0.0, 20.0, -15.0, 10.0, 0.0, 0.0])
+    rows = replace(g.rows, q=g.rows.q + off)
+    assert refuse_mixed_up(Calibration.nominal(g.robot), rows) == ()
+    assert 0.3 < reach(g.robot) < 4.0
+
+
+def test_what_no_reading_explains_is_refused_without_a_name() -> None:
+    """Reversed columns, signs and zeros at once: no pair of mix-ups undoes them."""
+    g = genuine(31, "6R", see="position")
+    with pytest.raises(ObservationError, match="Joints and positions do not belong together") as refused:
+        refuse_mixed_up(Calibration.nominal(g.robot), replace(g.rows, q=-g.rows.q[:, ::-1] + 0.7))
+    assert refused.value.code == "foreign_observations"
