@@ -31,8 +31,17 @@ demo: $(KERNELS) ## calibrate a simulated Katana 450 from measured poses to corr
 serve: $(KERNELS) ## run the server on this machine until Ctrl-C
 	$(BIN)/kilterd serve
 
-test: $(KERNELS) ## run the tests
+# The numeric part runs under the linear algebra of another kind of processor first: what is found must not depend on it.
+OTHER_CORE ?= Sandybridge
+OTHER_CORE_TESTS := tests/core/identify/test_identify.py tests/core/identify/test_identifiability.py tests/core/identify/test_valley.py \
+	tests/core/measurement/test_contacts.py tests/core/measurement/test_distances.py tests/core/procedures
+
+test: $(KERNELS) ## run the tests, the numeric part first under another kind of processor (OTHER_CORE=Sandybridge)
+	OPENBLAS_CORETYPE=$(OTHER_CORE) $(BIN)/python -m pytest -q -n $(TESTERS) --dist loadscope $(OTHER_CORE_TESTS)
 	$(BIN)/python -m pytest -n $(TESTERS) --dist loadscope
+
+test-processors: $(KERNELS) ## fit N campaigns of every kind of measurement under four kinds of processor and compare (N=1000)
+	$(BIN)/python -m tests.core.processors.compared --n $(or $(N),1000)
 
 test-pythons: $(READY) ## run the quick part of the tests on every supported Python that is here (VERSIONS="3.12 oldest")
 	sh tools/test_pythons.sh $(VERSIONS)

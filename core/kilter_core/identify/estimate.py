@@ -30,7 +30,7 @@ WEIGHT_PASSES = 8
 HOLDING_PASSES = 2  # passes after which directions are only released: one at the limit would come and go for ever
 ROUGH = 0.01  # share of the loss below which a step no longer changes weights that hold to 5 %
 UNSEEN = 0.05
-PLAIN = 1e12  # square of a singular value up to which normal equations tell UNSEEN from rounding
+PLAIN = 1e8  # square of a singular value up to which rounding of normal equations moves no direction near UNSEEN
 
 
 def registration_only(start: Calibration, measurement: Measurement, loss: str = "linear") -> Calibration:

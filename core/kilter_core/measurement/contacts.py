@@ -21,10 +21,11 @@ from kilter_core.types import Floats, Ints
 
 UNKNOWNS = {"socket": 3, "plane": 3, "bar": 3}
 LEAST_ROWS = {"socket": 2, "plane": 4, "bar": 4}
-STEPS = 20
+STEPS = 60
 SETTLED_M = 1e-12
 LEVEL = 1e-3  # share of the best seen move of a place below which lengths leave it where it is, smoothly
-CLEARLY = 4.0  # a bar's base off the plane must fit so many times better
+FLAT = 0.2  # share of the second width of the points below which the third makes them lie near a plane
+ALMOST = 3e-4  # as LEVEL, of a base's height over the plane of its points: about 1 mm where lengths are read to 1e-6 m
 
 
 @dataclass(frozen=True)
@@ -118,12 +119,11 @@ class Contacts(Kind):
         left, slopes, centres = [], [], {}
         for c in self.contacts:
             place = fitted_place(c, p[c.rows])
-            r, D = _left(c, p[c.rows], place)
-            left.append(r)
+            left.append(_left(c, p[c.rows], place))
             if c.kind == "socket":
                 centres[c.number] = c
             if J is not None:
-                slopes.append(_projected(D, _slope(c, p[c.rows], place, J[c.rows, :3])))
+                slopes.append(_projected(*_moves(c, p[c.rows], place), _slope(c, p[c.rows], place, J[c.rows, :3])))
         for (a, b), known in self.distances.items():
             r, slope = _between(centres[a].rows, centres[b].rows, known, p, J)
             left.append(r)
@@ -139,7 +139,7 @@ class Contacts(Kind):
         for c in self.contacts:
             # A placement that the anchor does not have stands where it fits its own rows best.
             place = places[c.name] if c.name in places else fitted_place(c, p[c.rows])
-            r = _left(c, p[c.rows], place)[0]
+            r = _left(c, p[c.rows], place)
             out.append(np.linalg.norm(r.reshape(-1, 3), axis=1) if c.kind == "socket" else r)
         return np.concatenate(out)[:, None], None
 
@@ -191,18 +191,30 @@ def _refuse_small(contacts: tuple[Contact, ...], anchor: Contacts | None) -> Non
             )
 
 
-def _left(c: Contact, p: Floats, place: Floats) -> tuple[Floats, Floats]:
-    """Residuals (S,) of a contact's rows ``p (K, 3)`` and the derivative (S, U) by its place."""
+def _left(c: Contact, p: Floats, place: Floats) -> Floats:
+    """Residuals (S,) of a contact's rows ``p (K, 3)``."""
     if c.kind == "socket":
-        return (place - p).reshape(-1), np.tile(np.eye(3), (len(p), 1))
+        return np.asarray((place - p).reshape(-1))
     if c.kind == "plane":
-        normal, along = place[:3], p - p.mean(axis=0)
-        u, v = square_to(normal)
-        return place[3] - p @ normal, np.column_stack([np.ones(len(p)), along @ u, along @ v])
+        return np.asarray(place[3] - p @ place[:3])
     assert c.length is not None
-    ray = p - place
-    size = np.linalg.norm(ray, axis=1)
-    return c.length - size, ray / size[:, None]
+    return np.asarray(c.length - np.linalg.norm(p - place[:3], axis=1) - place[3])
+
+
+def _moves(c: Contact, p: Floats, place: Floats) -> tuple[Floats, Floats]:
+    """Derivative (S, U) of what the rows' residuals compare by the place, and the stiffness (U, U) that holds the place."""
+    if c.kind == "socket":
+        D = np.tile(np.eye(3), (len(p), 1))
+    elif c.kind == "plane":
+        along, (u, v) = p - p.mean(axis=0), square_to(place[:3])
+        D = np.column_stack([np.ones(len(p)), along @ u, along @ v])
+    else:
+        ray = p - place[:3]
+        D = ray / np.linalg.norm(ray, axis=1)[:, None]
+        if place[3] != 0.0:
+            normal = np.linalg.svd(p - p.mean(axis=0), full_matrices=False)[2][2]
+            return np.column_stack([D, np.ones(len(p))]), _stiffness(normal, len(p))
+    return D, LEVEL**2 * float(np.linalg.norm(D, 2)) ** 2 * np.eye(3)
 
 
 def _slope(c: Contact, p: Floats, place: Floats, J: Floats) -> Floats:
@@ -211,19 +223,19 @@ def _slope(c: Contact, p: Floats, place: Floats, J: Floats) -> Floats:
         return J.reshape(-1, J.shape[2])
     if c.kind == "plane":
         return np.asarray(np.einsum("i,kip->kp", place[:3], J))
-    ray = p - place
+    ray = p - place[:3]
     return np.asarray(np.einsum("ki,kip->kp", ray / np.linalg.norm(ray, axis=1)[:, None], J))
 
 
-def _projected(D: Floats, slope: Floats) -> Floats:
+def _projected(D: Floats, stiffness: Floats, slope: Floats) -> Floats:
     """The slope without what moves ``D`` of the place take up; moves that hardly show take up nothing."""
-    U, s, _ = np.linalg.svd(D, full_matrices=False)
-    share = s**2 / (s**2 + (LEVEL * s[0]) ** 2)
-    return np.asarray(slope - (U * share) @ (U.T @ slope))
+    return np.asarray(slope - D @ np.linalg.solve(D.T @ D + stiffness, D.T @ slope))
 
 
 def fitted_place(c: Contact, p: Floats) -> Floats:
-    """Where a contact fits the points best: a socket's centre (3,), a plane's normal and distance (4,), a bar's base (3,)."""
+    """Where a contact fits the points best: a socket's centre (3,), a plane's normal and distance (4,), a bar's base
+    and the offset of its lengths (4,).
+    """
     if c.kind == "socket":
         return np.asarray(p.mean(axis=0))
     if c.kind == "plane":
@@ -234,18 +246,24 @@ def fitted_place(c: Contact, p: Floats) -> Floats:
 
 
 def _foot(p: Floats, length: Floats) -> Floats:
-    """Centre (3,) from which the points are ``length (K,)`` away: linear first, then Gauss-Newton."""
+    """Centre (3,) from which the points are ``length (K,)`` away, and an offset of the lengths: none off a plane.
+
+    In a plane the height of the base changes all lengths alike, by its square, and which side it is on changes nothing:
+    chosen by what fits best, rounding would choose, and a fit would jump. An offset stands for the square, and the height
+    for what it does to points beside the plane, which is as its first power.
+    """
     middle = p.mean(axis=0)
     local = p - middle
     A = np.column_stack([2.0 * local, -np.ones(len(p))])
     foot = np.linalg.lstsq(A, np.sum(local**2, axis=1) - length**2, rcond=0.03)[0][:3]
-    flat, *others = [_settled(local, length, start) for start in (foot, *_mirrored(local, foot))]
-    best = min(others, key=lambda found: found[1], default=flat)
-    return np.asarray((best if CLEARLY * best[1] < flat[1] else flat)[0] + middle)
+    _, s, Vt = np.linalg.svd(local, full_matrices=False)
+    if s[2] >= FLAT * s[1]:
+        return np.append(_settled(local, length, foot) + middle, 0.0)
+    return np.asarray(_near_plane(local, length, foot, Vt[2]) + np.append(middle, 0.0))
 
 
-def _settled(local: Floats, length: Floats, foot: Floats) -> tuple[Floats, float]:
-    """Base by damped Gauss-Newton steps, and its sum of squares. What lengths hardly see hardly moves."""
+def _settled(local: Floats, length: Floats, foot: Floats) -> Floats:
+    """Base by damped Gauss-Newton steps. What lengths hardly see hardly moves."""
     for _ in range(STEPS):
         ray = local - foot
         size = np.maximum(np.linalg.norm(ray, axis=1), SETTLED_M)
@@ -255,16 +273,27 @@ def _settled(local: Floats, length: Floats, foot: Floats) -> tuple[Floats, float
         foot = foot + step
         if np.linalg.norm(step) < SETTLED_M:
             break
-    return foot, float(np.sum((np.linalg.norm(local - foot, axis=1) - length) ** 2))
+    return foot
 
 
-def _mirrored(local: Floats, foot: Floats) -> Iterator[Floats]:
-    """Starts on either side of the points: lying near a plane they cannot tell a base from its mirror image at first."""
-    _, s, Vt = np.linalg.svd(local, full_matrices=False)
-    if s[2] < 0.2 * s[1]:
-        reach = max(float(s[0]) / np.sqrt(len(local)), 1e-3)
-        yield foot + reach * Vt[2]
-        yield foot - reach * Vt[2]
+def _near_plane(local: Floats, length: Floats, foot: Floats, normal: Floats) -> Floats:
+    """Base near the plane with this normal and offset of the lengths, joined (4,)."""
+    place, stiffness = np.append(foot - (normal @ foot) * normal, 0.0), _stiffness(normal, len(local))
+    for _ in range(STEPS):
+        ray = local - place[:3]
+        size = np.maximum(np.linalg.norm(ray, axis=1), SETTLED_M)
+        D = np.column_stack([ray / size[:, None], -np.ones(len(local))])
+        step = np.linalg.solve(D.T @ D + stiffness, D.T @ (size + place[3] - length) - stiffness @ place)
+        place = place + step
+        if np.linalg.norm(step) < SETTLED_M:
+            break
+    return np.asarray(place)
+
+
+def _stiffness(normal: Floats, rows: int) -> Floats:
+    """What holds (4, 4) the height of a base near the plane and the offset of the lengths, against one a row."""
+    height = np.append(normal, 0.0)
+    return np.asarray(rows * (ALMOST**2 * np.outer(height, height) + LEVEL**2 * np.diag([0.0, 0.0, 0.0, 1.0])))
 
 
 def _between(a: Ints, b: Ints, known: float, p: Floats, J: Floats | None) -> tuple[Floats, Floats | None]:

@@ -29,7 +29,7 @@ class Place:
         found = fitted_place(contact, points)
         if contact.kind == "plane":
             return Place(contact.name, contact.kind, points.mean(axis=0), found[:3])
-        return Place(contact.name, contact.kind, found, np.zeros(3))
+        return Place(contact.name, contact.kind, found[:3], np.zeros(3))
 
     def left(self, contact: Contact, points: Floats, own: Floats) -> Floats:
         """Residuals (K, w) of the rows: three numbers of a socket, one of a plane or a bar."""
