@@ -313,6 +313,53 @@ def test_when_the_active_one_knows_all_other_rows_registration_still_judges(lab:
     assert (found["compared"]["active"], codes(found["warnings"])) == (None, {"active_not_compared"})
 
 
+def test_where_no_pose_is_new_to_both_the_larger_held_out_error_is_asked_about(lab: Lab) -> None:
+    first, second = lab.campaign(lab.readings(60, 1), 1), lab.campaign(lab.readings(60, 2), 2, noise_mm=0.3)
+    good, coarse = lab.identify([first, second], validation=0.25, loss="huber"), lab.identify([second], validation=0.25)
+    lab.activate(good).raise_for_status()
+    everything = lab.identify([first, second])  # so that nothing is new to both of it and the others
+    coarse = lab.stored(coarse, "coarse", lambda _: None, metrics=stored_errors(0.14))
+    good = lab.stored(everything, "good", lambda _: None, metrics=stored_errors(0.032))
+    lab.activate(good, force=True).raise_for_status()
+    refused = lab.activate(coarse)
+    assert refused.json()["code"] == "activation_refused"
+    assert codes(refused.json()["context"]["objections"]) == {"larger_own_error"}
+    for words in ("0.14 mm on 16 rows that it held out", "0.032 mm on 16 rows", good, "neither was fitted to"):
+        assert words in refused.json()["detail"]
+    forced = lab.activate(coarse, force=True, reason="the other is of last year").raise_for_status().json()
+    assert codes(forced["objections"]) == {"larger_own_error"}
+    back = lab.activate(good).raise_for_status().json()  # the smaller one is not asked about, and both numbers are said
+    (said,) = [w["message"] for w in back["warnings"] if w["code"] == "own_errors_compared"]
+    assert "0.032 mm" in said
+    assert "0.14 mm" in said
+
+
+def stored_errors(mean: float) -> dict[str, Any]:
+    """Metrics of held-out rows with this mean error, mm."""
+    stages = {
+        "identified": {"mean_mm": mean, "rms_mm": 1.08 * mean},
+        "registration_only": {"mean_mm": 0.9, "rms_mm": 1.0},
+    }
+    return {"validation": {"n": 16} | stages}
+
+
+def test_campaigns_that_no_model_fits_are_named_and_left_out(lab: Lab) -> None:
+    good = lab.identify([lab.campaign(lab.readings(60, 1), 1)])
+    right, q = lab.campaign(lab.readings(30, 2), 2), lab.readings(40, 3)
+    points = 1e3 * lab.arm.poses(q)[0]
+    joints = {f"q{j + 1}_deg": np.degrees(q[:, j]).tolist() for j in range(6)}
+    shuffled = np.random.default_rng(5).permutation(40)
+    mixed = {
+        lab.upload(joints | {f"{axis}_mm": rows[:, k].tolist() for k, axis in enumerate("xyz")})
+        for rows in (points[shuffled], np.roll(points, 1, axis=0), points[:, [1, 0, 2]])
+    }
+    found = lab.activate(good).raise_for_status().json()
+    assert found["compared"]["campaigns"] == [right]
+    assert found["compared"]["mean_mm"] < 0.15
+    said = [w["message"] for w in found["warnings"] if w["code"] == "campaign_fits_no_model"]
+    assert {campaign for campaign in mixed for message in said if campaign in message} == mixed
+
+
 def test_too_few_poses_new_to_both_leave_the_comparison_with_registration(lab: Lab) -> None:
     first, second = (lab.campaign(lab.readings(40, seed), seed) for seed in (1, 2))
     few = lab.campaign(lab.readings(5, 3), 3)

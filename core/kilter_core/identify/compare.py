@@ -11,8 +11,10 @@ from dataclasses import fields
 
 import numpy as np
 
-from kilter_core.errors import NotConvergedError
+from kilter_core.arm.robot import Robot
+from kilter_core.errors import CoreError, NotConvergedError
 from kilter_core.identify.estimate import registration_only
+from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.worse import Difference
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import LEAST_ROWS, contacts_of
@@ -21,6 +23,8 @@ from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats
 
 FEWEST_POSES = 8  # base and tool have 9 to 12 unknowns: fewer poses are explained by them whatever the arm is like
+NOTHING = 0.5  # share of the scatter of the points that rows of no arm leave: chance explains little of it
+DOUBTED = 0.03  # share from which mix-ups are looked for
 ROWS_OF_A_POSE = 4  # repeats beyond tell nothing about the calibration
 
 
@@ -54,6 +58,27 @@ def lacking(calibration: Calibration, observations: Observations) -> list[str]:
     present = {f.name for f in fields(observations) if getattr(observations, f.name) is not None}
     available = frozenset({"moments"} | present)
     return sorted({name for effect in calibration.model.effects for name in effect.missing(available)})
+
+
+def said_of_misfit(robot: Robot, observations: Observations, best: float) -> str | None:
+    """Why rows of which the ``best`` of all models leaves so much, m mean, say nothing about any; None: they may.
+
+    Rows that base and tool in any place leave scattered over the workspace follow no arm; where less is left, what is
+    mixed up in them must be known.
+    """
+    points = observations.position if observations.markers is None else np.nanmean(observations.markers, axis=1)
+    if points is None:
+        return None
+    size = float(np.sqrt(np.nanmean(np.sum((points - np.nanmean(points, axis=0)) ** 2, axis=1))))
+    if best <= DOUBTED * size:
+        return None
+    try:
+        refuse_foreign(Calibration.nominal(robot), Measurement.of(observations))
+    except CoreError as error:
+        return error.message
+    if best <= NOTHING * size:
+        return None
+    return f"Its points are {size * 1e3:.4g} mm apart (rms): joints and positions do not belong together."
 
 
 def setups(observations: Observations) -> list[Observations]:
@@ -94,4 +119,4 @@ def pooled(errors: Sequence[Floats]) -> Floats:
     return np.concatenate(errors) if errors else np.zeros(0)
 
 
-__all__ = ["Difference", "errors_by_pose", "lacking", "pooled", "poses_of", "setups", "thinned"]
+__all__ = ["Difference", "errors_by_pose", "lacking", "pooled", "poses_of", "said_of_misfit", "setups", "thinned"]

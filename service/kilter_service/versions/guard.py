@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from kilter_core.errors import CoreError
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
 from kilter_service.db import Database, Session
 from kilter_service.robots import store as robots
-from kilter_service.versions import store, wire
+from kilter_service.versions import own_errors, store, wire
 from kilter_service.versions.objections import objections_of, of_calibration
 from kilter_service.versions.store import Training
 from kilter_service.versions.unseen import Archive, Unseen
@@ -65,7 +65,8 @@ def judge(database: Database, version_id: str) -> Verdict:
                 return Verdict(version_id, (), None, ())
             new, active = store.calibration(session, version_id), None if last is None else last.version_id
             cases = _cases(session, row.robot_id, new, store.trainings(session, version_id), active)
-        return _first(cases, [*own, *of_calibration(new, own)])
+            rival = None if active is None else store.get(session, active).report
+        return _settled(_first(cases, [*own, *of_calibration(new, own)]), row.report, rival)
 
 
 def judge_unstored(
@@ -83,8 +84,9 @@ def judge_unstored(
     with database.reading() as session:
         new = Calibration.from_document(robots.core_robot(session, robot_id), calibration)
         cases = _cases(session, robot_id, new, [training], active)
+        rival = None if active is None else store.get(session, active).report
     own = objections_of(report, limits)
-    return _first(cases, [*own, *of_calibration(new, own)])
+    return _settled(_first(cases, [*own, *of_calibration(new, own)]), report, rival)
 
 
 def _first(cases: list[Case], own: list[Objection]) -> Verdict:
@@ -92,6 +94,18 @@ def _first(cases: list[Case], own: list[Objection]) -> Verdict:
     verdicts = (case.verdict(own) for case in cases)
     first = next(verdicts)
     return first if first.compared or first.objections else next((v for v in verdicts if v.compared), first)
+
+
+def _settled(verdict: Verdict, report: Mapping[str, Any], rival: Mapping[str, Any] | None) -> Verdict:
+    """A verdict in which the active version counts, by stored errors where no measured pose is new to both."""
+    if (
+        rival is None
+        or verdict.active is None
+        or (verdict.compared is not None and verdict.compared.active is not None)
+    ):
+        return verdict
+    objections, remarks = own_errors.compared(report, rival, verdict.active)
+    return replace(verdict, objections=(*verdict.objections, *objections), warnings=(*verdict.warnings, *remarks))
 
 
 @dataclass(frozen=True)
@@ -220,7 +234,23 @@ class Case:
         if isinstance(others, str):
             self.warn("active_not_compared", f"Version {self.active} cannot predict campaign {campaign}: {others}")
             others = None
+        if self._fits_nothing(campaign, rows, [e for e in (new, plain, others) if e is not None]):
+            return None
         return Part(campaign, len(rows), new, plain, others)
+
+    def _fits_nothing(self, campaign: str, rows: Observations, errors: Sequence[Floats]) -> bool:
+        """Whether no model explains the rows, which then say nothing about any; a warning names them."""
+        from kilter_core.identify.compare import said_of_misfit
+
+        best = min(float(np.mean(found)) for found in errors)
+        said = said_of_misfit(self.new.robot, rows, best)
+        if said is not None:
+            message = (
+                f"Campaign {campaign} was left out: no model fits it, the best leaves {to_mm(best):.4g} mm. {said} Correct "
+                f"or retire it (`kilter retire {campaign}`)."
+            )
+            self.warn("campaign_fits_no_model", message)
+        return said is not None
 
     @staticmethod
     def _errors(calibration: Calibration, rows: Observations) -> Floats | str:

@@ -61,11 +61,12 @@ def _worse_held_out(held: Mapping[str, Any], named: list[Objection]) -> list[Obj
 
 def _clearly_larger(found: Mapping[str, Any], simpler: Mapping[str, Any], n: int) -> bool:
     """Whether a mean is larger than another beyond chance; the rows' own differences are not stored, so as if unpaired."""
-    doubt = ERRORS_OF_DOUBT * math.sqrt((_variance(found) + _variance(simpler)) / n)
+    doubt = ERRORS_OF_DOUBT * math.sqrt((variance(found) + variance(simpler)) / n)
     return float(found["mean_mm"] - simpler["mean_mm"]) > max(doubt, SHARE_OF_DOUBT * float(simpler["mean_mm"]))
 
 
-def _variance(block: Mapping[str, Any]) -> float:
+def variance(block: Mapping[str, Any]) -> float:
+    """Variance of the errors of rows, mm^2, of a stored block of metrics."""
     return max(float(block.get("rms_mm", block["mean_mm"])) ** 2 - float(block["mean_mm"]) ** 2, 0.0)
 
 

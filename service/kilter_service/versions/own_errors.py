@@ -1,0 +1,61 @@
+"""Two versions that no measured pose is new to both of, by the errors that their own jobs stored of held-out rows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from kilter_service.contract.versions import Objection
+from kilter_service.versions.objections import ERRORS_OF_DOUBT, SHARE_OF_DOUBT, variance
+
+CODE = "larger_own_error"
+COMPARED = "own_errors_compared"
+
+
+@dataclass(frozen=True)
+class OwnError:
+    """Mean error of a version, mm, on so many rows of its own job, with the variance of its mean, mm^2."""
+
+    mean: float
+    rows: int
+    doubt: float
+    held_out: bool
+
+    @staticmethod
+    def of(report: Mapping[str, Any], block: str) -> OwnError | None:
+        """The error on the rows of a block, "validation" or "train"; None: none is stored."""
+        rows = (report.get("metrics") or {}).get(block) or {}
+        found = rows.get("identified") or {}
+        if found.get("mean_mm") is None:
+            return None
+        count = max(int(rows.get("n") or 1), 1)
+        return OwnError(float(found["mean_mm"]), count, variance(found) / count, block == "validation")
+
+    @property
+    def words(self) -> str:
+        """The number with what it is of."""
+        return f"{self.mean:.4g} mm on {self.rows} rows that it {'held out' if self.held_out else 'was fitted to'}"
+
+
+def compared(
+    new: Mapping[str, Any], rival: Mapping[str, Any], active: str
+) -> tuple[list[Objection], list[dict[str, Any]]]:
+    """What the stored errors of a version say beside those of the active one: an objection, or a remark with both numbers.
+
+    Errors of fitted rows flatter, the more so the fewer the rows: they count against the version only, and of the active
+    one held-out rows are needed.
+    """
+    mine, other = OwnError.of(new, "validation") or OwnError.of(new, "train"), OwnError.of(rival, "validation")
+    if mine is None or other is None:
+        return [], []
+    margin = max(ERRORS_OF_DOUBT * math.sqrt(mine.doubt + other.doubt), SHARE_OF_DOUBT * other.mean)
+    message = (
+        f"No measured pose is new to both it and version {active}, active now, so each is taken by its own rows: it leaves "
+        f"{mine.words}, version {active} {other.words}."
+    )
+    if mine.mean - other.mean > margin:
+        remedy = " Measure poses that neither was fitted to (kilter upload --role confirmation) and activate again."
+        return [Objection(code=CODE, message=message + remedy)], []
+    return [], [{"code": COMPARED, "message": message}]
