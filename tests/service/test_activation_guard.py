@@ -117,6 +117,10 @@ class Lab:
     def activate(self, version: str, **wish: Any) -> httpx.Response:
         return self.client.post(f"/v1/versions/{version}/activate", json=wish or None)
 
+    def campaigns(self) -> list[str]:
+        found = self.client.get("/v1/robots/arm/campaigns").json()["campaigns"]
+        return [one["id"] for one in found]
+
     def active(self) -> str | None:
         found: str | None = self.client.get("/v1/robots/arm").json()["active_version"]
         return found
@@ -207,7 +211,8 @@ def test_a_campaign_with_two_joints_exchanged_makes_no_version_that_can_be_activ
 
 
 def test_a_version_worse_than_registration_is_refused_though_its_report_is_good(lab: Lab) -> None:
-    good = lab.identify([lab.campaign(lab.readings(60, 1), 1)])
+    wide = {"max_joint_deg": 5, "max_position_mm": 100}
+    good = lab.identify([lab.campaign(lab.readings(60, 1), 1)], limits=wide)
 
     def bend(values: dict[str, float]) -> None:
         values["theta_offset_3"] += 0.02
@@ -380,7 +385,7 @@ def test_a_version_that_predicts_nothing_at_all_is_refused(lab: Lab) -> None:
     wild = lab.stored(good, "wild", blow_up)
     refused = lab.activate(wild).json()
     assert refused["code"] == "activation_refused"
-    assert codes(refused["context"]["objections"]) == {"worse_than_registration", "another_arm"}
+    assert codes(refused["context"]["objections"]) == {"worse_than_registration", "another_arm", "cannot_correct"}
     assert judged in refused["detail"]
 
 

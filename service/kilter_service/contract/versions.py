@@ -9,6 +9,7 @@ from pydantic import Field
 
 from kilter_service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter, Remark
 from kilter_service.contract.joints import JointMotions
+from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import RETIRED_AT, TITLE
 from kilter_service.contract.units import Deg, Listed, Mm, Stored, Strict
 
@@ -101,7 +102,10 @@ class ActivatedVersion(VersionSummary):
     forced: bool = Field(False, description="Whether it was activated in spite of what speaks against it.")
     objections: list[Objection] = Field([], description="What would have refused it without `force`.")
     compared: Comparison | None = Field(None, description="How it was compared; null: there was nothing to compare on.")
-    warnings: list[Remark] = Field([], description="What the comparison left out.")
+    warnings: list[Remark] = Field([], description="What the comparison left out, and where it does not correct.")
+    preview: VersionPreview | None = Field(
+        None, description="What it does over the robot's poses; null: it was active before, or could not be computed."
+    )
 
 
 class Details(FitDetails):

@@ -23,12 +23,13 @@ def with_load_warning(output: JobOutput, job: JobInput) -> JobOutput:
     version = output.version
     return replace(
         output,
-        result=_with(output.result, remark),
-        version=None if version is None else replace(version, report=_with(version.report, remark)),
+        result=with_remark(output.result, remark),
+        version=None if version is None else replace(version, report=with_remark(version.report, remark)),
     )
 
 
-def _with(document: dict[str, Any], remark: dict[str, Any]) -> dict[str, Any]:
+def with_remark(document: dict[str, Any], remark: dict[str, Any]) -> dict[str, Any]:
+    """A document with one more warning, unless one of its code is there."""
     said = document.get("warnings") or []
     return (
         document

@@ -18,6 +18,7 @@ from kilter_service.caller import on_behalf
 from kilter_service.db import Database, DatabaseAwayError, Session
 from kilter_service.db.failures import in_words
 from kilter_service.jobs import store
+from kilter_service.jobs.can_correct import with_ability_warning
 from kilter_service.jobs.default_load import with_load_warning
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.fleet.comparison import compared
@@ -84,6 +85,7 @@ class Runner:
             report(0.0, "loading", now=True)
             kind, job, used = self._patiently(lambda: self._loaded(claim))
             output = with_load_warning(kind_of(kind).run(replace(job, each=self._each), report), job)
+            output = with_ability_warning(output, job)
             report(1.0, "storing", now=True)
             judged = self._patiently(lambda: compared(self._database, claim.job_id, output.version, used))
         except (CancelledError, DatabaseAwayError):

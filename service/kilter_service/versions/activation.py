@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from kilter_service.contract.versions import ActivatedVersion, ActivationWish, VersionSummary
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
+from kilter_service.versions.ability import CODE as CANNOT
+from kilter_service.versions.ability import Ability, ability
 from kilter_service.versions.expected import ANY_STATE, Expected
 from kilter_service.versions.guard import Verdict, judge
 
@@ -34,10 +38,11 @@ def activate(
     with database.reading() as session:
         expected.check(session, _refuse_retired(session, version_id), becomes=version_id)
     left_out = _left_out(database, version_id, temperature_c)  # first: what cannot be corrected is not activated
+    able = ability(database, version_id, temperature_c)
     for _ in range(ATTEMPTS):
-        verdict = judge(database, version_id)
+        verdict = _with(judge(database, version_id), able, version_id)
         if verdict.objections and not wish.force:
-            raise _refusal(version_id, verdict)
+            raise _refusal(version_id, verdict, able)
         summary = _activated(database, version_id, actor, wish, verdict, expected)
         if summary is not None:
             return ActivatedVersion(
@@ -47,6 +52,7 @@ def activate(
                 objections=list(verdict.objections),
                 compared=verdict.compared,
                 warnings=list(verdict.warnings),
+                preview=able.preview,
             )
     raise ServiceError(
         f"While version {version_id} was compared with the active one, others were activated {ATTEMPTS} times: nothing "
@@ -54,6 +60,14 @@ def activate(
         code="activation_overtaken",
         version=version_id,
     )
+
+
+def _with(verdict: Verdict, able: Ability, version_id: str) -> Verdict:
+    """A verdict with what the version can correct now; what its job said of that is older."""
+    if verdict.active == version_id:
+        return verdict
+    others = [one for one in verdict.objections if one.code != CANNOT]
+    return replace(verdict, objections=(*able.objections, *others), warnings=(*verdict.warnings, *able.remarks))
 
 
 def _left_out(database: Database, version_id: str, temperature_c: float | None) -> list[str]:
@@ -72,7 +86,7 @@ def _refuse_retired(session: Session, version_id: str) -> int:
     return robot_id
 
 
-def _refusal(version_id: str, verdict: Verdict) -> ServiceError:
+def _refusal(version_id: str, verdict: Verdict, able: Ability) -> ServiceError:
     return ServiceError(
         f"Version {version_id} was not activated. {' '.join(o.message for o in verdict.objections)} Identify again, or give "
         'force (`kilter activate --force --reason TEXT`, {"force": true, "reason": TEXT}) if you know why, for '
@@ -82,6 +96,7 @@ def _refusal(version_id: str, verdict: Verdict) -> ServiceError:
         objections=[objection.model_dump() for objection in verdict.objections],
         compared=None if verdict.compared is None else verdict.compared.model_dump(),
         warnings=list(verdict.warnings),
+        preview=None if able.preview is None else able.preview.model_dump(mode="json"),
     )
 
 
@@ -121,7 +136,14 @@ def rollback(
         before = _before(session, robot_id, robot)
         store.activate(session, robot_id, before, ROLLBACK, actor)
         summary = wire.summary(store.get(session, before))
-    return ActivatedVersion(**summary.model_dump(), unsupported_effects=_left_out(database, before, temperature_c))
+    able = ability(database, before, temperature_c)  # after: nothing stands between a person and the way back
+    said = [{"code": one.code, "message": one.message} for one in able.objections]
+    return ActivatedVersion(
+        **summary.model_dump(),
+        unsupported_effects=_left_out(database, before, temperature_c),
+        warnings=[*said, *able.remarks],
+        preview=able.preview,
+    )
 
 
 def before(database: Database, robot: str) -> str:

@@ -11,8 +11,14 @@ from kilter_service.contract.versions import CorrectionLimits, Objection
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
 
-# Warnings that say "do not activate": of held-out poses, of the arm itself, of a confirmation.
-CODES = ("heldout_worse_than_registration", "worse_than_geometry", "another_arm", "confirmation_worse")
+# Warnings that speak against a version: of held-out poses, of the arm itself, of a confirmation, of its correction.
+CODES = (
+    "heldout_worse_than_registration",
+    "worse_than_geometry",
+    "another_arm",
+    "confirmation_worse",
+    "cannot_correct",
+)
 HELD_OUT_CODES = CODES[:2]
 ERRORS_OF_DOUBT, SHARE_OF_DOUBT = (
     2.0,

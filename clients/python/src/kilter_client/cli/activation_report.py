@@ -12,6 +12,7 @@ from kilter_client.cli.tables import number, show_rows
 def show_active(document: Mapping[str, Any], state: str) -> None:
     """Print that a version is active, on what it was compared, and what its stream leaves out."""
     _show_comparison(document["id"], document.get("compared"))
+    _show_preview(document.get("preview"))
     for warning in document.get("warnings") or ():
         say(f"warning: {warning['message']}")
     for objection in document.get("objections") or ():
@@ -19,6 +20,20 @@ def show_active(document: Mapping[str, Any], state: str) -> None:
     say(f"{document['id']} is {state}.")
     if document["unsupported_effects"]:
         say(f"Not corrected at run time: {', '.join(document['unsupported_effects'])}.")
+
+
+def _show_preview(preview: Mapping[str, Any] | None) -> None:
+    """Print what the version does with the robot's poses."""
+    if not preview:
+        return
+    where = "that the robot was driven to" if preview["within"] == "campaigns" else "within the joint limits"
+    held = (
+        f"{preview['damped']} damped, {preview['limited']} held at a limit, {sum(preview['refused'].values())} refused"
+    )
+    largest = (
+        "" if preview["largest_mm"] is None else f"; it moves the tool by {number(preview['largest_mm'], 3)} mm at most"
+    )
+    say(f"Of {preview['poses']} poses {where} it corrects {preview['corrected']} ({held}){largest}.")
 
 
 def _show_comparison(version: str, compared: Mapping[str, Any] | None) -> None:

@@ -1,0 +1,39 @@
+"""What a job says when the version it made cannot correct the poses that it was made from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kilter_core.errors import CoreError
+from kilter_service.jobs.default_load import with_remark
+from kilter_service.jobs.kind import JobInput, JobOutput
+
+MOST_POSES = 500  # looked at, evenly chosen
+
+
+def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
+    """Add to result and version that it refuses too many poses, with what helps; activation looks again."""
+    from kilter_core.model import Calibration
+    from kilter_service.versions import ability, preview
+
+    version = output.version
+    if version is None or not job.campaigns:
+        return output
+    q = np.concatenate([rows.q for rows in job.campaigns.values()])
+    q = q[np.unique(np.linspace(0, len(q) - 1, min(len(q), MOST_POSES)).round().astype(np.int64))]
+    calibration = Calibration.from_document(job.robot, version.calibration)
+    try:
+        found = preview.at_poses(calibration, None, version.limits, q)
+        objection = ability.of_poses(calibration, found, version.limits)
+    except (CoreError, ArithmeticError, ValueError):  # activation says so
+        return output
+    if objection is None:
+        return output
+    remark = objection.model_dump()
+    return replace(
+        output,
+        result=with_remark(output.result, remark),
+        version=replace(version, report=with_remark(version.report, remark)),
+    )

@@ -1,0 +1,147 @@
+"""Whether a version can correct the arm where it is driven, and what to do where it cannot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kilter_core.errors import CoreError
+from kilter_service.contract.previews import VersionPreview
+from kilter_service.contract.versions import CorrectionLimits, Objection
+from kilter_service.db import Database
+from kilter_service.versions import preview, store, wire
+from kilter_service.wire import to_deg, to_mm
+
+if TYPE_CHECKING:
+    from kilter_core.arm.robot import Robot
+    from kilter_core.model import Calibration
+    from kilter_service.versions.records import Foreseen
+
+Floats = NDArray[np.float64]
+
+CODE, UNKNOWN = "cannot_correct", "not_foreseen"
+MOST_REFUSED = 0.25  # share of the poses: a few near a singularity or at the end of the reach are to be expected
+WIDEST = CorrectionLimits(max_joint_deg=30.0, max_position_mm=200.0)
+TRIED = 200  # poses at which wider limits are tried
+SPARE = 1.2  # times the largest correction: limits to raise to
+CONSTANT = 0.2  # scatter over size from which a correction is not a constant of the joint
+SMALLEST_DEG, SMALLEST_MM = 0.3, 1.0  # zero offsets worth entering
+
+
+@dataclass(frozen=True)
+class Ability:
+    """What was found: objections, remarks, and the preview in figures; None where it could not be computed."""
+
+    objections: list[Objection] = field(default_factory=list)
+    remarks: list[dict[str, Any]] = field(default_factory=list)
+    preview: VersionPreview | None = None
+
+
+def ability(database: Database, version_id: str, temperature_c: float | None) -> Ability:
+    """Look at what a version does over the robot's poses, as `correct` would; a preview that fails is a remark."""
+    try:
+        with database.reading() as session:
+            limits = CorrectionLimits(**store.get(session, version_id).limits)
+            calibration = store.calibration(session, version_id)
+        robot, within, found = preview.foreseen(database, version_id, temperature_c)
+        shown = wire.preview(version_id, robot, found, within, temperature_c)
+        objection = of_poses(calibration, found, limits, temperature_c)
+    except (CoreError, ArithmeticError, ValueError) as error:
+        message = error.message if isinstance(error, CoreError) else "the correction of some pose is not a number."
+        return Ability(
+            remarks=[{"code": UNKNOWN, "message": f"What it would correct could not be computed: {message}"}]
+        )
+    return Ability([] if objection is None else [objection], [], shown)
+
+
+def of_poses(
+    calibration: Calibration, found: Foreseen, limits: CorrectionLimits, temperature_c: float | None = None
+) -> Objection | None:
+    """What speaks against a version that refuses too many of the poses, and what helps."""
+    count, refused = len(found.q), sum(found.refused.values())
+    damped, limited = (found.counts.get(word, 0) for word in ("DAMPED", "LIMITED"))
+    if refused <= MOST_REFUSED * count:
+        return None
+    what = ", ".join(f"{why} {n}" for why, n in found.refused.items())
+    worst = "" if found.worst is None else f"; at most {to_mm(float(found.left[found.worst])):.3g} mm are left"
+    facts = (
+        f"Of {count} poses that were looked at it refuses {refused}{f' ({what})' if what else ''}, {damped} are damped and "
+        f"{limited} held at a limit{worst}."
+    )
+    return Objection(
+        code=CODE, message=f"It cannot correct this arm. {facts} {_remedy(calibration, found, limits, temperature_c)}"
+    )
+
+
+def _remedy(calibration: Calibration, found: Foreseen, limits: CorrectionLimits, temperature_c: float | None) -> str:
+    """What helps: zero offsets that the controller should have, and limits within which the version corrects."""
+    some = np.unique(np.linspace(0, len(found.q) - 1, min(len(found.q), TRIED)).round().astype(np.int64))
+    wide = preview.at_poses(calibration, None, WIDEST, found.q[some], temperature_c)
+    if sum(wide.refused.values()) > MOST_REFUSED * len(some):
+        return (
+            f"Not even within {WIDEST.max_joint_deg:g} deg and {WIDEST.max_position_mm:g} mm would it: it describes another "
+            "arm. Check the robot's description, and that joints and positions of its campaigns belong together."
+        )
+    asked = _limits(calibration.robot, wide, limits)
+    raise_them = (
+        f"raise its limits from {limits.max_joint_deg:g} deg and {limits.max_position_mm:g} mm to {asked.max_joint_deg:g} deg "
+        f"and {asked.max_position_mm:g} mm (option `limits` of the job) and identify again"
+    )
+    zeros = _zeros(calibration, wide)
+    if not zeros:
+        return raise_them[0].upper() + raise_them[1:] + "."
+    return (
+        f"Its joints were mastered wrong: enter {'; '.join(zeros)} in the controller (the angle of the joint is its reading "
+        f"plus this offset), measure and identify again. Or {raise_them}."
+    )
+
+
+def _limits(robot: Robot, wide: Foreseen, limits: CorrectionLimits) -> CorrectionLimits:
+    """Limits within which a version corrects nearly everywhere, a little more than it needs."""
+    sliding = np.array([joint.kind == "prismatic" for joint in robot.joints])
+    sizes = np.nan_to_num(np.abs(wide.delta))
+    turn = to_deg(float(sizes[:, ~sliding].max(initial=0.0)))
+    shift = to_mm(max(float(np.nanmax(wide.moved)), float(sizes[:, sliding].max(initial=0.0))))
+    return CorrectionLimits(
+        max_joint_deg=min(max(limits.max_joint_deg, _up(SPARE * turn)), WIDEST.max_joint_deg),
+        max_position_mm=min(max(limits.max_position_mm, _up(SPARE * shift)), WIDEST.max_position_mm),
+    )
+
+
+def _up(value: float) -> float:
+    """A number rounded up to two digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1) if value > 0.0 else 1.0
+    return round(math.ceil(value / step) * step, 6)
+
+
+def _zeros(calibration: Calibration, wide: Foreseen) -> list[str]:
+    """Offsets to enter, in words, of the joints whose zero is off by what is worth entering."""
+    robot, out = calibration.robot, []
+    for number, (joint, size) in enumerate(zip(robot.joints, _offsets(calibration, wide), strict=True), start=1):
+        sliding = joint.kind == "prismatic"
+        value, unit, least = (to_mm(size), "mm", SMALLEST_MM) if sliding else (to_deg(size), "deg", SMALLEST_DEG)
+        if abs(value) >= least:
+            out.append(f"{value:+.3g} {unit} as zero offset of joint {number} ({joint.name})")
+    return out
+
+
+def _offsets(calibration: Calibration, wide: Foreseen) -> list[float]:
+    """What each joint stands beyond its reading, rad or m: as identified, else as it is corrected everywhere alike.
+
+    Where the zero is not a parameter of its own, other constants of the chain say it; a command less the offset then reaches
+    the wanted angle at every pose.
+    """
+    chain, values = calibration.robot.chain, dict(zip(calibration.names, calibration.values, strict=True))
+    out = []
+    for k, column in zip(chain.primary, wide.delta.T, strict=True):
+        element = chain.elements[k]
+        own = (float(values.get(element.name or "", element.value)) - element.value) * math.copysign(1.0, element.ratio)
+        moved = column[~np.isnan(column)]
+        middle = float(np.median(moved)) if len(moved) else 0.0
+        alike = 1.4826 * float(np.median(np.abs(moved - middle))) < CONSTANT * abs(middle) if len(moved) else False
+        out.append(own or (-middle if alike else 0.0))
+    return out
