@@ -13,6 +13,7 @@ from kilter_core.model import Calibration
 
 DT = 0.002
 RATE = math.radians(0.5)
+FREE = {"change_rad_s": 1e6, "change_rad_s2": 1e9}
 LIMITED, RAMPING = 0x0400, 0x0200
 
 
@@ -33,7 +34,7 @@ def through_zero_moment(count: int = 4000) -> np.ndarray:
 
 def test_a_sign_change_is_no_step(calibration_of: Callable[..., Calibration]) -> None:
     calibration = calibration_of("katana450-chapter4", ("backlash_load",))
-    hard = compile_program(calibration, CorrectionOptions(least_softening_nm=0.0, rate_rad_s=1e6))
+    hard = compile_program(calibration, CorrectionOptions(least_softening_nm=0.0, rate_rad_s=1e6, **FREE))
     limited = compile_program(calibration, CorrectionOptions(least_softening_nm=0.0))
     jump = np.abs(np.diff(follow(Track(hard, settled=True), through_zero_moment())[0], axis=0)).max()
     delta, flags = follow(Track(limited, settled=True), through_zero_moment())
@@ -115,6 +116,6 @@ def test_a_refused_setpoint_leaves_the_memory_alone(katana: Calibration) -> None
 
 @pytest.mark.parametrize(("options", "mask"), [({"largest_rad": 1e-5}, True), ({"farthest_m": 1e-6}, False)])
 def test_a_correction_beyond_its_bounds_is_refused(katana: Calibration, options: dict[str, float], mask: bool) -> None:
-    track = Track(compile_program(katana, CorrectionOptions(**options)), settled=True)
+    track = Track(compile_program(katana, CorrectionOptions(at_limit="refuse", **options)), settled=True)
     assert track.step(np.array([0.1, 0.6, 0.4, 0.3, 0.2]), 1, DT) == 7
     assert (track.info[1] > 0) == mask

@@ -14,7 +14,7 @@ from kilter_core.arm.chain import Element
 from kilter_core.arm.robot import Robot
 from kilter_core.correct.kernels import chain, inverse, layout, newton_euler
 from kilter_core.correct.program import CorrectionOptions, Track, compile_program
-from kilter_core.correct.reference import correct
+from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import Batch, Effect, Local
 from kilter_core.errors import OptionError
 from kilter_core.model import Calibration
@@ -22,7 +22,8 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
 
 EFFECTS = ("clearance_tilt", "backlash_load", "axial_compliance", "backlash")
-EXACT = CorrectionOptions(least_softening_nm=0.0)
+EXACT = CorrectionOptions(least_softening_nm=0.0, largest_rad=0.3, largest_m=0.1, farthest_m=0.1)
+WIDE = CorrectOptions(max_joint_rad=0.3, max_shift_m=0.1, tolerance_m=1e-12, iterations=60)
 DAMPED, RESIDUAL = 0x0800, 0x1000
 
 
@@ -57,9 +58,11 @@ def test_the_full_model_lands_on_the_wanted_point(
     program = compile_program(calibration, EXACT)
     assert set(program.supported) == set(EFFECTS)
     result = program.correct_rows(data["q"], direction=data["direction"], **motion)
-    good = (result.flags & (DAMPED | RESIDUAL)) == 0
-    assert good.mean() > 0.7
-    assert landing(calibration, data, result.q, dynamic)[good].max() < 1e-6
+    good = (result.flags & RESIDUAL) == 0
+    assert good.mean() > 0.95
+    off = landing(calibration, data, result.q, dynamic)[good]
+    assert np.quantile(off, 0.98) < 1e-8
+    assert off.max() < 5e-6  # where a moment is next to zero its sign, which is hard here, is held after some rounds
 
 
 @pytest.mark.parametrize("dynamic", [False, True])
@@ -70,25 +73,24 @@ def test_equals_the_readable_compensation_with_six_joints(
     data = rows(calibration, 60)
     motion = {"qd": data["qd"], "qdd": data["qdd"]} if dynamic else {}
     ours = compile_program(calibration, EXACT).correct_rows(data["q"], direction=data["direction"], **motion)
-    theirs = correct(calibration, data["q"], direction=data["direction"], **motion)
-    good = ((ours.flags & (DAMPED | RESIDUAL)) == 0) & (theirs.status == 0) & theirs.converged
-    assert good.mean() > 0.5
-    # The readable one stops at 10 nm; within a millimetre of a singular posture that is more than 1e-9 rad.
-    assert np.median(np.abs(ours.q - theirs.q)[good]) < 1e-9
-    assert np.allclose(ours.q[good], theirs.q[good], rtol=0, atol=1e-6)
+    theirs = correct(calibration, data["q"], direction=data["direction"], options=WIDE, **motion)
+    good = ((ours.flags & RESIDUAL) == 0) & (theirs.status == 0) & theirs.converged
+    assert good.mean() > 0.9
+    # The kernel looks at Jacobian and loads for the last time when a step is below 1e-7 rad.
+    assert np.median(np.abs(ours.q - theirs.q)[good]) < 1e-10
+    assert np.allclose(ours.q[good], theirs.q[good], rtol=0, atol=1e-7)
     assert np.allclose(ours.error_removed, theirs.error_removed, rtol=0, atol=1e-12)
 
 
 def test_equals_the_readable_compensation_in_what_it_removes_with_five_joints(katana: Calibration) -> None:
     data = rows(katana, 60)
     ours = compile_program(katana, EXACT).correct_rows(data["q"], direction=data["direction"])
-    theirs = correct(katana, data["q"], direction=data["direction"])
-    good = ((ours.flags & (DAMPED | RESIDUAL)) == 0) & (theirs.status == 0)
-    # Two joints are to spare: this one stays in the row space of the nominal Jacobian, that one in those of all steps.
-    apart = np.abs(ours.q - theirs.q)[good].max(axis=1)
-    assert np.quantile(apart, 0.95) < 1e-4
-    assert apart.max() < 1e-3  # near a singular posture
-    assert np.median(np.abs(ours.q - theirs.q)[good]) < 5e-6
+    theirs = correct(katana, data["q"], direction=data["direction"], options=WIDE)
+    good = ((ours.flags & RESIDUAL) == 0) & (theirs.status == 0) & theirs.converged
+    assert good.mean() > 0.9
+    # Two joints are to spare, and both turn the tool with them as well as they can.
+    assert np.median(np.abs(ours.q - theirs.q)[good]) < 1e-10
+    assert np.allclose(ours.q[good], theirs.q[good], rtol=0, atol=1e-7)
     assert np.allclose(ours.error_removed, theirs.error_removed, rtol=0, atol=1e-12)
 
 
@@ -142,7 +144,7 @@ def test_moments_and_poses_equal_pinocchio(
         work = program.memory()[len(program.array) :]
         work[m + 1 : m + 1 + n, layout.WANTED] = work[m + 1 : m + 1 + n, layout.COMMAND] = q
         work[m + 1 : m + 1 + n, layout.SPEED_NOW], work[m + 1 : m + 1 + n, layout.ACCEL_NOW] = qd, qdd
-        inverse.prepare(program.array, work, n, m, m + 1, m + 1 + n, 3)
+        inverse.prepare(program.array, work, n, m, m + 1)
         tool = np.array(chain.load_frames(program.array, work, 0, m, m + 1))
         newton_euler.load_moments(program.array, work, len(program.array) - 1, m, m + 1, dynamic)
         tau = pin.rnea(model, state, q, qd if dynamic else zeros, qdd if dynamic else zeros)
@@ -238,11 +240,12 @@ def test_the_filter_brings_dynamic_moments_without_speeds(katana: Calibration) -
     qd = 0.3 * 2 * math.pi * np.cos(phase)[:, None] * np.ones(5)
     qdd = -0.3 * (2 * math.pi) ** 2 * np.sin(phase)[:, None] * np.ones(5)
     dt = np.full(len(t), 0.002)
-    options = {"rate_rad_s": 1e3, "filter_hz": 50.0}
+    free = {"rate_rad_s": 1e3, "change_rad_s": 1e3, "change_rad_s2": 1e6}
+    options = {**free, "filter_hz": 50.0}
     filtered = Track(compile_program(katana, CorrectionOptions(**options)), settled=True).follow(q, 1, dt)
-    given = Track(compile_program(katana, CorrectionOptions(rate_rad_s=1e3)), settled=True).follow(
+    given = Track(compile_program(katana, CorrectionOptions(**free)), settled=True).follow(
         np.hstack([q, qd, qdd]), 3, dt
     )
     assert filtered[0] == given[0] == len(t)
     late = slice(200, None)
-    assert np.abs(filtered[1] - given[1])[late].mean() < math.radians(0.004)
+    assert np.abs(filtered[1] - given[1])[late].mean() < math.radians(0.008)

@@ -194,7 +194,7 @@ def misses(real: Arm, ideal: Arm, corrected: np.ndarray, q: np.ndarray) -> tuple
 def test_six_and_seven_joints_hold_the_whole_pose(n: int, weight_m: float) -> None:
     ideal, real, calibration, q = arm_with_errors(n, 40 + n)
     assert len(q) > 10
-    program = compile_program(calibration, CorrectionOptions(orientation_weight_m=weight_m, **FREE))
+    program = compile_program(calibration, CorrectionOptions(task="pose", orientation_weight_m=weight_m, **FREE))
     assert program.held_rows == ("x", "y", "z", "rx", "ry", "rz")
     result = program.correct_rows(q)
     assert not result.status.any()
@@ -209,8 +209,8 @@ def test_the_weight_says_what_gives_way_where_not_all_can_be_held() -> None:
     q[:, 1] += np.linspace(-0.5, 0.5, 30)
     found = {}
     for weight_m in (0.01, 10.0):
-        # One step with a large damping reaches nothing, so the weights show.
-        options = CorrectionOptions(orientation_weight_m=weight_m, iterations=1, singular_m=1.0, weak_m=10.0, **FREE)
+        # A limit that nothing reaches the pose with damps it, so the weights show.
+        options = CorrectionOptions(task="pose", orientation_weight_m=weight_m, largest_rad=1e-3, weak_m=10.0)
         points, turns, _ = misses(real, ideal, compile_program(calibration, options).correct_rows(q).q, q)
         found[weight_m] = (np.mean(points), np.mean(turns))
     assert found[0.01][0] < found[10.0][0]
@@ -261,7 +261,6 @@ def test_what_is_said_to_be_left_is_left(n: int) -> None:
     q = np.vstack([q, joints(ideal, 60, np.random.default_rng(n))])  # near singular postures too
     result = compile_program(calibration, CorrectionOptions(farthest_m=0.1)).correct_rows(q)
     check_left(real, ideal, result.q, q, result.left, result.left_rad)
-    assert np.linalg.norm(result.left, axis=1).max() > 1e-5 or n == 5
 
 
 def check_left(real: Arm, ideal: Arm, q: np.ndarray, at: np.ndarray, left: np.ndarray, left_rad: np.ndarray) -> None:

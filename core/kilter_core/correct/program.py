@@ -36,23 +36,37 @@ from kilter_core.types import Floats, Ints
 
 Task = Literal["auto", "position", "axis", "pose"]
 
-_ROWS: Mapping[str, tuple[int, ...]] = {"position": (0, 1, 2), "axis": (0, 1, 2, 3, 4), "pose": (0, 1, 2, 3, 4, 5)}
+# Rows of the tasks, and how many of them come first.
+_ROWS: Mapping[str, tuple[int, int]] = {"position": (6, 3), "axis": (5, 5), "pose": (6, 6)}
 ROW_NAMES = ("x", "y", "z", "rx", "ry", "rz")  # rotations are about the axes of the tool
+
+
+_POSITIVE = (
+    "rate_rad_s", "rate_m_s", "change_rad_s", "change_m_s", "change_rad_s2", "change_m_s2", "orientation_weight_m",
+    "largest_rad", "largest_m", "farthest_m", "least_leverage", "iterations", "row_iterations",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class CorrectionOptions:
     """How a correction is made and bounded.
 
-    ``task`` "position" holds the tool point, "axis" also the direction of the tool's z, "pose" all six rows; "auto" is
-    "pose" from six joints on, else "position". ``orientation_weight_m`` is what a radian of the tool counts in metres.
-    Limits: ``largest_rad`` and ``largest_m`` per joint, ``farthest_m`` at the tool point. ``rate_rad_s`` and
-    ``rate_m_s`` bound how fast the effects with a sign (clearance, backlash) may change the correction;
-    ``least_softening_nm`` softens their sign where the effect itself does not. ``ramp_s`` is the time of a change of
+    ``task`` "position", which "auto" is, holds the tool point and then turns the tool as well as the joints can: where
+    the posture makes a turn weak (a radian of the joints turns the tool by less than ``least_leverage``), or where both
+    exceed a limit, the turn gives way. "axis" (point and direction of the tool's z) and "pose" hold all their rows alike;
+    ``orientation_weight_m`` is what a radian of the tool counts in metres there.
+    Limits: ``largest_rad`` and ``largest_m`` per joint, ``farthest_m`` at the tool point. ``at_limit`` "saturate" goes as
+    far as they allow and says what is left, "refuse" refuses the row. ``change_rad_s``, ``change_m_s`` and, of the
+    acceleration, ``change_rad_s2``, ``change_m_s2`` bound how fast the whole correction changes along a stream, joint by
+    joint: what drives must have to spare. ``rate_rad_s`` and ``rate_m_s`` bound the part of the effects with a sign
+    (clearance, backlash), and changes of version; ``least_softening_nm`` softens their sign where the effect itself does
+    not. ``ramp_s`` is the least time of a change of
     version. ``payload_kg`` hangs at ``payload_com`` m in the tool frame, the tool point when None; without a mass the
     robot's default load does. ``temperature_c`` is that of the arm, for thermal growth; without it that effect stays
     uncorrected. ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
-    1 / (pi filter_hz) seconds.
+    1 / (pi filter_hz) seconds. ``iterations`` bound the work on a setpoint of a stream, ``row_iterations`` that on a row
+    by itself. A point further off than ``reached_m`` is flagged, as is a tool turned by more than ``turned_rad`` on an arm
+    that could turn it.
     """
 
     task: Task = "auto"
@@ -65,6 +79,11 @@ class CorrectionOptions:
     farthest_m: float = 0.005
     rate_rad_s: float = math.radians(0.5)
     rate_m_s: float = 0.001
+    change_rad_s: float = math.radians(5.0)
+    change_m_s: float = 0.025
+    change_rad_s2: float = math.radians(250.0)
+    change_m_s2: float = 1.25
+    at_limit: Literal["saturate", "refuse"] = "saturate"
     speed_rad_s: float = 4.0 * math.pi
     speed_m_s: float = 5.0
     ramp_s: float = 1.0
@@ -73,9 +92,12 @@ class CorrectionOptions:
     reversal_band: float = 1e-5
     singular_m: float = 1e-5
     weak_m: float = 0.1
+    least_leverage: float = 0.2
     reached_m: float = 1e-6
+    turned_rad: float = 1e-4
     step: float = 1e-8
     iterations: int = 12
+    row_iterations: int = 60
 
     def load(self, robot: Robot) -> Payload:
         """What hangs on the tool: as stated, else the robot's default load, else nothing."""
@@ -87,7 +109,9 @@ class CorrectionOptions:
     def __post_init__(self) -> None:
         if self.task != "auto" and self.task not in _ROWS:
             raise OptionError(f"task is {self.task!r}: give auto, position, axis or pose.", option="task")
-        for name in ("rate_rad_s", "rate_m_s", "orientation_weight_m", "largest_rad", "largest_m", "iterations"):
+        if self.at_limit not in ("saturate", "refuse"):
+            raise OptionError(f"at_limit is {self.at_limit!r}: give saturate or refuse.", option="at_limit")
+        for name in _POSITIVE:
             if not getattr(self, name) > 0:
                 raise OptionError(f"{name} is {getattr(self, name)!r}: give a positive number.", option=name)
 
@@ -119,7 +143,7 @@ class CorrectionProgram:
     array: Floats
     n_joints: int
     moves: int
-    rows: tuple[int, ...]
+    first: int
     supported: tuple[str, ...]
     unsupported: tuple[str, ...]
 
@@ -130,8 +154,8 @@ class CorrectionProgram:
 
     @property
     def held_rows(self) -> tuple[str, ...]:
-        """Rows of the pose that the correction holds, by name."""
-        return tuple(ROW_NAMES[r] for r in self.rows)
+        """Rows of the pose that the correction holds, by name; what comes second is not among them."""
+        return ROW_NAMES[: self.first]
 
     def memory(self) -> Floats:
         """Fresh memory for the kernel: the program, scratch, the state of a stream, joints out and info."""
@@ -257,10 +281,10 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     options = options or CorrectionOptions()
     robot = calibration.robot
     n = robot.n_joints
-    task = options.task if options.task != "auto" else ("pose" if n >= 6 else "position")
-    rows = _ROWS[task]
-    if len(rows) > n and options.task != "auto":
-        message = f"task {task!r} holds {len(rows)} rows, the robot has {n} joints: give position."
+    task = options.task if options.task != "auto" else "position"
+    rows, first = _ROWS[task]
+    if first > max(n, 3):
+        message = f"task {task!r} holds {first} rows, the robot has {n} joints: give position."
         raise OptionError(message, option="task")
     arm = calibration.with_effects([e for e in calibration.model.effects if e.stage != "measurement"])
     model, values = arm.model.absorb_frame_increments(arm.values)
@@ -276,7 +300,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     head = np.zeros((m + 1, layout.COLUMNS))
     write_moves(head, chains.nominal, chains.identified)
     write_bodies(head, weighed, loads, *with_payload(load.mass, load.com, form.payload_errors.tolist()))
-    scalars = _scalars(weighed, options, rows, m)
+    scalars = _scalars(weighed, options, (rows, first), m)
     scalars[layout.LOADED] = float(loaded)
     scalars[layout.CURVES], scalars[layout.BENDINGS] = len(form.curves), len(form.bending)
     mount = _write_base(head, scalars, form, chains.base, fixed_links_moment(weighed, loads))
@@ -284,7 +308,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     if loads is not chains.nominal:
         scalars[layout.LOAD_CHAIN] = sum(len(part) for part in parts)
         parts.append(load_rows(loads))
-    return CorrectionProgram(np.vstack([*parts, *mount, scalars]), n, m, rows, supported, unsupported)
+    return CorrectionProgram(np.vstack([*parts, *mount, scalars]), n, m, first, supported, unsupported)
 
 
 @dataclass(frozen=True)
@@ -344,15 +368,24 @@ def _with_limits(rows: Floats, robot: Robot, options: CorrectionOptions) -> Floa
         row[layout.LOWER], row[layout.UPPER] = joint.lower, joint.upper
         row[layout.RATE] = options.rate_rad_s if revolute else options.rate_m_s
         row[layout.LARGEST] = options.largest_rad if revolute else options.largest_m
+        row[layout.CHANGE] = options.change_rad_s if revolute else options.change_m_s
+        row[layout.SPURT] = options.change_rad_s2 if revolute else options.change_m_s2
         row[layout.SPEED] = options.speed_rad_s if revolute else options.speed_m_s
     return rows
 
 
-def _scalars(robot: Robot, options: CorrectionOptions, rows: tuple[int, ...], moves: int) -> Floats:
+def _scalars(robot: Robot, options: CorrectionOptions, task: tuple[int, int], moves: int) -> Floats:
     row = np.zeros(layout.COLUMNS)
     row[layout.GRAVITY : layout.GRAVITY + 3] = robot.gravity
-    row[layout.ROWS] = len(rows)
-    row[layout.WEIGHT : layout.WEIGHT + len(rows)] = [1.0 if r < 3 else options.orientation_weight_m for r in rows]
+    rows, first = task
+    row[layout.ROWS], row[layout.FIRST] = rows, first
+    # What comes second is in rad: leverage is without a unit.
+    turn = options.orientation_weight_m if first == rows else 1.0
+    row[layout.WEIGHT : layout.WEIGHT + rows] = [1.0 if r < 3 else turn for r in range(rows)]
+    row[layout.LEVERAGE] = options.least_leverage**2
+    row[layout.TURNED] = options.turned_rad
+    row[layout.SATURATES] = float(options.at_limit == "saturate")
+    row[layout.ROUNDS] = options.row_iterations
     row[layout.ITERATIONS] = options.iterations
     row[layout.STEP] = options.step
     row[layout.SINGULAR] = options.singular_m**2

@@ -31,13 +31,15 @@ class Status(IntEnum):
 
 @dataclass(frozen=True)
 class CorrectOptions:
-    """How to correct. ``task`` "position" holds x, y, z; "pose" also the orientation; None is "pose" from six joints on.
+    """How to correct. ``task`` "position", the default, holds x, y, z and then the orientation; "pose" holds all alike.
 
-    ``orientation_weight_m`` sets 1 rad of orientation against metres of position. Corrections beyond ``max_joint_rad``
+    The orientation gives way where a radian of the joints turns the tool by less than ``least_leverage`` in its weakest
+    direction. For "pose" ``orientation_weight_m`` sets 1 rad against metres of position. Corrections beyond ``max_joint_rad``
     (for prismatic joints ``max_shift_m``) or moving the tool by more than ``max_shift_m`` are refused.
     """
 
-    task: str | None = None
+    task: str = "position"
+    least_leverage: float = 0.2
     orientation_weight_m: float = 0.2
     max_joint_rad: float = math.radians(1.0)
     max_shift_m: float = 0.005
@@ -78,18 +80,15 @@ def correct(
 
     Rows without a payload carry the robot's default load. Wanted is the nominal chain at q in the wanted frames of the
     calibration, actual the identified chain at the corrected joints in the identified frames, with all effects that act
-    on the arm; both seen from the wanted base. The step is the damped pseudo-inverse of the joint Jacobian: one step is
-    first order only, so it is repeated until the tool is there.
+    on the arm; both seen from the wanted base. The step is exact for a linear arm, so it is repeated until nothing moves.
 
     Raises:
         OptionError: an unknown task.
 
     """
     options = options or CorrectOptions()
-    n = calibration.robot.n_joints
-    task = options.task or ("pose" if n >= 6 else "position")
-    if task not in ("position", "pose"):
-        raise OptionError(f"task is {task!r}: give position or pose.", option="task")
+    if options.task not in ("position", "pose"):
+        raise OptionError(f"task is {options.task!r}: give position or pose.", option="task")
     model, values = _on_the_arm(calibration)
     load = calibration.robot.load
     ideal = calibration.wanted()
@@ -101,15 +100,20 @@ def correct(
     conditions = conditions if load is None else conditions.carrying(load.mass, load.com)
     wanted = ideal.predict(Observations(safe))
     before = model.predict(conditions, values)
-    weight = np.array([1.0] * 3 + [options.orientation_weight_m] * 3) if task == "pose" else np.ones(3)
+    whole = options.task == "pose"
+    weight = np.array([1.0] * 3 + [options.orientation_weight_m if whole else 1.0] * 3)
+    held = 6 if whole else 3
     out = safe.copy()
     for _ in range(options.iterations):
         actual, J = model.joint_jacobian(replace(conditions, q=out), values)
-        error = _task_error(wanted, actual)[:, : len(weight)] * weight
-        if np.max(np.linalg.norm(error, axis=1), initial=0.0) < options.tolerance_m:
+        error, J = _task_error(wanted, actual) * weight, J * weight[:, None]
+        step = (
+            _damped_step(J, error) if whole else _point_first(J, error, out - safe, options.least_leverage) + safe - out
+        )
+        out = out + step
+        if np.max(np.abs(step), initial=0.0) < options.tolerance_m:
             break
-        out = out + _damped_step(J[:, : len(weight)] * weight[:, None], error)
-    error = _task_error(wanted, model.predict(replace(conditions, q=out), values))[:, : len(weight)] * weight
+    error = (_task_error(wanted, model.predict(replace(conditions, q=out), values)) * weight)[:, :held]
     residual = np.linalg.norm(error, axis=1)
     removed = before.position - wanted.position
     status = _status(calibration, finite, out, safe, removed, options)
@@ -119,7 +123,7 @@ def correct(
         residual=residual,
         converged=residual < 10 * options.tolerance_m,
         status=status,
-        held=("x", "y", "z", "rx", "ry", "rz")[: len(weight)],
+        held=("x", "y", "z", "rx", "ry", "rz")[:held],
     )
 
 
@@ -136,6 +140,26 @@ def _task_error(wanted: Prediction, actual: Prediction) -> Floats:
     """Position and rotation vector (N, 6) from actual to wanted."""
     rotation = rotation_log(wanted.rotation @ actual.rotation.transpose(0, 2, 1))
     return np.hstack([wanted.position - actual.position, rotation])
+
+
+def _point_first(J: Floats, error: Floats, so_far: Floats, least_leverage: float) -> Floats:
+    """Correction (N, n) that minimises ``|dq|² + |turn left|² / d²`` among those that leave no error of the point.
+
+    Its dual form: dq = J' y with (J J' + D) y = error + J so_far, where D is d² in the rows of the orientation. The
+    leverage h is 1 / trace(S⁻¹), S what the joints can turn the tool while the point stands still; below
+    h0 = ``least_leverage``² it is d² = (h0 - h)² / 4 h0. Fewer than six joints cannot turn the tool at will: h is 0.
+    """
+    A = J @ J.transpose(0, 2, 1)
+    least = least_leverage**2
+    leverage = np.zeros(len(J))
+    if J.shape[2] >= 6:
+        S = A[:, 3:, 3:] - A[:, 3:, :3] @ np.linalg.pinv(A[:, :3, :3], hermitian=True) @ A[:, :3, 3:]
+        leverage = 1.0 / np.sum(1.0 / np.maximum(np.linalg.eigvalsh(S), 1e-15), axis=1)
+    short = np.maximum(least - leverage, 0.0)
+    A[:, [3, 4, 5], [3, 4, 5]] += (0.25 * short**2 / least)[:, None]
+    given = error + np.einsum("nij,nj->ni", J, so_far)
+    y = np.einsum("nij,nj->ni", np.linalg.pinv(A, rcond=1e-14, hermitian=True), given)
+    return np.asarray(np.einsum("nij,ni->nj", J, y))
 
 
 def _damped_step(J: Floats, error: Floats, floor: float = 1e-3) -> Floats:

@@ -1,9 +1,11 @@
 """The inverse (thesis eq. 5.22, iterated), compiled: the command whose identified pose is the wanted one.
 
-With J the identified Jacobian at the first guess of the command, the command is q + J' y where (J J' + λ²) y solves the
-wanted pose; λ is zero away from singularities. With redundant joints J is that of the nominal arm at the wanted joints,
-so that the answer does not depend on how it was reached. Along a stream the guess goes on from the last corrections, and
-one evaluation is mostly enough; else it is the wanted joints.
+With J the identified Jacobian at the command, the correction is J' y where (J J' + D) y is the wanted pose less the one
+without correction. Task "position" holds the tool point: D is zero in its rows, and damps those of the orientation where
+the posture makes a turn of the tool weak. So the answer is the least correction that holds the point and turns the tool as
+far as that is worth it; it does not depend on how it was reached, also where joints are to spare, for J is taken anew
+until nothing moves. Along a stream the guess goes on from the last corrections, and one evaluation is mostly enough; else
+it is the wanted joints.
 """
 
 from __future__ import annotations
@@ -21,53 +23,44 @@ from kilter_core.correct.kernels.layout import (
     COSINE,
     CURVES,
     DAMPED,
-    DAMPING,
     DYNAMIC,
     ERROR,
+    FIRST,
     GUESSED,
-    ITERATIONS,
     JOINT,
     KIND,
-    LARGEST,
     LEFT,
     LEFT_TURN,
     LIMITED,
     LINE,
     LOAD_CHAIN,
     LOADED,
-    MATRIX,
     MOMENT,
-    MULTIPLIER,
     RATIO,
     REACHED,
     REMOVED,
     RESIDUAL,
     ROWS,
     SINE,
-    SINGULAR,
     STEP,
     STEPPED,
+    TURNED,
     WANTED,
     WEIGHT,
 )
+from kilter_core.correct.kernels.limits import aim, factor_task
 from kilter_core.correct.kernels.newton_euler import load_moments
-from kilter_core.correct.kernels.solver import (
-    BOUND,
-    add_damping,
-    damp_weak_directions,
-    factor,
-    joint_step,
-    normal_matrix,
-    step_multipliers,
-)
+from kilter_core.correct.kernels.solver import expand, joint_step, normal_matrix
 
-# Moments are taken anew while the command still moves by more than this; then the effects stand still.
+# Moments and Jacobian are taken anew while the command still moves by more than this; then they stand still.
 SETTLED_RAD = 1e-7
 # Along a stream the first step may be larger by this: it is the change of the correction against its prediction, and
 # what is left after it is smaller by a factor of a hundred away from sign changes, of two within them.
 GUESS_STEP = 10.0
 # After this many rounds the signs stand still even if they flip back and forth around zero moment.
 SIGN_ROUNDS = 4
+# After this many rounds steps are halved: near a singular posture whole ones may go back and forth.
+NEWTON_ROUNDS = 6
 
 
 @compiled(**FAST)
@@ -95,32 +88,6 @@ def _jacobian(P, W, S, T, n, m, oj, rows):
             W[j, COLUMN + r] += ratio * v
 
 
-@compiled(**EXACT)
-def _linearise(P, W, S, actual, n, m, oj, og, rows):
-    """Jacobian, its factor and the first multipliers; whether a singularity had to be damped."""
-    _jacobian(P, W, S, actual, n, m, oj, rows)
-    normal_matrix(W, n, oj, og, rows)
-    if factor(W, og) > P[S, SINGULAR]:
-        step_multipliers(W, og, False, True)
-        bound, strain = math.inf, 0.0
-        for j in range(oj, oj + n):
-            bound = min(bound, BOUND * P[j, LARGEST])
-            strain += joint_step(W, j, og) ** 2
-        if strain <= bound * bound:
-            return False
-    for r in range(rows):
-        W[og + r, MULTIPLIER] = 0.0
-    damped = damp_weak_directions(P, W, n, oj, og, rows)
-    add_damping(W, og)
-    if factor(W, og) <= 0.0:
-        for r in range(rows):
-            W[og + r, MATRIX + r] += P[S, SINGULAR]
-            W[og + r, DAMPING + r] += P[S, SINGULAR]
-        factor(W, og)
-    step_multipliers(W, og, damped, True)
-    return damped
-
-
 @compiled(**FAST)
 def _residual(P, W, S, og, rows, wanted, actual):
     """Weighted task errors into the task rows; returns the distance of the tool points by axis."""
@@ -136,19 +103,18 @@ def _residual(P, W, S, og, rows, wanted, actual):
 
 
 @compiled(**FAST)
-def _command(W, n, oj, og):
-    """Commands from the multipliers; returns the largest change of a joint."""
+def _command(W, n, oj, og, share):
+    """Commands from the multipliers, or a share of the way there; returns the largest change of a joint."""
     largest = 0.0
     for j in range(oj, oj + n):
-        new = W[j, WANTED] + joint_step(W, j, og)
-        W[j, STEPPED] = new - W[j, COMMAND]
+        W[j, STEPPED] = share * (W[j, WANTED] + joint_step(W, j, og) - W[j, COMMAND])
         largest = max(largest, abs(W[j, STEPPED]))
-        W[j, COMMAND] = new
+        W[j, COMMAND] += W[j, STEPPED]
     return largest
 
 
 @compiled(**FAST)
-def prepare(P, W, n, m, oj, og, rows):
+def prepare(P, W, n, m, oj):
     """Start the search at the wanted joints plus the guess."""
     for i in range(n):
         W[oj + i, COMMAND] = W[oj + i, WANTED] + W[oj + i, GUESSED]
@@ -158,25 +124,21 @@ def prepare(P, W, n, m, oj, og, rows):
         if P[k, KIND] == 0.0:
             s, c = sine_cosine(P[k, RATIO] * W[oj + int(P[k, JOINT]), WANTED])
             W[k, SINE], W[k, COSINE] = s, c
-    for r in range(rows):
-        W[og + r, MULTIPLIER] = 0.0
 
 
 @compiled(**EXACT)
-def solve(P, W, state, info, n, m, dynamic, dt, warm):
-    """Find the command whose identified pose is the wanted one; leaves it in W and returns the flags."""
+def solve(P, W, state, info, n, m, dynamic, dt, warm, rounds):
+    """Find the command whose identified pose is the wanted one, in at most ``rounds``; leaves it in W, returns the flags."""
     oj, og, S = m + 1, m + 1 + n, P.shape[0] - 1
     rows, at = int(P[S, ROWS]), int(P[S, LOAD_CHAIN])
     flags = DYNAMIC if dynamic else 0
     loaded = P[S, LOADED] != 0.0
-    damped = False
     limited = False
-    largest = math.inf
-    prepare(P, W, n, m, oj, og, rows)
+    largest, made = math.inf, 0
+    prepare(P, W, n, m, oj)
     wanted = load_frames(P, W, at, m, oj)
     if warm or at > 0:
         wanted = wanted_tool(P, W, m, oj, False)
-    rounds = int(P[S, ITERATIONS])
     for it in range(rounds):
         if it == 0 or (loaded and largest > SETTLED_RAD):
             if it > 0:
@@ -190,41 +152,46 @@ def solve(P, W, state, info, n, m, dynamic, dt, warm):
             deflections(P, W, n, m, oj)
         actual = identified_tool(P, W, m, oj)
         d = _residual(P, W, S, og, rows, wanted, actual)
+        if it == 0 or largest > SETTLED_RAD:
+            _jacobian(P, W, S, actual, n, m, oj, rows)
+            normal_matrix(W, n, oj, og, rows)
+            factor_task(P, W, S, n, og, rows)
+        else:
+            expand(W, n, oj, og, rows)
         if it == 0:
-            if rows < n:  # which of many answers must not depend on the guess: nor then may the Jacobian
-                wanted_tool(P, W, m, oj, True)
-            damped = _linearise(P, W, S, wanted if rows < n else actual, n, m, oj, og, rows)
             for i in range(3):
                 info[REMOVED + i] = W[og + i, ERROR] + W[og + i, ADDED]
-        else:
-            step_multipliers(W, og, damped, False)
+        made = aim(P, W, S, n, oj, og, rows)
         before = largest
-        largest = _command(W, n, oj, og)
+        largest = _command(W, n, oj, og, 1.0 if it < NEWTON_ROUNDS else 0.5)
         info[7] = it + 1.0
         # Steps shrink by a constant factor: the next one would be largest * largest / before.
         if largest < P[S, STEP] * (GUESS_STEP if warm and it == 0 else 1.0) or (
             it > 0 and largest < before and largest * largest < 0.1 * P[S, STEP] * before
         ):
             break
-    _report(W, info, og, rows, d)
     if it + 1 < rounds:
-        _left_after_step(W, info, n, oj, d, rotation_between(actual, wanted))
+        _left_after_step(P, W, S, info, n, oj, rows, d, rotation_between(actual, wanted))
     else:
         left_at(P, W, S, info, n, m, oj, dynamic, wanted)
-    if not info[3] <= P[S, REACHED]:
-        flags |= RESIDUAL
-    return flags | (LIMITED if limited else 0) | (DAMPED if damped else 0)
+    return flags | made | (LIMITED if limited else 0) | _report(P, W, S, info, n, oj, og, rows)
 
 
 @compiled(**FAST)
-def _left_after_step(W, info, n, oj, d, turn):
+def _left_after_step(P, W, S, info, n, oj, rows, d, turn):
     """What is left after the last step of the search, which was small: its Jacobian tells the step's share."""
-    for r in range(3):
+    square = 0.0
+    for r in range(6):
         step = 0.0
-        for j in range(oj, oj + n):
-            step += W[j, COLUMN + r] * W[j, STEPPED]
-        info[LEFT + r] = step - d[r]
-    info[LEFT_TURN] = math.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
+        if r < rows:
+            for j in range(oj, oj + n):
+                step += W[j, COLUMN + r] * W[j, STEPPED]
+        if r < 3:
+            info[LEFT + r] = step - d[r]
+        else:
+            rest = turn[r - 3] - step / P[S, WEIGHT + 3]
+            square += rest * rest
+    info[LEFT_TURN] = math.sqrt(square)
 
 
 @compiled(**EXACT)
@@ -243,10 +210,14 @@ def left_at(P, W, S, info, n, m, oj, dynamic, wanted):
 
 
 @compiled(**EXACT)
-def _report(W, info, og, rows, d):
-    """Residual of the tool point and of all task rows, as of the last evaluation."""
-    total = 0.0
-    for r in range(rows):
+def _report(P, W, S, info, n, oj, og, rows):
+    """Residual of the tool point and of the first task; returns the flags of what is left."""
+    first, total = int(P[S, FIRST]), 0.0
+    info[2] = math.sqrt(info[LEFT] ** 2 + info[LEFT + 1] ** 2 + info[LEFT + 2] ** 2)
+    for r in range(first):
         total += W[og + r, ERROR] * W[og + r, ERROR]
-    info[2] = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-    info[3] = math.sqrt(total)
+    info[3] = math.sqrt(total) if first > 3 else info[2]
+    flags = 0 if info[3] <= P[S, REACHED] else RESIDUAL
+    if first < rows and n >= 6 and info[LEFT_TURN] > P[S, TURNED]:
+        flags |= DAMPED
+    return flags

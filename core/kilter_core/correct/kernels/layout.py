@@ -25,6 +25,7 @@ NOMINAL, IDENTIFIED, KIND, JOINT, RATIO, PRIMARY, MASS, COM, INERTIA = 0, 12, 24
 # joint rows
 LOWER, UPPER, DQ, XI, TILT, TILT_SOFT, TILT_SHARE, PLAY, PLAY_SOFT = 0, 1, 2, 3, 9, 10, 11, 12, 13
 REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, RADIAL, TWISTED, HARDENING, SIDED = 14, 15, 16, 17, 18, 19, 20, 21, 22
+CHANGE, SPURT = 23, 24  # most rate and acceleration of the correction
 # curve rows: a shape of the joint ``DRIVER`` added to the joint ``CURVED``
 CURVED, SHAPE, DRIVER, AMPLITUDE_A, AMPLITUDE_B, FACTOR, EXTRA, POWERS, HIGHEST = 0, 1, 2, 3, 4, 5, 6, 8, 20
 WAVE, LINEAR, SPRING, SINES, LAG, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
@@ -32,31 +33,26 @@ WAVE, LINEAR, SPRING, SINES, LAG, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 BENDING, BENDING_JOINT, BENDING_LINK = 0, 36, 37
 # row of the base mount: constant transform of the base, then the one up to the first move; compliances, constant moment
 BASE_FRAME, FIRST_MOVE, MOUNT_X, MOUNT_Y, FIXED_MOMENT_X, FIXED_MOMENT_Y = 0, 12, 24, 25, 26, 27
-# scalars
+# scalars; FIRST: how many of the task rows come first
 GRAVITY, ROWS, WEIGHT, ITERATIONS, STEP, SINGULAR, FARTHEST, RAMP, FILTER = 0, 3, 10, 16, 17, 18, 19, 20, 21
 HYSTERESIS, LOADED, REACHED, N, M, WEAK, CURVES, BENDINGS, MOUNT, LOAD_CHAIN = 22, 23, 24, 25, 26, 27, 28, 29, 30, 31
+FIRST, LEVERAGE, TURNED, SATURATES, ROUNDS = 32, 33, 34, 35, 36
 # scratch of a move: frame of the load chain, identified joint line, sine, cosine wanted, load of its body (M: payload)
 LINE, SINE, COSINE, LOAD, ON_BASE = 12, 18, 19, 20, 26
 # scratch of a joint
 WANTED, COMMAND, SHIFT, TILT_A, TILT_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN = 0, 1, 2, 3, 4, 5, 6, 9, 10, 11
-COLUMN, REVERSED_AT_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW, GUESSED, TWIST, ROOT, END, STEPPED = (
-    12,
-    18,
-    19,
-    20,
-    21,
-    22,
-    28,
-    34,
-    40,
-)
-# scratch of a task row: factor row, residual, multiplier, right-hand side, then damping, matrix and eigenvector rows,
-# and what the first guess adds to the residual
-ERROR, MULTIPLIER, RIGHT, DAMPING, MATRIX, VECTOR, ADDED = 6, 7, 8, 9, 15, 21, 27
+COLUMN, REVERSED_AT_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW, GUESSED, TWIST, ROOT, END = 12, 18, 19, 20, 21, 22, 28, 34
+# last step of the search; offset of the ramp; correction with it, and as it is answered; a rate on the way
+STEPPED, RAMPED, TOTAL, NEXT, WISH = 40, 41, 42, 43, 45
+# scratch of a task row: factor row, residual, multiplier, right-hand side, then a row of J J', and what the present
+# correction adds to the residual
+ERROR, MULTIPLIER, RIGHT, MATRIX, ADDED = 6, 7, 8, 9, 15
 # state of a joint, and of the stream (row n)
 LAST_A, LAST_B, LAST_SIDE, LAST_Q, REVERSED_AT, LAST_SIGN = 0, 1, 2, 3, 4, 5
 OFFSET, LAST_DELTA, SMOOTH, SMOOTH_SPEED, GUESS, SLOPE = 6, 7, 8, 9, 10, 11
-STARTED, REBASE, REMAINING, LENGTH = 0, 1, 2, 3
+# rate of the answers; what they follow, before and after the point is held (the latter in the scratch of a joint too)
+VELOCITY, TARGET, AIMED = 12, 13, 44
+STARTED, REBASE, REMAINING, LENGTH, BEHIND = 0, 1, 2, 3, 4
 
 OK, NOT_FINITE, JOINT_LIMIT, TOO_LARGE, RATE_LIMIT = 0, 5, 6, 7, 8
 # LIMITED: a sign change at its rate; SATURATED: the correction is held at its limit; SLOWED: it is held back by the bound

@@ -1,35 +1,20 @@
-"""The linear system of a step, compiled: J J' of six task rows, its factor, and the damping near a singularity.
+"""The linear system of a step, compiled: J J' of six task rows, its factor, and its solution.
 
 All six rows always, written out: rows that the task does not hold have no Jacobian and a one on the diagonal.
 """
 
 from __future__ import annotations
 
-import math
-
 from kilter_core.arm.kernels.compiled import EXACT, FAST, ORDERED, compiled
-from kilter_core.correct.kernels.layout import (
-    ADDED,
-    COLUMN,
-    DAMPING,
-    ERROR,
-    GUESSED,
-    LARGEST,
-    MATRIX,
-    MULTIPLIER,
-    RIGHT,
-    SINGULAR,
-    VECTOR,
-    WEAK,
-)
+from kilter_core.correct.kernels.layout import ADDED, COLUMN, COMMAND, MATRIX, MULTIPLIER, RIGHT, WANTED
 
-# A singularity may ask a joint for this part of the largest correction; damping overshoots it by up to 16 %.
-BOUND = 0.85
+# No pivot is taken for smaller than this.
+TINY = 1e-12
 
 
 @compiled(**ORDERED)
 def normal_matrix(W, n, oj, og, rows):
-    """J J' into the lower half of the task rows, and what the first guess adds to the residual.
+    """J J' into the lower half of the task rows, and what the present correction adds to the residual.
 
     All six rows always, written out: rows the task does not hold have no Jacobian and get a one on the diagonal.
     """
@@ -37,7 +22,7 @@ def normal_matrix(W, n, oj, og, rows):
     a40 = a41 = a42 = a43 = a44 = a50 = a51 = a52 = a53 = a54 = a55 = 0.0
     g0 = g1 = g2 = g3 = g4 = g5 = 0.0
     for j in range(oj, oj + n):
-        g = W[j, GUESSED]
+        g = W[j, COMMAND] - W[j, WANTED]
         c0, c1, c2 = W[j, COLUMN], W[j, COLUMN + 1], W[j, COLUMN + 2]
         c3, c4, c5 = W[j, COLUMN + 3], W[j, COLUMN + 4], W[j, COLUMN + 5]
         a00, a10, a11 = a00 + c0 * c0, a10 + c1 * c0, a11 + c1 * c1
@@ -59,14 +44,6 @@ def normal_matrix(W, n, oj, og, rows):
         W[og + r, ADDED] = g
     for r in range(rows, 6):
         W[og + r, t + r] = 1.0
-
-
-@compiled(**FAST)
-def add_damping(W, og):
-    """Add the damping to J J'."""
-    for r in range(6):
-        for c in range(r + 1):
-            W[og + r, MATRIX + c] += W[og + r, DAMPING + c]
 
 
 @compiled(**FAST)
@@ -99,7 +76,7 @@ def factor(W, og):
     l54 = u54 * i4
     d5 = W[og + 5, t + 5] - l50 * u50 - l51 * u51 - l52 * u52 - l53 * u53 - l54 * u54
     smallest = min(min(min(d0, d1), min(d2, d3)), min(d4, d5))
-    if not smallest > 1e-12:
+    if not smallest > TINY:
         return 0.0
     W[og, 0] = i0
     W[og + 1, 0], W[og + 1, 1] = l10, i1
@@ -111,17 +88,39 @@ def factor(W, og):
     return smallest
 
 
-@compiled(**FAST)
-def step_multipliers(W, og, damped, first):
-    """Step of the multipliers: (J J' + damping) step = error - damping * multipliers; the first one starts from zero."""
+@compiled(**ORDERED)
+def expand(W, n, oj, og, rows):
+    """What the present correction adds to the residual: J times it."""
     for r in range(6):
-        total = W[og + r, ERROR]
-        if first:
-            total += W[og + r, ADDED]
-        if damped:
-            for k in range(6):
-                total -= W[og + r, DAMPING + k] * W[og + k, MULTIPLIER]
-        W[og + r, RIGHT] = total
+        W[og + r, ADDED] = 0.0
+    for j in range(oj, oj + n):
+        g = W[j, COMMAND] - W[j, WANTED]
+        for r in range(rows):
+            W[og + r, ADDED] += W[j, COLUMN + r] * g
+
+
+@compiled(**FAST)
+def damp(W, og, first, last, amount):
+    """Add ``amount`` to the diagonal of J J' in the rows from ``first`` to before ``last``."""
+    for r in range(first, last):
+        W[og + r, MATRIX + r] += amount
+
+
+@compiled(**FAST)
+def leverage(W, og):
+    """How far, squared, a radian of the joints turns the tool in its weakest direction while the point stands still.
+
+    It is 1 / trace(S⁻¹) of the Schur complement S of the position rows, from the factor: the square of the smallest
+    singular value where that is far smaller than the others, else up to three times less.
+    """
+    a, b, c = W[og + 4, 3], W[og + 5, 3], W[og + 5, 4]
+    e = a * c - b
+    return 1.0 / (W[og + 3, 3] + W[og + 4, 4] * (a * a + 1.0) + W[og + 5, 5] * (e * e + c * c + 1.0))
+
+
+@compiled(**FAST)
+def solve_factored(W, og):
+    """Multipliers of the right-hand side by the factor."""
     a, b, c, d = og, og + 1, og + 2, og + 3
     e, f = og + 4, og + 5
     y0 = W[a, RIGHT]
@@ -137,85 +136,31 @@ def step_multipliers(W, og, damped, first):
     y1 = y1 * W[b, 1] - W[c, 1] * y2 - W[d, 1] * y3 - W[e, 1] * y4 - W[f, 1] * y5
     y0 = y0 * W[a, 0] - W[b, 0] * y1 - W[c, 0] * y2 - W[d, 0] * y3 - W[e, 0] * y4 - W[f, 0] * y5
     for r, y in enumerate((y0, y1, y2, y3, y4, y5)):
-        W[og + r, MULTIPLIER] += y
+        W[og + r, MULTIPLIER] = y
+
+
+@compiled(**EXACT)
+def solve_point(W, og, e0, e1, e2, floor):
+    """Multipliers (3,) of the position rows alone, of J J' in the task rows plus ``floor`` on its diagonal."""
+    t = MATRIX
+    i0 = 1.0 / (W[og, t] + floor)
+    u10, u20 = W[og + 1, t], W[og + 2, t]
+    l10, l20 = u10 * i0, u20 * i0
+    i1 = 1.0 / max(W[og + 1, t + 1] + floor - l10 * u10, TINY)
+    u21 = W[og + 2, t + 1] - l20 * u10
+    l21 = u21 * i1
+    i2 = 1.0 / max(W[og + 2, t + 2] + floor - l20 * u20 - l21 * u21, TINY)
+    y1 = e1 - l10 * e0
+    y2 = (e2 - l20 * e0 - l21 * y1) * i2
+    y1 = y1 * i1 - l21 * y2
+    return e0 * i0 - l10 * y1 - l20 * y2, y1, y2
 
 
 @compiled(**FAST)
 def joint_step(W, j, og):
-    """Change of the command of joint row j that the multipliers ask for."""
+    """Correction of joint row j that the multipliers ask for."""
     return (
         W[j, COLUMN] * W[og, MULTIPLIER] + W[j, COLUMN + 1] * W[og + 1, MULTIPLIER]
         + W[j, COLUMN + 2] * W[og + 2, MULTIPLIER] + W[j, COLUMN + 3] * W[og + 3, MULTIPLIER]
         + W[j, COLUMN + 4] * W[og + 4, MULTIPLIER] + W[j, COLUMN + 5] * W[og + 5, MULTIPLIER]
     )  # fmt: skip
-
-
-@compiled(**EXACT)
-def _rotate_pair(W, og, rows, a, b):
-    """One Jacobi rotation that clears element (a, b) of the factor rows, which hold a symmetric matrix here."""
-    off = W[og + a, b]
-    if off == 0.0:
-        return
-    theta = 0.5 * (W[og + b, b] - W[og + a, a]) / off
-    t = math.copysign(1.0, theta) / (abs(theta) + math.sqrt(theta * theta + 1.0))
-    c = 1.0 / math.sqrt(t * t + 1.0)
-    s = t * c
-    for k in range(rows):
-        x, y = W[og + k, a], W[og + k, b]
-        W[og + k, a] = c * x - s * y
-        W[og + k, b] = s * x + c * y
-        x, y = W[og + k, VECTOR + a], W[og + k, VECTOR + b]
-        W[og + k, VECTOR + a] = c * x - s * y
-        W[og + k, VECTOR + b] = s * x + c * y
-    for k in range(rows):
-        x, y = W[og + a, k], W[og + b, k]
-        W[og + a, k] = c * x - s * y
-        W[og + b, k] = s * x + c * y
-
-
-@compiled(**EXACT)
-def _eigenvectors(W, og, rows):
-    """Eigenvalues of J J' on the diagonal of the factor rows, eigenvectors in the vector columns (cyclic Jacobi)."""
-    for r in range(rows):
-        for c in range(rows):
-            W[og + r, c] = W[og + max(r, c), MATRIX + min(r, c)]
-            W[og + r, VECTOR + c] = 1.0 if r == c else 0.0
-    for _ in range(8):
-        for a in range(rows - 1):
-            for b in range(a + 1, rows):
-                _rotate_pair(W, og, rows, a, b)
-
-
-@compiled(**EXACT)
-def damp_weak_directions(P, W, n, oj, og, rows):
-    """Damp the directions that a singularity makes weak, and no others; whether there was one.
-
-    A direction of singular value s below the weak limit would ask the joints for error / s. Where that exceeds the
-    bound, its damping grows smoothly from zero (after Maciejewski and Klein 1988), so that the answer is continuous,
-    keeps to about the bound and fades out at the singularity itself.
-    """
-    S = P.shape[0] - 1
-    bound = math.inf
-    for i in range(n):
-        bound = min(bound, BOUND * P[oj + i, LARGEST])
-    _eigenvectors(W, og, rows)
-    for r in range(6):
-        for c in range(6):
-            W[og + r, DAMPING + c] = 0.0
-    damped = False
-    for v in range(rows):
-        square = max(W[og + v, v], 0.0)
-        if square >= P[S, WEAK]:
-            continue
-        along = 0.0
-        for r in range(rows):
-            along += W[og + r, VECTOR + v] * (W[og + r, ERROR] + W[og + r, ADDED])
-        limit = max(along * along / (bound * bound), P[S, SINGULAR])
-        if square >= limit:
-            continue
-        damped = True
-        amount = 0.25 * (limit - square)
-        for r in range(rows):
-            for c in range(rows):
-                W[og + r, DAMPING + c] += amount * W[og + r, VECTOR + v] * W[og + c, VECTOR + v]
-    return damped

@@ -9,14 +9,15 @@ from kilter_core.correct.kernels.chain import wanted_tool
 from kilter_core.correct.kernels.inverse import left_at, solve
 from kilter_core.correct.kernels.layout import (
     ACCEL_NOW,
-    COLUMN,
+    AIMED,
+    BEHIND,
     COMMAND,
-    FARTHEST,
     FILTER,
     GUESS,
     GUESSED,
     HYSTERESIS,
     INFO,
+    ITERATIONS,
     JOINT_LIMIT,
     LARGEST,
     LAST_A,
@@ -25,23 +26,31 @@ from kilter_core.correct.kernels.layout import (
     LAST_Q,
     LAST_SIDE,
     LAST_SIGN,
+    LEFT,
     LENGTH,
     LOWER,
+    NEXT,
     NOT_FINITE,
     OFFSET,
     OK,
     RAMP,
+    RAMPED,
     RAMPING,
     RATE,
     RATE_LIMIT,
+    REACHED,
     REBASE,
     REMAINING,
-    REMOVED,
+    RESIDUAL,
     REVERSED_AT,
     REVERSED_AT_NEW,
+    ROUNDS,
+    SATURATED,
+    SATURATES,
     SIDE,
     SIGN,
     SLOPE,
+    SLOWED,
     SMOOTH,
     SMOOTH_NEW,
     SMOOTH_SPEED,
@@ -49,17 +58,23 @@ from kilter_core.correct.kernels.layout import (
     SPEED,
     SPEED_NOW,
     STARTED,
+    TARGET,
     TILT_A,
     TILT_B,
     TOO_LARGE,
+    TOTAL,
     UPPER,
+    VELOCITY,
     WANTED,
     M,
     N,
 )
+from kilter_core.correct.kernels.rates import CAUGHT_UP, SLOWED_BY, bound_change
 
 # A guess looks ahead no further than this.
 LOOK_AHEAD_S, LOOK_AHEAD_RAD = 0.05, 1e-3
+# Times closer than this are taken for jitter where something is divided by them.
+LEAST_STEP_S = 1e-3
 
 
 @compiled(**EXACT)
@@ -77,7 +92,7 @@ def _refused(P, state, info, x, n, m, width, dt):
         return JOINT_LIMIT
     if state[n, STARTED] != 0.0:
         for i in range(n):
-            if abs(x[i] - state[i, LAST_Q]) > P[m + 1 + i, SPEED] * max(dt, 1e-3):
+            if abs(x[i] - state[i, LAST_Q]) > P[m + 1 + i, SPEED] * max(dt, LEAST_STEP_S):
                 mask |= 1 << i
     info[1] = mask
     return RATE_LIMIT if mask != 0 else OK
@@ -129,46 +144,61 @@ def _motion(P, W, state, x, n, m, width, dt):
 
 @compiled(**EXACT)
 def _ramp(P, W, state, n, m, dt):
-    """Advance the ramp from the last version, or from no correction; returns the part that remains, and its length."""
+    """Advance the ramp from the last version, or from no correction; returns the part that remains, and its length.
+
+    The whole correction goes into W. It is eased in and out, so its rate is at most 1.5 times that of a straight ramp.
+    """
     S = P.shape[0] - 1
+    length = state[n, LENGTH]
     if state[n, REBASE] != 0.0:
         length = P[S, RAMP]
         for i in range(n):
             j = m + 1 + i
-            offset = state[i, LAST_DELTA] - (W[j, COMMAND] - W[j, WANTED])
-            W[j, COLUMN] = offset
-            length = max(length, abs(offset) / P[j, RATE])
-        return 1.0, length
-    for i in range(n):
-        W[m + 1 + i, COLUMN] = state[i, OFFSET]
-    length = state[n, LENGTH]
-    if length <= 0.0:
-        return 0.0, 0.0
-    return max(0.0, state[n, REMAINING] - dt / length), length
+            W[j, RAMPED] = state[i, LAST_DELTA] - (W[j, COMMAND] - W[j, WANTED])
+            length = max(length, 1.5 * abs(W[j, RAMPED]) / P[j, RATE])
+        remaining = 1.0
+    else:
+        for i in range(n):
+            W[m + 1 + i, RAMPED] = state[i, OFFSET]
+        remaining = max(0.0, state[n, REMAINING] - dt / length) if length > 0.0 else 0.0
+    share = remaining * remaining * (3.0 - 2.0 * remaining)
+    for j in range(m + 1, m + 1 + n):
+        W[j, TOTAL] = W[j, COMMAND] - W[j, WANTED] + share * W[j, RAMPED]
+    return remaining, length
 
 
 @compiled(**EXACT)
-def _verdict(P, W, info, out, remaining, n, m):
-    """Corrected joints into ``out`` and their status: size of the correction, then limits of the joints."""
-    large = 0
-    outside = 0
+def _verdict(P, W, info, out, flags, n, m):
+    """Corrected joints into ``out`` within the limits of correction and joints, and what was held at them into the info.
+
+    A correction that exceeds a limit is scaled in all joints by one factor, so that the tool stays between where it is
+    with and without it. Returns the status: where the options refuse what exceeds a limit, it is not OK.
+    """
+    S = P.shape[0] - 1
+    large, outside, share = 0, 0, 1.0
     for i in range(n):
         j = m + 1 + i
-        delta = W[j, COMMAND] - W[j, WANTED]
-        if remaining > 0.0:
-            delta += remaining * W[j, COLUMN]
-        out[i] = W[j, WANTED] + delta
-        if not abs(delta) <= P[j, LARGEST]:
+        delta = W[j, NEXT]
+        if not abs(delta) < P[j, LARGEST] * (1.0 - 1e-9):
             large |= 1 << i
-        if not P[j, LOWER] <= out[i] <= P[j, UPPER]:
+            if abs(delta) > P[j, LARGEST] * (1.0 + 1e-9):
+                flags |= SATURATED
+                share = min(share, P[j, LARGEST] / abs(delta))
+        if not P[j, LOWER] <= W[j, WANTED] + delta <= P[j, UPPER]:
             outside |= 1 << i
-    S = P.shape[0] - 1
-    far = math.sqrt(info[REMOVED] ** 2 + info[REMOVED + 1] ** 2 + info[REMOVED + 2] ** 2)
-    if large != 0 or not far <= P[S, FARTHEST]:
-        info[1] = large
-        return TOO_LARGE
-    info[1] = outside
-    return JOINT_LIMIT if outside != 0 else OK
+            room = (P[j, UPPER] if delta > 0.0 else P[j, LOWER]) - W[j, WANTED]
+            share = min(share, max(0.0, room / delta)) if delta != 0.0 else 0.0
+    for i in range(n):
+        j = m + 1 + i
+        out[i] = min(max(W[j, WANTED] + share * W[j, NEXT], P[j, LOWER]), P[j, UPPER])
+    info[0] = flags | (SATURATED if outside != 0 else 0)
+    if outside == 0 and not flags & SATURATED:
+        return OK
+    if P[S, SATURATES] != 0.0:
+        info[1] = large | outside
+        return OK
+    info[1] = large if flags & SATURATED else outside
+    return TOO_LARGE if flags & SATURATED else JOINT_LIMIT
 
 
 @compiled(**EXACT)
@@ -186,16 +216,20 @@ def _look_ahead(W, state, n, m, dt, fresh):
 
 
 @compiled(**EXACT)
-def _commit(P, W, state, out, remaining, length, n, m, dt, fresh):
+def _commit(P, W, state, out, remaining, length, behind, n, m, dt, fresh):
     """Remember what was answered."""
+    started = state[n, STARTED] != 0.0
     for i in range(n):
         j = m + 1 + i
         state[i, LAST_A], state[i, LAST_B], state[i, LAST_SIDE] = W[j, TILT_A], W[j, TILT_B], W[j, SIDE]
         state[i, LAST_Q] = W[j, WANTED]
         state[i, REVERSED_AT] = W[j, REVERSED_AT_NEW]
         state[i, LAST_SIGN] = W[j, SIGN]
-        state[i, OFFSET] = W[j, COLUMN] if remaining > 0.0 else 0.0
-        state[i, LAST_DELTA] = out[i] - W[j, WANTED]
+        state[i, OFFSET] = W[j, RAMPED] if remaining > 0.0 else 0.0
+        answered = out[i] - W[j, WANTED]
+        state[i, VELOCITY] = (answered - state[i, LAST_DELTA]) / max(dt, LEAST_STEP_S) if started else 0.0
+        state[i, LAST_DELTA] = answered
+        state[i, TARGET], state[i, AIMED] = W[j, TOTAL], W[j, AIMED]
         state[i, SMOOTH], state[i, SMOOTH_SPEED] = W[j, SMOOTH_NEW], W[j, SMOOTH_SPEED_NEW]
         delta = W[j, COMMAND] - W[j, WANTED]
         state[i, SLOPE] = 0.0 if fresh or dt < 1e-6 else (delta - state[i, GUESS]) / dt
@@ -204,6 +238,7 @@ def _commit(P, W, state, out, remaining, length, n, m, dt, fresh):
     state[n, REBASE] = 0.0
     state[n, REMAINING] = remaining
     state[n, LENGTH] = length
+    state[n, BEHIND] = 0.0 if behind <= CAUGHT_UP else 1.0
 
 
 @compiled(**EXACT)
@@ -213,6 +248,9 @@ def _tell_left(P, W, S, info, out, n, m, dynamic):
     for i in range(n):
         W[oj + i, COMMAND] = out[i]
     left_at(P, W, S, info, n, m, oj, dynamic, wanted_tool(P, W, m, oj, False))
+    info[2] = math.sqrt(info[LEFT] ** 2 + info[LEFT + 1] ** 2 + info[LEFT + 2] ** 2)
+    if not info[2] <= P[S, REACHED]:
+        info[0] = int(info[0]) | RESIDUAL
 
 
 @compiled(**EXACT)
@@ -231,13 +269,23 @@ def correct_setpoint(P, W, state, x, width, dt, out, info):
     dynamic = _motion(P, W, state, x, n, m, width, dt)
     fresh = state[n, STARTED] == 0.0 or state[n, REBASE] != 0.0
     warm = _look_ahead(W, state, n, m, dt, fresh)
-    flags = solve(P, W, state, info, n, m, dynamic, math.inf if fresh else dt, warm)
+    flags = solve(P, W, state, info, n, m, dynamic, math.inf if fresh else dt, warm, int(P[S, ITERATIONS]))
     remaining, length = _ramp(P, W, state, n, m, dt)
-    status = _verdict(P, W, info, out, remaining, n, m)
-    info[0] = flags | (RAMPING if remaining > 0.0 else 0)
+    behind = 0.0
+    if state[n, STARTED] != 0.0:
+        step_s = max(dt, LEAST_STEP_S)
+        behind = bound_change(P, W, S, state, info, n, m, dynamic, step_s, fresh, remaining > 0.0)
+    else:
+        for j in range(m + 1, m + 1 + n):
+            W[j, AIMED] = W[j, NEXT] = W[j, TOTAL]
+    if remaining > 0.0:
+        flags |= RAMPING
+    if behind > SLOWED_BY:
+        flags |= SLOWED
+    status = _verdict(P, W, info, out, flags, n, m)
     if status == OK:
-        _commit(P, W, state, out, remaining, length, n, m, dt, fresh)
-        if remaining > 0.0:
+        _commit(P, W, state, out, remaining, length, behind, n, m, dt, fresh)
+        if remaining > 0.0 or behind > 0.0 or info[1] != 0.0:
             _tell_left(P, W, S, info, out, n, m, dynamic)
     else:
         for i in range(n):
@@ -288,7 +336,8 @@ def correct_rows(memory, program_rows, n, x, width, direction, out, info, status
     P = memory[:program_rows]
     W = memory[program_rows : rows - n - 3]
     state = memory[rows - n - 3 : rows - 2]
-    m = int(P[program_rows - 1, M])
+    S = program_rows - 1
+    m = int(P[S, M])
     for row in range(x.shape[0]):
         info[row, :] = 0.0
         for i in range(n):
@@ -298,6 +347,12 @@ def correct_rows(memory, program_rows, n, x, width, direction, out, info, status
             W[j, SIGN] = direction[row, i]
             W[j, SPEED_NOW] = x[row, n + i] if width == 3 else 0.0
             W[j, ACCEL_NOW] = x[row, 2 * n + i] if width == 3 else 0.0
-        flags = solve(P, W, state, info[row], n, m, width == 3, math.inf, False)
-        status[row] = _verdict(P, W, info[row], out[row], 0.0, n, m)
-        info[row, 0] = flags
+        flags = solve(P, W, state, info[row], n, m, width == 3, math.inf, False, int(P[S, ROUNDS]))
+        for j in range(m + 1, m + 1 + n):
+            W[j, NEXT] = W[j, COMMAND] - W[j, WANTED]
+        status[row] = _verdict(P, W, info[row], out[row], flags, n, m)
+        if info[row, 1] != 0.0:
+            _tell_left(P, W, S, info[row], out[row], n, m, width == 3)
+        for i in range(n):
+            if not P[m + 1 + i, LOWER] <= x[row, i] <= P[m + 1 + i, UPPER]:
+                status[row] = JOINT_LIMIT

@@ -1,0 +1,122 @@
+"""Rate and acceleration of the correction along a stream, compiled: what the drives are asked for beside the path.
+
+Where the wanted correction changes too fast, the joints follow it together at half of both bounds; what that costs the
+tool point is given back by the least motion that holds the point, and only that sum is held to the whole bounds. So the
+turn of the tool gives way first and its point last. Whatever is held back is held back in all joints by one factor: on
+the straight way from one correction to another the tool stays between what both of them leave.
+"""
+
+from __future__ import annotations
+
+import math
+
+from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.correct.kernels.chain import wanted_tool
+from kilter_core.correct.kernels.inverse import left_at
+from kilter_core.correct.kernels.layout import (
+    AIMED,
+    BEHIND,
+    CHANGE,
+    COLUMN,
+    COMMAND,
+    LARGEST,
+    LAST_DELTA,
+    LEFT,
+    NEXT,
+    SINGULAR,
+    SPURT,
+    TARGET,
+    TOTAL,
+    VELOCITY,
+    WANTED,
+    WEAK,
+    WISH,
+)
+from kilter_core.correct.kernels.solver import solve_point
+
+# A correction that is further behind than this costs something; below the other it has caught up.
+SLOWED_BY, CAUGHT_UP = 1e-6, 1e-10
+
+
+@compiled(**EXACT)
+def _toward(P, W, state, n, oj, aim, before, share, dt, fresh):
+    """Next place of all joints on the way to column ``aim`` of W, which was at column ``before`` of the state, into NEXT.
+
+    The way that is behind is made up no faster than the joints can brake, so they do not swing beyond. Changes of rate
+    are scaled by one factor for all joints, as are rates.
+    """
+    late, fast, sudden = 0.0, 1.0, 1.0
+    for i in range(n):
+        j = oj + i
+        W[j, NEXT] = 0.0 if fresh else state[i, before] - state[i, LAST_DELTA]
+        late = max(late, abs(W[j, NEXT]) / (share * P[j, SPURT]))
+    # In a time of 1 / close, what is behind would be made up.
+    close = min(1.0 / dt, (math.sqrt(0.25 * dt * dt + 2.0 * late) - 0.5 * dt) / late) if late > 0.0 else 0.0
+    for i in range(n):
+        j = oj + i
+        was = state[i, LAST_DELTA] if fresh else state[i, before]
+        W[j, WISH] = (W[j, aim] - was) / dt + W[j, NEXT] * close
+        fast = max(fast, abs(W[j, WISH]) / (share * P[j, CHANGE]))
+    for i in range(n):
+        j = oj + i
+        W[j, WISH] = W[j, WISH] / fast - state[i, VELOCITY]
+        sudden = max(sudden, abs(W[j, WISH]) / (share * P[j, SPURT] * dt))
+    for i in range(n):
+        j = oj + i
+        W[j, NEXT] = state[i, LAST_DELTA] + (state[i, VELOCITY] + W[j, WISH] / sudden) * dt
+
+
+@compiled(**EXACT)
+def _keeps_up(P, W, state, n, oj, dt):
+    """Whether the wanted correction itself keeps to the bounds."""
+    if state[n, BEHIND] != 0.0:
+        return False
+    for i in range(n):
+        j = oj + i
+        step = W[j, TOTAL] - state[i, LAST_DELTA]
+        if not abs(step) <= P[j, CHANGE] * dt or not abs(step - state[i, VELOCITY] * dt) <= P[j, SPURT] * dt * dt:
+            return False
+    return True
+
+
+@compiled(**EXACT)
+def _hold_point(P, W, S, info, n, m, dynamic, wanted):
+    """Take back from the aim what the tool point is off there, beside what the search left: the turn is not quite small."""
+    oj, og = m + 1, m + 1 + n
+    l0, l1, l2 = info[LEFT], info[LEFT + 1], info[LEFT + 2]
+    for j in range(oj, oj + n):
+        W[j, COMMAND] = W[j, WANTED] + W[j, AIMED]
+    left_at(P, W, S, info, n, m, oj, dynamic, wanted)
+    # Near a singular posture of the point this would ask for too much.
+    floor = 0.01 * P[S, WEAK]
+    y0, y1, y2 = solve_point(W, og, info[LEFT] - l0, info[LEFT + 1] - l1, info[LEFT + 2] - l2, floor)
+    for j in range(oj, oj + n):
+        W[j, COMMAND] = W[j, WANTED] + W[j, TOTAL]
+        W[j, AIMED] -= W[j, COLUMN] * y0 + W[j, COLUMN + 1] * y1 + W[j, COLUMN + 2] * y2
+
+
+@compiled(**EXACT)
+def bound_change(P, W, S, state, info, n, m, dynamic, dt, fresh, ramping):
+    """Bound the change of the whole correction, from wanted in W to answered; by how much it falls behind."""
+    oj, og = m + 1, m + 1 + n
+    if _keeps_up(P, W, state, n, oj, dt):
+        for j in range(oj, oj + n):
+            W[j, AIMED] = W[j, NEXT] = W[j, TOTAL]
+        return 0.0
+    _toward(P, W, state, n, oj, TOTAL, TARGET, 0.5, dt, fresh)
+    g0 = g1 = g2 = 0.0
+    for j in range(oj, oj + n):
+        behind = W[j, TOTAL] - W[j, NEXT]
+        g0, g1, g2 = g0 + W[j, COLUMN] * behind, g1 + W[j, COLUMN + 1] * behind, g2 + W[j, COLUMN + 2] * behind
+    y0, y1, y2 = solve_point(W, og, g0, g1, g2, P[S, SINGULAR])
+    for j in range(oj, oj + n):
+        W[j, AIMED] = W[j, NEXT] + W[j, COLUMN] * y0 + W[j, COLUMN + 1] * y1 + W[j, COLUMN + 2] * y2
+    if not ramping:
+        _hold_point(P, W, S, info, n, m, dynamic, wanted_tool(P, W, m, oj, False))
+    for j in range(oj, oj + n):
+        W[j, AIMED] = min(max(W[j, AIMED], -P[j, LARGEST]), P[j, LARGEST])
+    _toward(P, W, state, n, oj, AIMED, AIMED, 1.0, dt, fresh)
+    most = 0.0
+    for j in range(oj, oj + n):
+        most = max(most, abs(W[j, TOTAL] - W[j, NEXT]))
+    return most
