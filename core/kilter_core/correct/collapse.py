@@ -9,7 +9,10 @@ import numpy as np
 
 from kilter_core.arm.chain import Element
 from kilter_core.arm.robot import Robot
+from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.correct.kernels import layout
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.transforms import rotation_exp
 from kilter_core.types import Floats
 
 
@@ -121,3 +124,56 @@ def _write_body(row: Floats, parts: list[tuple[float, Floats, Floats]]) -> None:
     row[layout.COM : layout.COM + 3] = com
     xx, yy, zz, xy, xz, yz = (inertia[a, b] for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
     row[layout.INERTIA : layout.INERTIA + 6] = xx, yy, zz, xy, xz, yz
+
+
+@dataclass(frozen=True)
+class Chains:
+    """The nominal and the identified chain; ``base (4, 4)`` is the identified base frame seen from the wanted one."""
+
+    nominal: CollapsedChain
+    identified: CollapsedChain
+    base: Floats
+
+
+def chains_of(calibration: Calibration, model: RobotModel, values: Floats) -> Chains:
+    """Collapse both chains of a calibration; the identified one is that of ``model`` with ``values``."""
+    robot, ideal = calibration.robot, calibration.wanted().model
+    found = dict(zip(model.names, values.tolist(), strict=True))
+    identified = [found[e.name] if e.name else e.value for e in robot.chain.elements]
+    # Seen from the wanted base, so that the frames, too, are part of the error.
+    base = np.linalg.solve(np.asarray(ideal.T_base), np.asarray(model.T_base))
+    return Chains(
+        collapse_constants(robot, nominal_values(robot), np.eye(4), np.asarray(ideal.T_tool)),
+        collapse_constants(robot, identified, base, np.asarray(model.T_tool)),
+        base,
+    )
+
+
+def nominal_values(robot: Robot) -> list[float]:
+    """Value of every element of the chain as it was designed."""
+    return [element.value for element in robot.chain.elements]
+
+
+def write_base(head: Floats, scalars: Floats, form: RunTimeForm, base: Floats, fixed_moment: Floats) -> list[Floats]:
+    """Let the base frame (4, 4) move: a constant shift at once, a base mount that deflects as a row of its own."""
+    if form.base_compliance is None and not np.any(form.base_shift) and not np.any(form.base_tilt):
+        return []
+    first = head[0, layout.IDENTIFIED : layout.IDENTIFIED + 12]
+    first_move = np.linalg.solve(base, np.vstack([np.column_stack([first[:9].reshape(3, 3), first[9:]]), [0, 0, 0, 1]]))
+    moved = base.copy()
+    moved[:3, 3] += base[:3, :3] @ form.base_shift
+    moved[:3, :3] = base[:3, :3] @ rotation_exp(form.base_tilt)
+    if form.base_compliance is None:
+        first[:] = _flat(moved @ first_move)
+        return []
+    row = np.zeros(layout.COLUMNS)
+    row[layout.BASE_FRAME : layout.BASE_FRAME + 12] = _flat(moved)
+    row[layout.FIRST_MOVE : layout.FIRST_MOVE + 12] = _flat(first_move)
+    row[layout.MOUNT_X], row[layout.MOUNT_Y] = form.base_compliance
+    row[layout.FIXED_MOMENT_X], row[layout.FIXED_MOMENT_Y] = fixed_moment[:2]
+    scalars[layout.MOUNT] = 1.0
+    return [row]
+
+
+def _flat(T: Floats) -> Floats:
+    return np.concatenate([T[:3, :3].ravel(), T[:3, 3]])

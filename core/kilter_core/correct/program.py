@@ -20,10 +20,12 @@ from kilter_core.arm.loads.slopes import with_masses, with_payload
 from kilter_core.arm.robot import Joint, Payload, Robot
 from kilter_core.arm.run_time import Conditions, RunTimeForm
 from kilter_core.correct.collapse import (
-    CollapsedChain,
+    chains_of,
     collapse_constants,
     fixed_links_moment,
     load_rows,
+    nominal_values,
+    write_base,
     write_bodies,
     write_moves,
 )
@@ -31,7 +33,6 @@ from kilter_core.correct.kernels import layout, stream
 from kilter_core.correct.rows import bending_rows, curve_rows, joint_rows
 from kilter_core.errors import OptionError
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.transforms import rotation_exp
 from kilter_core.types import Floats, Ints
 
 Task = Literal["auto", "position", "axis", "pose"]
@@ -51,22 +52,22 @@ _POSITIVE = (
 class CorrectionOptions:
     """How a correction is made and bounded.
 
-    ``task`` "position", which "auto" is, holds the tool point and then turns the tool as well as the joints can: where
-    the posture makes a turn weak (a radian of the joints turns the tool by less than ``least_leverage``), or where both
-    exceed a limit, the turn gives way. "axis" (point and direction of the tool's z) and "pose" hold all their rows alike;
+    ``task`` "position", which "auto" is, holds the tool point and then rotates the tool as well as the joints can: where
+    the posture makes a rotation weak (a radian of the joints rotates the tool by less than ``least_leverage``), or where both
+    exceed a limit, the rotation is given up. "axis" (point and direction of the tool's z) and "pose" hold all their rows alike;
     ``orientation_weight_m`` is what a radian of the tool counts in metres there.
     Limits: ``largest_rad`` and ``largest_m`` per joint, ``farthest_m`` at the tool point. ``at_limit`` "saturate" goes as
     far as they allow and says what is left, "refuse" refuses the row. ``change_rad_s``, ``change_m_s`` and, of the
     acceleration, ``change_rad_s2``, ``change_m_s2`` bound how fast the whole correction changes along a stream, joint by
-    joint: what drives must have to spare. ``rate_rad_s`` and ``rate_m_s`` bound the part of the effects with a sign
+    joint: what drives need beside the path. ``rate_rad_s`` and ``rate_m_s`` bound the part of the effects with a sign
     (clearance, backlash), and changes of version; ``least_softening_nm`` softens their sign where the effect itself does
     not. ``ramp_s`` is the least time of a change of
     version. ``payload_kg`` hangs at ``payload_com`` m in the tool frame, the tool point when None; without a mass the
     robot's default load does. ``temperature_c`` is that of the arm, for thermal growth; without it that effect stays
     uncorrected. ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
     1 / (pi filter_hz) seconds. ``iterations`` bound the work on a setpoint of a stream, ``row_iterations`` that on a row
-    by itself. A point further off than ``reached_m`` is flagged, as is a tool turned by more than ``turned_rad`` on an arm
-    that could turn it.
+    by itself. A point further off than ``reached_m`` is flagged, as is a tool rotated by more than ``turned_rad`` on an arm
+    that could rotate it.
     """
 
     task: Task = "auto"
@@ -156,6 +157,11 @@ class CorrectionProgram:
     def held_rows(self) -> tuple[str, ...]:
         """Rows of the pose that the correction holds, by name; what comes second is not among them."""
         return ROW_NAMES[: self.first]
+
+    @property
+    def change(self) -> Floats:
+        """How fast the correction of each joint changes along a stream at most (n,) rad/s or m/s."""
+        return self.array[self.moves + 1 : self.moves + 1 + self.n_joints, layout.CHANGE]
 
     def memory(self) -> Floats:
         """Fresh memory for the kernel: the program, scratch, the state of a stream, joints out and info."""
@@ -291,11 +297,11 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     load = options.load(robot)
     conditions = Conditions(options.least_softening_nm, load.mass, options.temperature_c)
     form, supported, unsupported, loaded = _at_run_time(model, values, conditions)
-    chains = _chains(calibration, model, values)
+    chains = chains_of(calibration, model, values)
     weighed = model.load_robot if form.link_errors is None else with_masses(model.load_robot, form.link_errors.tolist())
     loads = chains.nominal
     if model.load_chain is not None:
-        loads = collapse_constants(weighed, _nominal_values(weighed), np.eye(4), weighed.T_tool)
+        loads = collapse_constants(weighed, nominal_values(weighed), np.eye(4), weighed.T_tool)
     m = len(chains.nominal.constants) - 1
     head = np.zeros((m + 1, layout.COLUMNS))
     write_moves(head, chains.nominal, chains.identified)
@@ -303,63 +309,12 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     scalars = _scalars(weighed, options, (rows, first), m)
     scalars[layout.LOADED] = float(loaded)
     scalars[layout.CURVES], scalars[layout.BENDINGS] = len(form.curves), len(form.bending)
-    mount = _write_base(head, scalars, form, chains.base, fixed_links_moment(weighed, loads))
+    mount = write_base(head, scalars, form, chains.base, fixed_links_moment(weighed, loads))
     parts = [head, _with_limits(joint_rows(form), robot, options), curve_rows(form), bending_rows(form)]
     if loads is not chains.nominal:
         scalars[layout.LOAD_CHAIN] = sum(len(part) for part in parts)
         parts.append(load_rows(loads))
     return CorrectionProgram(np.vstack([*parts, *mount, scalars]), n, m, first, supported, unsupported)
-
-
-@dataclass(frozen=True)
-class _Chains:
-    """The nominal and the identified chain; ``base (4, 4)`` is the identified base frame seen from the wanted one."""
-
-    nominal: CollapsedChain
-    identified: CollapsedChain
-    base: Floats
-
-
-def _chains(calibration: Calibration, model: RobotModel, values: Floats) -> _Chains:
-    robot, ideal = calibration.robot, calibration.wanted().model
-    found = dict(zip(model.names, values.tolist(), strict=True))
-    identified = [found[e.name] if e.name else e.value for e in robot.chain.elements]
-    # Seen from the wanted base, so that the frames, too, are part of the error.
-    base = np.linalg.solve(np.asarray(ideal.T_base), np.asarray(model.T_base))
-    return _Chains(
-        collapse_constants(robot, _nominal_values(robot), np.eye(4), np.asarray(ideal.T_tool)),
-        collapse_constants(robot, identified, base, np.asarray(model.T_tool)),
-        base,
-    )
-
-
-def _nominal_values(robot: Robot) -> list[float]:
-    return [element.value for element in robot.chain.elements]
-
-
-def _write_base(head: Floats, scalars: Floats, form: RunTimeForm, base: Floats, fixed_moment: Floats) -> list[Floats]:
-    """Let the base frame (4, 4) move: a constant shift at once, a base mount that deflects as a row of its own."""
-    if form.base_compliance is None and not np.any(form.base_shift) and not np.any(form.base_tilt):
-        return []
-    first = head[0, layout.IDENTIFIED : layout.IDENTIFIED + 12]
-    first_move = np.linalg.solve(base, np.vstack([np.column_stack([first[:9].reshape(3, 3), first[9:]]), [0, 0, 0, 1]]))
-    moved = base.copy()
-    moved[:3, 3] += base[:3, :3] @ form.base_shift
-    moved[:3, :3] = base[:3, :3] @ rotation_exp(form.base_tilt)
-    if form.base_compliance is None:
-        first[:] = _flat(moved @ first_move)
-        return []
-    row = np.zeros(layout.COLUMNS)
-    row[layout.BASE_FRAME : layout.BASE_FRAME + 12] = _flat(moved)
-    row[layout.FIRST_MOVE : layout.FIRST_MOVE + 12] = _flat(first_move)
-    row[layout.MOUNT_X], row[layout.MOUNT_Y] = form.base_compliance
-    row[layout.FIXED_MOMENT_X], row[layout.FIXED_MOMENT_Y] = fixed_moment[:2]
-    scalars[layout.MOUNT] = 1.0
-    return [row]
-
-
-def _flat(T: Floats) -> Floats:
-    return np.concatenate([T[:3, :3].ravel(), T[:3, 3]])
 
 
 def _with_limits(rows: Floats, robot: Robot, options: CorrectionOptions) -> Floats:

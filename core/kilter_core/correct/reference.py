@@ -33,7 +33,7 @@ class Status(IntEnum):
 class CorrectOptions:
     """How to correct. ``task`` "position", the default, holds x, y, z and then the orientation; "pose" holds all alike.
 
-    The orientation gives way where a radian of the joints turns the tool by less than ``least_leverage`` in its weakest
+    The orientation is given up where a radian of the joints rotates the tool by less than ``least_leverage`` in its weakest
     direction. For "pose" ``orientation_weight_m`` sets 1 rad against metres of position. Corrections beyond ``max_joint_rad``
     (for prismatic joints ``max_shift_m``) or moving the tool by more than ``max_shift_m`` are refused.
     """
@@ -106,10 +106,7 @@ def correct(
     out = safe.copy()
     for _ in range(options.iterations):
         actual, J = model.joint_jacobian(replace(conditions, q=out), values)
-        error, J = _task_error(wanted, actual) * weight, J * weight[:, None]
-        step = (
-            _damped_step(J, error) if whole else _point_first(J, error, out - safe, options.least_leverage) + safe - out
-        )
+        step = _step(J * weight[:, None], _task_error(wanted, actual) * weight, out - safe, options)
         out = out + step
         if np.max(np.abs(step), initial=0.0) < options.tolerance_m:
             break
@@ -142,12 +139,19 @@ def _task_error(wanted: Prediction, actual: Prediction) -> Floats:
     return np.hstack([wanted.position - actual.position, rotation])
 
 
+def _step(J: Floats, error: Floats, so_far: Floats, options: CorrectOptions) -> Floats:
+    """Next change (N, n) of corrections ``so_far``, from weighted rows of task."""
+    if options.task == "pose":
+        return _damped_step(J, error)
+    return _point_first(J, error, so_far, options.least_leverage) - so_far
+
+
 def _point_first(J: Floats, error: Floats, so_far: Floats, least_leverage: float) -> Floats:
-    """Correction (N, n) that minimises ``|dq|² + |turn left|² / d²`` among those that leave no error of the point.
+    """Correction (N, n) that minimises ``|dq|² + |angle left|² / d²`` among those that leave no error of the point.
 
     Its dual form: dq = J' y with (J J' + D) y = error + J so_far, where D is d² in the rows of the orientation. The
-    leverage h is 1 / trace(S⁻¹), S what the joints can turn the tool while the point stands still; below
-    h0 = ``least_leverage``² it is d² = (h0 - h)² / 4 h0. Fewer than six joints cannot turn the tool at will: h is 0.
+    leverage h is 1 / trace(S⁻¹), S what the joints can rotate the tool while the point stands still; below
+    h0 = ``least_leverage``² it is d² = (h0 - h)² / 4 h0. Fewer than six joints cannot rotate the tool at will: h is 0.
     """
     A = J @ J.transpose(0, 2, 1)
     least = least_leverage**2

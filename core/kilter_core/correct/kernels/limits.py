@@ -1,8 +1,8 @@
 """The correction that a step asks for, within its limits, compiled: the tool point first, its orientation second.
 
 The multipliers y of the task rows stand for the correction J' y. What of it the tool point needs is the least one that
-holds the point, J_p' y_p; the rest turns the tool while the point stands still. Where both together ask too much of a
-joint the rest is cut, and where the point alone does, the point gives way: near a singular posture only along the
+holds the point, J_p' y_p; the rest rotates the tool while the point stands still. Where both together ask too much of a
+joint the rest is cut, and where the point alone does, the point is given up: near a singular posture only along the
 direction that the posture makes weak, elsewhere as a whole. All of it is continuous in error and posture.
 """
 
@@ -38,10 +38,10 @@ from kilter_core.correct.kernels.solver import (
 
 @compiled(**EXACT)
 def factor_task(P, W, S, n, og, rows):
-    """Factor J J' with what damps the orientation: nothing unless the posture makes a turn of the tool weak.
+    """Factor J J' with what damps the orientation: nothing unless the posture makes a rotation of the tool weak.
 
-    ``d² = ¼ (h₀ - h)² / h₀`` below the leverage h₀ is smooth in the posture, and no turn asks the joints for more
-    than 1.3 / sqrt(h₀) times its size. Fewer than six joints cannot turn the tool at will: then h is 0.
+    ``d² = ¼ (h₀ - h)² / h₀`` below the leverage h₀ is smooth in the posture, and no rotation asks the joints for more
+    than 1.3 / sqrt(h₀) times its size. Fewer than six joints cannot rotate the tool at will: then h is 0.
     """
     first = int(P[S, FIRST])
     if first == rows:
@@ -77,7 +77,7 @@ def aim(P, W, S, n, oj, og, rows):
     for j in range(oj, oj + n):
         least = min(least, P[j, LARGEST])
         square += joint_step(W, j, og) ** 2
-    # Point and turn move the joints at right angles, so half the square leaves room for both.
+    # Point and rotation move the joints at right angles, so half the square leaves room for both.
     if 2.0 * square <= least * least:
         return flags
     if int(P[S, FIRST]) == rows:
@@ -140,7 +140,7 @@ def _within_whole(P, W, S, n, oj, og, rows):
 
 @compiled(**EXACT)
 def _within_point_first(P, W, S, n, oj, og):
-    """The point keeps what it needs, the turn gets what is left; then the point is damped, then scaled down."""
+    """The point keeps what it needs, the rotation gets what is left; then the point is damped, then scaled down."""
     e0, e1, e2 = W[og, RIGHT], W[og + 1, RIGHT], W[og + 2, RIGHT]
     y0, y1, y2 = solve_point(W, og, e0, e1, e2, P[S, SINGULAR])
     square, part, turn = 0.0, 0.0, 0.0

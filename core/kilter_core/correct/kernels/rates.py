@@ -2,7 +2,7 @@
 
 Where the wanted correction changes too fast, the joints follow it together at half of both bounds; what that costs the
 tool point is given back by the least motion that holds the point, and only that sum is held to the whole bounds. So the
-turn of the tool gives way first and its point last. Whatever is held back is held back in all joints by one factor: on
+rotation of the tool is given up first and its point last. Whatever is held back is held back in all joints by one factor: on
 the straight way from one correction to another the tool stays between what both of them leave.
 """
 
@@ -25,6 +25,7 @@ from kilter_core.correct.kernels.layout import (
     NEXT,
     SINGULAR,
     SPURT,
+    STARTED,
     TARGET,
     TOTAL,
     VELOCITY,
@@ -71,17 +72,20 @@ def _keeps_up(P, W, state, n, oj, dt):
     """Whether the wanted correction itself keeps to the bounds."""
     if state[n, BEHIND] != 0.0:
         return False
+    moving = state[n, STARTED] > 1.0  # before its second setpoint a stream has no rate that could change
     for i in range(n):
         j = oj + i
         step = W[j, TOTAL] - state[i, LAST_DELTA]
-        if not abs(step) <= P[j, CHANGE] * dt or not abs(step - state[i, VELOCITY] * dt) <= P[j, SPURT] * dt * dt:
+        if not abs(step) <= P[j, CHANGE] * dt:
+            return False
+        if moving and not abs(step - state[i, VELOCITY] * dt) <= P[j, SPURT] * dt * dt:
             return False
     return True
 
 
 @compiled(**EXACT)
 def _hold_point(P, W, S, info, n, m, dynamic, wanted):
-    """Take back from the aim what the tool point is off there, beside what the search left: the turn is not quite small."""
+    """Take back from the aim what the tool point is off there, beside what the search left: the rotation is not quite small."""
     oj, og = m + 1, m + 1 + n
     l0, l1, l2 = info[LEFT], info[LEFT + 1], info[LEFT + 2]
     for j in range(oj, oj + n):

@@ -108,7 +108,7 @@ def damp(W, og, first, last, amount):
 
 @compiled(**FAST)
 def leverage(W, og):
-    """How far, squared, a radian of the joints turns the tool in its weakest direction while the point stands still.
+    """How far, squared, a radian of the joints rotates the tool in its weakest direction while the point stands still.
 
     It is 1 / trace(S⁻¹) of the Schur complement S of the position rows, from the factor: the square of the smallest
     singular value where that is far smaller than the others, else up to three times less.

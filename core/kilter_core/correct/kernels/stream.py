@@ -234,7 +234,7 @@ def _commit(P, W, state, out, remaining, length, behind, n, m, dt, fresh):
         delta = W[j, COMMAND] - W[j, WANTED]
         state[i, SLOPE] = 0.0 if fresh or dt < 1e-6 else (delta - state[i, GUESS]) / dt
         state[i, GUESS] = delta
-    state[n, STARTED] = 1.0
+    state[n, STARTED] = 2.0 if started else 1.0
     state[n, REBASE] = 0.0
     state[n, REMAINING] = remaining
     state[n, LENGTH] = length
