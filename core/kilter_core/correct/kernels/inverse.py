@@ -3,9 +3,9 @@
 With J the identified Jacobian at the command, the correction is J' y where (J J' + D) y is the wanted pose less the one
 without correction. Task "position" holds the tool point: D is zero in its rows, and damps those of the orientation where
 the posture makes a rotation of the tool weak. So the answer is the least correction that holds the point and rotates
-the tool as far as that is worth it; it does not depend on how it was reached, also where joints are redundant, for J is taken anew
-until nothing moves. Along a stream the guess goes on from the last corrections, and one evaluation is mostly enough; else
-it is the wanted joints.
+the tool as far as that is worth it; it does not depend on how it was reached, also where joints are redundant, for J is
+taken anew until nothing moves. Along a stream the guess goes on from the last corrections, and one evaluation is mostly
+enough; else it is the wanted joints.
 """
 
 from __future__ import annotations
