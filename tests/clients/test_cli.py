@@ -141,6 +141,14 @@ def _versions(robot: str, first: str, command: Command, tmp_path: Path) -> None:
     written = command.json("export", first, "-o", tmp_path / "version.json")
     assert written["bytes"] == (tmp_path / "version.json").stat().st_size
     assert "name the file" in command.json("export", first, code=2)["detail"]
+    table = command.json("export", first, "--format", "dh-csv", "-o", tmp_path / "arm.csv")
+    assert {one["where"] for one in table["numbers"]} >= {"base", "tool"}
+    offsets = {one["joint"]: one["offset_deg"] for one in table["zero_offsets"]}
+    differences = {one["where"]: one["difference"] for one in table["numbers"] if one["name"] == "theta_offset_deg"}
+    assert offsets == differences
+    printed = command("export", first, "--format", "dh-csv", "-o", tmp_path / "arm.csv")
+    assert "zero offset" in printed
+    assert "real = reading + offset" in " ".join(printed.split())
     left = command.json("residuals", first, "--out", tmp_path / "left.parquet")
     assert (left["format"], left["bytes"]) == ("parquet", (tmp_path / "left.parquet").stat().st_size)
     assert command("residuals", first).startswith('"campaign","row","dx_mm"')

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kilter_core.arm.chain import Chain
+from kilter_core.arm.chain import Chain, Element
 from kilter_core.arm.conventions import Row, dh_elements, mdh_elements
 from kilter_core.arm.conversions.screws import Screws, chain_frames
 from kilter_core.arm.conversions.tables import link_table
@@ -18,13 +18,17 @@ from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.model.geometry import arm_screws, flange_frames
 from kilter_core.observations import Observations
 from kilter_core.transforms import inverse, rotation_log
-from kilter_core.types import Floats
+from kilter_core.types import Floats, Ints
 
 FREE_SHIFT_M = 0.5  # workspace of a prismatic joint without limits
 NOTHING_M = 1e-10
-FIT_SIGMA_M = 1e-5
-FIT_SIGMA_RAD = 1e-5
-FIT_STEPS = 6
+FIT_SIGMA_M = 1e-5  # how closely poses are met that rows of the table cannot meet exactly,
+EXACT_SIGMA_M = 1e-9  # and that they can
+AWAY_M = 1e-3  # at the tool: a parameter that moves it so far from nominal costs as much as a pose missed by one sigma
+LEVER_M = 0.1  # at which orientation counts as length
+FIT_STEPS = 12
+SETTLED = 1e-12  # of AWAY_M
+WORSE = 1.5  # times as far off as rows of another form, which are taken then
 AT_REST = frozenset({"moments", "direction"})  # what an effect may need and still act on an arm at rest without load
 
 
@@ -41,6 +45,7 @@ class Loss:
 class ClosestTable:
     """Rows of a DH or MDH table with base and tool (4, 4), and how far the calibrated arm is from them.
 
+    ``nominal``, ``nominal_base`` and ``nominal_tool`` are the same of the nominal arm: what poses do not tell stays there.
     ``links`` are the robot's bodies in the frames of the rows (``element`` counts joints), ``gravity (3,)`` is in ``base``.
     """
 
@@ -50,6 +55,18 @@ class ClosestTable:
     loss: Loss
     links: tuple[Link, ...]
     gravity: Floats
+    nominal: tuple[Row, ...]
+    nominal_base: Floats
+    nominal_tool: Floats
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Rows with base and tool (4, 4)."""
+
+    rows: tuple[Row, ...]
+    base: Floats
+    tool: Floats
 
 
 def workspace(robot: Robot, count: int = 400, seed: int = 1) -> Observations:
@@ -90,31 +107,104 @@ def geometry_loss(calibration: Calibration, arm: Screws | None = None) -> Loss:
 
 
 def closest_table(calibration: Calibration, convention: str) -> ClosestTable:
-    """Table of ``convention`` "dh" or "mdh" closest to the calibrated arm; exact rows when they can be.
+    """Table of ``convention`` "dh" or "mdh" closest to the calibrated arm, exact where rows can be, and nearest to nominal.
+
+    Tables leave freedoms: the last joint's zero and the tool's rotation, heights of parallel axes, and the direction of the
+    common normal of axes that all but meet. They stay where the version has them if it has these rows, else at nominal.
 
     Raises:
         RobotError: a joint drives several axes.
 
     """
+    conditions = workspace(calibration.robot)
+    wanted, plain = arm_poses(calibration, conditions), Observations(conditions.q)
+    nominal = _nominal_table(calibration, convention)
+    table, loss = _nearest(calibration, nominal, convention, plain, wanted)
+    if loss.max_m > NOTHING_M:
+        other, closer = _other_rows(calibration, convention, plain, wanted)
+        if WORSE * closer.rms_m < loss.rms_m:  # too far from nominal for rows of its form
+            table, loss = other, closer
+    frames = flange_frames(calibration).elements
+    gravity = table.base[:3, :3].T @ frames[0][:3, :3] @ calibration.robot.gravity
+    links = _links(calibration.robot, frames, table.rows, convention, table.base)
+    here = (table.rows, table.base, table.tool, loss, links, gravity)
+    return ClosestTable(*here, nominal.rows, nominal.base, nominal.tool)
+
+
+def _nominal_table(calibration: Calibration, convention: str) -> _Table:
+    """The nominal arm's own rows where it is written in them, else those of its axes."""
+    wanted = calibration.wanted()
+    rows = _own_rows(calibration.robot, convention)
+    if rows is not None:
+        return _Table(rows, np.eye(4), np.asarray(wanted.model.T_tool))
+    return _table_of(wanted, convention)
+
+
+def _table_of(calibration: Calibration, convention: str) -> _Table:
+    """Table of the identified axes, by common normals."""
     table = link_table(arm_screws(calibration), hayati=convention == "mdh")
     rows, tool = (table.dh_rows(), table.tool) if convention == "dh" else (table.mdh_rows(), table.mdh_tool())
-    model = _model(calibration.robot, rows, convention, table.base, tool)
-    conditions = workspace(calibration.robot)
-    wanted = arm_poses(calibration, conditions)
-    plain = Observations(conditions.q)
-    values = model.values0()
-    loss = distance(wanted, model.predict(plain, values))
+    return _Table(rows, table.base, tool)
+
+
+def _own_rows(robot: Robot, convention: str) -> tuple[Row, ...] | None:
+    """Rows that the chain is made of; None where it is made of other ones."""
+    own = {e.name: e.value for e in robot.chain.elements}
+    rows = tuple(
+        Row(
+            own.get(f"alpha_{k}", 0.0), own.get(f"a_{k}", 0.0), own.get(f"theta_offset_{k}", 0.0), own.get(f"d_{k}"),
+            own.get(f"beta_{k}") if convention == "mdh" else None, joint.kind == "prismatic",
+        )
+        for k, joint in enumerate(robot.joints, 1)
+    )  # fmt: skip
+    made = _elements(rows, convention)
+    same = [(e.axis, e.value, e.name, e.joint, e.ratio) for e in made] == [
+        (e.axis, e.value, e.name, e.joint, e.ratio) for e in robot.chain.elements
+    ]
+    return rows if same else None
+
+
+def _nearest(
+    calibration: Calibration, nominal: _Table, convention: str, rows: Observations, wanted: Prediction
+) -> tuple[_Table, Loss]:
+    """Table of the nominal form nearest to nominal: first of the geometry alone, then of what effects add."""
+    model, values = _model(calibration.robot, nominal, convention), None
+    found = calibration.model.absorb_frame_increments(calibration.values)
+    start = model.values0()
+    free = _free(model, nominal.rows)
+    if _own_rows(calibration.robot, convention) is not None:
+        base = inverse(np.asarray(calibration.wanted().model.T_base)) @ np.asarray(found[0].T_base)
+        model = replace(model, T_base=base, T_tool=np.asarray(found[0].T_tool))
+        named = dict(zip(found[0].names, found[1].tolist(), strict=True))
+        start = np.array([named[name] if k in free else 0.0 for k, name in enumerate(model.names)])
+    lost = len(free) < len(start)
+    T = arm_screws(calibration).poses(rows.q)
+    geometry = Prediction(T[:, :3, 3], T[:, :3, :3])
+    values = _fitted(model, rows, geometry, start, free, FIT_SIGMA_M if lost else EXACT_SIGMA_M)
+    loss = distance(wanted, model.predict(rows, values))
     if loss.max_m > NOTHING_M:
-        fitted = _fitted(model, plain, wanted, values)
-        closer = distance(wanted, model.predict(plain, fitted))
-        values, loss = (fitted, closer) if closer.rms_m < loss.rms_m else (values, loss)
+        values = _fitted(model, rows, wanted, values, free, FIT_SIGMA_M)
+        loss = distance(wanted, model.predict(rows, values))
+    return _read(model, values, nominal.rows), loss
+
+
+def _other_rows(
+    calibration: Calibration, convention: str, rows: Observations, wanted: Prediction
+) -> tuple[_Table, Loss]:
+    """Table by the identified axes' own common normals, fitted where it is not exact."""
+    table = _table_of(calibration, convention)
+    model = _model(calibration.robot, table, convention)
+    start = model.values0()
+    fitted = _fitted(model, rows, wanted, start, _free(model, table.rows), FIT_SIGMA_M)
+    losses = [(distance(wanted, model.predict(rows, values)), values) for values in (start, fitted)]
+    loss, values = min(losses, key=lambda one: one[0].rms_m)
+    return _read(model, values, table.rows), loss
+
+
+def _read(model: RobotModel, values: Floats, rows: tuple[Row, ...]) -> _Table:
     model, values = model.absorb_frame_increments(values)
     named = dict(zip(model.names, values.tolist(), strict=True))
-    found, base = _rows(rows, named), np.asarray(model.T_base)
-    frames = flange_frames(calibration).elements
-    gravity = base[:3, :3].T @ frames[0][:3, :3] @ calibration.robot.gravity
-    links = _links(calibration.robot, frames, found, convention, base)
-    return ClosestTable(found, base, np.asarray(model.T_tool), loss, links, gravity)
+    return _Table(_rows(rows, named), np.asarray(model.T_base), np.asarray(model.T_tool))
 
 
 def _links(robot: Robot, frames: Floats, rows: tuple[Row, ...], convention: str, base: Floats) -> tuple[Link, ...]:
@@ -127,25 +217,41 @@ def _links(robot: Robot, frames: Floats, rows: tuple[Row, ...], convention: str,
     )
 
 
-def _model(robot: Robot, rows: Sequence[Row], convention: str, base: Floats, tool: Floats) -> RobotModel:
-    elements, _ = (dh_elements if convention == "dh" else mdh_elements)(rows)
-    return RobotModel(Robot(robot.name, robot.joints, Chain(elements, len(rows))), (), base, tool)
+def _elements(rows: Sequence[Row], convention: str) -> tuple[Element, ...]:
+    return (dh_elements if convention == "dh" else mdh_elements)(rows)[0]
 
 
-def _fitted(model: RobotModel, rows: Observations, wanted: Prediction, values: Floats) -> Floats:
-    """Gauss-Newton from the exact geometry; the priors keep unobservable parameters at their values."""
-    # A table without β must not get one.
-    fixed = {f"beta_{k + 1}" for k in range(model.robot.n_joints)} - {p.name for p in model.parameters if p.value}
-    free = np.array([k for k, name in enumerate(model.names) if name not in fixed])
-    prior = np.array([model.parameters[k].prior_sigma for k in free])
+def _model(robot: Robot, table: _Table, convention: str) -> RobotModel:
+    elements = _elements(table.rows, convention)
+    return RobotModel(Robot(robot.name, robot.joints, Chain(elements, len(table.rows))), (), table.base, table.tool)
+
+
+def _free(model: RobotModel, rows: Sequence[Row]) -> Ints:
+    """Parameters of the table: one without β must not get one."""
+    fixed = {f"beta_{k}" for k, row in enumerate(rows, 1) if row.beta is None}
+    return np.array([k for k, name in enumerate(model.names) if name not in fixed], dtype=np.int64)
+
+
+def _fitted(
+    model: RobotModel, rows: Observations, wanted: Prediction, start: Floats, free: Ints, sigma: float
+) -> Floats:
+    """Gauss-Newton; what poses do not tell stays at ``start``, by what it would move at the tool."""
+    values, scale = start.copy(), np.zeros(0)
+    weight = np.array([1.0] * 3 + [LEVER_M] * 3) / sigma
     for _ in range(FIT_STEPS):
         found, J = model.jacobian(rows, values, free)
-        turn = rotation_log(wanted.rotation @ found.rotation.transpose(0, 2, 1)) / FIT_SIGMA_RAD
-        error = np.hstack([(wanted.position - found.position) / FIT_SIGMA_M, turn]).ravel()
-        weight = np.array([FIT_SIGMA_M] * 3 + [FIT_SIGMA_RAD] * 3)
-        A = (J / weight[None, :, None]).reshape(len(error), -1)
-        values = values.copy()
-        values[free] += np.linalg.solve(A.T @ A + np.diag(prior**-2), A.T @ error)
+        turn = rotation_log(wanted.rotation @ found.rotation.transpose(0, 2, 1))
+        error = (np.hstack([wanted.position - found.position, turn]) * weight).ravel()
+        A = (J * weight[None, :, None]).reshape(len(error), -1)
+        if not len(scale):
+            size = np.sqrt(np.sum(A**2, axis=0) / len(rows)) * sigma
+            scale = AWAY_M / np.maximum(size, LEVER_M * 1e-3)
+        away = (values - start)[free] / scale
+        # Stacked, not as normal equations: a million million lies between what poses tell and what they do not.
+        step = np.linalg.lstsq(np.vstack([A * scale, np.eye(len(free))]), np.append(error, -away), rcond=None)[0]
+        values[free] += step * scale
+        if float(np.abs(step).max()) < SETTLED:
+            break
     return values
 
 

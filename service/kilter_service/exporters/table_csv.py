@@ -14,8 +14,10 @@ from kilter_core.arm.conversions.tables import angles_and_lengths
 from kilter_core.arm.robot import STANDARD_GRAVITY
 from kilter_core.model.closest_table import ClosestTable, closest_table
 from kilter_core.transforms import xyz_rpy_from_pose
+from kilter_service.exporters.changes import told
 from kilter_service.exporters.exportable import Exportable, Written
 from kilter_service.exporters.omissions import distance, left_out, masses_as_stated
+from kilter_service.exporters.urdf_words import away_from_the_cut
 from kilter_service.texts import text_cell
 
 if TYPE_CHECKING:
@@ -54,7 +56,7 @@ def _table(version: Exportable, convention: str) -> Written:
     if (load := calibration.robot.load) is not None:
         place = " ".join(f"{axis}_mm={1e3 * value!r}" for axis, value in zip("xyz", load.com, strict=True))
         out.write(f"# load payload_kg={load.mass!r} {place}\n")
-    out.writelines(f"# {note}\n" for note in notes)
+    out.writelines(f"# {note}\n" for note in (*notes, *told(table, calibration.robot.joints)))
     writer = csv.writer(out, lineterminator="\n")
     limits = _limit_columns(calibration.robot.joints)
     weights = _weight_columns(table.links)
@@ -102,5 +104,5 @@ def _limit(joint: Joint, column: str) -> str:
 def _frame(T: NDArray[np.float64]) -> str:
     xyz, rpy = xyz_rpy_from_pose(T)
     values = [*((f"{k}_mm", v * 1e3) for k, v in zip("xyz", xyz, strict=True))]
-    values += [(f"r{k}_deg", math.degrees(v)) for k, v in zip("xyz", rpy, strict=True)]
+    values += [(f"r{k}_deg", math.degrees(v)) for k, v in zip("xyz", away_from_the_cut(rpy), strict=True)]
     return " ".join(f"{name}={float(value)!r}" for name, value in values)

@@ -11,6 +11,8 @@ from kilter_core.transforms import xyz_rpy_from_pose
 
 Floats = NDArray[np.float64]
 
+CUT = -np.radians(179.0)
+
 
 def set_origin(joint: Element, T: Floats) -> None:
     """Write a pose (4, 4) as the origin of a joint, with every digit that counts."""
@@ -18,7 +20,12 @@ def set_origin(joint: Element, T: Floats) -> None:
     origin = SubElement(joint, "origin") if origin is None else origin
     xyz, rpy = xyz_rpy_from_pose(T)
     origin.set("xyz", numbers(xyz))
-    origin.set("rpy", numbers(rpy))
+    origin.set("rpy", numbers(away_from_the_cut(rpy)))
+
+
+def away_from_the_cut(angles: Floats) -> Floats:
+    """Angles (rad) from -179 to 181 degrees: drawings have 180 degrees often, whose sign rounding must not change."""
+    return np.where(angles < CUT, angles + 2.0 * np.pi, angles)
 
 
 def numbers(values: Floats) -> str:

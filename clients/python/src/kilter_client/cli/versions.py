@@ -9,7 +9,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.calls.versions import NOMINAL
-from kilter_client.cli import keeping
+from kilter_client.cli import exported, keeping
 from kilter_client.cli.activation_report import show_activations, show_active
 from kilter_client.cli.arguments import Json, Retired, Robot, VersionId
 from kilter_client.cli.output import emit, say
@@ -113,7 +113,12 @@ def export(
         return
     write(output, content)
     document = {"version_id": version, "format": form, "output": str(output), "bytes": len(content)}
-    emit(document, as_json, lambda _: say(f"{output}: {len(content)} bytes"))
+    emit(document | exported.told(content), as_json, _show_written)
+
+
+def _show_written(document: dict[str, Any]) -> None:
+    exported.show(document)
+    say(f"{document['output']}: {document['bytes']} bytes")
 
 
 def write(output: Path, content: bytes) -> None:

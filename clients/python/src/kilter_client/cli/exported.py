@@ -1,0 +1,44 @@
+"""What an exported table says of itself in its comments: nominal and exported numbers, and zero offsets."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from kilter_client.cli.output import say
+from kilter_client.cli.tables import show_rows
+
+NUMBER = re.compile(r"^# number (\S+) (\S+) nominal=(\S+) exported=(\S+) difference=(\S+)$", re.MULTILINE)
+ZERO = re.compile(r"^# zero_offset (\S+) (deg|mm)=(\S+)$", re.MULTILINE)
+SIGN = re.compile(r"^# (Zero offsets: .*)$", re.MULTILINE)
+
+
+def told(content: bytes) -> dict[str, Any]:
+    """Both lists of a file that has them, else nothing."""
+    text = content.decode("utf-8", "replace")
+    numbers = [
+        {"where": where, "name": name, "nominal": float(a), "exported": float(b), "difference": float(c)}
+        for where, name, a, b, c in NUMBER.findall(text)
+    ]
+    offsets = [{"joint": joint, f"offset_{unit}": float(value)} for joint, unit, value in ZERO.findall(text)]
+    sign = SIGN.search(text)
+    if sign is None:
+        return {}
+    return {"numbers": numbers, "zero_offsets": offsets, "zero_offsets_sign": sign[1]}
+
+
+def show(document: dict[str, Any]) -> None:
+    """Print both as tables."""
+    if "numbers" not in document:
+        return
+    rows = [
+        (one["where"], one["name"], *(f"{one[key]:.6g}" for key in ("nominal", "exported", "difference")))
+        for one in document["numbers"]
+    ]
+    show_rows(("joint or frame", "number", "nominal", "exported", "difference"), rows)
+    offsets = []
+    for one in document["zero_offsets"]:
+        unit = "deg" if "offset_deg" in one else "mm"
+        offsets.append((one["joint"], f"{one[f'offset_{unit}']:+.6g} {unit}"))
+    show_rows(("joint", "zero offset"), offsets)
+    say(document["zero_offsets_sign"])

@@ -1,0 +1,173 @@
+"""Exported tables move with the version and no further: what measurements do not tell stays nominal. Pinocchio builds them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
+from kilter_core.model import Calibration
+from kilter_service.exporters.registry import export
+from tests.service.exporters.test_exporters import exportable, poses_of
+
+Floats = NDArray[np.float64]
+PRESETS = ("ur10", "irb120", "panda", "kr6-r900", "katana450-chapter4")
+TABLES = {"dh-csv": "dh", "mdh-csv": "mdh"}
+
+
+def scara() -> dict[str, Any]:
+    """Four parallel axes, one of them prismatic."""
+    rows = [(0, 400, 325, 0), (0, 0, 275, 180), (0, None, 0, 0), (0, 50, 0, 0)]
+    return _arm("scara", rows, prismatic=(2,))
+
+
+def five_axes() -> dict[str, Any]:
+    return _arm("five", [(0, 300, 0, 90), (90, 0, 250, 0), (0, 0, 200, 0), (90, 0, 0, 90), (0, 120, 0, 0)])
+
+
+def seven_axes() -> dict[str, Any]:
+    """Shoulder and wrist of intersecting axes, elbow without offset."""
+    heights = [340, 0, 400, 0, 400, 0, 126]
+    return _arm("seven", [(0, d, 0, alpha) for d, alpha in zip(heights, (-90, 90, 90, -90, -90, 90, 0), strict=True)])
+
+
+def _arm(name: str, rows: list[Any], prismatic: tuple[int, ...] = ()) -> dict[str, Any]:
+    keys = ("theta_offset_deg", "d_mm", "a_mm", "alpha_deg")
+    table = [dict(zip(keys, row, strict=True)) for row in rows]
+    for k in prismatic:
+        table[k] |= {"type": "prismatic", "d_mm": 0.0}
+    kinds = ["mm" if k in prismatic else "deg" for k in range(len(rows))]
+    joints = [{"name": f"j{k + 1}", f"limits_{kind}": [-150, 150]} for k, kind in enumerate(kinds)]
+    return {"name": name, "convention": "dh", "rows": table, "joints": joints}
+
+
+def arms() -> dict[str, dict[str, Any]]:
+    own = {document["name"]: document for document in (scara(), five_axes(), seven_axes())}
+    return own | {name: preset_document(name) for name in PRESETS}
+
+
+def version(document: dict[str, Any], moved: float, seed: int = 0, betas: bool = True) -> tuple[Any, Calibration]:
+    """A version whose geometric numbers are all off by about so many rad and m."""
+    nominal = Calibration.nominal(robot_from_document(document))
+    rng = np.random.default_rng(seed)
+    values = nominal.values + moved * rng.standard_normal(len(nominal.values))
+    if not betas:
+        values = np.where([name.startswith("beta") for name in nominal.names], nominal.values, values)
+    found = Calibration(nominal.model, values)
+    return exportable(document, found), found
+
+
+def numbers(text: str) -> Floats:
+    """All numbers of base, rows and tool of a written table."""
+    head = [line for line in text.splitlines() if re.match(r"# (base|tool) ", line)]
+    frames = [float(value) for line in head for value in re.findall(r"=(\S+)", line)]
+    rows = csv.DictReader(io.StringIO("".join(line for line in text.splitlines(True) if not line.startswith("#"))))
+    wanted = ("theta_offset_deg", "d_mm", "a_mm", "alpha_deg", "beta_deg")
+    return np.array([*frames, *(float(row[key]) for row in rows for key in wanted if row.get(key))])
+
+
+def by_pinocchio(text: str, convention: str, q: Floats) -> Floats:
+    """Poses (N, 4, 4) of a written table, read and multiplied here."""
+    frames = {}
+    for line in text.splitlines():
+        if found := re.match(r"# (base|tool) (.*)", line):
+            x = {name: float(value) for name, value in re.findall(r"(\w+)=(\S+)", found[2])}
+            turn = pin.rpy.rpyToMatrix(*(math.radians(x[f"r{k}_deg"]) for k in "xyz"))
+            frames[found[1]] = pin.SE3(turn, np.array([x[f"{k}_mm"] for k in "xyz"]) * 1e-3)
+    rows = list(csv.DictReader(io.StringIO("".join(s for s in text.splitlines(True) if not s.startswith("#")))))
+    out = np.empty((len(q), 4, 4))
+    for n, joints in enumerate(q):
+        T = frames["base"]
+        for row, value in zip(rows, joints, strict=True):
+            cell = {
+                key: float(row.get(key) or 0.0) for key in ("theta_offset_deg", "d_mm", "a_mm", "alpha_deg", "beta_deg")
+            }
+            slides = row["type"] == "prismatic"
+            theta = math.radians(cell["theta_offset_deg"]) + (0.0 if slides else value)
+            along = pin.SE3(
+                pin.utils.rotate("z", theta), np.array([0, 0, cell["d_mm"] * 1e-3 + (value if slides else 0.0)])
+            )
+            alpha, beta = (
+                pin.SE3(pin.utils.rotate(a, math.radians(cell[key])), np.zeros(3))
+                for a, key in (("x", "alpha_deg"), ("y", "beta_deg"))
+            )
+            link = pin.SE3(np.eye(3), np.array([cell["a_mm"] * 1e-3, 0, 0]))
+            T = T * (along * link * alpha if convention == "dh" else alpha * beta * link * along)
+        out[n] = (T * frames["tool"]).homogeneous
+    return out
+
+
+@pytest.mark.parametrize("name", arms())
+@pytest.mark.parametrize("form", TABLES)
+def test_a_table_is_the_version_and_near_the_nominal_rows(name: str, form: str) -> None:
+    document = arms()[name]
+    file, found = version(document, 1e-4, betas=form == "mdh-csv")
+    text = export(form, file).text
+    q = np.random.default_rng(1).uniform(-1.2, 1.2, (6, found.robot.n_joints))
+    lost = "Nothing is lost" not in text
+    seen = np.abs(poses_of(found, q) - by_pinocchio(text, TABLES[form], q)).max()
+    # Standard DH drops tilts of parallel axes and says so; all else is exact.
+    assert seen < (5e-4 if form == "dh-csv" and lost else 1e-8)
+    assert form == "dh-csv" or not lost
+    nominal = numbers(export(form, version(document, 0.0)[0]).text)
+    assert np.abs(numbers(text) - nominal).max() < 0.6  # mm and degrees; 1e-4 m and 1e-4 rad were moved
+
+
+@pytest.mark.parametrize("name", arms())
+@pytest.mark.parametrize("form", TABLES)
+def test_rounding_of_a_version_is_rounding_of_its_table(name: str, form: str) -> None:
+    """Offsets of two thousandths of a millimetre have a direction, and no table rotates its axes to it."""
+    document = arms()[name]
+    nominal = numbers(export(form, version(document, 0.0)[0]).text)
+    for moved, most in ((2e-6, 0.01), (1e-12, 1e-7)):
+        for seed in (1, 2):
+            found = numbers(export(form, version(document, moved, seed)[0]).text)
+            assert np.abs(found - nominal).max() < most
+
+
+def test_freedoms_that_no_position_tells_stay_where_the_version_has_them() -> None:
+    """Positions of a tool point on axis 6: its zero and the tool's rotation are nobody's, and the table leaves them."""
+    document = preset_document("ur10")
+    nominal = Calibration.nominal(robot_from_document(document))
+    errors = {"a_5": 2e-6, "d_5": 3e-6, "a_6": -1e-6, "theta_offset_3": 1e-4}
+    values = nominal.values + np.array([errors.get(name, 0.0) for name in nominal.names])
+    text = export("dh-csv", exportable(document, Calibration(nominal.model, values))).text
+    told = {m[1]: float(m[3]) for m in re.finditer(r"# zero_offset (\S+) (deg|mm)=(\S+)", text)}
+    names = [joint.name for joint in nominal.robot.joints]
+    assert list(told) == names
+    assert [told[name] for name in names] == pytest.approx([0, 0, math.degrees(1e-4), 0, 0, 0], abs=2e-6)
+    rows = re.findall(r"# number (\S+) (\S+) nominal=(\S+) exported=(\S+) difference=(\S+)", text)
+    assert {row[0] for row in rows} == {"base", "tool", *names}
+    for _, _, before, now, apart in rows:
+        assert float(now) - float(before) == pytest.approx(float(apart), abs=2e-6)
+    changed = {(where, number): float(apart) for where, number, _, _, apart in rows if abs(float(apart)) > 1e-6}
+    expected = {("a_mm", 5): 2e-3, ("d_mm", 5): 3e-3, ("a_mm", 6): -1e-3, ("theta_offset_deg", 3): math.degrees(1e-4)}
+    wanted = {(names[joint - 1], number): size for (number, joint), size in expected.items()}
+    assert changed == pytest.approx(wanted, abs=2e-6)
+
+
+def placed(text: str) -> Floats:
+    """Numbers of a MATLAB function, or poses of a URDF's origins: at pitch 90 degrees other angles say the same pose."""
+    if text.startswith("function"):
+        return np.array([float(x) for x in re.findall(r"(?<=[\[ ;])-?\d+\.\d*(?:e-?\d+)?", text)])
+    origins = re.findall(r'<origin xyz="([^"]*)" rpy="([^"]*)"', text)
+    turns = [pin.rpy.rpyToMatrix(*map(float, rpy.split())) for _, rpy in origins]
+    return np.concatenate([np.ravel(turns), *(np.array(xyz.split(), dtype=float) for xyz, _ in origins)])
+
+
+@pytest.mark.parametrize("name", ["ur10", "irb120", "panda"])
+@pytest.mark.parametrize("form", ["urdf", "matlab"])
+def test_other_formats_move_by_rounding_too(name: str, form: str) -> None:
+    document = preset_document(name)
+    nominal, near = (placed(export(form, version(document, moved)[0]).text) for moved in (0.0, 1e-9))
+    assert len(nominal) == len(near) > 6 * 9
+    assert np.abs(nominal - near).max() < 1e-7
