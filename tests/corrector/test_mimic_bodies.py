@@ -13,6 +13,7 @@ from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
+from tests.core.palletiser import said
 from tests.core.truth import Arm, Step, ur10, with_bodies
 from tests.corrector.test_runtime_effects import landing
 
@@ -29,8 +30,9 @@ def coupled() -> Arm:
     return replace(made, gravity=(0.0, 0.0, -9.80665), base=pin.SE3.Identity())
 
 
-def knowing(*names: str) -> Calibration:
-    model = RobotModel(robot_from_document(coupled().document()), tuple(make_effect(name) for name in names))
+def knowing(*names: str, drive: str | None = None) -> Calibration:
+    robot = robot_from_document(said(coupled(), drive))
+    model = RobotModel(robot, tuple(make_effect(name) for name in names))
     values, rng = model.values0(), np.random.default_rng(1)
     for k in range(model.n_geometric, len(values)):
         p = model.parameters[k]
@@ -38,10 +40,11 @@ def knowing(*names: str) -> Calibration:
     return Calibration(model, values)
 
 
+@pytest.mark.parametrize("drive", [None, "linkage"])
 @pytest.mark.parametrize("dynamic", [False, True])
 @pytest.mark.parametrize("names", [*((name,) for name in EFFECTS[:-1]), ("axial_compliance", "load_error"), EFFECTS])
-def test_the_corrector_equals_the_stated_reference(names: tuple[str, ...], dynamic: bool) -> None:
-    calibration = knowing(*names)
+def test_the_corrector_equals_the_stated_reference(names: tuple[str, ...], dynamic: bool, drive: str | None) -> None:
+    calibration = knowing(*names, drive=drive)
     if "load_error" in names:
         assert "link_mass_7" in calibration.names
     rng = np.random.default_rng(3)
@@ -56,6 +59,19 @@ def test_the_corrector_equals_the_stated_reference(names: tuple[str, ...], dynam
     assert np.median(np.abs(ours.q - theirs.q)[good]) < 1e-9
     np.testing.assert_allclose(ours.error_removed[good], theirs.error_removed[good], rtol=0, atol=1e-11)
     assert np.abs(ours.q - q).max() > 1e-6
+
+
+@pytest.mark.parametrize("dynamic", [False, True])
+def test_a_linkage_loads_the_gear_that_drives_it(dynamic: bool) -> None:
+    """Through a linkage the same compliance asks for another correction, and the tool lands where the model says."""
+    calibration = knowing("axial_compliance", drive="linkage")
+    program = compile_program(calibration, FREE)
+    assert landing(calibration, program, dynamic).max() < 1e-6
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-1.0, 1.0, (20, 6))
+    motion = {"qd": rng.normal(size=q.shape), "qdd": rng.normal(size=q.shape)} if dynamic else {}
+    other = compile_program(knowing("axial_compliance"), FREE).correct_rows(q, **motion).q
+    assert np.abs(program.correct_rows(q, **motion).q - other).max() > 1e-5
 
 
 def test_the_model_lands_and_the_body_of_the_mimic_joint_counts() -> None:

@@ -39,6 +39,11 @@ class Axis(IntEnum):
         return out
 
 
+# Who carries the load on an axis that follows a joint: the gear of that joint too (rods of a parallelogram, by virtual
+# work), the motor that the controller moves along, or gears of its own in series.
+LINKAGE, CONTROLLER, SERIES = DRIVES = ("linkage", "controller", "series")
+
+
 @dataclass(frozen=True)
 class Element:
     """One elementary transform.
@@ -47,6 +52,7 @@ class Element:
     ``ratio * q[joint] + value``; a ratio of -1 reverses the axis, others couple joints (mimic, FANUC J2/J3).
     ``name`` makes the constant a parameter; without a name it is part of the structure. A ``dependent`` parameter says what
     others of a complete model say together: it is identified at level 1 or when it is asked for, not beside them.
+    ``drive`` says who carries the load on a further axis of a joint, one of :data:`DRIVES`; None: nobody said.
     """
 
     axis: Axis
@@ -55,6 +61,7 @@ class Element:
     joint: int | None = None
     ratio: float = 1.0
     dependent: bool = False
+    drive: str | None = None
 
     def parameter(self) -> Parameter:
         """The named constant as a :class:`~kilter_core.parameters.Parameter`."""
@@ -91,6 +98,18 @@ class Chain:
                 f"No element of the chain is driven by joint {missing[0] + 1}: add one, or drop the joint.",
                 joint=missing[0] + 1,
             )
+        self._check_drives()
+
+    def _check_drives(self) -> None:
+        for k, e in enumerate(self.elements):
+            if e.drive is not None and e.drive not in DRIVES:
+                raise RobotError(f"drive is {e.drive!r}: give {', '.join(DRIVES)}.", field=f"elements[{k}].drive")
+            if e.drive is not None and k not in self.followers:
+                raise RobotError(
+                    f"elements[{k}] has drive {e.drive!r}, which says who carries the load on a further axis of a joint "
+                    "(mimic, parallelogram): leave it out where a joint moves its own axis, or none.",
+                    field=f"elements[{k}].drive",
+                )
 
     @cached_property
     def primary(self) -> tuple[int, ...]:
@@ -105,6 +124,21 @@ class Chain:
     def driven(self) -> tuple[int, ...]:
         """Elements that joints move: the moving axes, from the base on. A joint may drive several."""
         return tuple(k for k, e in enumerate(self.elements) if e.joint is not None)
+
+    @cached_property
+    def followers(self) -> tuple[int, ...]:
+        """Moving axes that are not a joint's own: they follow it (mimic, parallelogram)."""
+        return tuple(k for k in self.driven if k not in self.primary)
+
+    @cached_property
+    def linked(self) -> tuple[int, ...]:
+        """Axes that follow a joint by a linkage, so that its gear carries their load too."""
+        return tuple(k for k in self.followers if self.elements[k].drive == LINKAGE)
+
+    def carried(self, element: int) -> float:
+        """How far a linked axis moves per motion of its joint's own axis: what of its load that joint carries."""
+        own = self.elements[self.primary[self.elements[element].joint or 0]]
+        return self.elements[element].ratio / abs(own.ratio)
 
     @cached_property
     def named(self) -> tuple[int, ...]:
@@ -146,12 +180,18 @@ class Chain:
         )
 
 
-def _joint_frame(element: Element) -> Floats:
-    """Rotation (3, 3) from the frame after a joint's element to the joint frame, whose z is the positive joint axis."""
-    z = element.axis % 3
+def axis_frame(axis: Axis) -> Floats:
+    """Rotation (3, 3) from the frame after an element to one whose z is its axis, x and y in cyclic order."""
+    z = axis % 3
     frame = np.zeros((3, 3))
     for column, row in enumerate(((z + 1) % 3, (z + 2) % 3, z)):
         frame[row, column] = 1.0
+    return frame
+
+
+def _joint_frame(element: Element) -> Floats:
+    """Rotation (3, 3) from the frame after a joint's element to the joint frame, whose z is the positive joint axis."""
+    frame = axis_frame(element.axis)
     if element.ratio < 0:
         frame = frame @ np.diag([1.0, -1.0, -1.0])
     return frame

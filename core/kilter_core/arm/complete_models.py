@@ -28,6 +28,7 @@ class MovingAxis:
     joint: int
     prismatic: bool = False
     ratio: float = 1.0
+    drive: str | None = None
 
 
 @dataclass(frozen=True)
@@ -109,10 +110,10 @@ def _placed(k: int, place: Place, names: tuple[str, str, str, str]) -> list[Elem
 
 def _joint(k: int, place: Place, axis: MovingAxis, leads: bool) -> Element:
     if axis.prismatic:
-        return Element(Axis.TZ, 0.0, f"d_offset_{k}" if leads else None, axis.joint, axis.ratio, dependent=True)
-    return Element(
-        Axis.RZ, place.offset, f"theta_offset_{k}" if leads else None, axis.joint, axis.ratio, dependent=True
-    )
+        name = f"d_offset_{k}" if leads else None
+        return Element(Axis.TZ, 0.0, name, axis.joint, axis.ratio, dependent=True, drive=axis.drive)
+    name = f"theta_offset_{k}" if leads else None
+    return Element(Axis.RZ, place.offset, name, axis.joint, axis.ratio, dependent=True, drive=axis.drive)
 
 
 def _flange(T: Floats) -> list[Element]:

@@ -86,6 +86,9 @@ def write_bodies(
 ) -> None:
     """Bodies that ride on the same move become one; the payload keeps its own row, on the last move."""
     last = len(loads.moves)
+    for move, (element, *_) in enumerate(loads.moves):
+        P[move, layout.CARRIED] = robot.chain.carried(element) if element in robot.chain.linked else 0.0
+    P[last, layout.CARRIED] = float(bool(robot.chain.linked))  # whether any is
     bodies: dict[int, list[tuple[float, Floats, Floats]]] = {}
     for link in robot.links:
         move = loads.move_of[link.element]

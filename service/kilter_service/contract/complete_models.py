@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kilter_service.contract.units import Deg, Direction, JointType, Mm, PointMm, Strict
+from kilter_service.contract.units import DRIVE, Deg, Direction, Drive, JointType, Mm, PointMm, Strict
 
 TYPE = "Whether the joint is revolute or prismatic."
 ZERO = "Added to the joint reading, degrees; mm for a prismatic joint."
@@ -24,6 +24,7 @@ class PoeAxis(Strict):
         None, description="Name of the joint that drives the axis; null: the next joint."
     )
     ratio: float = Field(1.0, description="Motion of the axis per motion of the joint, no unit.")
+    drive: Drive | None = Field(None, description=DRIVE)
 
 
 class CpcRow(Strict):

@@ -8,8 +8,9 @@ from pydantic import Field, model_validator
 
 from kilter_service.contract.references import RETIRED_AT
 from kilter_service.contract.robots import RobotDocument
-from kilter_service.contract.units import Deg, Direction, JointType, Listed, Mm, PointMm, Pose, Strict
+from kilter_service.contract.units import Deg, Direction, Drive, JointType, Listed, Mm, PointMm, Pose, Strict
 
+DRIVES = "Axes that follow a joint (mimic, parallelogram) and who carries the load on them, in words."
 KIND = "Whether the joint is revolute or prismatic."
 
 
@@ -51,6 +52,7 @@ class RobotReport(RobotSummary):
     joints: list[JointSummary] = Field(description="Joints from base to tool.")
     parameters: list[str] = Field(description="Names of the geometric parameters, without base and tool.")
     notes: list[str] = Field(description="What of the document was left out, in words.")
+    drives: list[str] = Field([], description=DRIVES)
     sha256: str = Field(
         description="SHA-256 of the chain that the document was resolved to when it was posted, 64 hexadecimal digits."
     )
@@ -72,6 +74,9 @@ class AxisReport(Strict):
     joint: str = Field(description="Name of the joint that drives it.")
     kind: JointType = Field(description=KIND)
     ratio: float = Field(description="Motion of the axis per motion of the joint, no unit.")
+    drive: Drive | None = Field(
+        None, description="Who carries the load on an axis that follows the joint; null: its own axis, or nobody said."
+    )
     point_mm: PointMm = Field(description="A point on the axis, mm.")
     direction: Direction = Field(description="Direction of the axis, of length 1.")
     angle_to_previous_deg: Deg | None = Field(
@@ -97,6 +102,7 @@ class RobotCheck(Strict):
     axes: list[AxisReport] = Field(description="Axes from base to tool, all joints at zero.")
     zero: Zero = Field(description="The arm at zero.")
     reach_mm: Mm = Field(description="Largest distance of the tool point from the first axis, mm.")
+    drives: list[str] = Field([], description=DRIVES)
     suspicious: list[str] = Field(description="What looks wrong and may be right, in words.")
     notes: list[str] = Field(description="What of the document was left out, in words.")
 

@@ -8,9 +8,11 @@ from pydantic import Field
 
 from kilter_service.contract.complete_models import CpcFlange, CpcRow, McpcFlange, McpcRow, PoeAxis, SModelRow
 from kilter_service.contract.units import (
+    DRIVE,
     MAX_ELEMENTS,
     MAX_JOINTS,
     Deg,
+    Drive,
     JointType,
     Kg,
     KgM2,
@@ -44,6 +46,7 @@ class Joint(Strict):
     gear_ratio: float | None = Field(
         None, description="Turns of the motor per turn of the joint, no unit; gear errors need it."
     )
+    drive: Drive | None = Field(None, description=f"Only of a mimic joint of a URDF. {DRIVE}")
 
 
 Joints = Annotated[list[Joint], Field(max_length=MAX_JOINTS)]
@@ -86,6 +89,7 @@ class Element(Strict):
     ratio: float | None = Field(
         None, description="Motion of the element per motion of the joint, no unit; -1 reverses the axis. Null: 1."
     )
+    drive: Drive | None = Field(None, description=DRIVE)
     fixed: bool | None = Field(None, description="Whether the element is never identified.")
     spare: bool | None = Field(None, description="Whether it is identified only at level 1 or when `free` names it.")
 

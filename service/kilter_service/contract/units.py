@@ -46,6 +46,12 @@ Direction = tuple[float, float, float]
 PointMm = tuple[Mm, Mm, Mm]
 JointNumber = Annotated[int, Field(ge=1, le=MAX_JOINTS)]
 JointType = Literal["revolute", "prismatic"]
+Drive = Literal["linkage", "controller", "series"]
+DRIVE = (
+    "Who carries the load on an axis that follows a joint (mimic, parallelogram): `linkage`: the gear of that joint too, by "
+    "virtual work (rods); `controller`: only the motor of its own, which the controller moves along; `series`: gears of "
+    "its own in series; null: nobody said, and the joint does not carry it."
+)
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Id = Annotated[str, Field(max_length=64)]

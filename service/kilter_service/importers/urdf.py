@@ -29,13 +29,15 @@ class UrdfImport:
     ``held_joints`` move links outside the chain: they are held at zero, their links' masses are part of the arm.
     ``joint_ends`` has, for every joint of the path in order, how many elements lead to its child link. ``link_frames``
     has, for every joint that moves, the arm's joint whose link it carries ("": it follows one, with a link of its own),
-    the URDF's link, and its pose (4, 4) m in the frame in which Kilter states the link's mass.
+    the URDF's link, and its pose (4, 4) m in the frame in which Kilter states the link's mass. ``mimics`` has the mimic
+    joints of the path, and the element that each became.
     """
 
     document: Item
     joint_ends: tuple[tuple[str, int], ...] = ()
     held_joints: tuple[str, ...] = ()
     link_frames: tuple[tuple[str, str, Floats], ...] = ()
+    mimics: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass
@@ -44,6 +46,7 @@ class _Chain:
 
     elements: list[Item] = field(default_factory=list)
     frames: list[tuple[int, Floats, str]] = field(default_factory=list)
+    mimics: list[tuple[str, int]] = field(default_factory=list)
 
     def add(self, **element: Any) -> None:
         self.elements.append(element)
@@ -85,6 +88,7 @@ def chain_document(text: str, base_link: str, tip_link: str, name: str) -> UrdfI
         },
         joint_ends=tuple(ends),
         held_joints=_held(tree, path, base_link),
+        mimics=tuple(chain.mimics),
         link_frames=tuple((chain.elements[k]["joint"] if k in primary else "", link, T) for k, T, link in chain.frames),
     )
 
@@ -127,6 +131,8 @@ def _append_motion(chain: _Chain, joint: UrdfJoint) -> None:
         element["value"] = float(sign * offset * MM if prismatic else math.degrees(sign * offset))
     # The zero offset is a parameter of its own, though the origin's constants span it: level 1 identifies offsets only.
     chain.add(**element)
+    if joint.mimic:
+        chain.mimics.append((joint.name, len(chain.elements) - 1))
     chain.frames.append((len(chain.elements) - 1, _back(turns), joint.child))
     for axis, degrees in reversed(turns):
         chain.add(axis=axis, value=-degrees, fixed=True)

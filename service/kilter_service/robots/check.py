@@ -17,6 +17,7 @@ from kilter_service.contract.robot_reports import AxisReport, RobotCheck, Zero
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.contract.units import Pose
 from kilter_service.robots.documents import core_document
+from kilter_service.robots.drives import said_of_drives
 from kilter_service.robots.plausibility import implausible
 from kilter_service.robots.wire import joint_summary
 from kilter_service.wire import to_deg, to_mm
@@ -50,6 +51,7 @@ def check(document: RobotDocument) -> RobotCheck:
         axes=_axes(robot, placed),
         zero=_zero(robot, placed),
         reach_mm=to_mm(reach),
+        drives=said_of_drives(robot),
         suspicious=implausible(robot, placed, reach, posted),
         notes=understood.notes,
     )
@@ -65,6 +67,7 @@ def _axes(robot: Robot, screws: Screws) -> list[AxisReport]:
                 joint=robot.joints[screws.joint[k]].name,
                 kind="prismatic" if screws.prismatic[k] else "revolute",
                 ratio=float(screws.ratio[k]),
+                drive=robot.chain.elements[robot.chain.driven[k]].drive,
                 point_mm=_mm(p),
                 direction=_plain(z),
                 angle_to_previous_deg=angle,

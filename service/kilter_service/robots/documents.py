@@ -32,21 +32,42 @@ def core_document(posted: dict[str, Any]) -> CoreDocument:
     result = chain_document(posted["urdf"], posted["base_link"], posted["tip_link"], posted["name"])
     document = dict(result.document)
     document.update((key, posted[key]) for key in KEPT if key in posted)
-    document["joints"] = _with_extras(document["joints"], posted.get("joints") or [])
+    mimics = dict(result.mimics)
+    extras = posted.get("joints") or []
+    document["joints"] = _with_extras(document["joints"], [e for e in extras if e["name"] not in mimics], list(mimics))
+    document["elements"] = _with_drives(document["elements"], [e for e in extras if e["name"] in mimics], mimics)
     notes = []
     if result.held_joints:
         notes.append(f"joints outside the chain, held at zero: {', '.join(result.held_joints)}")
     return CoreDocument(document, notes)
 
 
-def _with_extras(joints: list[dict[str, Any]], extras: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _with_drives(
+    elements: list[dict[str, Any]], extras: list[dict[str, Any]], mimics: dict[str, int]
+) -> list[dict[str, Any]]:
+    """Let the posted mimic joints say who carries their load."""
+    made = [dict(element) for element in elements]
+    for extra in extras:
+        more = sorted(key for key in extra if key not in ("name", "drive"))
+        if more:
+            raise RobotError(
+                f"joints names {extra['name']!r}, a mimic joint, with {', '.join(more)}: of a mimic joint only its drive "
+                "counts; give limits and gear ratios to the joint that it follows.",
+                field="joints",
+            )
+        if "drive" in extra:
+            made[mimics[extra["name"]]]["drive"] = extra["drive"]
+    return made
+
+
+def _with_extras(joints: list[dict[str, Any]], extras: list[dict[str, Any]], mimics: list[str]) -> list[dict[str, Any]]:
     """Let the posted joints add gear ratios and limits to those of the URDF."""
     by_name = {extra["name"]: extra for extra in extras}
     unknown = sorted(set(by_name) - {joint["name"] for joint in joints})
     if unknown:
         raise RobotError(
             f"joints names {unknown[0]!r}, which does not move in the chain. It has: "
-            f"{', '.join(joint['name'] for joint in joints)}.",
+            f"{', '.join([*(joint['name'] for joint in joints), *mimics])}.",
             field="joints",
         )
     return [{**joint, **by_name.get(joint["name"], {})} for joint in joints]

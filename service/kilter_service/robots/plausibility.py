@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.arm.conventions import PARALLEL_RAD
+from kilter_service.robots.drives import unsaid_drives
 from kilter_service.wire import to_deg, to_mm, to_rad
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ def implausible(robot: Robot, screws: Screws, reach_m: float, posted: dict[str, 
         *_limits(robot),
         *_axes(robot, screws),
         *_loads(robot, reach_m),
+        *unsaid_drives(robot),
     ]
 
 

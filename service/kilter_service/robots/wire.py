@@ -9,6 +9,7 @@ from pydantic import TypeAdapter
 
 from kilter_service.contract.robot_reports import JointSummary, RobotReport, RobotSummary
 from kilter_service.contract.robots import RobotDocument
+from kilter_service.robots.drives import said_of_drives
 from kilter_service.robots.records import RobotRecord
 from kilter_service.wire import DEG, MM
 
@@ -30,6 +31,7 @@ def report(record: RobotRecord, robot: Robot) -> RobotReport:
         joints=[joint_summary(joint) for joint in robot.joints],
         parameters=[str(robot.chain.elements[k].name) for k in robot.chain.named],
         notes=record.notes,
+        drives=said_of_drives(robot),
         sha256=record.sha256,
         source_sha256=record.source_sha256,
         document=DOCUMENT.validate_python(record.document),

@@ -79,11 +79,13 @@ def _element(robot: Robot, k: int) -> Document:
     out: Document = {"axis": axis, "value": math.degrees(e.value) if e.axis.rotates else e.value * 1e3}
     out |= {"fixed": True} if e.name is None else {"name": e.name}
     out |= {} if e.joint is None else {"joint": robot.joints[e.joint].name, "ratio": e.ratio}
+    out |= {} if e.drive is None else {"drive": e.drive}
     return out | ({"spare": True} if e.dependent else {})
 
 
 def _poe(robot: Robot) -> Document:
     screws = screws_of_chain(robot.chain)
+    drives = [robot.chain.elements[k].drive for k in robot.chain.driven]
     axes = [
         {
             "joint": robot.joints[screws.joint[k]].name,
@@ -91,6 +93,7 @@ def _poe(robot: Robot) -> Document:
             "direction": _plain(screws.direction[k]),
             "point_mm": _plain(1e3 * screws.point[k]),
             "ratio": float(screws.ratio[k]),
+            **({} if drives[k] is None else {"drive": drives[k]}),
         }
         for k in range(len(screws))
     ]

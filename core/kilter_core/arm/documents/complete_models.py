@@ -81,6 +81,7 @@ def _axis(k: int, axis: Document, joint: int) -> MovingAxis:
         joint,
         axis.get("type", "revolute") == "prismatic",
         float(axis.get("ratio") or 1.0),
+        axis.get("drive"),
     )
 
 

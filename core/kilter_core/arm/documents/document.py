@@ -135,6 +135,7 @@ def _element(k: int, element: Document, order: Sequence[str], seen: set[str]) ->
         joint=None if joint is None else order.index(joint),
         ratio=float(element.get("ratio", 1.0)),
         dependent=bool(element.get("spare")),
+        drive=element.get("drive"),
     )
 
 

@@ -30,9 +30,15 @@ def joint_of(i: int, joint: Document, kind: str) -> Joint:
     """Joint ``i`` (from 0) of ``kind`` "revolute" or "prismatic".
 
     Raises:
-        RobotError: limits in the wrong order.
+        RobotError: limits in the wrong order, or the drive of an axis that follows a joint.
 
     """
+    if joint.get("drive") is not None:
+        raise RobotError(
+            f"Joint {i + 1} has drive {joint['drive']!r}, which says who carries the load on an axis that follows a joint: "
+            "give it to that axis (drive of its element or of its axis; in a URDF of the mimic joint).",
+            field=f"joints[{i}].drive",
+        )
     unit, scale = ("mm", MM) if kind == "prismatic" else ("deg", math.pi / 180.0)
     limits = joint.get(f"limits_{unit}") or (None, None)
     lower, upper = (

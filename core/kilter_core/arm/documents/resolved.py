@@ -37,7 +37,7 @@ def resolved_document(robot: Robot) -> dict[str, Any]:
 def robot_from_resolved(name: str, document: Mapping[str, Any]) -> Robot:
     """Build the robot that :func:`resolved_document` wrote."""
     elements = tuple(
-        Element(Axis[e["axis"].upper()], e["value"], e["name"], e["joint"], e["ratio"], e["spare"])
+        Element(Axis[e["axis"].upper()], e["value"], e["name"], e["joint"], e["ratio"], e["spare"], e.get("drive"))
         for e in document["elements"]
     )
     share, centre = document["payload_sigma"]
@@ -76,6 +76,7 @@ def _element(element: Element) -> dict[str, Any]:
         "joint": element.joint,
         "ratio": float(element.ratio),
         "spare": element.dependent,
+        **({} if element.drive is None else {"drive": element.drive}),  # robots stored earlier keep their hash
     }
 
 

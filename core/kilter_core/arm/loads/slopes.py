@@ -8,18 +8,19 @@ from functools import cached_property
 
 import numpy as np
 
+from kilter_core.arm.chain import axis_frame
 from kilter_core.arm.kernels.load_slopes import load_slopes
-from kilter_core.arm.loads.wrenches import Loads, joint_loads
+from kilter_core.arm.loads.wrenches import ABOUT, ALONG, Loads, joint_loads
 from kilter_core.arm.robot import Link, Robot
 from kilter_core.observations import Observations
-from kilter_core.types import Floats
+from kilter_core.types import Floats, Ints
 
 EACH = 4  # numbers of a body: mass, then three of its place
 LIGHTEST_KG = 1e-9
 NO_COLUMNS = (-1,) * EACH  # of a body that these rows do not have
-ALONG, ABOUT = 2, 5  # components of a wrench that work on a joint: of a prismatic one, of a revolute one
 POINTS = {"wrench": 0, "axial": 0, "end_wrench": 1, "base_wrench": 2}  # where a load works, as the kernel numbers it
 NONE = np.zeros(0)
+Parts = tuple[Floats, ...]  # of loads: wrenches on joints, on ends and on the base, and what works through linkages
 # Components of each load that effects read together.
 ACROSS, REST = (3, 4), (0, 1, 2, 5)
 TOGETHER = {
@@ -98,21 +99,36 @@ class LoadSlopes:
 
     def _at_rest(self, name: str, parts: tuple[int, ...], errors: Floats = NONE) -> Floats:
         """Slopes (C, K, N, n), or with ``errors (K,)`` changes (C, 1, N, n)."""
-        o, robot, n = self.rows, self.robot, self.robot.n_joints
-        program, links = robot.chain.program, [robot.links[k] for k in self.bodies]
+        robot, n = self.robot, self.robot.n_joints
         components = np.tile(np.array(parts), (1 if name == "base_wrench" else n, 1))
         if name == "axial":
             components[:, 0] = [ABOUT if joint.kind == "revolute" else ALONG for joint in robot.joints]
+        program = robot.chain.program
+        found = self._on_axes(program.primary, program.joint_frame, POINTS[name], components, errors)
+        if name != "axial" or not robot.chain.linked:
+            return found
+        followers = [robot.chain.elements[k] for k in robot.chain.linked]
+        frames = np.stack([axis_frame(e.axis) for e in followers])
+        at = np.array([[ABOUT if e.axis.rotates else ALONG] for e in followers])
+        ours = self._on_axes(np.array(robot.chain.linked, dtype=np.int64), frames, POINTS[name], at, errors)
+        for place, k in enumerate(robot.chain.linked):
+            found[..., followers[place].joint] += robot.chain.carried(k) * ours[..., place]
+        return found
+
+    def _on_axes(self, axes: Ints, frames: Floats, point: int, components: Ints, errors: Floats) -> Floats:
+        """Slopes or changes (C, K, N, m) of ``components (m, C)`` of the loads on the moving ``axes`` in their frames."""
+        o, robot = self.rows, self.robot
+        program, links = robot.chain.program, [robot.links[k] for k in self.bodies]
         kg = np.zeros(len(o)) if o.payload_kg is None else np.where(o.payload_kg > 0.0, o.payload_kg, 0.0)
-        out = np.empty((len(parts), 1 if len(errors) else len(self), len(o), len(components)))
+        out = np.empty((components.shape[1], 1 if len(errors) else len(self), len(o), len(components)))
         load_slopes(
-            program.axis, program.joint, program.ratio, program.value, program.primary, program.joint_frame,
+            program.axis, program.joint, program.ratio, program.value, axes, frames,
             np.array([link.element for link in links], dtype=np.int64),
             np.array([link.com for link in links], dtype=np.float64).reshape(-1, 3),
             np.ascontiguousarray(robot.gravity, dtype=np.float64), np.ascontiguousarray(robot.T_tool),
             (kg > 0.0).astype(np.float64), kg, np.ascontiguousarray(payload_place(o)),
             np.ascontiguousarray(o.q, dtype=np.float64),
-            np.full(len(components), POINTS[name], dtype=np.int64), components, errors, out,
+            np.full(len(components), point, dtype=np.int64), components, errors, out,
         )  # fmt: skip
         return out
 
@@ -122,19 +138,21 @@ class LoadSlopes:
         if name != "axial":
             return np.stack([self._all[name == "end_wrench"][..., part] for part in parts])
         revolute = np.array([joint.kind == "revolute" for joint in self.robot.joints])
-        return np.where(revolute, self._all[0][..., ABOUT], self._all[0][..., ALONG])[None]
+        return (np.where(revolute, self._all[0][..., ABOUT], self._all[0][..., ALONG]) + self._all[3])[None]
 
     @cached_property
-    def _all(self) -> tuple[Floats, Floats, Floats]:
-        """Of the wrenches on joints (K, N, n, 6), ends of links and base (K, N, 6), by differences of moving loads."""
+    def _all(self) -> Parts:
+        """Of the wrenches on joints (K, N, n, 6), ends of links and base (K, N, 6), and of what works on joints through
+        linkages (K, N, n), by differences of moving loads.
+        """
         count, rows, n = len(self), len(self.rows), self.robot.n_joints
-        made = np.zeros((count, rows, n, 6)), np.zeros((count, rows, n, 6)), np.zeros((count, rows, 6))
+        made = tuple(np.zeros((count, rows, *shape)) for shape in ((n, 6), (n, 6), (6,), (n,)))
         for k, parts in enumerate(self._each()):
             for whole, part in zip(made, parts, strict=True):
                 whole[k] = part
         return made
 
-    def _each(self) -> Iterator[tuple[Floats, Floats, Floats]]:
+    def _each(self) -> Iterator[Parts]:
         o = self.rows
         for k in self.bodies:
             link = self.robot.links[k]
@@ -205,17 +223,18 @@ def _changed(link: Link, mass: float, moment: Floats) -> Link:
     return replace(link, mass=whole, com=link.com + moment / whole, inertia=link.inertia - bend)
 
 
-def _of_body(load: Callable[[Floats], Loads], com: Floats) -> Iterator[tuple[Floats, Floats, Floats]]:
+def _of_body(load: Callable[[Floats], Loads], com: Floats) -> Iterator[Parts]:
     yield _parts(load(com))
     for e in np.eye(3):
         yield _half(load(com + e), load(com - e))
 
 
-def _parts(loads: Loads) -> tuple[Floats, Floats, Floats]:
-    return loads.joints, loads.ends, loads.base
+def _parts(loads: Loads) -> Parts:
+    linked = np.zeros(loads.joints.shape[:2]) if loads.linked is None else loads.linked
+    return loads.joints, loads.ends, loads.base, linked
 
 
-def _half(ahead: Loads, behind: Loads) -> tuple[Floats, Floats, Floats]:
+def _half(ahead: Loads, behind: Loads) -> Parts:
     """Half the difference: a body's load is quadratic in its place at most, so any width is exact."""
     one, other = _parts(ahead), _parts(behind)
-    return (one[0] - other[0]) / 2.0, (one[1] - other[1]) / 2.0, (one[2] - other[2]) / 2.0
+    return tuple((a - b) / 2.0 for a, b in zip(one, other, strict=True))

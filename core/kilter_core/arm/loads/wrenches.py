@@ -7,14 +7,17 @@ the nominal one, or one with constants that an earlier fit found (:class:`~kilte
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kilter_core.arm.chain import axis_frame
 from kilter_core.arm.kernels.newton_euler import load_wrenches
 from kilter_core.arm.robot import Robot
 from kilter_core.observations import Observations
-from kilter_core.types import Floats
+from kilter_core.types import Floats, Ints
+
+ALONG, ABOUT = 2, 5  # components of a wrench that work on a joint: of a prismatic one, of a revolute one
 
 
 @dataclass(frozen=True)
@@ -24,13 +27,15 @@ class Loads:
     ``joints (N, n, 6)`` on each joint in its joint frame (z is the axis); ``ends (N, n, 6)`` what follows does to the
     end of each link, about the place of the next joint (the flange for the last; a prismatic joint before it moves) but in the
     frame of the link's own joint; ``base (N, 6)`` on the base about its origin, in the base frame; ``tool_point (N, 3)``
-    m, the tool point in the base frame.
+    m, the tool point in the base frame. ``linked (N, n)`` is what works on each joint through linkages besides: of each axis
+    that follows it by one, its load times its motion per motion of the joint (virtual work); None without linkages.
     """
 
     joints: Floats
     ends: Floats
     base: Floats
     tool_point: Floats
+    linked: Floats | None = None
 
 
 def joint_loads(
@@ -57,13 +62,45 @@ def joint_loads(
     Source: thesis eq. 4.21 and 5.14, corrected (forces rotated into one frame, load sign).
 
     """
+    chain = robot.chain
+    given = (qd, qdd, payload_kg, payload_com, external)
+    loads = _wrenches(robot, chain.program.primary, chain.program.joint_frame, q, *given)
+    if not chain.linked:
+        return loads
+    followers = np.array(chain.linked, dtype=np.int64)
+    frames = np.stack([axis_frame(chain.elements[k].axis) for k in chain.linked])
+    return replace(loads, linked=through_linkages(robot, _wrenches(robot, followers, frames, q, *given).joints))
+
+
+def through_linkages(robot: Robot, wrenches: Floats) -> Floats:
+    """What works on each joint (..., n) through linkages, by the wrenches (..., m, 6) on the linked axes in their frames."""
+    out = np.zeros((*wrenches.shape[:-2], robot.n_joints))
+    for place, k in enumerate(robot.chain.linked):
+        element = robot.chain.elements[k]
+        component = ABOUT if element.axis.rotates else ALONG
+        out[..., element.joint] += robot.chain.carried(k) * wrenches[..., place, component]
+    return out
+
+
+def _wrenches(
+    robot: Robot,
+    axes: Ints,
+    frames: Floats,
+    q: Floats,
+    qd: Floats | None,
+    qdd: Floats | None,
+    payload_kg: Floats | None,
+    payload_com: Floats | None,
+    external: Floats | None,
+) -> Loads:
+    """Loads on the moving ``axes (m,)``, elements of the chain, in ``frames (m, 3, 3)`` whose z is the axis."""
     rows, program = len(q), robot.chain.program
     none = np.zeros((0, 0))
     dynamic = qd is not None and qdd is not None
-    shape = (rows, robot.n_joints, 6)
+    shape = (rows, len(axes), 6)
     loads = Loads(np.empty(shape), np.empty(shape), np.empty((rows, 6)), np.empty((rows, 3)))
     load_wrenches(
-        program.axis, program.joint, program.ratio, program.value, program.primary, program.joint_frame,
+        program.axis, program.joint, program.ratio, program.value, axes, frames,
         np.array([link.element for link in robot.links], dtype=np.int64),
         np.array([link.mass for link in robot.links], dtype=np.float64),
         np.array([link.com for link in robot.links], dtype=np.float64).reshape(-1, 3),
@@ -88,6 +125,10 @@ def loads_of(robot: Robot, o: Observations) -> Loads:
 
 
 def axial_loads(robot: Robot, loads: Loads) -> Floats:
-    """Load (N, n) that works on each joint: moment about a revolute axis (N·m), force along a prismatic one (N)."""
+    """Load (N, n) that works on each joint: moment about a revolute axis (N·m), force along a prismatic one (N).
+
+    Of a joint that drives further axes by a linkage it is what its gear carries: the loads of all its axes by virtual work.
+    """
     revolute = [joint.kind == "revolute" for joint in robot.joints]
-    return np.where(revolute, loads.joints[:, :, 5], loads.joints[:, :, 2])
+    own = np.where(revolute, loads.joints[:, :, ABOUT], loads.joints[:, :, ALONG])
+    return own if loads.linked is None else own + loads.linked

@@ -22,6 +22,7 @@ INFO, REMOVED, LEFT, LEFT_TURN = 12, 4, 8, 11
 
 # move rows
 NOMINAL, IDENTIFIED, KIND, JOINT, RATIO, PRIMARY, MASS, COM, INERTIA = 0, 12, 24, 25, 26, 27, 28, 29, 32
+CARRIED = 38  # of the load on an axis that follows a joint by a linkage: what of it the joint's gear carries
 # joint rows
 LOWER, UPPER, DQ, XI, TILT, TILT_SOFT, TILT_SHARE, PLAY, PLAY_SOFT = 0, 1, 2, 3, 9, 10, 11, 12, 13
 REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, RADIAL, TWISTED, HARDENING, SIDED = 14, 15, 16, 17, 18, 19, 20, 21, 22

@@ -7,6 +7,7 @@ from kilter_core.arm.kernels.se3 import cross
 from kilter_core.correct.kernels.layout import (
     ACCEL_NOW,
     BENDINGS,
+    CARRIED,
     COM,
     END,
     GRAVITY,
@@ -51,6 +52,36 @@ def _static_moments(P, W, S, m, oj):
             r0, r1, r2 = s0 - mass * W[k, 9], s1 - mass * W[k, 10], s2 - mass * W[k, 11]
             t0, t1, t2 = cross(r0, r1, r2, g0, g1, g2)
             _to_joint(P, W, k, oj + int(P[k, JOINT]), t0, t1, t2, mass * g0, mass * g1, mass * g2)
+    if P[m, CARRIED] != 0.0:
+        _static_linkages(P, W, S, m, oj)
+
+
+@compiled(**FAST)
+def _static_linkages(P, W, S, m, oj):
+    """Add what works on the joints through linkages from gravity alone, see :func:`_static_moments`."""
+    g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
+    mass = P[m, MASS]
+    s0, s1, s2 = _point(W, m - 1, P[m, COM], P[m, COM + 1], P[m, COM + 2])
+    s0, s1, s2 = mass * s0, mass * s1, mass * s2
+    for k in range(m - 1, -1, -1):
+        body = P[k, MASS]
+        if body != 0.0:
+            c0, c1, c2 = _point(W, k, P[k, COM], P[k, COM + 1], P[k, COM + 2])
+            mass += body
+            s0, s1, s2 = s0 + body * c0, s1 + body * c1, s2 + body * c2
+        if P[k, CARRIED] != 0.0:
+            r0, r1, r2 = s0 - mass * W[k, 9], s1 - mass * W[k, 10], s2 - mass * W[k, 11]
+            t0, t1, t2 = cross(r0, r1, r2, g0, g1, g2)
+            _through_linkage(P, W, k, oj + int(P[k, JOINT]), t0, t1, t2, mass * g0, mass * g1, mass * g2)
+
+
+@compiled(**FAST)
+def _through_linkage(P, W, k, j, x, y, z, f0, f1, f2):
+    """Add what of a load on axis k, in base coordinates, works on joint row j through a linkage (virtual work)."""
+    if P[k, KIND] == 0.0:
+        W[j, MOMENT + 2] += P[k, CARRIED] * (W[k, 2] * x + W[k, 5] * y + W[k, 8] * z)
+    else:
+        W[j, MOMENT + 2] += P[k, CARRIED] * (W[k, 2] * f0 + W[k, 5] * f1 + W[k, 8] * f2)
 
 
 @compiled(**FAST)
@@ -188,6 +219,21 @@ def _dynamic_moments(P, W, S, m, oj):
                 _keep_wrench(W, k, j, END, beyond, turned)
                 beyond, turned = f, t
     W[m, ON_BASE], W[m, ON_BASE + 1] = t[0], t[1]
+    if P[m, CARRIED] != 0.0:
+        _dynamic_linkages(P, W, m, oj)
+
+
+@compiled(**FAST)
+def _dynamic_linkages(P, W, m, oj):
+    """Add what works on the joints through linkages, from the loads of the bodies in W."""
+    f = (W[m, LOAD], W[m, LOAD + 1], W[m, LOAD + 2])
+    t = (W[m, LOAD + 3], W[m, LOAD + 4], W[m, LOAD + 5])
+    for k in range(m - 1, -1, -1):
+        f = (f[0] + W[k, LOAD], f[1] + W[k, LOAD + 1], f[2] + W[k, LOAD + 2])
+        t = (t[0] + W[k, LOAD + 3], t[1] + W[k, LOAD + 4], t[2] + W[k, LOAD + 5])
+        if P[k, CARRIED] != 0.0:
+            s0, s1, s2 = cross(W[k, 9], W[k, 10], W[k, 11], f[0], f[1], f[2])
+            _through_linkage(P, W, k, oj + int(P[k, JOINT]), t[0] - s0, t[1] - s1, t[2] - s2, f[0], f[1], f[2])
 
 
 @compiled(**FAST)

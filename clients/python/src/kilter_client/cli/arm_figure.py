@@ -84,9 +84,25 @@ def _view(
         trace("points on the axes", "markers", joints, marker={"color": MARK, "size": 5}),
         trace("base, flange and tool", "markers", ends, marker={"color": END, "size": 8, "symbol": "diamond"}),
     ]  # fmt: skip
+    linked = _linkages(joints, axes)
+    if linked:
+        made.append(trace("linkages", "lines", linked, line={"color": END, "width": 2, "dash": "dash"}))
     places, labels = _labels(flat, len(axes), size)
     made.append(trace("", "text", places, text=labels, textposition="top right") | {"showlegend": False})
     return made
+
+
+def _linkages(joints: Sequence[Point], axes: Sequence[Mapping[str, Any]]) -> list[Point | None]:
+    """Lines from the axis of a joint to each axis that follows it by a linkage."""
+    own: dict[str, Point] = {}
+    out: list[Point | None] = []
+    for place, axis in zip(joints, axes, strict=False):
+        if axis.get("drive") is None:
+            own.setdefault(str(axis["joint"]), place)
+    for place, axis in zip(joints, axes, strict=False):
+        if axis.get("drive") == "linkage" and axis["joint"] in own:
+            out += [own[str(axis["joint"])], place, None]
+    return out
 
 
 def _labels(flat: Sequence[Point], count: int, size: float) -> tuple[list[Point], list[str]]:

@@ -28,6 +28,8 @@ def show_check(document: Document) -> None:
     say(f"reach of the tool from the first axis: {document['reach_mm']:.0f} mm\n")
     columns = ("", "joint", "kind", "axis", "through mm", "to the one before", "limits")
     show_rows(columns, [_axis(k, axis, document["joints"]) for k, axis in enumerate(document["axes"], 1)])
+    for word in document.get("drives") or ():
+        say(f"drive: {word}")
     for word in document["suspicious"] or ("nothing",):
         say(f"suspicious: {word}")
     for word in document["notes"]:
@@ -42,13 +44,19 @@ def _axis(number: int, axis: Document, joints: Sequence[Document]) -> tuple[str,
     angle = axis["angle_to_previous_deg"]
     return (
         str(number),
-        axis["joint"] if axis["ratio"] == 1 else f"{axis['joint']} x {axis['ratio']:g}",
+        _driven(axis),
         axis["kind"],
         " ".join(f"{v:.3g}" for v in axis["direction"]),
         " ".join(f"{v:.1f}" for v in axis["point_mm"]),
         "" if angle is None else f"{angle:g} deg, {axis['distance_to_previous_mm']:.1f} mm",
         limits,
     )
+
+
+def _driven(axis: Document) -> str:
+    """What moves an axis: its joint, with the ratio and the drive where it follows one."""
+    moved = axis["joint"] if axis["ratio"] == 1 else f"{axis['joint']} x {axis['ratio']:g}"
+    return f"{moved} ({axis['drive']})" if axis.get("drive") else moved
 
 
 def drawing(points: Points) -> str:

@@ -40,6 +40,8 @@ class RobotReport(Record):
     """When it was added."""
     posted: Mapping[str, Any]
     """The document as it was posted."""
+    drives: tuple[str, ...]
+    """Axes that follow a joint (mimic, parallelogram) and who carries the load on them, in words."""
     joints: Records[JointSummary]
     """Joints from base to tool."""
     name: str
@@ -92,6 +94,8 @@ class AxisReport(Record):
     """Direction of the axis, of length 1."""
     distance_to_previous_mm: float | None
     """Shortest distance to the axis before, mm; None for the first."""
+    drive: str | None
+    """Who carries the load on an axis that follows the joint; None: its own axis, or nobody said."""
     joint: str
     """Name of the joint that drives it."""
     kind: str
@@ -136,6 +140,8 @@ class RobotCheck(Record):
 
     axes: Records[AxisReport]
     """Axes from base to tool, all joints at zero."""
+    drives: tuple[str, ...]
+    """Axes that follow a joint (mimic, parallelogram) and who carries the load on them, in words."""
     joints: Records[JointSummary]
     """Joints from base to tool."""
     name: str
