@@ -45,7 +45,7 @@ def calibration_of(
     return Calibration(model, values)
 
 
-def active_of(calibration: Calibration, epoch: int = 1, **options: float) -> Active:
+def active_of(calibration: Calibration, epoch: int = 1, **options: float | str) -> Active:
     """A version as the processes pass it around."""
     program = compile_program(calibration, CorrectionOptions(**options))  # type: ignore[arg-type]
     joints = calibration.robot.joints
