@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,12 +12,14 @@ from kilter_core.errors import OptionError
 from kilter_core.identify.estimate import frames_alone
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.identify.worse import Difference, PoseErrors
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats, Ints
 
+COVERED = 0.9  # share of coordinates below which 95 % intervals do not hold: poses share errors, so no closer
 MOST_ROWS = 2000  # of a list of poses, evenly chosen
 
 
@@ -50,13 +52,48 @@ def evaluate(
         none = Rows(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))
         return {
             "n": len(errors["nominal"].points), **{name: e.to_document() for name, e in errors.items()},
-            "within_u95": None, "rows": none.to_document(),
+            "within_u95": None, "rows": none.to_document(), "warnings": [],
         }  # fmt: skip
     table = rows_of(stages["identified"], measurement, refit, known)
+    stages["without"] = _refitted(nominal, measurement, tuple(refit))
+    within = None if known is None else table.within
     return {
         "n": len(errors["nominal"].points), **{name: e.to_document() for name, e in errors.items()},
-        "within_u95": None if known is None else table.within, "rows": table.to_document(),
+        "within_u95": within, "rows": table.to_document(),
+        "warnings": [*_worse(stages, measurement), *_narrow(within)],
     }  # fmt: skip
+
+
+def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Iterator[dict[str, Any]]:
+    """Warn where these rows are predicted worse than without the calibration, frames fitted alike, or than by frames alone."""
+    errors = PoseErrors.of(stages, measurement).stages
+    found = errors["identified"]
+    words = {
+        "without": ("worse_than_without", "the nominal robot in frames treated alike", "do not correct with it here."),
+        "registration_only": (
+            "worse_than_registration", "base and tool alone",
+            'if the instrument or the tool was set up anew, evaluate with refit ["base", "tool"].',
+        ),
+    }  # fmt: skip
+    for stage, (code, simpler, advice) in words.items():
+        plain = errors[stage]
+        if Difference.of(found, plain).worse:
+            yield {
+                "code": code, "simpler_mm": float(plain.mean()) * 1e3, "identified_mm": float(found.mean()) * 1e3,
+                "message": f"These rows are predicted worse with it ({found.mean() * 1e3:.3g} mm, mean by pose) than with "
+                f"{simpler} ({plain.mean() * 1e3:.3g} mm): {advice}",
+            }  # fmt: skip
+            return
+
+
+def _narrow(within: float | None) -> Iterator[dict[str, Any]]:
+    """Warn where the intervals of a calibration do not cover these rows."""
+    if within is not None and within < COVERED:
+        yield {
+            "code": "intervals_too_narrow", "within_u95": within,
+            "message": f"Only {within:.0%} of the coordinates lie within their 95 % intervals: what the version states of "
+            "itself does not hold for these rows.",
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)

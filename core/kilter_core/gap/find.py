@@ -14,6 +14,7 @@ from kilter_core.gap.evidence.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.aliases import SAME, Alias, aliases_of
 from kilter_core.gap.evidence.by_kind import by_kind
 from kilter_core.gap.evidence.control import Control, controls, false_names
+from kilter_core.gap.evidence.guarded import Guard
 from kilter_core.gap.evidence.held_out_errors import HoldoutEvaluator, gap_document, noise_document
 from kilter_core.gap.evidence.holding_out import parted
 from kilter_core.gap.evidence.intervals import Amplitude, amplitudes, seen_joints
@@ -220,7 +221,9 @@ class _Run:
             kept.calibration, kept.posterior, rows, self.options, lambda f, s: part(f, "confirmation")
         )
         candidates = found.selector.scorer.candidates
-        return {k: replication(seen, robot, rows, candidates[k], seen_joints(found, k)[0]) for k in found.chosen}
+        guard = Guard.of(found, self.begin, kept.calibration, rows)
+        told = {k: replication(seen, robot, rows, candidates[k], seen_joints(found, k)[0]) for k in found.chosen}
+        return {k: replace(one, guarded=guard.effect(k)) for k, one in told.items()}
 
     def _evidence(
         self, found: SearchResult, place: int, rivals: tuple[Alias, ...], share: tuple[float, float], control: Control,
@@ -294,6 +297,8 @@ class _Run:
             gap = gap_document(self.prepared, found, held.report())
             before, after = gap[f"validation_before_{unit}"], gap[f"validation_after_{unit}"]
             yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", before, after, certain, unit)
+        if self.confirmation is not None:
+            yield from Guard.of(found, self.begin, kept.calibration, self.confirmation).warnings(kept.registered)
         if self.validation is None or kept.registered is None:
             return
         calibration, plain = kept.calibration, kept.registered

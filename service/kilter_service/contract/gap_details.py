@@ -97,7 +97,11 @@ class Replication(Stored):
     parameters: list[Amount] | None = Field(None, description="Its amplitudes in the confirmation.")
     p_value: float | None = Field(None, description="Chance of such amplitudes without the effect.")
     apart_sigma: float | None = Field(None, description="Standard deviations between the two amplitudes.")
-    reason: str | None = Field(None, description="Why nothing can be said.")
+    reason: str | None = Field(None, description="Why nothing can be said, or what else contradicts.")
+    with_mm: Mm | None = Field(
+        None, description="Mean error of the confirmation with the effect as found, base and tool fitted to it, mm."
+    )
+    without_mm: Mm | None = Field(None, description="The same by the search's fit without the effect, mm.")
 
 
 class NamedEffect(AtJoints):

@@ -13,6 +13,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
 from kilter_core.evaluate import evaluate
 from kilter_core.identify import identify
+from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -107,3 +108,35 @@ def test_metrics_by_hand() -> None:
     pooled = Errors.concatenate([Errors(points[:1], None), Errors(points[1:], None)])
     assert pooled.to_document()["mean_mm"] == pytest.approx(2.0)
     assert pooled.turns is None
+
+
+@pytest.mark.parametrize("refit", [[], ["base", "tool"]])
+def test_a_calibration_worse_than_none_is_warned_of_with_both_numbers(refit: list[str]) -> None:
+    rng = np.random.default_rng(7)
+    arm = ur10()
+    robot = robot_from_document(arm.document())
+    nominal = Calibration.nominal(robot)
+    values = nominal.values.copy()
+    values[list(nominal.names).index("theta_offset_3")] += 2e-3
+    seen = measured(arm, joints(arm, 40, rng), rng, 3e-5)
+    (said,) = evaluate(replace(nominal, values=values), seen, refit)["warnings"]
+    assert said["code"] == "worse_than_without"
+    assert said["identified_mm"] > 5 * said["simpler_mm"]
+    assert f"{said['identified_mm']:.3g} mm" in said["message"]
+    assert evaluate(nominal, seen, refit)["warnings"] == []
+
+
+def test_intervals_that_do_not_cover_are_warned_of() -> None:
+    rng = np.random.default_rng(8)
+    arm = ur10()
+    true = arm.moved({"a_2": 1e-3, "theta_offset_3": 1e-3})
+    found = identify(robot_from_document(arm.document()), measured(true, joints(arm, 60, rng), rng, 3e-5))
+    known = Predictive.from_document(found.predictive.to_document(), found.to_document())
+    fresh = measured(true, joints(arm, 60, rng), rng, 3e-5)
+    told = evaluate(found.calibration, fresh, [], known)
+    assert told["within_u95"] > 0.9
+    assert told["warnings"] == []
+    worn = measured(true.moved({"theta_offset_2": 5e-4}), joints(arm, 60, rng), rng, 3e-5)
+    told = evaluate(found.calibration, worn, [], known)
+    (said,) = told["warnings"]
+    assert (said["code"], said["within_u95"]) == ("intervals_too_narrow", told["within_u95"])

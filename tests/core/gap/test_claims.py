@@ -111,12 +111,20 @@ def test_what_is_seen_again_with_the_same_amplitude_is_replicated(robot, small):
     assert told["p_value"] < 0.01
     for row, true in zip(told["parameters"], CURVE[2], strict=True):
         assert np.radians(row["value"]) == pytest.approx(true, abs=4 * np.radians(row["sigma"]))
+    assert told["with_mm"] < told["without_mm"]
+    assert "confirmation_worse" not in {w["code"] for w in report.warnings}
     json.dumps(report.to_document(), allow_nan=False)
 
 
 def test_a_confirmation_without_the_effect_contradicts_it(robot, small):
-    (effect,) = find_gap(robot, small, QUICK, confirmation=again(robot, [])).effects
+    report = find_gap(robot, small, QUICK, confirmation=again(robot, []))
+    (effect,) = report.effects
     assert effect.evidence.replication.outcome == "contradicted"
+    told = report.to_document()["effects"][0]["replication"]
+    assert told["with_mm"] > told["without_mm"]
+    (said,) = [w for w in report.warnings if w["code"] == "confirmation_worse"]
+    assert "do not activate" in said["message"]
+    assert said["identified_mm"] > said["simpler_mm"]
     assert effect.verdict == "provisional"
     assert not effect.gates["confirmation"]
 

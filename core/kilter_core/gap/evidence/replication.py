@@ -17,6 +17,7 @@ from scipy.stats import norm
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
 from kilter_core.errors import CoreError, ObservationError, TooFewPosesError
+from kilter_core.gap.evidence.guarded import Guarded
 from kilter_core.gap.evidence.holding_out import refuse_shared
 from kilter_core.gap.evidence.posterior import Posterior
 from kilter_core.gap.options import GapOptions
@@ -33,6 +34,7 @@ from kilter_core.types import Floats, Progress
 
 NONZERO = 0.01  # chance of calling an effect seen again that is not there
 AGREES = 3.0  # combined standard deviations within which two amplitudes are one
+WORSE = "It predicts the confirmation worse than the search's fit without it."
 WIDE = 1e4  # prior sigmas: amplitudes are fitted again, without a prior
 BALL = 3  # numbers of the ball, where contacts hold it: the base has no place
 FRAMES = 9  # numbers of base and tool that a set-up has of its own, with points; three more with orientations
@@ -48,11 +50,17 @@ class Replication:
     p_value: float | None
     apart: float | None
     reason: str = ""  # why nothing can be said
+    guarded: Guarded | None = None  # errors there with and without the effect
 
     @property
     def contradicted(self) -> bool:
-        """Whether the two amplitudes cannot be one."""
-        return self.apart is not None and self.apart > AGREES
+        """Whether the two amplitudes cannot be one, or the effect makes the prediction there worse."""
+        return (self.apart is not None and self.apart > AGREES) or self.worse
+
+    @property
+    def worse(self) -> bool:
+        """Whether the confirmation is predicted worse with the effect than without it, beyond chance."""
+        return self.guarded is not None and self.guarded.worse
 
     @property
     def replicated(self) -> bool:
@@ -74,7 +82,9 @@ class Replication:
             rows.append({"name": name, "value": float(value) * scale, "unit": unit, "sigma": float(sigma) * scale})
         return {
             "outcome": self.outcome, "parameters": rows, "p_value": self.p_value, "apart_sigma": self.apart,
-            "reason": self.reason or None,
+            "reason": self.reason or (WORSE if self.worse else None),
+            "with_mm": None if self.guarded is None else self.guarded.with_it * 1e3,
+            "without_mm": None if self.guarded is None else self.guarded.without * 1e3,
         }  # fmt: skip
 
 

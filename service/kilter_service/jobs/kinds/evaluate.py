@@ -44,12 +44,14 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     if options.metrics == "iso9283":
         return _iso9283(job, calibration, progress)
     known = Predictive.from_document(job.covariance or {}, job.report)
-    metrics, rows = {}, {}
+    metrics, rows, warnings = {}, {}, []
     for number, (campaign, seen) in enumerate(job.campaigns.items()):
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
         metrics[campaign] = evaluate(calibration, seen, options.refit, known)
         rows[campaign] = metrics[campaign].pop("rows")
-    return JobOutput({"version_id": job.version_id, "refit": options.refit, "metrics": metrics, "rows": rows})
+        warnings += [{**one, "campaigns": [campaign]} for one in metrics[campaign].pop("warnings")]
+    result = {"version_id": job.version_id, "refit": options.refit, "metrics": metrics, "rows": rows}
+    return JobOutput(result | {"warnings": warnings})
 
 
 def foresee(job: JobInput, found: Foresight) -> None:

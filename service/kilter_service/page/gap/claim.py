@@ -17,7 +17,7 @@ LEVELS: Mapping[str, str] = {
 }
 OUTCOMES: Mapping[str, str] = {
     "replicated": "It was seen again with the same amplitude.",
-    "contradicted": "It has another amplitude there.",
+    "contradicted": "It is contradicted there.",
     "not_seen": "It does not stand out there.",
     "not_testable": "It cannot be tested there.",
 }
@@ -131,4 +131,9 @@ def _remarks(effect: NamedEffect) -> Iterator[str]:
 def _replication(told: Replication) -> str:
     apart = "" if told.apart_sigma is None else f" ({number(told.apart_sigma, 2)} standard deviations apart)"
     said = OUTCOMES.get(told.outcome or "", "").removesuffix(".")
-    return f"In the confirmation: {said[:1].lower()}{said[1:]}{apart}. {told.reason or ''}".rstrip()
+    both = (
+        ""
+        if told.with_mm is None
+        else f" {number(told.with_mm, 3)} mm with it, {number(told.without_mm, 3)} mm without it."
+    )
+    return f"In the confirmation: {said[:1].lower()}{said[1:]}{apart}. {told.reason or ''}".rstrip() + both

@@ -88,13 +88,17 @@ def _remarks(effect: Mapping[str, Any]) -> None:
     told = effect.get("replication")
     if told:
         words = {
-            "replicated": "was seen again with the same amplitude", "contradicted": "has another amplitude",
+            "replicated": "was seen again with the same amplitude", "contradicted": "is contradicted",
             "not_seen": "does not stand out", "not_testable": "cannot be tested",
         }  # fmt: skip
         apart = f" ({number(told['apart_sigma'], 2)} sigma apart)" if told.get("apart_sigma") is not None else ""
         say(
             f"  in the confirmation {_name(effect)} {words[told['outcome']]}{apart}. {told.get('reason') or ''}".rstrip()
         )
+        if told.get("with_mm") is not None:
+            say(
+                f"  the confirmation has {number(told['with_mm'], 3)} mm with it, {number(told['without_mm'], 3)} mm without it"
+            )
 
 
 def _amount(p: Mapping[str, Any]) -> tuple[str, str, str]:

@@ -110,6 +110,9 @@ def _metrics(metrics: Mapping[str, Any]) -> None:
         if isinstance(block.get(stage), Mapping)
     ]
     show_rows(("rows", "model", *(label for _, label in measures)), rows, numbers=True)
+    for name, block in blocks.items():
+        if block.get("within_u95") is not None:
+            say(f"{100 * block['within_u95']:.0f} % of the coordinates of {name} lie within their 95 % intervals")
 
 
 def _iso9283(campaign: str, report: Mapping[str, Any]) -> None:

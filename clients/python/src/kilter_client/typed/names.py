@@ -70,7 +70,7 @@ MODULE_OF = {
     "JointParametersCheck": "checks",
     "JointParametersJob": "jobs",
     "JointParametersResult": "identifications",
-    "JointPreview": "comparisons",
+    "JointPreview": "versions",
     "JointSummary": "robots",
     "KindErrors": "identifications",
     "KindOfMeasurement": "identifications",
@@ -141,7 +141,7 @@ MODULE_OF = {
     "UsedCampaign": "versions",
     "Version": "versions",
     "VersionDiff": "comparisons",
-    "VersionPreview": "comparisons",
+    "VersionPreview": "versions",
     "VersionSummary": "versions",
     "Zero": "robots",
 }

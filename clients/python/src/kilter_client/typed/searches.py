@@ -117,7 +117,11 @@ class Replication(Record):
     parameters: Records[Amount]
     """Its amplitudes in the confirmation."""
     reason: str | None
-    """Why nothing can be said."""
+    """Why nothing can be said, or what else contradicts."""
+    with_mm: float | None
+    """Mean error of the confirmation with the effect as found, base and tool fitted to it, mm."""
+    without_mm: float | None
+    """The same by the search's fit without the effect, mm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

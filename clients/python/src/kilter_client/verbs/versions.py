@@ -15,8 +15,8 @@ from kilter_client.verbs.things import Thing, reference, references
 if TYPE_CHECKING:
     from kilter_client.results.corrected import Corrected
     from kilter_client.results.rows import Rows
-    from kilter_client.typed.comparisons import VersionDiff, VersionPreview
-    from kilter_client.typed.versions import ActivatedVersion, Activation, Version, VersionSummary
+    from kilter_client.typed.comparisons import VersionDiff
+    from kilter_client.typed.versions import ActivatedVersion, Activation, Version, VersionPreview, VersionSummary
 
 
 def version(version: Thing, *, robot: str | None = None) -> Steps[Version]:
@@ -78,7 +78,7 @@ def activations(robot: Thing) -> Steps[Records[Activation]]:
 
 def preview(version: Thing, *, robot: str | None = None) -> Steps[VersionPreview]:
     """Return how a version would correct: the largest correction in mm and where, and which poses it would refuse."""
-    from kilter_client.typed.comparisons import VersionPreview
+    from kilter_client.typed.versions import VersionPreview
 
     return VersionPreview.read((yield from calls.preview(reference("version", version), robot)))
 

@@ -1,0 +1,106 @@
+"""Whether a named effect makes the prediction of the confirmation better: the guard of an activation, before anything is said.
+
+An amplitude may be seen again in a linearised problem, everything else moving within its covariance, and the version may
+still predict that very campaign worse. So the version with its effect, and the same search's fit without it, predict the
+confirmation as they are: amplitudes held, base and tool fitted to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kilter_core.errors import CoreError
+from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linearized import solved
+from kilter_core.identify.compare import errors_by_pose, lacking
+from kilter_core.identify.worse import Difference
+from kilter_core.model import Calibration
+from kilter_core.observations import Observations
+from kilter_core.types import Floats
+
+CODE = "confirmation_worse"
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """Mean errors (m) of the confirmation's poses with and without something, and whether it is worse beyond chance."""
+
+    with_it: float
+    without: float
+    worse: bool
+
+    @staticmethod
+    def of(with_it: Floats, without: Floats) -> Guarded:
+        """Compare the errors (P,) m of two calibrations at the same poses."""
+        return Guarded(float(with_it.mean()), float(without.mean()), Difference.of(with_it, without).worse)
+
+    def sentence(self, without: str) -> str:
+        """Both numbers in words."""
+        return f"{self.with_it * 1e3:.3g} mm with it, {self.without * 1e3:.3g} mm {without}"
+
+
+@dataclass(frozen=True)
+class Guard:
+    """The confirmation as the version of a search predicts it; ``errors (P,)`` m None where it cannot."""
+
+    found: SearchResult
+    begin: Calibration
+    version: Calibration
+    rows: Observations
+    errors: Floats | None
+
+    @staticmethod
+    def of(found: SearchResult, begin: Calibration, version: Calibration, rows: Observations) -> Guard:
+        """Predict the confirmation, base and tool fitted to it."""
+        return Guard(found, begin, version, rows, _errors(version, rows))
+
+    def effect(self, place: int) -> Guarded | None:
+        """The version beside the same search's fit without one of its effects."""
+        return self._beside(self.found.selector.columns([k for k in self.found.chosen if k != place]))
+
+    def warnings(self, registered: Calibration | None) -> Iterator[dict[str, Any]]:
+        """Say that the whole version predicts the confirmation worse than something simpler."""
+        if registered is None or self.errors is None:
+            return
+        plain = _errors(registered, self.rows)
+        simpler = {
+            "base and tool alone": None if plain is None else Guarded.of(self.errors, plain),
+            "the geometry alone": self._beside([]) if self.found.chosen else None,
+        }
+        for words, told in simpler.items():
+            if told is not None and told.worse:
+                yield {
+                    "code": CODE, "simpler_mm": told.without * 1e3, "identified_mm": told.with_it * 1e3,
+                    "beyond_chance": True,
+                    "message": f"The confirmation is predicted worse ({told.with_it * 1e3:.3g} mm) than with {words} "
+                    f"({told.without * 1e3:.3g} mm), base and tool fitted to it: do not activate this version. What was found "
+                    "is not what the arm does there; measure more poses in both campaigns and search again.",
+                }  # fmt: skip
+                return
+
+    def _beside(self, columns: list[int]) -> Guarded | None:
+        if self.errors is None:
+            return None
+        problem = self.found.problem
+        try:
+            values = solved(problem.settings, problem.values, columns)[0]
+            other = problem.settings.source.calibrated(values, self.version.model, self.begin)
+        except (CoreError, np.linalg.LinAlgError):
+            return None
+        plain = _errors(other, self.rows)
+        return None if plain is None else Guarded.of(self.errors, plain)
+
+
+def _errors(calibration: Calibration, rows: Observations) -> Floats | None:
+    """Errors (P,) m by pose; None where the tool was not measured, or a column or poses are missing."""
+    if (rows.position is None and rows.markers is None) or lacking(calibration, rows):
+        return None
+    try:
+        found = errors_by_pose(calibration, rows)
+    except CoreError:
+        return None
+    return found if np.isfinite(found).all() else None
