@@ -154,14 +154,54 @@ def test_a_path_without_any_load_is_told_what_that_means(
     kilter.campaigns.upload(campaign, write(tmp_path / "c.csv", measured(poses(80, 5), LOAD, OFF)))
     kilter.versions.activate(fit(kilter, robot, [campaign])["version_id"])
     written = document(capsys, "correct", robot, path, "-o", tmp_path / "out.csv")
-    remark = "axial_compliance follows the load and was corrected as with nothing on the tool"
+    remark = "so it counted as 0 kg: axial_compliance follows the load. It was corrected as with nothing on the tool"
     assert remark in written["notes"][0]
     assert run(["correct", robot, str(path), "-o", str(tmp_path / "out.csv")]) == 0
-    assert f"Note: The path states no payload and the robot has no default load: {remark}" in capsys.readouterr().err
+    assert f"Note: The path states no payload and the robot has no default load, {remark}" in capsys.readouterr().err
     assert_there(tmp_path / "out.csv", poses(20, 9), 0.0, NO_LOAD)
     assert document(capsys, "correct", robot, path, "-o", tmp_path / "out.csv", "--payload-kg", 0)["notes"] == []
     place = document(capsys, "correct", robot, path, "-o", tmp_path / "x.csv", "--payload-com-mm", "0,0,60", code=1)
     assert "give payload_kg too" in place["detail"]
+
+
+def test_jobs_say_that_a_load_which_nobody_stated_counted_as_nothing(kilter: Kilter, tmp_path: Path) -> None:
+    robot = added(kilter)
+    silent = kilter.campaigns.add(robot, "silent")["id"]
+    stated = kilter.campaigns.add(robot, "stated", conditions={"payload_kg": 0.0})["id"]
+    for seed, campaign in ((6, silent), (7, stated)):
+        file = write(tmp_path / f"{seed}.csv", measured(poses(60, seed), 0.0, NO_LOAD))
+        kilter.campaigns.upload(campaign, file)
+    result = fit(kilter, robot, [silent])
+    (said,) = [one for one in result["warnings"] if one["code"] == "load_not_stated"]
+    for words in (
+        "silent states no payload",
+        "counted as 0 kg",
+        "axial_compliance follows the load",
+        "payload_kg (0 for",
+    ):
+        assert words in said["message"]
+    assert said["campaigns"] == [silent]
+    version = result["version_id"]
+    assert "load_not_stated" in {one["code"] for one in kilter.versions.get(version)["warnings"]}
+    for kind, options in (("evaluate", {"version": version}), ("gap", {"effects": ["axial_compliance"]})):
+        job = kilter.jobs.run(kind, robot, [silent], options=options)
+        assert "load_not_stated" in {one["code"] for one in job["result"]["warnings"]}, kind
+    quiet = (fit(kilter, robot, [stated]), kilter.jobs.run("identify", robot, [silent])["result"])
+    for other in quiet:
+        assert "load_not_stated" not in {one["code"] for one in other["warnings"]}
+
+
+def test_a_check_says_it_before_the_job_runs(kilter: Kilter, tmp_path: Path) -> None:
+    robot = added(kilter)
+    silent = kilter.campaigns.add(robot, "silent")["id"]
+    kilter.campaigns.upload(silent, write(tmp_path / "c.csv", measured(poses(60, 6), 0.0, NO_LOAD)))
+    for kind, options in (("identify", {"effects": ["axial_compliance"]}), ("gap", {})):
+        missing = kilter.jobs.check(kind, robot, [silent], options=options)["missing"]
+        (lack,) = [one for one in missing if one["what"] == "payload_kg"]
+        assert "counted as 0 kg" in lack["reason"], kind
+        assert "payload_kg (0 for an empty tool)" in lack["remedy"]
+    plain = kilter.jobs.check("identify", robot, [silent])["missing"]
+    assert "payload_kg" not in {one["what"] for one in plain}
 
 
 def test_a_place_without_a_mass_is_refused(kilter: Kilter, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from kilter_core.errors import OptionError
 from kilter_service.campaigns.assemble import with_default_load
+from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
 from kilter_service.wire import to_metres, to_mm
 
 if TYPE_CHECKING:
@@ -59,10 +60,8 @@ def load_notes(
     if load is not None:
         return (f"The path states no payload: the robot's default load was taken, {said(load.mass, load.com)}.",)
     return (
-        f"The path states no payload and the robot has no default load: {', '.join(following)} "
-        f"{'follow' if len(following) > 1 else 'follows'} the load and {'were' if len(following) > 1 else 'was'} corrected "
-        "as with nothing on the tool. Say the load with payload_kg (0 for an empty tool), as a column or for the whole "
-        "path, or give the robot a default load.",
+        f"{counted_as_nothing('The path states', following)} It was corrected as with nothing on the tool. "
+        f"{REMEDY.format(whole='path')}",
     )
 
 
@@ -79,6 +78,7 @@ def _following(calibration: Calibration, not_corrected: Collection[str]) -> list
         key
         for (key, where), effect in zip(model.effect_slices().items(), model.effects, strict=True)
         if effect.stage != "measurement"
+        and not effect.nuisance
         and effect.needs & FOLLOW_THE_LOAD
         and key not in not_corrected
         and np.any(calibration.values[where])

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import store as campaigns
+from kilter_service.campaigns.unstated_load import REMEDY
 from kilter_service.contract.jobs.check import CheckedCampaign, JobCheck
 from kilter_service.contract.jobs.job import NewJob
 from kilter_service.db import Database, Session
 from kilter_service.jobs import service, store, wire
+from kilter_service.jobs.default_load import unstated
 from kilter_service.jobs.durations import PastRun, duration
-from kilter_service.jobs.foresight import Foresight, poses_of
+from kilter_service.jobs.foresight import Foresight, Lack, poses_of
 from kilter_service.jobs.kind import JobInput, JobKind
 from kilter_service.jobs.records import JobRequest
 from kilter_service.jobs.registry import kind_of
@@ -100,6 +102,11 @@ def _foreseen(kind: JobKind, loaded: _Loaded) -> Foresight:
         found.problems.append(loaded.why)
     elif loaded.given is not None and kind.foresee is not None:
         kind.foresee(loaded.given, found)
+        remark = unstated(kind.name, loaded.given)
+        if remark is not None:
+            found.missing.append(
+                Lack("payload_kg", remark["message"].split(" Say ")[0], REMEDY.format(whole="campaign"))
+            )
     elif loaded.given is not None:
         found.learn_from(*loaded.given.campaigns.values())
     return found

@@ -31,7 +31,8 @@ class JobInput:
     ``confirmation`` are campaigns in which what was found must be seen again.
 
     ``each`` computes independent parts, in several processes where the worker has them; None: one after the other.
-    ``default_load`` are the campaigns that state no payload, where the robot has a default load.
+    ``default_load`` are the campaigns that state no payload, where the robot has a default load; ``no_load`` those where
+    it has none, so that nothing counts as carried.
     ``devices`` and ``names`` are those of all campaigns, by id.
     ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
     the version the options name (``JobKind.version_option``). Only for kinds with ``history``: ``driven (N, n)`` joint
@@ -52,6 +53,7 @@ class JobInput:
     origin: dict[str, Any] | None = None
     confirmation: dict[str, Observations] = field(default_factory=dict)
     default_load: tuple[str, ...] = ()
+    no_load: tuple[str, ...] = ()
     each: Each | None = None
 
     @property

@@ -84,7 +84,7 @@ class Runner:
         try:
             report(0.0, "loading", now=True)
             kind, job, used = self._patiently(lambda: self._loaded(claim))
-            output = with_load_warning(kind_of(kind).run(replace(job, each=self._each), report), job)
+            output = with_load_warning(kind, kind_of(kind).run(replace(job, each=self._each), report), job)
             output = with_ability_warning(output, job)
             report(1.0, "storing", now=True)
             judged = self._patiently(lambda: compared(self._database, claim.job_id, output.version, used))

@@ -30,7 +30,6 @@ from kilter_service.versions import store as versions
 from kilter_service.versions.store import NewVersion
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
     from kilter_core.observations import Observations
 
 NOBODY = Asked()
@@ -158,7 +157,7 @@ def input_of(session: Session, robot_id: int, kind_name: str, request: JobReques
     def rows_of(ids: Sequence[str]) -> dict[str, Observations]:
         return {c: campaigns.observations(session, c, robot, every=every) for c in ids}
 
-    held = request.validation
+    held, unstated = request.validation, _unstated(session, request)
     return JobInput(
         robot=robot,
         campaigns=rows_of(request.campaigns),
@@ -173,14 +172,15 @@ def input_of(session: Session, robot_id: int, kind_name: str, request: JobReques
         driven=campaigns.driven(session, robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
         confirmation=rows_of(request.confirmation),
-        default_load=_default_load(session, request, robot),
+        default_load=() if robot.load is None else unstated,
+        no_load=unstated if robot.load is None else (),
     )
 
 
-def _default_load(session: Session, request: JobRequest, robot: Robot) -> tuple[str, ...]:
-    """Campaigns of a job that state no payload, so that the robot's default load counts."""
+def _unstated(session: Session, request: JobRequest) -> tuple[str, ...]:
+    """Campaigns of a job that state no payload, so that the robot's default load counts, or none."""
     named = dict.fromkeys((*request.campaigns, *request.held, *request.confirmation))
-    return () if robot.load is None else tuple(c for c in named if not campaigns.states_a_load(session, c))
+    return tuple(c for c in named if not campaigns.states_a_load(session, c))
 
 
 def start_of(session: Session, robot_id: int, kind: JobKind, request: JobRequest) -> str | None:
