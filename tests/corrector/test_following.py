@@ -119,6 +119,7 @@ def test_the_rate_is_that_of_the_version_and_never_above_the_caller_s() -> None:
             largest_deg=largest, largest_mm=5 * largest, rate_deg_s=announced_deg, rate_mm_s=announced_mm
         )
         stream = stream_of(document, **options)
+        assert stream._in_use.motion_share == (0.1 if most_deg == 2.5 else 0.0)
         assert stream._in_use.rates == pytest.approx((most_deg * DEG,) * 4 + (most_mm * 1e-3,), rel=1e-6)
 
 

@@ -7,10 +7,13 @@ import math
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
+
+from kilter_service.wire import DEG, MM
 
 if TYPE_CHECKING:
     from kilter_core.correct.program import CorrectionProgram
+    from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
@@ -33,9 +36,30 @@ class Active:
         """How far each joint moves the tool at most, mm per rad or per mm; None where nothing bounds it."""
         from kilter_core.correct.levers import levers  # loads compiled kernels: the supervisor has none
 
-        scales = [1.0 if kind == "prismatic" else 1e3 for kind in self.joint_kinds]
+        scales = [1.0 if kind == "prismatic" else MM for kind in self.joint_kinds]
         found = levers(self.program).tolist()
         return [round(m * k, 3) if m < math.inf else None for m, k in zip(found, scales, strict=True)]
+
+    @cached_property
+    def promised(self) -> dict[str, Any]:
+        """Task of the correction, what it does at its limits, how fast it changes at most; null for kinds without a joint."""
+        from kilter_core.correct.stated import stated
+
+        found = stated(self.program)
+        kinds = self.joint_kinds or ("revolute",) * self.program.n_joints
+
+        def most(values: Floats, kind: str, scale: float) -> float | None:
+            of_kind = [value for value, its in zip(values.tolist(), kinds, strict=True) if its == kind]
+            return round(scale * max(of_kind), 9) if of_kind else None
+
+        return {
+            "task": found.task,
+            "at_limit": found.at_limit,
+            "rate_deg_s": most(found.rate, "revolute", DEG),
+            "rate_mm_s": most(found.rate, "prismatic", MM),
+            "acceleration_deg_s2": most(found.acceleration, "revolute", DEG),
+            "acceleration_mm_s2": most(found.acceleration, "prismatic", MM),
+        }
 
     def announcement(self) -> bytes:
         """JSON that goes out on the ``active`` key."""
@@ -51,6 +75,7 @@ class Active:
             "unsupported_effects": list(self.program.unsupported),
             "largest_deg": self.largest_deg,
             "largest_mm": self.largest_mm,
+            **self.promised,
             "ramp_s": self.ramp_s,
             "levers_mm": self.levers_mm if self.joint_kinds else None,
         }

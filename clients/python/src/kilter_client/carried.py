@@ -10,7 +10,6 @@ from kilter_client.frames import Answer
 from kilter_client.in_use import InUse
 from kilter_client.setpoint import Setpoint, Statistics
 
-MOTION_SHARE = 0.1  # of the wanted motion that the correction may change by besides
 MOST_PAUSE_S = 0.1
 ROUNDING = 1e-9
 
@@ -97,7 +96,7 @@ class Carried:
         """
         before = self.delta or (delta if self._settled else (0.0,) * len(delta))
         rates = self._in_use.rates
-        pause_s, besides = min(pause_s, MOST_PAUSE_S), MOTION_SHARE * moved + ROUNDING
+        pause_s, besides = min(pause_s, MOST_PAUSE_S), self._in_use.motion_share * moved + ROUNDING
         changes = list(map(abs, map(sub, delta, before)))
         if max(changes) <= min(rates) * pause_s + besides:  # as nearly always
             return delta

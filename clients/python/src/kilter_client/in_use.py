@@ -15,6 +15,7 @@ from typing import Any
 
 MOST_BYTES = 16_384
 MOST_REPLIES = 16
+MOTION_SHARE = 0.1  # of its motion that an arm's correction may change by besides, where its version states no rate
 ROUNDING = 1e-9  # rad or m: the corrector bounds its correction before it adds it
 
 Pair = tuple[int, int]  # epoch and number of a version, as they stand in every answer
@@ -65,6 +66,7 @@ class InUse:
         self.known: frozenset[Pair] = frozenset()
         self.limits: tuple[float, ...] = ()  # largest correction of each joint, rad or m
         self.rates: tuple[float, ...] = ()  # how fast that of each joint may change, rad/s or m/s
+        self.motion_share = MOTION_SHARE
         self._levers: tuple[float, ...] = ()  # by how much a joint moves the tool at most, mm for each rad or m
 
     def announce(self, payload: bytes) -> None:
@@ -94,6 +96,8 @@ class InUse:
         self.active = (same or sorted(documents, key=pair_of))[-1]
         self.limits = self._limits(documents)
         self.rates = self._rates(documents)
+        stated = [_positive(self.active.get(name)) is not None for name in ("rate_deg_s", "rate_mm_s")]
+        self.motion_share = 0.0 if any(stated) else MOTION_SHARE
         self._levers = self._levers_of(self.active)
         self._renew()
 

@@ -57,7 +57,8 @@ class CorrectedStream(Link):
         largest_deg: no correction of a joint beyond this is taken, whatever the version allows.
         largest_mm: the same for prismatic joints.
         quickest_s: the time in which the correction may change from nothing to ``largest_deg`` (or ``largest_mm``) while the
-            arm rests, and no faster than the version states. In motion it may change by a tenth of that motion besides.
+            arm rests, and no faster than the version states. For a version that states no rate (of a corrector of an
+            earlier release) it may change by a tenth of the motion besides.
         connect_timeout_s: how long to wait for the corrector and its version when the stream is opened.
         data: data folder of the server, to find the corrector file.
         session: keys of a session (``kilter_client.signing.from_document`` of an answer of the API); default is a new one.
