@@ -227,8 +227,20 @@ def test_the_robot_is_described(corrector: Corrector) -> None:
         reply = ask(session, f"{ROOT}/@rpc/describe")
     assert reply.ok is not None
     document = json.loads(reply.ok.payload.to_bytes())
-    assert document["active"]["held_rows"] == ["x", "y", "z"]
+    active = document["active"]
+    assert active["held_rows"] == ["x", "y", "z"]
     assert document["statuses"]["OK"] == 0
+    assert (document["flags"]["SATURATED"], document["flags"]["SLOWED"]) == (0x2000, 0x4000)
+    assert (active["task"], active["at_limit"], active["largest_deg"], active["largest_mm"]) == (
+        "position",
+        "saturate",
+        1.0,
+        5.0,
+    )
+    assert (active["rate_deg_s"], active["acceleration_deg_s2"]) == (5.0, 250.0)
+    assert (active["rate_mm_s"], active["acceleration_mm_s2"]) == (None, None)  # no prismatic joint
+    assert len(active["levers_mm"]) == 5
+    assert document["workspace"] is None  # nothing was stored of it
 
 
 def test_malformed_frames_get_no_numbers_and_stop_nothing(corrector: Corrector) -> None:

@@ -30,6 +30,7 @@ class Active:
     ramp_s: float = 1.0
     joint_names: tuple[str, ...] = ()
     joint_kinds: tuple[str, ...] = ()
+    workspace: dict[str, int] | None = None  # poses all over the joint limits, and how many the version corrects how
 
     @cached_property
     def levers_mm(self) -> list[float | None]:
@@ -80,6 +81,15 @@ class Active:
             "levers_mm": self.levers_mm if self.joint_kinds else None,
         }
         return json.dumps(document).encode()
+
+
+def workspace_of(report: Mapping[str, Any] | None) -> dict[str, int] | None:
+    """What the report of a version says of poses all over the joint limits, as numbers of poses; None where it says nothing."""
+    if not report or not report.get("poses"):
+        return None
+    counts = {name: int(report.get(name) or 0) for name in ("poses", "ok", "damped", "limited")}
+    refused = report.get("refused") or {}
+    return {**counts, "refused": sum(refused.values()) if isinstance(refused, Mapping) else int(refused)}
 
 
 def nothing_active(robot: str) -> bytes:

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from kilter_core.errors import CoreError
-from kilter_service.corrector.active import Active, version_number
+from kilter_service.corrector.active import Active, version_number, workspace_of
 
 if TYPE_CHECKING:
     from kilter_service.db import Database
@@ -86,4 +86,5 @@ def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Acti
         ramp_s=options.ramp_s,
         joint_names=tuple(joint.name for joint in version.calibration.robot.joints),
         joint_kinds=tuple(joint.kind for joint in version.calibration.robot.joints),
+        workspace=workspace_of(version.workspace),
     )

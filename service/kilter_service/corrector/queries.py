@@ -135,6 +135,7 @@ def describe(robot: str, active: Active | None, unsigned: bool) -> bytes:
         "flags": {str(flag.name): int(flag) for flag in Flag},
         "max_age_ms": rules.max_age_ns / 1e6,
         "active": json.loads(active.announcement()) if active else None,
+        "workspace": active.workspace if active else None,
     }
     return json.dumps(document).encode()
 

@@ -46,7 +46,8 @@ class ActiveVersion:
     """The version a robot is corrected with, ready for core.
 
     ``epoch`` grows with every activation on this server; ``sha256`` is the version's, its number in the stream.
-    ``limits`` are the largest correction the version may make.
+    ``limits`` are the largest correction the version may make. ``workspace`` is what its report says of poses all over
+    the joint limits, None where it says nothing.
     """
 
     robot: str
@@ -55,6 +56,7 @@ class ActiveVersion:
     epoch: int
     calibration: Calibration
     limits: CorrectionLimits
+    workspace: dict[str, Any] | None = None
 
 
 HELD_OUT = "held_out_fraction"  # what a job held out by itself, in the report of its version
@@ -234,7 +236,8 @@ def active_version(session: Session, robot: str) -> ActiveVersion | None:
         return None
     row = _row(session, last.version_id)
     limits = CorrectionLimits(**row.limits)
-    return ActiveVersion(robot, row.id, row.sha256, last.id, calibration(session, row.id), limits)
+    known = calibration(session, row.id)
+    return ActiveVersion(robot, row.id, row.sha256, last.id, known, limits, row.report.get("workspace"))
 
 
 def active_entry(session: Session, robot_id: int) -> ActivationRecord | None:
