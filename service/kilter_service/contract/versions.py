@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -15,13 +15,18 @@ from kilter_service.contract.units import Deg, Listed, Mm, Stored, Strict
 
 
 class CorrectionLimits(Strict):
-    """The largest correction a version may make; anything larger is refused, not clipped."""
+    """The largest correction a version may make, and what happens to one that would be larger."""
 
     max_joint_deg: Annotated[Deg, Field(gt=0, le=30)] = Field(
         1.0, description="Largest correction of a joint, degrees, above 0 to 30."
     )
     max_position_mm: Annotated[Mm, Field(gt=0, le=200)] = Field(
         5.0, description="Largest correction of the tool, and of a prismatic joint, mm, above 0 to 200."
+    )
+    at_limit: Literal["saturate", "refuse"] = Field(
+        "saturate",
+        description="A correction that would be larger: `saturate` goes as far as the limit and says what is left, "
+        "`refuse` refuses the setpoint.",
     )
 
 

@@ -33,6 +33,7 @@ def options_of(limits: CorrectionLimits, temperature_c: float | None, task: str 
         largest_m=limits.max_position_mm * 1e-3,
         farthest_m=limits.max_position_mm * 1e-3,
         temperature_c=temperature_c,
+        at_limit=limits.at_limit,
     )
     return options if task is None else replace(options, task=cast("Task", task))
 

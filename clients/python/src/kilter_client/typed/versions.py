@@ -26,8 +26,10 @@ from kilter_client.typed.identifications import (
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CorrectionLimits(Record):
-    """The largest correction a version may make; anything larger is refused, not clipped."""
+    """The largest correction a version may make, and what happens to one that would be larger."""
 
+    at_limit: str
+    """A correction that would be larger: `saturate` goes as far as the limit and says what is left, `refuse` refuses the setpoint."""
     max_joint_deg: float
     """Largest correction of a joint, degrees, above 0 to 30."""
     max_position_mm: float
