@@ -121,7 +121,7 @@ def test_a_refused_setpoint_holds_the_last_correction_then_bypasses(corrector: C
     for setpoint in after:
         assert np.allclose(setpoint.delta, good.delta, rtol=0, atol=1e-9)
     assert (back.source, back.left_mm) == ("slowed", None)  # it fades in, for a very long time here
-    assert max(map(abs, back.lag)) < 1e-9  # from the correction that was held
+    assert max(map(abs, back.lag)) < 1e-7  # from the correction that was held
     assert stream.statistics.refused == {"JOINT_LIMIT": 5}
 
 

@@ -10,7 +10,7 @@ from kilter_client.frames import Answer
 from kilter_client.in_use import InUse
 from kilter_client.setpoint import Setpoint, Statistics
 
-MOST_PAUSE_S = 0.1
+LEAST_PAUSE_S, MOST_PAUSE_S = 0.001, 0.1  # the corrector takes less for jitter
 ROUNDING = 1e-9
 
 
@@ -96,7 +96,7 @@ class Carried:
         """
         before = self.delta or (delta if self._settled else (0.0,) * len(delta))
         rates = self._in_use.rates
-        pause_s, besides = min(pause_s, MOST_PAUSE_S), self._in_use.motion_share * moved + ROUNDING
+        pause_s, besides = min(max(pause_s, LEAST_PAUSE_S), MOST_PAUSE_S), self._in_use.motion_share * moved + ROUNDING
         changes = list(map(abs, map(sub, delta, before)))
         if max(changes) <= min(rates) * pause_s + besides:  # as nearly always
             return delta
