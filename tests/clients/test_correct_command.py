@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -136,6 +137,19 @@ def test_what_a_correction_leaves_is_said_and_strict_cares(kilter: Kilter, tmp_p
     assert {"DAMPED", "RESIDUAL"} & set(rows[1]["flags"].split("|"))
     assert rows[0]["flags"] == ""
     assert "1 of 3 rows is damped, at worst 0.5 mm are left (row 2)." in capsys.readouterr().err
+    assert run(["version", "latest", "--robot", "long"]) == 0
+    said = capsys.readouterr().out
+    assert re.search(
+        r"Needs at most [\d.]+ deg and 0\.[45]\d* mm at 99 % of 500 poses .*; limits [\d.]+ deg and 5 mm\.", said
+    )
+    assert "damped" in said
+    wide = ["--option", 'limits={"max_joint_deg": 7.5}']
+    assert run(["identify", "long", "-c", "monday", "--level", "2", "--base", "fixed", "--tool", "fixed", *wide]) == 0
+    stored = kilter.versions.get("latest", robot="long")
+    assert stored["limits"] == {"max_joint_deg": 7.5, "max_position_mm": 5.0, "at_limit": "saturate"}
+    assert stored["details"]["workspace"]["sentence"].endswith("limits 7.5 deg and 5 mm, as asked for.")
+    counts = stored["details"]["workspace"]
+    assert counts["ok"] + counts["damped"] + counts["limited"] + sum(counts["refused"].values()) == 500
     out.unlink()
     assert run([*given, "--strict"]) == 1
     said = capsys.readouterr().err

@@ -104,6 +104,16 @@ def sizes(there: Made, version: str) -> np.ndarray:
     return np.array([np.hypot(np.hypot(float(r["dx_mm"]), float(r["dy_mm"])), float(r["dz_mm"])) for r in rows])
 
 
+def test_where_a_version_corrects_is_a_table_and_a_map(there: Made) -> None:
+    assert f'hx-get="/versions/{there.good}/workspace"' in there.client.get(f"/versions/{there.good}").text
+    part = there.client.get(f"/versions/{there.good}/workspace", headers={"HX-Request": "true"}).raise_for_status().text
+    counts = [int(count) for count in re.findall(r'<td class="number">(\d+)</td>', part)]
+    assert sum(counts) == 500
+    assert "corrected to within what is stated" in part
+    assert part.count("<circle") >= counts[0]
+    assert "height above the base, mm" in part
+
+
 def test_two_versions_are_compared_on_the_same_rows(there: Made) -> None:
     answer = there.client.get(f"/versions/{there.poor}/compare/{there.good}", params={"campaign": there.campaign})
     said = words(answer.text)

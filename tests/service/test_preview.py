@@ -60,14 +60,19 @@ def test_it_reckons_with_the_default_load_as_a_correction_does(
     assert found["mean_mm"] == pytest.approx(float(np.nanmean(np.linalg.norm(removed, axis=0))), rel=1e-9)
 
 
-def test_what_its_limits_refuse_is_counted(client: httpx.Client, versions: Versions) -> None:
+def test_what_its_limits_hold_back_is_counted(client: httpx.Client, versions: Versions) -> None:
     twin = thesis_katana()
     version = versions.add("small", twin.truth, max_joint_deg=0.0001)
     found = client.get(f"/v1/versions/{version}/preview").raise_for_status().json()
-    assert (found["corrected"], found["mean_mm"]) == (0, None)
-    assert found["refused"] == {"CORRECTION_TOO_LARGE": 500}
-    assert (found["largest_mm"], found["left_mm"]) == (None, None)
-    assert all(joint["largest_deg"] is None for joint in found["joints"])
+    assert (found["corrected"], found["refused"]) == (500, {})
+    assert found["limited"] > 480
+    assert found["left_mm"] > 0.5
+    assert all(joint["largest_deg"] <= 0.0001 * (1 + 1e-9) for joint in found["joints"])
+    one = {f"q{j + 1}_rad": [value] for j, value in enumerate([0.1, 0.6, 0.4, 0.3, 0.2])}
+    for asked, word in (({}, "LIMITED"), ({"at_limit": "refuse"}, "CORRECTION_TOO_LARGE")):
+        answer = client.post("/v1/robots/katana/correct", params={"version": version, **asked}, json=one)
+        assert answer.raise_for_status().json()["status"] == [word]
+        assert (answer.json()["left_mm"] == [None]) == (word != "LIMITED")
 
 
 def test_the_robot_as_drawn_is_left_where_it_is(client: httpx.Client, versions: Versions) -> None:

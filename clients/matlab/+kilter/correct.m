@@ -9,7 +9,7 @@ function [q, info] = correct(robot, q_deg, varargin)
 [given, ~] = kilter.internal.options(varargin);
 path = ['/v1/robots/' kilter.internal.quote(robot) '/correct'];
 sign = '?';
-for name = {'version', 'task', 'strict'}
+for name = {'version', 'task', 'at_limit', 'strict'}
     if isfield(given, name{1})
         value = given.(name{1});
         if ~ischar(value)

@@ -22,7 +22,8 @@ function job = identify(robot, campaigns, varargin)
 %                          checked.
 %     seed                 Seed of everything that is drawn by chance, 0 or more.
 %     start                Id of the version to start from; left out: the nominal robot.
-%     limits               The largest correction the version may make; left out: 1 degree and 5 mm.
+%     limits               The largest correction the version may make; left out: what it needs at 99 % of its poses,
+%                          from 1 degree and 5 mm to 5 degrees and 10 mm.
 %     search_mm            Half the width of a global search in lengths, mm, above 0.
 %     search_deg           Half the width of a global search in angles, degrees, above 0.
 %     intervals            Add 95 % intervals that do not rest on the covariance; left out: none.

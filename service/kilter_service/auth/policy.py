@@ -131,6 +131,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /versions/{version}/exports": READ_COMPUTED.timed(LATER),
     "GET /versions/{version}/contributions": READ_COMPUTED.timed(LATER),
     "GET /versions/{version}/by-factor": READ_COMPUTED.timed(LATER),
+    "GET /versions/{version}/workspace": READ_COMPUTED.timed(LATER),
     "GET /versions/{version}/activation": READ_COMPUTED.timed(LATER),
     "GET /versions/{a}/compare/{b}": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/rollback": READ_COMPUTED.timed(LATER),

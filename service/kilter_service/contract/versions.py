@@ -15,7 +15,10 @@ from kilter_service.contract.units import Deg, Listed, Mm, Stored, Strict
 
 
 class CorrectionLimits(Strict):
-    """The largest correction a version may make, and what happens to one that would be larger."""
+    """The largest correction a version may make: a larger one is held there, or refused.
+
+    Asked for with a job, a field that is left out comes from the version: what it needs, up to 5 degrees and 10 mm.
+    """
 
     max_joint_deg: Annotated[Deg, Field(gt=0, le=30)] = Field(
         1.0, description="Largest correction of a joint, degrees, above 0 to 30."
@@ -113,9 +116,30 @@ class ActivatedVersion(VersionSummary):
     )
 
 
+class Workspace(Stored):
+    """What a version does at poses all over the joint limits, within its limits; why these are what they are."""
+
+    sentence: str = Field(description="What the version needs, and the limits that follow from it, in words.")
+    poses: int = Field(description="How many poses were looked at.")
+    ok: int = Field(description="Poses corrected to within what is stated.")
+    damped: int = Field(description="Poses that keep more of their error: a singularity is near, or out of reach.")
+    limited: int = Field(description="Poses that keep more of their error: the correction is at a limit.")
+    refused: dict[str, int] = Field(description="Poses that are refused, by why.")
+    needed_deg: Deg | None = Field(
+        description="Largest exact correction of a joint at 99 % of the poses, degrees; null: more poses have none."
+    )
+    needed_mm: Mm | None = Field(
+        description="The same of the tool and of prismatic joints, mm; null: more poses have none."
+    )
+
+
 class Details(FitDetails):
     """What else the job of a version said. Which of it there is depends on the kind of job."""
 
+    workspace: Workspace | None = Field(
+        None,
+        description="What it does all over the joint limits when it was stored, and why its limits are what they are.",
+    )
     held_out_fraction: float | None = Field(None, description="Share of the poses a gap search held out by itself.")
     measured_by: str | None = Field(
         None, description="What joints were measured by: `inclinometer` or `link-side encoder`."

@@ -54,6 +54,12 @@ Strictly = Annotated[
         description="Refuse the whole trajectory, naming the rows, unless each is corrected to within what is stated."
     ),
 ]
+AtLimit = Annotated[
+    Literal["saturate", "refuse"] | None,
+    Query(
+        description="Where the correction exceeds the version's limits: hold it there, as by default, or refuse the row."
+    ),
+]
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array"}}}
 ANSWER = "The trajectory corrected, with dx_mm, dy_mm, dz_mm, left_mm, u95_x_mm, flags, status"
 CONTENT = {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS}
@@ -74,6 +80,7 @@ async def correct(
     format: Literal["ros2-yaml"] | None = None,  # noqa: A002 (the name of the export's parameter)
     task: Task = None,
     strict: Strictly = False,
+    at_limit: AtLimit = None,
     payload_kg: Payload = None,
     payload_com_mm: Centre = None,
 ) -> Response:
@@ -91,7 +98,7 @@ async def correct(
         path = folder / "body"
         await spool_upload(request, path, settings.max_upload_mb)
         carried = Carried(payload_kg, _point(payload_com_mm))
-        wanted = service.Wanted(version, format, task, strict)
+        wanted = service.Wanted(version, format, task, strict, at_limit)
         file, left_out, notes = await compute(
             request, _corrected, database, robot, path, media, wanted, settings.temperature_c, carried
         )

@@ -36,8 +36,9 @@ NOTHING_STATED = load.Carried()
 
 
 class Wanted(NamedTuple):
-    """How to correct: ``version`` None is the active one, ``task`` None the default; ``form`` "ros2-yaml" is another format.
+    """How to correct: ``version`` None is the active one, ``task`` and ``at_limit`` None the default of the core.
 
+    ``form`` "ros2-yaml" is another format than the one sent.
     ``strict``: a row that is not corrected to within what is stated is an error.
     """
 
@@ -45,6 +46,7 @@ class Wanted(NamedTuple):
     form: str | None = None
     task: Literal["position", "pose"] | None = None
     strict: bool = False
+    at_limit: Literal["saturate", "refuse"] | None = None
 
 
 AS_ALWAYS = Wanted()
@@ -142,4 +144,4 @@ def _version(
     row = versions.get(session, version)
     if row.robot_id != stored.id:
         raise ServiceError(f"Version {version} is not of robot {robot!r}.", code="option_invalid", version=version)
-    return row, options_of(CorrectionLimits(**row.limits), temperature_c, wanted.task)
+    return row, options_of(CorrectionLimits(**row.limits), temperature_c, wanted.task, wanted.at_limit)

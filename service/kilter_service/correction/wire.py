@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,19 @@ from kilter_service.wire import to_deg, to_mm
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kilter_core.correct.program import CorrectionOptions, Task
+    from kilter_core.correct.program import CorrectionOptions
     from kilter_service.correction.outcome import Outcome
 
 Floats = NDArray[np.float64]
 
 
-def options_of(limits: CorrectionLimits, temperature_c: float | None, task: str | None = None) -> CorrectionOptions:
-    """Return how to correct within the limits of a version, the arm at this temperature; ``task`` None: the default."""
+def options_of(
+    limits: CorrectionLimits, temperature_c: float | None, task: str | None = None, at_limit: str | None = None
+) -> CorrectionOptions:
+    """Return how to correct within the limits of a version, the arm at this temperature.
+
+    ``task`` None is the default of the core, ``at_limit`` None what the limits say: as the stream has both.
+    """
     from kilter_core.correct.program import (
         CorrectionOptions,
     )  # loads compiled kernels: not at the start of the API process
@@ -35,7 +40,8 @@ def options_of(limits: CorrectionLimits, temperature_c: float | None, task: str 
         temperature_c=temperature_c,
         at_limit=limits.at_limit,
     )
-    return options if task is None else replace(options, task=cast("Task", task))
+    wanted: dict[str, Any] = {"task": task, "at_limit": at_limit}
+    return replace(options, **{name: value for name, value in wanted.items() if value is not None})
 
 
 def with_verdict(table: pa.Table, found: Outcome) -> pa.Table:

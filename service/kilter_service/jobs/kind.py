@@ -65,7 +65,7 @@ class JobInput:
 
 @dataclass(frozen=True)
 class VersionContent:
-    """What a job puts into the version it makes."""
+    """What a job puts into the version it makes; of ``limits`` those fields count that were asked for."""
 
     calibration: dict[str, Any]
     report: dict[str, Any]

@@ -25,6 +25,7 @@ from kilter_service.jobs.fleet.comparison import compared
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
+from kilter_service.jobs.limits_of_version import with_limits
 from kilter_service.jobs.processes import Processes
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import kind_of
@@ -85,7 +86,7 @@ class Runner:
             report(0.0, "loading", now=True)
             kind, job, used = self._patiently(lambda: self._loaded(claim))
             output = with_load_warning(kind, kind_of(kind).run(replace(job, each=self._each), report), job)
-            output = with_ability_warning(output, job)
+            output = with_ability_warning(with_limits(output, job), job)
             report(1.0, "storing", now=True)
             judged = self._patiently(lambda: compared(self._database, claim.job_id, output.version, used))
         except (CancelledError, DatabaseAwayError):

@@ -61,10 +61,10 @@ def ability(database: Database, version_id: str, temperature_c: float | None) ->
 def of_poses(
     calibration: Calibration, found: Foreseen, limits: CorrectionLimits, temperature_c: float | None = None
 ) -> Objection | None:
-    """What speaks against a version that refuses too many of the poses, and what helps."""
+    """What speaks against a version that refuses too many of the poses or is held at its limits there, and what helps."""
     count, refused = len(found.q), sum(found.refused.values())
     damped, limited = (found.counts.get(word, 0) for word in ("DAMPED", "LIMITED"))
-    if refused <= MOST_REFUSED * count:
+    if refused + limited <= MOST_REFUSED * count:
         return None
     what = ", ".join(f"{why} {n}" for why, n in found.refused.items())
     worst = "" if found.worst is None else f"; at most {to_mm(float(found.left[found.worst])):.3g} mm are left"
@@ -81,7 +81,7 @@ def _remedy(calibration: Calibration, found: Foreseen, limits: CorrectionLimits,
     """What helps: zero offsets that the controller should have, and limits within which the version corrects."""
     some = np.unique(np.linspace(0, len(found.q) - 1, min(len(found.q), TRIED)).round().astype(np.int64))
     wide = preview.at_poses(calibration, None, WIDEST, found.q[some], temperature_c)
-    if sum(wide.refused.values()) > MOST_REFUSED * len(some):
+    if sum(wide.refused.values()) + wide.counts.get("LIMITED", 0) > MOST_REFUSED * len(some):
         return (
             f"Not even within {WIDEST.max_joint_deg:g} deg and {WIDEST.max_position_mm:g} mm would it: it describes another "
             "arm. Check the robot's description, and that joints and positions of its campaigns belong together."

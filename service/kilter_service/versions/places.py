@@ -150,7 +150,7 @@ def _sizes(part: Part, here: Calibration, rows: Ints) -> tuple[Floats, Floats] |
         return None
     predicted = here.predict(measurement.observations)
     size = np.linalg.norm(mean_of(measurement.residual(predicted).points), axis=1)
-    return _in_base(here, predicted.position), size
+    return in_base(here, predicted.position), size
 
 
 def _stages(part: Part, frame: _Frame, chosen: Bools) -> Floats:
@@ -201,10 +201,10 @@ def reach(database: Database, version: str) -> Reach:
     before = np.linalg.norm(done.error_removed[good], axis=1)
     after = None if known is None else known.of_the_tool(calibration, rows).max(axis=1) / QUANTILE
     points = acting(calibration, rows).predict(rows).position
-    return Reach(_in_base(calibration, points), before, after)
+    return Reach(in_base(calibration, points), before, after)
 
 
-def _in_base(calibration: Calibration, points: Floats) -> Floats:
+def in_base(calibration: Calibration, points: Floats) -> Floats:
     """Points (N, 3) m of the measurements in the frame of the robot's base."""
     from kilter_core.arm.frames import increment
     from kilter_core.transforms import inverse

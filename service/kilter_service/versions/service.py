@@ -18,6 +18,7 @@ from kilter_service.versions import store, wire
 if TYPE_CHECKING:
     from kilter_service.versions.contributions import Contribution
     from kilter_service.versions.places import Places, Reach
+    from kilter_service.versions.workspace import Workspace
 
 
 def listed(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
@@ -96,6 +97,13 @@ def places(database: Database, version_id: str, campaign: str) -> Places:
     from kilter_service.versions.places import places as found  # compiled kernels: not at the start of the API process
 
     return found(database, version_id, campaign)
+
+
+def workspace(database: Database, version_id: str, temperature_c: float | None) -> Workspace:
+    """Say what a version does at poses all over the joint limits, and where their tools are."""
+    from kilter_service.versions.workspace import workspace as found  # compiled kernels: not at the start
+
+    return found(database, version_id, temperature_c)
 
 
 def reach(database: Database, version_id: str) -> Reach:

@@ -30,7 +30,10 @@ REFERENCE = (
     "that is fixed or found within 10 mm and 1 degree of it."
 )
 START = "Id of the version to start from; null: the nominal robot."
-LIMITS = "The largest correction the version may make; null: 1 degree and 5 mm."
+LIMITS = (
+    "The largest correction the version may make; null: what it needs at 99 % of its poses, from 1 degree and 5 mm to "
+    "5 degrees and 10 mm."
+)
 SEED = "Seed of everything that is drawn by chance, 0 or more."
 
 

@@ -13,7 +13,7 @@ from kilter_service.errors import ServiceError
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import contributions
 from kilter_service.page.shell import redirect, render, root_of
-from kilter_service.page.versions import by_factor, comparison, looking_ahead, service
+from kilter_service.page.versions import by_factor, comparison, looking_ahead, service, workspace
 from kilter_service.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.versions import activation
 from kilter_service.versions.expected import Expected
@@ -46,6 +46,13 @@ def exports(version: str, request: Request, database: DatabaseOfApp) -> HTMLResp
 def effects(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show how far each effect of a version moves the tool."""
     return render(request, "versions/contributions.html", moved=contributions.of(database, version))
+
+
+@router.get("/versions/{version}/workspace")
+def where(version: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
+    """Show where a version corrects, damps and refuses."""
+    shown = workspace.of(database, version, settings.temperature_c)
+    return render(request, "versions/workspace.html", shown=shown)
 
 
 @router.get("/versions/{version}/by-factor")

@@ -38,6 +38,25 @@ class Task(StrEnum):
     POSE = "pose"
 
 
+class AtLimit(StrEnum):
+    """What becomes of a correction that exceeds the limits."""
+
+    SATURATE = "saturate"
+    REFUSE = "refuse"
+
+
+AskedTask = Annotated[
+    Task | None, typer.Option(help="What is held: the position first (default), or position and orientation alike.")
+]
+AskedAtLimit = Annotated[
+    AtLimit | None,
+    typer.Option(help="Where the correction exceeds the version's limits: hold it there (default), or refuse the row."),
+]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Exit code 1, and write nothing, unless the status of every row is OK.")
+]
+
+
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.command(epilog="Example: kilter correct ur10 path.csv -o corrected.csv --version latest --strict")(correct)
@@ -62,12 +81,9 @@ def correct(
         str | None,
         typer.Option(help="Version to correct with: id or its beginning, name, or `latest`; default: the active one."),
     ] = None,
-    task: Annotated[
-        Task | None, typer.Option(help="What is held: the position first (default), or position and orientation alike.")
-    ] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit code 1, and write nothing, unless the status of every row is OK.")
-    ] = False,
+    task: AskedTask = None,
+    at_limit: AskedAtLimit = None,
+    strict: Strict = False,
     as_json: Json = False,
 ) -> None:
     """Correct a trajectory (t_s, q1_deg, ...); the answer has the format that was sent.
@@ -84,7 +100,7 @@ def correct(
         used = version or kilter.robots.get(robot).get("active_version")
         content = kilter.correct(
             robot, trajectory, version=used, form=form, payload_kg=payload_kg, payload_com_mm=centre,
-            task=None if task is None else task.value, strict=strict,
+            task=task and task.value, strict=strict, at_limit=at_limit and at_limit.value,
         )  # fmt: skip
         found = None if used is None else kilter.versions.get(used, robot=robot)
         frames = {} if found is None else frames_of(found)

@@ -18,7 +18,7 @@ IDENTIFY = {
     "sheet_order": "given: the quarter points of drawn sheets are in the right order, do not check; left out: checked.",
     "seed": "Seed of everything that is drawn by chance, 0 or more.",
     "start": "Id of the version to start from; left out: the nominal robot.",
-    "limits": "The largest correction the version may make; left out: 1 degree and 5 mm.",
+    "limits": "The largest correction the version may make; left out: what it needs at 99 % of its poses, from 1 degree and 5 mm to 5 degrees and 10 mm.",
     "search_mm": "Half the width of a global search in lengths, mm, above 0.",
     "search_deg": "Half the width of a global search in angles, degrees, above 0.",
     "intervals": "Add 95 % intervals that do not rest on the covariance; left out: none.",
@@ -44,7 +44,7 @@ GAP = {
     "next_poses": "Poses to propose, 0 to 1000.",
     "seed": "Seed of everything that is drawn by chance, 0 or more.",
     "matters_um": "Movement of the tool below which nothing matters, micrometres (um), 0 or more.",
-    "limits": "The largest correction the version may make; left out: 1 degree and 5 mm.",
+    "limits": "The largest correction the version may make; left out: what it needs at 99 % of its poses, from 1 degree and 5 mm to 5 degrees and 10 mm.",
 }
 EVALUATE = {
     "version": "Id of the version; left out: the active one, else the nominal robot.",

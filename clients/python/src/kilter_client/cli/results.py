@@ -70,7 +70,19 @@ def show_version(version: dict[str, Any]) -> None:
         say(f"  not fit to correct with: {objection['message']}")
     for campaign in version["campaigns"]:
         say(f"  {campaign['use']}: campaign {campaign['id']} ({campaign['name']}), {campaign['rows']} rows")
+    _workspace((version.get("details") or {}).get("workspace"))
     show_result({**(version.get("details") or {}), **version})
+
+
+def _workspace(found: Mapping[str, Any] | None) -> None:
+    """Where the version corrects all over the joint limits, and why its limits are what they are."""
+    if not found:
+        return
+    say(f"  {found['sentence']}")
+    counts = {"corrected": found["ok"], "damped": found["damped"], "limited": found["limited"]}
+    counts |= {f"refused ({word})": count for word, count in (found.get("refused") or {}).items()}
+    rows = [(word, f"{100 * count / found['poses']:.1f} %") for word, count in counts.items() if count]
+    show_rows(("all over the joint limits", "share of the poses"), rows)
 
 
 def show_result(result: Mapping[str, Any]) -> None:

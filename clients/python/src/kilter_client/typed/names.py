@@ -143,6 +143,7 @@ MODULE_OF = {
     "VersionDiff": "comparisons",
     "VersionPreview": "versions",
     "VersionSummary": "versions",
+    "Workspace": "versions",
     "Zero": "robots",
 }
 JOBS = {

@@ -35,7 +35,7 @@ class GapOptions(TypedDict, total=False):
     free: Sequence[str]
     """Parameters to identify, by name or pattern (`alpha_*`); empty: those of the level."""
     limits: Mapping[str, Any] | None
-    """The largest correction the version may make; None: 1 degree and 5 mm."""
+    """The largest correction the version may make; None: what it needs at 99 % of its poses, from 1 degree and 5 mm to 5 degrees and 10 mm."""
     matters_um: float
     """Movement of the tool below which nothing matters, micrometres (um), 0 or more."""
     max_effects: int
@@ -76,7 +76,7 @@ class IdentifyOptions(TypedDict, total=False):
     level: Literal[1, 2, 3] | None
     """1 joint offsets, 2 geometry, 3 geometry and effects; None: 3 when `effects` are named, else 2."""
     limits: Mapping[str, Any] | None
-    """The largest correction the version may make; None: 1 degree and 5 mm."""
+    """The largest correction the version may make; None: what it needs at 99 % of its poses, from 1 degree and 5 mm to 5 degrees and 10 mm."""
     loss: Literal["linear", "huber", "tukey"]
     """`huber` bounds what a wrong row can pull, `tukey` sets it aside and names it."""
     mass_sigma_percent: float | None

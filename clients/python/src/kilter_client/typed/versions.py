@@ -26,7 +26,9 @@ from kilter_client.typed.identifications import (
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CorrectionLimits(Record):
-    """The largest correction a version may make, and what happens to one that would be larger."""
+    """The largest correction a version may make: a larger one is held there, or refused.
+
+    Asked for with a job, a field that is left out comes from the version: what it needs, up to 5 degrees and 10 mm."""
 
     at_limit: str
     """A correction that would be larger: `saturate` goes as far as the limit and says what is left, `refuse` refuses the setpoint."""
@@ -50,6 +52,28 @@ class Covariance(Record):
     """Standard deviation of a coordinate of the noise, m."""
     units: str | None
     """`SI`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Workspace(Record):
+    """What a version does at poses all over the joint limits, within its limits; why these are what they are."""
+
+    damped: int
+    """Poses that keep more of their error: a singularity is near, or out of reach."""
+    limited: int
+    """Poses that keep more of their error: the correction is at a limit."""
+    needed_deg: float | None
+    """Largest exact correction of a joint at 99 % of the poses, degrees; None: more poses have none."""
+    needed_mm: float | None
+    """The same of the tool and of prismatic joints, mm; None: more poses have none."""
+    ok: int
+    """Poses corrected to within what is stated."""
+    poses: int
+    """How many poses were looked at."""
+    refused: Mapping[str, int]
+    """Poses that are refused, by why."""
+    sentence: str
+    """What the version needs, and the limits that follow from it, in words."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -96,6 +120,8 @@ class Details(Record):
     """The standard deviations that residuals were weighed by."""
     set_aside: Records[SetAside]
     """Rows that a robust loss set aside."""
+    workspace: Workspace | None
+    """What it does all over the joint limits when it was stored, and why its limits are what they are."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

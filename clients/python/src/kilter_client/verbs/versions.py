@@ -137,6 +137,7 @@ def correct(
     payload_com_mm: Sequence[float] | None = None,
     task: str | None = None,
     strict: bool = False,
+    at_limit: str | None = None,
 ) -> Steps[Corrected]:
     """Correct a trajectory with the active version, or with ``version``.
 
@@ -152,6 +153,7 @@ def correct(
         payload_kg: mass on the tool along the whole path, kg.
         payload_com_mm: its centre in the tool frame, mm.
         task: ``"position"`` holds the position first, as by default; ``"pose"`` position and orientation alike.
+        at_limit: ``"saturate"`` holds a correction at the version's limits, as by default; ``"refuse"`` refuses the row.
         strict: refuse the trajectory unless every row is corrected to within what is stated.
 
     Raises:
@@ -165,7 +167,7 @@ def correct(
     chosen = None if not version else reference("version", version)
     answer = yield from calls.correct(
         reference("robot", robot), rows_of(trajectory, columns), chosen, form, payload_kg, payload_com_mm,
-        task=task, strict=strict,
+        task=task, strict=strict, at_limit=at_limit,
     )  # fmt: skip
     corrected = Corrected(answer.content)
     corrected.media_type = answer.headers.get("content-type", "").partition(";")[0]

@@ -1,0 +1,89 @@
+"""Where a version corrects: shares of the poses all over the joint limits, and a map of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from kilter_service.correction.outcome import REACHED_M
+from kilter_service.db import Database
+from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, Plot
+from kilter_service.page.figures.scale import around
+from kilter_service.page.versions.looking_ahead import REFUSED
+from kilter_service.page.words import mm, percent
+from kilter_service.versions import service
+from kilter_service.wire import joint_scale, to_mm
+
+WHAT = {
+    "OK": "corrected to within what is stated",
+    "DAMPED": "damped: a singularity is near, or the place is out of reach",
+    "LIMITED": "held at a limit of the correction",
+}
+LABELS = {"OK": "corrected", "DAMPED": "damped", "LIMITED": "held at a limit"}
+# Drawn in this order, so that the rare ones lie above.
+LOOKS = {"OK": (0, GREY), "LIMITED": (1, ORANGE), "DAMPED": (0, BLUE)}
+REFUSED_LOOK = (2, RED)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Rows of the table (what, share, how many, most that is left), and the map."""
+
+    poses: int
+    rows: Sequence[tuple[str, str, int, str]]
+    map: Plot
+
+
+def of(database: Database, version_id: str, temperature_c: float | None) -> Shown:
+    """Look at what a version does all over the joint limits.
+
+    Raises:
+        ServiceError: no such version.
+
+    """
+    import numpy as np
+
+    seen = service.workspace(database, version_id, temperature_c)
+    found, words = seen.found, np.array(seen.found.words)
+    rows = []
+    for word in sorted(found.counts, key=_order):
+        mine = words == word
+        left = found.left[mine]
+        most = _most(float(np.nanmax(left))) if not np.isnan(left).all() else "–"
+        rows.append((_said(word), percent(float(mine.mean())), int(mine.sum()), most))
+    out = to_mm(np.hypot(seen.points[:, 0], seen.points[:, 1]))
+    up = to_mm(seen.points[:, 2])
+    plot = Plot(
+        "Where the version corrects", around("distance from the axis of the base, mm", out.tolist(), zero=True),
+        around("height above the base, mm", up.tolist()), width=560.0, height=380.0,
+        description="Each point is a pose drawn within the joint limits, at the place of its tool.",
+        table=(["What", "Share", "Poses", "Most that is left"], [[a, b, str(c), d] for a, b, c, d in rows]),
+    )  # fmt: skip
+    scale = np.array(joint_scale(seen.robot))
+    for word in sorted(found.counts, key=_drawn):
+        mine = np.flatnonzero(words == word)
+        number, colour = LOOKS.get(word, REFUSED_LOOK)
+        names = [f"{_label(word)}: {', '.join(f'{v:.0f}' for v in found.q[k] * scale)}" for k in mine]
+        plot.points(out[mine].tolist(), up[mine].tolist(), _label(word), number, colour, names)
+    return Shown(len(words), rows, plot)
+
+
+def _most(left: float) -> str:
+    """The most that is left; to less than a micrometre nothing is computed."""
+    return mm(to_mm(left)) if left >= REACHED_M else f"below {mm(to_mm(REACHED_M))}"
+
+
+def _order(word: str) -> tuple[int, str]:
+    return (list(WHAT).index(word) if word in WHAT else len(WHAT), word)
+
+
+def _drawn(word: str) -> tuple[int, str]:
+    return (list(LOOKS).index(word) if word in LOOKS else len(LOOKS), word)
+
+
+def _said(word: str) -> str:
+    return WHAT.get(word) or f"refused: {REFUSED.get(word, word.lower().replace('_', ' '))}"
+
+
+def _label(word: str) -> str:
+    return LABELS.get(word) or f"refused ({word.lower().replace('_', ' ')})"
