@@ -37,8 +37,8 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
-def fit(kilter: Kilter, robot: str, campaigns: list[str]) -> dict[str, Any]:
-    options = {"effects": ["axial_compliance"], "base": "fixed", "tool": "fixed", "free": ["compliance_*"]}
+def fit(kilter: Kilter, robot: str, campaigns: list[str], **more: Any) -> dict[str, Any]:
+    options = {"effects": ["axial_compliance"], "base": "fixed", "tool": "fixed", "free": ["compliance_*"], **more}
     job = kilter.jobs.run("identify", robot, campaigns, validation=0.3, options=options)
     assert job["state"] == "succeeded", job["error"]
     result: dict[str, Any] = job["result"]
@@ -77,7 +77,9 @@ def test_a_load_off_the_tool_point_in_conditions_and_in_columns(
     for result in found[:2]:
         assert softness(result) == pytest.approx(SOFT[1:], rel=0.01)
         assert error_mm(result) < 0.006
-    assert error_mm(found[2]) > 0.05
+    # A load that hangs elsewhere than stated: found and said where masses may be wrong, left as an error where they may not.
+    assert "mass_far_from_stated" in {one["code"] for one in found[2]["warnings"]}
+    assert error_mm(fit(kilter, robot, [point["campaign_id"]], masses="as_stated")) > 0.05
 
 
 def test_campaigns_with_and_without_a_place_of_the_load_go_together(kilter: Kilter, tmp_path: Path) -> None:

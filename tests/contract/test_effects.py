@@ -372,7 +372,8 @@ def test_simulated_effect_is_identified(case: Case) -> None:
     measured = replace(rows, position=truth.position)
     geometry = tuple(n for n in model.names[: model.n_geometric] if not n.startswith(("base_", "tool_")))
     effects = (case.effect.to_document(),)
-    options = IdentifyOptions(effects=effects, fix=geometry, base="fixed", tool="fixed", noise_mm=1e-4)
+    held = {"base": "fixed", "tool": "fixed", "masses": "as_stated"}
+    options = IdentifyOptions(effects=effects, fix=geometry, noise_mm=1e-4, **held)
     found = identify(case.robot, measured, options=options).calibration
     moves = np.max(np.abs(model.jacobian(rows, whole)[1][:, :3]), axis=(0, 1)) > 1e-9
     effect = np.arange(len(whole)) >= model.n_geometric

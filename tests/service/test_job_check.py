@@ -166,7 +166,7 @@ def test_a_hunt_says_which_effects_it_could_test_and_what_the_others_need(
     assert "eccentricity" in testable
     assert "direction" in reasons["backlash"]
     assert "temperature" in reasons["thermal_growth"]
-    assert {one["what"].split()[0] for one in told["missing"]} == set(reasons)
+    assert {one["what"].split()[0] for one in told["missing"]} == {*reasons, "payload_kg"}
     still = check(client, "gap", [arm(columns(poses(60, still=(2,))))])["testability"]["not_testable"]
     assert 3 in next(one["joints"] for one in still if one["id"] == "eccentricity")
 

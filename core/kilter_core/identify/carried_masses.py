@@ -52,11 +52,12 @@ def of_masses(model: RobotModel) -> Bools:
 
 
 def beside_masses(fit: Fit) -> tuple[Floats, tuple[str, ...], Floats]:
-    """Whitened Jacobian (R, K), names and prior sigmas (K,) of what is fitted beside the masses.
+    """Whitened Jacobian (R, K), names and prior sigmas (K,) of what is fitted beside the masses; of them where that is all.
 
     Masses are known as well as they were stated: that poses do not see them is not the poses' fault.
     """
     kept = ~of_masses(fit.problem.model)[fit.problem.free]
+    kept |= not kept.any()
     names = tuple(name for name, own in zip(fit.names, kept, strict=True) if own)
     return fit.J[:, kept], names, fit.problem.prior_sigma[kept]
 
