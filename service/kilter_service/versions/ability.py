@@ -27,6 +27,7 @@ CODE, UNKNOWN = "cannot_correct", "not_foreseen"
 MOST_REFUSED = 0.25  # share of the poses: a few near a singularity or at the end of the reach are to be expected
 WIDEST = CorrectionLimits(max_joint_deg=30.0, max_position_mm=200.0)
 TRIED = 200  # poses at which wider limits are tried
+MOST_POSES = 0.99  # share of the poses that raised limits are for
 SPARE = 1.2  # times the largest correction: limits to raise to
 CONSTANT = 0.2  # scatter over size from which a correction is not a constant of the joint
 SMALLEST_DEG, SMALLEST_MM = 0.3, 1.0  # zero offsets worth entering
@@ -101,11 +102,15 @@ def _remedy(calibration: Calibration, found: Foreseen, limits: CorrectionLimits,
 
 
 def _limits(robot: Robot, wide: Foreseen, limits: CorrectionLimits) -> CorrectionLimits:
-    """Limits within which a version corrects nearly everywhere, a little more than it needs."""
+    """Limits within which a version corrects nearly everywhere, a little more than it needs.
+
+    What the last of a hundred poses needs is left out: near a singular posture a joint would move by 20 deg for nothing.
+    """
     sliding = np.array([joint.kind == "prismatic" for joint in robot.joints])
-    sizes = np.nan_to_num(np.abs(wide.delta))
-    turn = to_deg(float(sizes[:, ~sliding].max(initial=0.0)))
-    shift = to_mm(max(float(np.nanmax(wide.moved)), float(sizes[:, sliding].max(initial=0.0))))
+    sizes = np.quantile(np.nan_to_num(np.abs(wide.delta)), MOST_POSES, axis=0)
+    moved = float(np.quantile(np.nan_to_num(wide.moved), MOST_POSES))
+    turn = to_deg(float(sizes[~sliding].max(initial=0.0)))
+    shift = to_mm(max(moved, float(sizes[sliding].max(initial=0.0))))
     return CorrectionLimits(
         max_joint_deg=min(max(limits.max_joint_deg, _up(SPARE * turn)), WIDEST.max_joint_deg),
         max_position_mm=min(max(limits.max_position_mm, _up(SPARE * shift)), WIDEST.max_position_mm),
