@@ -28,6 +28,7 @@ Bools = NDArray[np.bool_]
 OK, DAMPED, LIMITED = "OK", "DAMPED", "LIMITED"  # of rows with numbers; a refused row has the name of its refusal
 # What is stated of a version without a covariance, and of an orientation, whose accuracy no version states.
 STATED_M, STATED_RAD = 1e-5, math.radians(0.01)
+MOST_OK_M = 5e-5  # however little is stated of a version: a row of which more is left is not OK
 WHOLE_POSE = 6  # joints from which on a correction minds the orientation
 REACHED_M = 1e-6  # to which a correction is computed: nothing smaller is left
 HELD = Flag.LIMITED | Flag.SATURATED | Flag.SLOWED | Flag.RAMPING
@@ -76,9 +77,9 @@ class Outcome:
         return self.oriented or self.done.q.shape[1] >= WHOLE_POSE
 
     def _within(self) -> Bools:
-        """Rows whose remaining error is within what is stated, along each axis; refused ones are not."""
+        """Rows whose remaining error is within what is stated, along each axis, and small; refused ones are not."""
         stated = np.maximum(np.where(np.isnan(self.stated), STATED_M, self.stated), REACHED_M)
-        good: Bools = np.all(np.abs(self.done.left) <= stated, axis=1)
+        good: Bools = np.all(np.abs(self.done.left) <= stated, axis=1) & (self.left <= MOST_OK_M)
         if self.oriented:
             good = good & (self.done.left_rad <= STATED_RAD)
         return good
