@@ -33,8 +33,10 @@ from kilter_core.gap.evidence.testability import (
     to_search,
     untestable,
 )
+from kilter_core.gap.evidence.unseen import seen_only
 from kilter_core.gap.evidence.verdict import Evidence, Judged, judge, run_verdict, sentence
 from kilter_core.gap.options import GapOptions
+from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
 from kilter_core.gap.report.localization import Place, localize
 from kilter_core.gap.report.next_poses import rows_of, separate
@@ -143,12 +145,12 @@ class _Run:
             more, judged = bool(np.any(again.able & ~judged.able)), again
             if not more or not found.chosen:
                 break
-        found = narrowed(found)
+        found, unseen = seen_only(narrowed(found))
         judged = through_loads(judged, testability(found.problem, prepared.library), prepared.library)
         prepared = prepared.judged_by(found.problem)
-        return replace(self, prepared=prepared)._reported(
-            or_geometry_alone(found, prepared.problem), places, judged, candidates
-        )
+        found = or_geometry_alone(found, prepared.problem)
+        report = replace(self, prepared=prepared)._reported(found, places, judged, candidates)
+        return report.with_unseen(unseen) if found.chosen else report
 
     def _searched(self, problem: LinearizedProblem, candidates: tuple[Candidate, ...]) -> SearchResult:
         noise = problem.settings.noise
@@ -181,7 +183,8 @@ class _Run:
             alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
-                *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *self._unplanned(effects),
+                *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
+                *self._unplanned(effects),
             ),
             figures=figures(found, rows, gap, held), library=prepared.library,
         )  # fmt: skip

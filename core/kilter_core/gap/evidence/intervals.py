@@ -92,19 +92,21 @@ def seen_joints(search: SearchResult, place: int) -> tuple[tuple[int, ...] | Non
     """
     candidate, columns = search.selector.scorer.candidates[place], search.columns
     source = search.problem.settings.source
-    values, covariance = fitted(search.problem, columns)
-    wide, freedom = covariance * inflation(search) ** 2, scale_freedom(search)
-
-    def shown(own: Sequence[int]) -> bool:
-        index = [columns.index(k) for k in own]
-        size = values[index] @ np.linalg.pinv(wide[np.ix_(index, index)], hermitian=True) @ values[index]
-        return bool(tail(size, len(index), freedom) < 1.0 - LEVEL)
-
     if candidate.joints is None:
-        return None, shown(candidate.columns)
+        return None, shown(search, columns, candidate.columns)[1]
     joints, start = set[int](), 0
     for effect in candidate.effects:
         own = candidate.columns[start : start + len(effect.parameters(source.model.robot))]
         start += len(own)
-        joints |= set(effect.joints or ()) if shown(own) else set()
+        joints |= set(effect.joints or ()) if shown(search, columns, own)[1] else set()
     return tuple(j for j in candidate.joints if j in joints), bool(joints)
+
+
+def shown(search: SearchResult, columns: Sequence[int], own: Sequence[int]) -> tuple[float, bool]:
+    """Chance of the amplitudes of ``own`` among the library ``columns`` of a fit, and whether the data show them."""
+    values, covariance = fitted(search.problem, columns)
+    index = [list(columns).index(k) for k in own]
+    wide = covariance[np.ix_(index, index)] * inflation(search) ** 2
+    size = values[index] @ np.linalg.pinv(wide, hermitian=True) @ values[index]
+    p = float(tail(size, len(index), scale_freedom(search)))
+    return p, p < 1.0 - LEVEL

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from kilter_core.gap.evidence.adequacy import Adequacy
 from kilter_core.gap.evidence.aliases import Alias
 from kilter_core.gap.evidence.matters import Misfit
+from kilter_core.gap.evidence.unseen import Unseen
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.localization import Place
 from kilter_core.gap.report.remedies import to_confirm
@@ -51,6 +52,13 @@ class GapReport:
     def calibration(self) -> Calibration:
         """The final fit: geometry and named effects."""
         return self.stored.calibration
+
+    def with_unseen(self, unseen: tuple[Unseen, ...]) -> GapReport:
+        """The report that says at which joints named families stay nominal."""
+        return replace(
+            self, not_testable=(*self.not_testable, *(u.untestable() for u in unseen)),
+            warnings=(*self.warnings, *(u.warning() for u in unseen)),
+        )  # fmt: skip
 
     def to_document(self) -> dict[str, Any]:
         """The gap result of the contract."""

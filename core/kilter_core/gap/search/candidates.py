@@ -39,6 +39,7 @@ class Candidate:
     positive: bool = False
     stage: str = "joint"
     effects: tuple[Effect, ...] = ()
+    part: bool = False  # a family cut down to joints that show it
 
     @property
     def bears(self) -> bool:
@@ -55,7 +56,7 @@ class Candidate:
         """Name for people: ``backlash j2``."""
         if self.joints is None:
             return self.id
-        if self.level == FAMILY:
+        if self.level == FAMILY and not self.part:
             return f"{self.id} all"
         return f"{self.id} j{','.join(str(j + 1) for j in self.joints)}"
 

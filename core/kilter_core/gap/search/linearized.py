@@ -18,6 +18,7 @@ from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.bases import lengths, orthonormal, seen
 from kilter_core.gap.search.gram import Gram
 from kilter_core.gap.search.projection import Projection, Stacked
+from kilter_core.gap.search.ranges import ends, exactly_within
 from kilter_core.gap.search.soft import Soft
 from kilter_core.gap.search.source import Source
 from kilter_core.identify.problem import ByCovariance, LeastSquares, Whitened
@@ -28,6 +29,8 @@ Tick = Callable[[], None]
 
 PASSES = 3  # re-fits with the scatter of doubtful signs, which follows the size of the effects
 CHANGED = 0.05  # of the noise variance: less scatter more or less changes no weight that matters
+HOLDING_PASSES = 4  # fits of what is left where amplitudes came out beyond what is physical
+BEYOND = 1e-6  # prior sigmas beyond the end of a range that are not rounding
 PATIENCE = 20  # slow steps before a fit takes second derivatives: they cost as many looks at thousands of poses
 UNMOVED = 0.01  # of what is left or of the noise, rms: loads computed again that move less are not worth the time
 SAMPLED = 500  # rows at most on which that is looked at, more or less: loads of thousands take seconds
@@ -287,10 +290,23 @@ def solved(
     if held is not None:
         library[held[0]] = held[1]
     values = settings.source.moved(values, np.zeros(len(settings.source.prior_mean)), library)
-    problem = SearchProblem(settings, free)
-    found = minimise(problem, values, problem.at(values), lambda *_: tick(), patience=PATIENCE)
-    there = linearize_at(settings, found.values, only=free)
-    return found.values, there.gram.given(range(len(free))).yy
+    values = within_range(SearchProblem(settings, free), values, tick)
+    there = linearize_at(settings, values, only=free)
+    return values, there.gram.given(range(len(free))).yy
+
+
+def within_range(problem: SearchProblem, values: Floats, tick: Tick) -> Floats:
+    """Values of the fit in which no amplitude of an effect is beyond what is physical.
+
+    Those that come out beyond it are held at the end of their range, and the rest is fitted again.
+    """
+    for _ in range(HOLDING_PASSES):
+        values = minimise(problem, values, problem.at(values), lambda *_: tick(), patience=PATIENCE).values
+        values, after = problem.brought_back(values)
+        if after is problem:
+            break
+        problem = after
+    return values
 
 
 @dataclass(frozen=True)
@@ -303,6 +319,8 @@ class SearchProblem(LeastSquares[Whitened]):
 
     settings: ProblemSettings
     free: list[int]
+    held: Floats | None = None
+    anchor: Floats | None = None
 
     def __post_init__(self) -> None:
         count = len(self._sigma)
@@ -347,6 +365,22 @@ class SearchProblem(LeastSquares[Whitened]):
         library, split = source.library(values).copy(), len(source.prior_mean)
         library[self.free] += change[split:]
         return source.moved(values, change[:split], library)
+
+    def brought_back(self, values: Floats) -> tuple[Floats, SearchProblem]:
+        """Values with every amplitude inside its physical range, and the problem that holds those at its ends.
+
+        The problem is itself where none is beyond that was not held before.
+        """
+        source, now = self.settings.source, self.current(values)
+        low, high = (end / self._sigma for end in ends(source, self.free))
+        inside = np.clip(now, low, high)
+        if not np.array_equal(inside, now):
+            values = exactly_within(source, self.changed(values, inside - now), self.free)
+        before = np.zeros(len(now), dtype=bool) if self.held is None else self.held.any(axis=0)
+        beyond = before | (np.abs(now - inside) > BEYOND)
+        if np.array_equal(beyond, before):
+            return values, self
+        return values, replace(self, held=np.eye(len(now))[beyond], anchor=inside)
 
     @property
     def _sigma(self) -> Floats:
