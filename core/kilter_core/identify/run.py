@@ -34,6 +34,7 @@ from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of
 from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
 from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
+from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.worse import PoseErrors, geometry_alone
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
@@ -71,6 +72,7 @@ class Identification:
     shares: Shares | None = None  # what each kind of measurement says
     fitted_kinds: KindErrors = field(default_factory=dict)
     held_kinds: KindErrors = field(default_factory=dict)
+    beyond: BeyondNoise | None = None  # more than the stated noise is left
     held_rows: RowErrors | None = None  # of the validation when that is rows of its own, else of those given
 
     @property
@@ -183,12 +185,17 @@ def identify(
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
     told, last = metrics_document(errors, held), _last(progress)
     result = _reported(without_frames(calibration), fit, train, told, options, last, each, learned)
-    said = (*result.warnings, *remarks, *(compared.warnings() if compared else ()))
+    said = (*result.warnings, *_left_more(result.beyond, inside), *remarks, *(compared.warnings() if compared else ()))
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
         result, own_frames=tuple(own), warnings=said, inside=inside, fitted_rows=fitted, held_rows=by_row,
         fitted_kinds=errors_of(stages, measurement), held_kinds=kinds,
     )  # fmt: skip
+
+
+def _left_more(beyond: BeyondNoise | None, inside: Ints | None) -> list[dict[str, Any]]:
+    """The warning that more than the stated noise is left, with the numbers of the rows given."""
+    return [] if beyond is None else [beyond.warning(inside)]
 
 
 def _in_one_frame(
@@ -249,7 +256,10 @@ def _reported(
     sigma = repeats.between
     shares = Shares.of(fit, marginal(fit).names)
     plain, fit = fit, clustered(fit)
-    intervals = _intervals(plain, fit, options, progress, each)
+    stated = None if options.noise_mm is None else options.noise_mm * 1e-3
+    beyond = BeyondNoise.of(fit, repeats, stated)
+    fit = fit if beyond is None else beyond.widen(fit)
+    intervals = _intervals(plain, fit, options, progress, each, 1.0 if beyond is None else beyond.widening)
     fit = marginal(fit)
     return Identification(
         calibration=calibration,
@@ -258,7 +268,7 @@ def _reported(
         noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
         noise_source="residuals of the fit" if sigma is None else "repeats",
         repeats=repeats,
-        predictive=predictive(fit, repeats, None if options.noise_mm is None else options.noise_mm * 1e-3),
+        predictive=predictive(fit, repeats, stated),
         null_directions=null_directions(*beside_masses(fit)),
         masses=masses_said(calibration.robot, calibration.model.effects, options),
         warnings=(
@@ -272,6 +282,7 @@ def _reported(
         intervals=intervals,
         learned=learned,
         shares=shares,
+        beyond=beyond,
     )
 
 
@@ -282,14 +293,16 @@ def _shown(train: Observations, options: IdentifyOptions) -> Observations:
     return train.select(np.unique(np.linspace(0, len(train) - 1, INFLUENCE_ROWS).astype(int)))
 
 
-def _intervals(plain: Fit, fit: Fit, options: IdentifyOptions, progress: Progress, each: Each) -> Intervals | None:
+def _intervals(
+    plain: Fit, fit: Fit, options: IdentifyOptions, progress: Progress, each: Each, widening: float
+) -> Intervals | None:
     """Intervals of a fit; a profile, whose likelihood takes rows as independent, is widened to what the poses show."""
     if options.intervals is None:
         return None
     if options.intervals == "profile":
         found = profile(plain, progress, each).widened(fit.sigma / plain.sigma)
     else:
-        found = bootstrap(plain, options.seed, progress)
+        found = bootstrap(plain, options.seed, progress).widened(np.full(len(fit.sigma), widening))
     arm = of_the_arm(fit)
     return replace(found, lower=found.lower[arm], upper=found.upper[arm], stands_in=found.stands_in[arm])
 
