@@ -44,6 +44,7 @@ STOP_S = 8.0
 REFUSED = 2  # what a process ends with when its settings cannot be: the same again would end the same
 FIRST_PAUSE_S, LONGEST_PAUSE_S, STEADY_S = 0.2, 10.0, 30.0
 KILLED = (-signal.SIGKILL, -signal.SIGTERM)
+REMEDY = "Mend what it says, `kilterd doctor` checks the rest"
 MOST_QUICK_ENDS = 3  # at the start of the server; a process that ended so often ends the same the next time
 
 
@@ -62,7 +63,8 @@ class Child:
         self._again_at: float | None = None
         self._said = LastWords(name)
         self._frozen = False
-        self.quick_ends = 0
+        self._ending = ""
+        self._quick_ends = 0
 
     def start(self) -> None:
         """Start the process; it ends by itself when this one does, because its standard input closes."""
@@ -93,9 +95,10 @@ class Child:
         time_s = time.monotonic()
         if self._again_at is None:
             if time_s - self._started > STEADY_S:
-                self._pause, self.quick_ends = FIRST_PAUSE_S, 0
-            self.quick_ends += 1
-            log.error("%s %s: it starts again", self.name, self._how_it_ended())
+                self._pause, self._quick_ends = FIRST_PAUSE_S, 0
+            self._quick_ends += 1
+            self._ending = self._how_it_ended()
+            log.error("%s %s: it starts again", self.name, self._ending)
             if self._process.returncode in KILLED:  # by somebody, not by its own failure: it need not be slowed down
                 self._pause = FIRST_PAUSE_S
             self._again_at = time_s + self._pause
@@ -106,7 +109,8 @@ class Child:
 
     def _say_if_frozen(self, pid: int) -> None:
         """Say that somebody stopped the process (SIGSTOP, a debugger); whoever did it may want to go on."""
-        frozen = not running(pid)
+        assert self._process is not None
+        frozen = not running(pid) and self._process.poll() is None  # it may have ended since it was asked
         if frozen == self._frozen:
             return
         self._frozen = frozen
@@ -126,6 +130,12 @@ class Child:
         if self._process is not None and self._process.poll() == REFUSED:
             raise SystemExit(REFUSED)
 
+    def hopeless(self) -> str | None:
+        """How it ended, when it ended again and again at the start of the server, with what it said last; None else."""
+        if self._quick_ends < MOST_QUICK_ENDS:
+            return None
+        return f"{self._ending}, {self._quick_ends} times in a row"
+
     def refuse_if_hopeless(self) -> None:
         """Give up a process that ends again and again before the server was ever ready.
 
@@ -133,10 +143,10 @@ class Child:
             ServiceError: it did, with what it said last.
 
         """
-        if self.quick_ends >= MOST_QUICK_ENDS:
+        ending = self.hopeless()
+        if ending is not None:
             raise ServiceError(
-                f"The {self.name} process {self._how_it_ended()}, {self.quick_ends} times in a row: the server is not "
-                "started. Mend what it says, `kilterd doctor` checks the rest, and start again.",
+                f"The {self.name} process {ending}: the server is not started. {REMEDY}, and start again.",
                 code="process_ends",
                 process=self.name,
             )
@@ -268,12 +278,13 @@ def _wait_until_standing(settings: Settings, children: list[Child], url: str, st
         missing = None if _zenoh(settings) is None else _missing(url)
         if missing == {}:
             return missing
-        lasting = missing is not None and all(_lasts(name, said, children) for name, said in missing.items())
+        missing = None if missing is None else missing | _hopeless(missing, children)
+        lasting = missing is not None and not any(said.startswith(STARTING) for said in missing.values())
         if not lasting or before is None or missing is None or missing.keys() != before.keys():
             since = time.monotonic()
         elif time.monotonic() - since > SETTLED_S:
             for name, said in missing.items():
-                log.error("%s: %s. Setpoints are corrected meanwhile.", name, said)
+                log.error("%s: %s. Setpoints are corrected meanwhile.", name, said.rstrip("."))
             return missing
         before = missing
         if time.monotonic() > deadline:
@@ -281,10 +292,10 @@ def _wait_until_standing(settings: Settings, children: list[Child], url: str, st
     return None
 
 
-def _lasts(name: str, said: str, children: list[Child]) -> bool:
-    """Whether a part is missing for longer than a start takes."""
-    hopeless = any(child.name == name and child.quick_ends >= MOST_QUICK_ENDS for child in children)
-    return hopeless or not said.startswith(STARTING)
+def _hopeless(missing: Missing, children: list[Child]) -> Missing:
+    """Say of the missing processes that end again and again why they do: health knows only that they are starting."""
+    endings = {child.name: child.hopeless() for child in children if child.name in missing}
+    return {name: f"{said}. {REMEDY}" for name, said in endings.items() if said is not None}
 
 
 def _missing(url: str) -> Missing | None:

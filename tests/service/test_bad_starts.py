@@ -82,15 +82,19 @@ def test_a_file_that_is_no_database(tmp_path: Path) -> None:
     assert "kilterd restore" in done.stderr
 
 
-def test_a_process_that_ends_at_every_start_ends_the_server(tmp_path: Path) -> None:
-    (tmp_path / "kilter.sqlite.worker.lock").mkdir()
-    done = kilterd("serve", KILTER_DATA=str(tmp_path))
+def test_an_api_that_ends_at_every_start_ends_the_server(tmp_path: Path) -> None:
+    """Nobody could ask what is wrong, so the last line says it."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import sys\nif 'api' in sys.orig_argv: raise SystemExit('no room for the API')\n"
+    )
+    path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    done = kilterd("serve", KILTER_DATA=str(tmp_path / "data"), PYTHONPATH=path)
     assert done.returncode == 1
     assert done.stdout == ""
     last = done.stderr.splitlines()[-1]
-    assert last.startswith("kilterd: The worker process ended with 1 ("), last
+    assert last.startswith("kilterd: The api process ended with 1 (SystemExit: no room for the API), "), last
     assert "3 times in a row: the server is not started." in last
-    assert not (tmp_path / "server.json").exists()
+    assert not (tmp_path / "data" / "server.json").exists()
 
 
 def test_a_data_folder_that_cannot_be_made(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import httpx
 import pytest
 
 from kilter_service.settings import Settings
@@ -42,6 +43,32 @@ def test_a_nearly_full_disk_is_named_and_setpoints_are_corrected(settings: Setti
         assert "200 MB are needed: make room in" in server.ready["missing"]["disk"]
         assert server.ready["zenoh"].startswith("tcp/127.0.0.1:")
         assert children(server.process.pid).keys() == {"api", "worker", "corrector"}
+    finally:
+        assert server.stop() == 0
+        assert server.process.stdout is not None
+        server.process.stdout.close()
+
+
+def test_a_worker_that_can_never_run_is_named_with_what_it_says(settings: Settings) -> None:
+    """It ends at every start, and what it says last is in the ready line: health says only that it is starting."""
+    lock = settings.data / "kilter.sqlite.worker.lock"
+    if settings.database_url is not None:
+        pytest.skip("the worker's lock is beside another database")
+    lock.mkdir(parents=True)
+    server = Server(settings)
+    try:
+        (said,) = [server.ready["missing"].pop("worker")]
+        assert server.ready["missing"] == {}
+        assert said.startswith("ended with 1 (")
+        assert f"{lock}" in said
+        assert "times in a row. Mend what it says" in said
+        assert server.ready["zenoh"].startswith("tcp/127.0.0.1:")
+        assert children(server.process.pid).keys() >= {"api", "corrector"}
+        lock.rmdir()  # the remedy: it starts by itself
+        deadline = time.monotonic() + 60
+        while not httpx.get(f"{server.ready['url']}/v1/health/ready", timeout=10).is_success:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
     finally:
         assert server.stop() == 0
         assert server.process.stdout is not None

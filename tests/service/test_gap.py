@@ -124,7 +124,10 @@ def test_what_the_data_lack_is_said(client: httpx.Client, worker: Any, until: Un
 @pytest.mark.parametrize("kind", ["gap", "identify"])
 @pytest.mark.parametrize(
     ("mistake", "said"),
-    [("signs", "oint 1 looks to count the other way round"), ("tool changed", "looks changed by")],
+    [
+        ("signs", "oint 1 looks to count the other way round"),
+        ("instrument moved", "The base, or the instrument, looks changed by 100 mm"),
+    ],
 )
 def test_a_mixed_up_campaign_fails_with_what_was_mixed_up(
     client: httpx.Client, worker: Any, until: Until, mistake: str, said: str, kind: str
@@ -133,7 +136,7 @@ def test_a_mixed_up_campaign_fails_with_what_was_mixed_up(
     wrong = dict(arm.columns)
     if mistake == "signs":
         wrong["q1_deg"] = [-v for v in wrong["q1_deg"]]
-    else:  # half of the campaign with a tool 100 mm longer
+    else:  # for half of the campaign the tracker stood 100 mm further back
         half = len(wrong["x_mm"]) // 2
         wrong["x_mm"] = [v + (100 if k > half else 0) for k, v in enumerate(wrong["x_mm"])]
     job = {"kind": kind, "robot": arm.name, "campaigns": [arm.upload(wrong)]}

@@ -164,5 +164,5 @@ def test_asking_whether_it_is_ready_reads_no_certificates(monkeypatch: pytest.Mo
     """It is asked twenty times a second while the others start, and certificates take 50 ms."""
     read: list[str] = []
     monkeypatch.setattr(ssl.SSLContext, "load_default_certs", lambda *_: read.append("certificates"))
-    assert not supervisor._answers("http://127.0.0.1:1/v1/health/ready")
+    assert supervisor._missing("http://127.0.0.1:1") is None
     assert read == []

@@ -94,14 +94,12 @@ def _view(
 
 def _linkages(joints: Sequence[Point], axes: Sequence[Mapping[str, Any]]) -> list[Point | None]:
     """Lines from the axis of a joint to each axis that follows it by a linkage."""
-    own: dict[str, Point] = {}
+    drawn = list(zip(joints, axes, strict=False))
+    follows = [(place, axis["joint"]) for place, axis in drawn if axis.get("drive") == "linkage"]
     out: list[Point | None] = []
-    for place, axis in zip(joints, axes, strict=False):
-        if axis.get("drive") is None:
-            own.setdefault(str(axis["joint"]), place)
-    for place, axis in zip(joints, axes, strict=False):
-        if axis.get("drive") == "linkage" and axis["joint"] in own:
-            out += [own[str(axis["joint"])], place, None]
+    for place, joint in follows:
+        own = [p for p, axis in drawn if axis["joint"] == joint and axis.get("drive") is None]
+        out += [own[0], place, None] if own else []
     return out
 
 
