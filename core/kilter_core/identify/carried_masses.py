@@ -27,15 +27,26 @@ def with_masses(
     """The effects with the errors of the loads behind them, where one follows the load and none says it already.
 
     Methods that end at no least-squares minimum know no priors, so nothing could be carried there, nor beside effects that
-    are held (``tilt_first``).
+    are held (``tilt_first``). Beside signs of a load it takes many fits, not all of which end: there it is asked for.
     """
     able = METHODS[options.method].minimum and not options.tilt_first
-    if options.masses != "uncertain" or not able or not follow_loads(effects):
+    if not able or not follow_loads(effects) or not _uncertain(effects, options):
         return effects
     if any(e.nuisance for e in effects):
         return tuple(_as_known(e, options) if isinstance(e, LoadError) else e for e in effects)
     carried = _as_known(LoadError().on(robot, rows), options)
     return (*effects, carried) if carried.parameters(robot) else effects
+
+
+def _uncertain(effects: tuple[Effect, ...], options: IdentifyOptions) -> bool:
+    """Whether masses count as uncertain: as asked, else where no effect has a sign of the load."""
+    stated = options.mass_sigma_percent is not None or options.com_sigma_mm is not None
+    return options.masses == "uncertain" or (options.masses == "auto" and (stated or not _with_signs(effects)))
+
+
+def _with_signs(effects: tuple[Effect, ...]) -> list[str]:
+    """Ids of the effects that follow the sign of a load."""
+    return list(dict.fromkeys(e.id for e in effects if hasattr(e, "softening_nm")))
 
 
 def follow_loads(effects: tuple[Effect, ...]) -> list[str]:
@@ -84,6 +95,11 @@ def masses_said(robot: Robot, effects: tuple[Effect, ...], options: IdentifyOpti
         text = f"With tilt_first {following} are held, so nothing is said of the masses: they count as exact."
     elif options.masses == "as_stated":
         text = f"Masses and centres count as exact, as asked: the sigmas of {following} leave out what errors of the masses do."
+    elif options.masses == "auto" and _with_signs(effects):
+        text = (
+            f"Masses and centres count as exact beside {', '.join(_with_signs(effects))}, which follow the sign of a load: the "
+            f'sigmas of {following} leave out what errors of the masses do. masses "uncertain" carries them, in many fits.'
+        )
     else:
         text = f"No link has a mass and no row a payload, so there is nothing for {following} to follow."
     return {"carried": carried is not None, "sentence": text}

@@ -36,7 +36,8 @@ class IdentifyOptions:
     them), "registration" (where the nominal robot fits the measurements best), or "auto": the robot's own for a frame
     that is fixed or that the registration finds within 10 mm and 1 degree of it. ``refit`` ("base",) gives every campaign
     and session a base of its own, () one base to all; None leaves that to the device of the campaign. ``masses``
-    "uncertain" carries the errors of masses and centres beside effects that follow the load, "as_stated" does not;
+    "uncertain" carries the errors of masses and centres beside effects that follow the load, "as_stated" does not, "auto"
+    does where none of them follows the sign of a load;
     ``mass_sigma_percent`` and ``com_sigma_mm`` are how well they are known, where it is not as the robot says.
     """
 
@@ -57,7 +58,7 @@ class IdentifyOptions:
     intervals: str | None = None
     socket_distances_mm: Mapping[str, float] = field(default_factory=dict)
     refit: tuple[str, ...] | None = None
-    masses: str = "uncertain"
+    masses: str = "auto"
     mass_sigma_percent: float | None = None
     com_sigma_mm: float | None = None
 
@@ -95,7 +96,7 @@ class IdentifyOptions:
 
     def _check_masses(self) -> None:
         """Refuse widths that are none, and those of masses that count as exact."""
-        self._one_of("masses", ("uncertain", "as_stated"))
+        self._one_of("masses", ("auto", "uncertain", "as_stated"))
         for name in ("mass_sigma_percent", "com_sigma_mm"):
             sigma = getattr(self, name)
             if sigma is not None and not sigma > 0:

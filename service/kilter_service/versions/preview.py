@@ -70,10 +70,12 @@ def at_poses(
 ) -> Foreseen:
     """Correct poses ``q (N, n)`` as `correct` corrects a file of them without times, within these limits."""
     found = outcome.correct(calibration, Observations(q=q), options_of(limits, temperature_c), known)
+    with np.errstate(over="ignore"):  # a version of nonsense moves the tool beyond all numbers
+        moved = np.linalg.norm(found.done.error_removed, axis=1)
     return Foreseen(
         q=q,
         words=tuple(found.words),
-        moved=np.linalg.norm(found.done.error_removed, axis=1),
+        moved=moved,
         left=found.left,
         delta=found.done.q - q,
         unsupported=found.done.not_corrected,

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from kilter_core.correct.kernels.layout import DAMPED, OK, RESIDUAL, SATURATED, TOO_LARGE
 from kilter_core.correct.needs import needs
-from kilter_core.correct.program import CorrectedRows, CorrectionOptions, compile_program
+from kilter_core.correct.program import CorrectedRows, CorrectionOptions, Track, compile_program
 from kilter_core.correct.walker import correct_trajectory
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.observations import Observations
@@ -159,6 +160,23 @@ def test_a_zero_offset_that_no_limit_should_take_is_said_to_exceed_them() -> Non
     assert found.within_suggested.held > 0.2
     refusing = needs(arm.calibration, arm.poses(100), CorrectionOptions(at_limit="refuse"))
     assert refusing.within.refused == pytest.approx(found.within.held)
+
+
+@pytest.mark.parametrize("length", [1e9, 1e200, math.nan])
+def test_a_version_of_nonsense_gives_no_numbers_that_an_arm_could_follow(length: float) -> None:
+    """Held at a limit they would look like a correction; what is not a number compares with no limit at all."""
+    arm = twin("ur")
+    values = arm.calibration.values.copy()
+    values[arm.calibration.names.index("a_2")] = length
+    wild = replace(arm.calibration, values=values)
+    q = arm.poses(20)
+    with np.errstate(all="ignore"):
+        program = compile_program(wild)
+        assert (program.correct_rows(q).status == TOO_LARGE).all()
+        track = Track(program, settled=True)
+        assert track.step(np.ascontiguousarray(q[0]), 1, 0.0) == TOO_LARGE
+        assert np.isnan(track.out).all()
+        assert np.isnan(correct_trajectory(wild, Observations(q)).q).all()
 
 
 def test_options_that_cannot_be_are_refused() -> None:

@@ -41,6 +41,7 @@ from kilter_core.correct.kernels.layout import (
     REACHED,
     REBASE,
     REMAINING,
+    REMOVED,
     RESIDUAL,
     REVERSED_AT,
     REVERSED_AT_NEW,
@@ -71,6 +72,8 @@ from kilter_core.correct.kernels.layout import (
 )
 from kilter_core.correct.kernels.rates import CAUGHT_UP, SLOWED_BY, bound_change
 
+# Metres and radians, added up, that no correction is: what a version of nonsense asks for, and what is not a number.
+NONSENSE = 1e3
 # A guess looks ahead no further than this.
 LOOK_AHEAD_S, LOOK_AHEAD_RAD = 0.05, 1e-3
 # Times closer than this are taken for jitter where something is divided by them.
@@ -172,10 +175,19 @@ def _verdict(P, W, info, out, flags, n, m):
     """Corrected joints into ``out`` within the limits of correction and joints, and what was held at them into the info.
 
     A correction that exceeds a limit is scaled in all joints by one factor, so that the tool stays between where it is
-    with and without it. Returns the status: where the options refuse what exceeds a limit, it is not OK.
+    with and without it. Returns the status: where the options refuse what exceeds a limit, it is not OK, and never for
+    what is no number of a correction.
     """
     S = P.shape[0] - 1
     large, outside, share = 0, 0, 1.0
+    size = 0.0
+    for k in range(3):
+        size += abs(info[REMOVED + k]) + abs(info[LEFT + k])
+    for i in range(n):
+        size += abs(W[m + 1 + i, NEXT])
+    if not size < NONSENSE:
+        info[0] = flags
+        return TOO_LARGE
     for i in range(n):
         j = m + 1 + i
         delta = W[j, NEXT]

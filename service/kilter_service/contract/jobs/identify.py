@@ -77,10 +77,10 @@ class IdentifyOptions(Asked):
     intervals: Literal["bootstrap", "profile"] | None = Field(
         None, description="Add 95 % intervals that do not rest on the covariance; null: none."
     )
-    masses: Literal["uncertain", "as_stated"] = Field(
-        "uncertain",
+    masses: Literal["auto", "uncertain", "as_stated"] = Field(
+        "auto",
         description="`uncertain`: errors of masses and centres are carried beside effects that follow the load, as "
-        "`load_error` does; `as_stated`: masses are exact.",
+        "`load_error` does; `as_stated`: masses are exact; `auto`: uncertain where no effect follows the sign of a load.",
     )
     mass_sigma_percent: Annotated[Percent, Field(gt=0)] | None = Field(
         None, description="Standard deviation of every mass, percent of it, above 0; null: what the robot says of each."

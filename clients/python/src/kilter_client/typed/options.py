@@ -81,8 +81,8 @@ class IdentifyOptions(TypedDict, total=False):
     """`huber` bounds what a wrong row can pull, `tukey` sets it aside and names it."""
     mass_sigma_percent: float | None
     """Standard deviation of every mass, percent of it, above 0; None: what the robot says of each."""
-    masses: Literal["uncertain", "as_stated"]
-    """`uncertain`: errors of masses and centres are carried beside effects that follow the load, as `load_error` does; `as_stated`: masses are exact."""
+    masses: Literal["auto", "uncertain", "as_stated"]
+    """`uncertain`: errors of masses and centres are carried beside effects that follow the load, as `load_error` does; `as_stated`: masses are exact; `auto`: uncertain where no effect follows the sign of a load."""
     method: Literal[
         "least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search", "linear_least_squares"
     ]
