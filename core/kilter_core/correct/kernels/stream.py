@@ -176,7 +176,7 @@ def _verdict(P, W, info, out, flags, n, m):
 
     A correction that exceeds a limit is scaled in all joints by one factor, so that the tool stays between where it is
     with and without it. Returns the status: where the options refuse what exceeds a limit, it is not OK, and never for
-    what is no number of a correction.
+    a correction that is not finite or that no arm has.
     """
     S = P.shape[0] - 1
     large, outside, share = 0, 0, 1.0
