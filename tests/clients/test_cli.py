@@ -162,15 +162,18 @@ def _correct(robot: str, command: Command, tmp_path: Path) -> None:
     done = command.json("correct", robot, path, "-o", output)
     assert done["status"] == {"OK": 5}
     head, *rows = csv.reader(output.read_text().splitlines())
-    assert ",".join(head) == f"t_s,{joints},dx_mm,dy_mm,dz_mm,u95_x_mm,u95_y_mm,u95_z_mm,status"
+    assert ",".join(head) == (
+        f"t_s,{joints},dx_mm,dy_mm,dz_mm,left_mm,left_x_mm,left_y_mm,left_z_mm,u95_x_mm,u95_y_mm,u95_z_mm,flags,status"
+    )
     assert len(rows) == 5
     assert "5 rows" in command("correct", robot, path, "-o", output)
     assert "name the file" in command.json("correct", robot, path, code=2)["detail"]
+    words = ["flags", "status"]
     table, back = tmp_path / "path.parquet", tmp_path / "corrected.parquet"
     parquet.write_table(pa.table({name: [float(x) for x in cells] for name, *cells in _columns(path)}), table)
     command("correct", robot, table, "-o", back)
-    as_csv = {name: [float(x) for x in cells] for name, *cells in _columns(output) if name != "status"}
-    assert parquet.read_table(back).drop_columns("status").to_pydict() == as_csv
+    as_csv = {name: [float(x) for x in cells] for name, *cells in _columns(output) if name not in words}
+    assert parquet.read_table(back).drop_columns(words).to_pydict() == as_csv
     path.write_text(path.read_text() + "0.5,0,0,0,0,9999\n")
     assert command.json("correct", robot, path, "-o", output)["status"]["JOINT_LIMIT"] == 1
     assert "JOINT_LIMIT 1" in command("correct", robot, path, "-o", output)

@@ -161,10 +161,12 @@ def test_rows_of_a_file() -> None:
 
 
 def test_a_corrected_trajectory_is_bytes_and_rows() -> None:
-    done = Corrected(b"q1_deg,dx_mm,dy_mm,dz_mm,status\n1,3,0,4,OK\n2,,,,LIMIT\n")
+    done = Corrected(b"q1_deg,dx_mm,dy_mm,dz_mm,left_mm,status\n1,3,0,4,0.0004,OK\n2,,,,,JOINT_LIMIT\n")
     assert done.startswith(b"q1_deg")
-    assert done.status == {"OK": 1, "LIMIT": 1}
-    assert str(done) == "corrected trajectory: 2 rows (1 OK, 1 LIMIT), largest change 5 mm"
+    assert done.status == {"OK": 1, "JOINT_LIMIT": 1}
+    assert str(done) == "corrected trajectory: 2 rows (1 OK, 1 JOINT_LIMIT), largest change 5 mm"
+    near = Corrected(b"q1_deg,dx_mm,dy_mm,dz_mm,left_mm,status\n1,3,0,4,0.0004,OK\n2,6,0,8,1.25,DAMPED\n")
+    assert str(near) == "corrected trajectory: 2 rows (1 OK, 1 DAMPED), largest change 10 mm, most left 1.25 mm"
     document = Corrected(json.dumps({"q1_deg": [1.0], "status": ["OK"]}).encode())
     document.media_type = "application/json"
     assert document.to_dict() == {"q1_deg": [1.0], "status": ["OK"]}

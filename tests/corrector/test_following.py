@@ -108,7 +108,7 @@ def test_an_answer_after_a_miss_at_the_very_start_is_taken_as_it_is() -> None:
 def test_the_rate_is_that_of_the_version_and_never_above_the_caller_s() -> None:
     for announced_deg, announced_mm, options, most_deg, most_mm in (
         (2.0, 10.0, {}, 2.0, 10.0),
-        (50.0, 1000.0, {}, 5.0, 25.0),  # 1 deg in 0.2 s
+        (50.0, 1000.0, {}, 25.0, 50.0),  # 5 deg and 10 mm in 0.2 s
         (50.0, 1000.0, {"largest_deg": 3.0, "largest_mm": 10.0, "quickest_s": 0.1}, 30.0, 100.0),
         (5.0, 25.0, {"largest_deg": 30.0}, 5.0, 25.0),
         ("fast", math.nan, {}, 2.5, 12.5),  # not numbers: the version's largest in the quickest time

@@ -285,9 +285,28 @@ def test_a_load_picked_up_on_the_way_changes_the_correction(
 
 def test_rows_that_cannot_be_corrected_carry_no_numbers(client: httpx.Client, versions: Versions, twin: Twin) -> None:
     version = versions.add("small", twin.truth, max_joint_deg=0.0001)
-    out = client.post("/v1/robots/katana/correct", params={"version": version}, json=trajectory(3)).json()
+    asked = {"version": version, "at_limit": "refuse"}
+    out = client.post("/v1/robots/katana/correct", params=asked, json=trajectory(3)).json()
     assert out["status"] == ["CORRECTION_TOO_LARGE"] * 3
-    assert out["q1_deg"] == [None] * 3
+    numbers = {name: column for name, column in out.items() if name not in ("t_s", "status", "flags")}
+    assert {"q1_deg", "dx_mm", "left_mm", "left_x_mm"} <= set(numbers)
+    assert all(column == [None] * 3 for column in numbers.values())
+
+
+def test_rows_held_at_a_limit_keep_their_numbers_and_say_what_is_left(
+    client: httpx.Client, versions: Versions, twin: Twin
+) -> None:
+    version = versions.add("small", twin.truth, max_joint_deg=0.0001)
+    for k in range(3):  # each by itself: the arm rests, so no joint has a side that its motion chose
+        columns = {name: [column[k]] for name, column in trajectory(3).items()}
+        out = client.post("/v1/robots/katana/correct", params={"version": version}, json=columns).json()
+        assert out["status"] == ["LIMITED"]
+        assert "SATURATED" in out["flags"][0].split("|")
+        change = np.degrees(np.abs(joints(out) - joints(columns)))
+        assert change.max() == pytest.approx(0.0001, rel=1e-6)
+        along = [out[f"left_{axis}_mm"][0] for axis in "xyz"]
+        assert out["left_mm"][0] == pytest.approx(np.linalg.norm(along), rel=1e-9)
+        assert out["left_mm"][0] > 0.5
 
 
 def test_every_corrected_row_says_how_far_the_tool_may_be_off(
@@ -350,7 +369,13 @@ def test_a_trajectory_for_ros_2(client: httpx.Client, versions: Versions, twin: 
     assert "add the column 't_s'" in refusal({name: v for name, v in columns.items() if name != "t_s"})
     assert "Row 2, column 't_s': the time must rise" in refusal(columns | {"t_s": [1.0] * 20})
     small = versions.add("small", twin.truth, max_joint_deg=0.0001)
-    assert "Row 1 is not corrected (CORRECTION_TOO_LARGE), 20 rows" in refusal(columns, version=small)
+    assert "Row 1 is not corrected (CORRECTION_TOO_LARGE), 20 rows" in refusal(
+        columns, version=small, at_limit="refuse"
+    )
+    # Held at its limits the motion can be sent: the remark beside it says what is left.
+    held = client.post("/v1/robots/katana/correct", params={"format": "ros2-yaml", "version": small}, json=columns)
+    assert len(yaml.safe_load(held.raise_for_status().text)["points"]) == 20
+    assert "20 of 20 rows" in held.headers["kilter-notes"]
 
 
 def test_what_is_no_trajectory_is_refused(client: httpx.Client, versions: Versions, twin: Twin) -> None:

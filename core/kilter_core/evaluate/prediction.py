@@ -14,7 +14,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.worse import Difference, PoseErrors
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import Errors
+from kilter_core.measurement.metrics import Errors, mm
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats, Ints
@@ -79,7 +79,7 @@ def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Itera
         plain = errors[stage]
         if Difference.of(found, plain).worse:
             yield {
-                "code": code, "simpler_mm": float(plain.mean()) * 1e3, "identified_mm": float(found.mean()) * 1e3,
+                "code": code, "simpler_mm": mm(float(plain.mean())), "identified_mm": mm(float(found.mean())),
                 "message": f"These rows are predicted worse with it ({found.mean() * 1e3:.3g} mm, mean by pose) than with "
                 f"{simpler} ({plain.mean() * 1e3:.3g} mm): {advice}",
             }  # fmt: skip
@@ -135,7 +135,7 @@ def rows_of(
 
 
 def _numbers(metres: Floats) -> list[float | None]:
-    return [None if np.isnan(v) else float(v) * 1e3 for v in metres]
+    return [None if np.isnan(v) else mm(float(v)) for v in metres]
 
 
 def _refitted(calibration: Calibration, measurement: Measurement, frames: tuple[str, ...]) -> Calibration:

@@ -14,11 +14,10 @@ from kilter_core.effects.load_error import LoadError
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS
+from kilter_core.measurement.metrics import metres, mm
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats
-
-MM = 1e3
 
 
 def with_masses(
@@ -112,7 +111,7 @@ def _widths(effect: LoadError, robot: Robot) -> tuple[str, str]:
     masses = [*links, *([effect.payload_kg] if effect.payload_kg > 0.0 else [])]
     shares = [100.0 * p.prior_sigma / m for p, m in zip(found[::EACH], masses, strict=True)]
     # A first moment is mass times centre; of the payload the place itself is known.
-    places = [MM * p.prior_sigma / m for p, m in zip(found[1::EACH], [*links, 1.0], strict=False)]
+    places = [mm(p.prior_sigma / m) for p, m in zip(found[1::EACH], [*links, 1.0], strict=False)]
     return _span(shares, "%"), _span(places, "mm")
 
 
@@ -127,5 +126,5 @@ def _as_known(effect: LoadError, options: IdentifyOptions) -> LoadError:
     return replace(
         effect,
         mass_share=effect.mass_share if share is None else share / 100.0,
-        centre_m=effect.centre_m if centre is None else centre / MM,
+        centre_m=effect.centre_m if centre is None else metres(centre),
     )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.identify.report import WIRE
+from kilter_core.identify.report import on_wire
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter, indices
@@ -43,7 +43,7 @@ class Influence:
         first = np.bincount(np.argmax(k, axis=1), minlength=len(self.names)) / len(k)
         rows = []
         for c in np.argsort(-self.moved.mean(axis=0), kind="stable"):
-            unit, scale = WIRE.get(self.units[c], (self.units[c], 1.0))
+            unit, scale = on_wire(self.units[c])
             column = self.moved[:, c] * 1e3
             rows.append({
                 "name": self.names[c], "step": float(self.steps[c]) * scale, "unit": unit,

@@ -30,6 +30,11 @@ LARGE = 0.01  # share of the workspace left after the fit that is worth a warnin
 STILL_RAD = 1e-6  # a joint whose readings stay within this never moved
 
 
+def on_wire(unit: str) -> tuple[str, float]:
+    """Return the unit of the wire for an SI unit, and how many of it one of those is."""
+    return WIRE.get(unit, (unit, 1.0))
+
+
 def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | None = None) -> list[dict[str, Any]]:
     """Every free parameter as {name, value, nominal, change, unit, sigma, identifiable, plausible} in mm and degrees.
 
@@ -43,7 +48,7 @@ def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | No
     if intervals is not None:
         ends = zip(rows, intervals.lower, intervals.upper, intervals.stands_in, strict=True)
         for row, below, above, stands_in in ends:
-            scale = WIRE.get(model.parameter(row["name"]).unit, ("", 1.0))[1]
+            scale = on_wire(model.parameter(row["name"]).unit)[1]
             row["lower"], row["upper"] = row["value"] + float(below) * scale, row["value"] + float(above) * scale
             row["interval_from"] = "sigma" if stands_in else intervals.kind
     return rows
@@ -55,7 +60,7 @@ def rows_of(calibration: Calibration, names: Sequence[str], sigma: Floats, known
     rows: list[dict[str, Any]] = []
     for name, spread, seen in zip(names, sigma, known, strict=True):
         parameter = calibration.model.parameter(name)
-        unit, scale = WIRE.get(parameter.unit, (parameter.unit, 1.0))
+        unit, scale = on_wire(parameter.unit)
         rows.append({
             "name": name,
             "value": values[name] * scale,

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.types import Floats
+
+T = TypeVar("T", float, Floats)
+
+
+def mm(metres: T) -> T:
+    """Return a length in the unit that reports have."""
+    return metres * 1e3
+
+
+def metres(of_mm: float) -> float:
+    """Return a length that was stated in mm in m."""
+    return of_mm / 1e3
 
 
 @dataclass(frozen=True)
@@ -40,7 +52,7 @@ class Errors:
 
     def to_document(self) -> dict[str, float]:
         """Mean, rms, 95th percentile and maximum of the 3-D error, rms per axis, in mm; mean orientation error in deg."""
-        size = np.linalg.norm(self.points, axis=1) * 1e3
+        size = mm(np.asarray(np.linalg.norm(self.points, axis=1)))
         out = {
             "mean_mm": size.mean(),
             "rms_mm": np.sqrt(np.mean(size**2)),
@@ -48,7 +60,7 @@ class Errors:
             "max_mm": size.max(),
         }
         if self.points.shape[1] == 3:
-            axes = np.sqrt(np.mean(self.points**2, axis=0)) * 1e3
+            axes = mm(np.asarray(np.sqrt(np.mean(self.points**2, axis=0))))
             out |= dict(zip(("x_mm", "y_mm", "z_mm"), axes, strict=True))
         if self.turns is not None:
             out["orientation_deg"] = np.degrees(self.turns).mean()

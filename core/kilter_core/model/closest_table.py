@@ -28,6 +28,7 @@ AWAY_M = 1e-3  # at the tool: a parameter that moves it so far from nominal cost
 LEVER_M = 0.1  # at which orientation counts as length
 FIT_STEPS = 12
 SETTLED = 1e-12  # of AWAY_M
+UNSEEN = 1e-3  # of LEVER_M: a unit of a parameter counts as moving the tool at least so far
 WORSE = 1.5  # times as far off as rows of another form, which are taken then
 AT_REST = frozenset({"moments", "direction"})  # what an effect may need and still act on an arm at rest without load
 
@@ -245,7 +246,7 @@ def _fitted(
         A = (J * weight[None, :, None]).reshape(len(error), -1)
         if not len(scale):
             size = np.sqrt(np.sum(A**2, axis=0) / len(rows)) * sigma
-            scale = AWAY_M / np.maximum(size, LEVER_M * 1e-3)
+            scale = AWAY_M / np.maximum(size, LEVER_M * UNSEEN)
         away = (values - start)[free] / scale
         # Stacked, not as normal equations: a million million lies between what poses tell and what they do not.
         step = np.linalg.lstsq(np.vstack([A * scale, np.eye(len(free))]), np.append(error, -away), rcond=None)[0]

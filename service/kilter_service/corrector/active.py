@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
-from kilter_service.wire import DEG, MM
+from kilter_service.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.correct.program import CorrectionProgram
@@ -37,9 +37,9 @@ class Active:
         """How far each joint moves the tool at most, mm per rad or per mm; None where nothing bounds it."""
         from kilter_core.correct.levers import levers  # loads compiled kernels: the supervisor has none
 
-        scales = [1.0 if kind == "prismatic" else MM for kind in self.joint_kinds]
-        found = levers(self.program).tolist()
-        return [round(m * k, 3) if m < math.inf else None for m, k in zip(found, scales, strict=True)]
+        found = zip(levers(self.program).tolist(), self.joint_kinds, strict=True)
+        per_unit = (m if kind == "prismatic" else to_mm(m) for m, kind in found)
+        return [round(size, 3) if size < math.inf else None for size in per_unit]
 
     @cached_property
     def promised(self) -> dict[str, Any]:
@@ -49,17 +49,17 @@ class Active:
         found = stated(self.program)
         kinds = self.joint_kinds or ("revolute",) * self.program.n_joints
 
-        def most(values: Floats, kind: str, scale: float) -> float | None:
+        def most(values: Floats, kind: str, shown: Callable[[float], float]) -> float | None:
             of_kind = [value for value, its in zip(values.tolist(), kinds, strict=True) if its == kind]
-            return round(scale * max(of_kind), 9) if of_kind else None
+            return round(shown(max(of_kind)), 9) if of_kind else None
 
         return {
             "task": found.task,
             "at_limit": found.at_limit,
-            "rate_deg_s": most(found.rate, "revolute", DEG),
-            "rate_mm_s": most(found.rate, "prismatic", MM),
-            "acceleration_deg_s2": most(found.acceleration, "revolute", DEG),
-            "acceleration_mm_s2": most(found.acceleration, "prismatic", MM),
+            "rate_deg_s": most(found.rate, "revolute", to_deg),
+            "rate_mm_s": most(found.rate, "prismatic", to_mm),
+            "acceleration_deg_s2": most(found.acceleration, "revolute", to_deg),
+            "acceleration_mm_s2": most(found.acceleration, "prismatic", to_mm),
         }
 
     def announcement(self) -> bytes:

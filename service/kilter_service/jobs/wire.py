@@ -157,11 +157,11 @@ def _identifiability(found: IdentificationCheck) -> Identifiability:
 
 
 def _testability(found: FoundByCheck) -> Testability:
-    from kilter_core.identify.report import WIRE  # imports scipy: not at the start of the API process
+    from kilter_core.identify.report import on_wire  # imports scipy: not at the start of the API process
 
     testable = []
     for one in found.testable:
-        unit, scale = WIRE.get(one.unit, (one.unit, 1.0))
+        unit, scale = on_wire(one.unit)
         testable.append(
             Detectable(
                 id=one.id,

@@ -15,6 +15,7 @@ from kilter_service.db import Database, Session
 from kilter_service.observability import store
 from kilter_service.observability.metrics import REGISTRY
 from kilter_service.version import code_version
+from kilter_service.wire import to_metres
 
 log = logging.getLogger("kilter.api")
 
@@ -94,7 +95,7 @@ def _of_streams(streams: Sequence[Mapping[str, Any]]) -> Iterable[Metric]:
         for by in HELD_BACK:
             held_back.add_metric((*place, by), one.get(by, 0))  # a corrector of an earlier release does not count all
         if "left_mm" in one:
-            left.append((place, one["left_mm"]["lately"] * 1e-3))
+            left.append((place, to_metres(one["left_mm"]["lately"])))
         longest.append((place, times["max"] * 1e-6))
         versions.append(((*place, one["version_id"] or ""), float(one["epoch"] or 0)))
     yield answers

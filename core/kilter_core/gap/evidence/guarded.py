@@ -18,6 +18,7 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linearized import solved
 from kilter_core.identify.compare import errors_by_pose, lacking
 from kilter_core.identify.worse import Difference
+from kilter_core.measurement.metrics import mm
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
@@ -74,7 +75,7 @@ class Guard:
         for words, told in simpler.items():
             if told is not None and told.worse:
                 yield {
-                    "code": CODE, "simpler_mm": told.without * 1e3, "identified_mm": told.with_it * 1e3,
+                    "code": CODE, "simpler_mm": mm(told.without), "identified_mm": mm(told.with_it),
                     "beyond_chance": True,
                     "message": f"The confirmation is predicted worse ({told.with_it * 1e3:.3g} mm) than with {words} "
                     f"({told.without * 1e3:.3g} mm), base and tool fitted to it: do not activate this version. What was found "

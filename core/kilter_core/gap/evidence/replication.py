@@ -25,9 +25,10 @@ from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import SPARE, Prepared, prepare_data
 from kilter_core.gap.search.tails import tail
-from kilter_core.identify.report import WIRE
+from kilter_core.identify.report import on_wire
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held
+from kilter_core.measurement.metrics import mm
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats, Progress
@@ -78,13 +79,13 @@ class Replication:
         """Wire units; ``robot_units`` are the SI units of the parameters by name."""
         rows = []
         for name, value, sigma in zip(self.names, self.values, self.sigma, strict=True):
-            unit, scale = WIRE.get(robot_units[name], (robot_units[name], 1.0))
+            unit, scale = on_wire(robot_units[name])
             rows.append({"name": name, "value": float(value) * scale, "unit": unit, "sigma": float(sigma) * scale})
         return {
             "outcome": self.outcome, "parameters": rows, "p_value": self.p_value, "apart_sigma": self.apart,
             "reason": self.reason or (WORSE if self.worse else None),
-            "with_mm": None if self.guarded is None else self.guarded.with_it * 1e3,
-            "without_mm": None if self.guarded is None else self.guarded.without * 1e3,
+            "with_mm": None if self.guarded is None else mm(self.guarded.with_it),
+            "without_mm": None if self.guarded is None else mm(self.guarded.without),
         }  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from kilter_core.gap.evidence.likeness import correlations
 from kilter_core.gap.search.candidates import FAMILY, Candidate, Library, Untestable
 from kilter_core.gap.search.gram import VISIBLE
 from kilter_core.gap.search.linearized import LinearizedProblem
-from kilter_core.identify.report import WIRE
+from kilter_core.identify.report import on_wire
 from kilter_core.observations import CONDITIONS, Observations
 from kilter_core.types import Bools, Floats
 
@@ -108,7 +108,7 @@ def smallest_rows(library: Library, judged: Testability) -> list[dict[str, Any]]
     """Smallest detectable amplitude of every testable parameter, in wire units."""
     out = []
     for seen in visible(library, judged):
-        unit, scale = WIRE.get(seen.unit, (seen.unit, 1.0))
+        unit, scale = on_wire(seen.unit)
         out.append({
             "id": seen.id, "parameter": seen.parameter, "unit": unit, "smallest_detectable": seen.smallest * scale,
             "visibility": seen.visibility,
@@ -162,7 +162,7 @@ def _reason(c: Candidate, judged: Testability, problem: LinearizedProblem, rows:
     plausible = max(abs(p.lower), abs(p.upper))
     if not judged.smallest[worst] < NEVER * plausible:
         return f"{p.name} would show at no size: the geometric parameters absorb it, or nothing measured moves with it."
-    unit, scale = WIRE.get(p.unit, (p.unit, 1.0))
+    unit, scale = on_wire(p.unit)
     size = f"{judged.smallest[worst] * scale:.3g} {unit}".removesuffix(" 1")
     return f"Only {p.name} above {size} would show, more than the plausible {plausible * scale:.3g}."
 

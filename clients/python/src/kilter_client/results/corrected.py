@@ -79,8 +79,10 @@ class Corrected(bytes):
         if self.media_type not in (CSV_TYPE, JSON_TYPE):
             return f"corrected trajectory: {len(self)} bytes of {self.media_type}{left}"
         told = ", ".join(f"{count} {name}" for name, count in self.status.items())
-        change, kept = _largest(self.rows, "dx_mm", "dy_mm", "dz_mm"), _largest(self.rows, "left_mm")
-        return f"corrected trajectory: {len(self.rows)} rows ({told}), largest change {change}, most left {kept}{left}"
+        change = _largest(self.rows, "dx_mm", "dy_mm", "dz_mm")
+        # Of rows that are OK no more is left than the version states of itself.
+        kept = f", most left {_largest(self.rows, 'left_mm')}" if self.status.keys() & {"DAMPED", "LIMITED"} else ""
+        return f"corrected trajectory: {len(self.rows)} rows ({told}), largest change {change}{kept}{left}"
 
     def __str__(self) -> str:
         return repr(self)
