@@ -108,7 +108,7 @@ def test_the_page_says_what_the_interface_says(hunted: Hunted) -> None:
         said, result = story(hunted, job), job["result"]
         assert result["sentence"] in said
         for field in ("validation_before_mm", "validation_after_mm", "validation_noise_rms_mm"):
-            assert f"{result['gap'][field]:.3g} mm" in said, field
+            assert f"{number(result['gap'][field])} mm" in said, field
         for effect in result["effects"]:
             assert f"{effect['id']} of joint {effect['joints'][0]}" in said
             assert f"{effect['gain_mm']:.3g} mm" in said
@@ -186,15 +186,15 @@ def test_the_gap_closes_in_steps(hunted: Hunted) -> None:
     bars = hunted.closed["result"]["figures"]["gap_bar"]["data"]
     body = hunted.client.get(f"/jobs/{hunted.closed['id']}").text
     for place, label in enumerate(bars[0]["y"]):
-        cells = f'<th scope="row">{label}</th><td class="number">{bars[0]["x"][place]:.3g}</td>'
-        assert f'{cells}<td class="number">{bars[1]["x"][place]:.3g}</td>' in body
+        cells = f'<th scope="row">{label}</th><td class="number">{number(bars[0]["x"][place])}</td>'
+        assert f'{cells}<td class="number">{number(bars[1]["x"][place])}</td>' in body
     errors, held = bars[1]["error_x"], np.array(bars[1]["x"])
     low, high = held - errors["arrayminus"], held + errors["array"]
     for place in range(len(held) - 1):
         assert f"{low[place]:.3g} to {high[place]:.3g}" in body
     report = text_of(hunted.client.get(f"/jobs/{hunted.closed['id']}/report"))
     for text in (
-        f"On held-out poses the error falls from {held[0]:.3g} to {held[-2]:.3g} mm",
+        f"On held-out poses the error falls from {number(held[0])} to {number(held[-2])} mm",
         f"{low[0]:.3g} to {high[0]:.3g}",
     ):
         assert text in report

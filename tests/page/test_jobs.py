@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, expect
 from kilter_service.app import create_app
 from kilter_service.auth.token import admin_token
 from kilter_service.db import Database
-from kilter_service.page.words import mm
+from kilter_service.page.words import measured, mm
 from kilter_service.settings import Settings
 from tests.service.conftest import Katana, WorkerProcess, new_database, ready, served, wait_for
 
@@ -238,7 +238,16 @@ def test_an_identification_shows_the_numbers_of_the_interface(
     for direction in job["result"]["null_directions"]:
         assert direction["sentence"] in text
     for parameter in job["result"]["parameters"]:
-        assert parameter["name"] in text
+        carried = parameter["identifiable"] is False and parameter["name"].startswith(("link_m", "load_payload"))
+        assert carried or parameter["name"] in text
+    bodies = text.partition('aria-label="Table of masses and centres"')[2].partition("</table>")[0].split("<tr>")[2:]
+    assert job["result"]["load_model"]
+    for number, told in zip(job["result"]["load_model"], bodies, strict=True):
+        assert (f">link {number['link']}<" if number["link"] else ">payload<") in told
+        assert f"<code>{number['parameter']}</code>" in told
+        assert measured(number["stated"], number["prior_sigma"]) in told
+        assert measured(number["value"], number["sigma"]) in told
+        assert f"<td>{'yes' if number['seen'] else 'no'}</td>" in told
     for row in job["result"]["set_aside"]:
         assert f'<td class="number">{row["row"]}</td>' in shown
     assert f"/versions/{job['result']['version_id']}" in shown
