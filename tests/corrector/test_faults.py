@@ -63,7 +63,7 @@ def test_killed_in_motion_it_is_noticed_before_the_deadline_and_comes_back(corre
                 break
             assert k < 2000
     order = [source for source, _ in itertools.groupby(sources)]
-    assert order == ["corrected", "held", "bypass", "corrected"]
+    assert order == ["corrected", "held", "bypass", "slowed", "corrected"]  # fades in again, and says so
     assert sources.count("held") == 3
 
 
