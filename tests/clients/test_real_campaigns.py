@@ -71,7 +71,9 @@ def test_humanoid_arm_from_its_urdf(
 
 
 @pytest.mark.parametrize(
-    ("validation", "target_mm"), [("0.25", 0.3), pytest.param("folds:6", 0.23, marks=pytest.mark.slow)]
+    # A quarter is some twenty poses: draws of a fifth to a third give 0.265 to 0.316 mm, folds of all poses 0.222 to 0.228.
+    ("validation", "target_mm"),
+    [("0.25", 0.35), ("folds:6", 0.23)],
 )
 def test_three_markers_from_a_mat_file(
     kilter_command: Session, shared_data: Path, validation: str, target_mm: float
@@ -81,4 +83,4 @@ def test_three_markers_from_a_mat_file(
     done = kilter_command("upload", "fanuc", file, "--map", EXAMPLES / "fanuc.toml", "--device", "tracker")
     before, after = held_out(kilter_command("identify", "fanuc", "-c", done["campaign_id"], "-v", validation))
     assert before["mean_mm"] > 0.5
-    assert after["mean_mm"] < target_mm
+    assert after["mean_mm"] < min(target_mm, 0.5 * before["mean_mm"])

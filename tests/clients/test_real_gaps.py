@@ -56,11 +56,18 @@ def test_two_encoders_per_joint(person: Session, shared_data: Path, whole: bool)
     quick = () if whole else ("--effects", "tracking_lag,time_offset,axial_compliance,backlash,encoder_scale", *QUICK)
     found = person.hunt("-c", ids[0], "-v", ids[1], "-v", ids[2], *quick)
     effects = named(found)
-    # One delay of 2.9 ms between the encoders of all axes; the load's part and the reversal on every axis with an encoder.
+    # One delay of 2.9 ms between the encoders of all axes; the load's part on every axis with an encoder; the reversal on
+    # axes 2 and 3, and on axis 1 where the search sees it: its 0.0013 deg are less than what this motion shows for sure.
     assert "tracking_lag" not in effects
     assert effects["time_offset"]["parameters"][0]["value"] == pytest.approx(-0.0029, abs=0.0001)
     assert {j for e in found["effects"] if e["id"] == "axial_compliance" for j in e["joints"]} == {1, 2, 3}
-    assert {j for e in found["effects"] if e["id"] in ("backlash", "friction_windup") for j in e["joints"]} == {1, 2, 3}
+    reversal = {j for e in found["effects"] if e["id"] in ("backlash", "friction_windup") for j in e["joints"]}
+    unseen = {
+        j for x in found["not_testable"] if x["id"] in ("backlash", "friction_windup") for j in x["joints"] if j < 4
+    }
+    assert reversal >= {2, 3}
+    assert reversal | unseen == {1, 2, 3}  # whichever is not named is said to be unseen
+    assert unseen <= {1}
     # What motions B and C bear out, the encoders of each referenced anew: axis 1 by 0.13 deg in motion C.
     assert effects["time_offset"]["gates"]["held_out"]
     assert effects["axial_compliance"]["gates"]["held_out"]
