@@ -32,7 +32,7 @@ MODULES: Mapping[str, Sequence[str]] = {
     "evaluations": ("EvaluateResult",),
     "plans": ("PlanResult",),
     "checks": ("IdentifyCheck", "GapCheck", "EvaluateCheck", "PlanCheck", "JointParametersCheck"),
-    "server": ("Health", "ResolvedReference", "JobSummary"),
+    "server": ("Health", "ResolvedReference", "JobSummary", "Today"),
 }
 JOB = "/v1/jobs/{job}"
 # What is written by hand for a type: how it is shown, and what can be made of it.

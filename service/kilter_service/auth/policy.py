@@ -49,6 +49,7 @@ RULES: Mapping[str, Rule] = {
     "GET /v1/whoami": READ,
     "GET /v1/robots": READ,
     "GET /v1/robots/{robot}": READ,
+    "GET /v1/robots/{robot}/today": READ,
     "GET /v1/robots/{robot}/campaigns": READ,
     "GET /v1/robots/{robot}/versions": READ,
     "GET /v1/robots/{robot}/activations": READ,

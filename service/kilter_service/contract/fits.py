@@ -6,6 +6,7 @@ from pydantic import Field
 
 from kilter_service.contract.units import Deg, Metres, Mm, Stored
 
+MOSTLY = 0.5  # more than half of a number is what it mostly is
 UNIT = "Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."
 
 
@@ -32,6 +33,17 @@ class StageErrors(Stored):
     registration_only: Errors | None = Field(None, description="The nominal robot, base and tool fitted.")
     geometry_only: Errors | None = Field(None, description="The fitted geometry without effects.")
     identified: Errors | None = Field(None, description="The model that was identified.")
+
+    @property
+    def place_mm(self) -> float | None:
+        """What base and tool alone take off the nominal error, mm, where that is most of it; None: it is not.
+
+        It says where instrument, base and tool are, and no version takes it away: it is not an error of the arm.
+        """
+        if self.nominal is None or self.registration_only is None:
+            return None
+        taken = self.nominal.mean_mm - self.registration_only.mean_mm
+        return taken if taken > MOSTLY * self.nominal.mean_mm else None
 
 
 class Metrics(Stored):

@@ -146,6 +146,12 @@ def listed(database: Database, robot: str | None, page: Page) -> JobList:
     return JobList(jobs=[wire.summary(job) for job in shown], next=cursor)
 
 
+def evaluations_of(database: Database, version_id: str) -> list[str]:
+    """Return the ids of the evaluations of a version that succeeded, newest first, however many jobs came after them."""
+    with database.reading() as session:
+        return store.evaluations_of(session, version_id)
+
+
 def open_of_robots(database: Database) -> dict[str, int]:
     """Return how many jobs of each robot are not over."""
     with database.reading() as session:

@@ -114,6 +114,17 @@ def listed(session: Session, robot: str | None, page: Page) -> list[ListedJob]:
     return [ListedJob(job, kind, names[robot_id], *rest) for job, kind, robot_id, *rest in found]
 
 
+def evaluations_of(session: Session, version_id: str) -> list[str]:
+    """Return the ids of the evaluations of a version that succeeded, newest first."""
+    row = JobRow
+    made = versions.get(session, version_id)
+    query = select(row.id).where(
+        row.robot_id == made.robot_id, row.kind == "evaluate", row.state == "succeeded",
+        row.result["version_id"].as_string() == version_id,
+    )  # fmt: skip
+    return list(session.execute(query.order_by(row.created_at.desc(), row.id)).scalars())
+
+
 def open_of_robots(session: Session) -> dict[str, int]:
     """Return how many jobs of each robot are not over."""
     counted = select(RobotRow.name, func.count()).select_from(JobRow).join(RobotRow, RobotRow.id == JobRow.robot_id)

@@ -26,12 +26,21 @@ class OwnError:
     @staticmethod
     def of(report: Mapping[str, Any], block: str) -> OwnError | None:
         """The error on the rows of a block, "validation" or "train"; None: none is stored."""
-        rows = (report.get("metrics") or {}).get(block) or {}
+        return OwnError.read((report.get("metrics") or {}).get(block) or {}, block == "validation")
+
+    @staticmethod
+    def read(rows: Mapping[str, Any], held_out: bool) -> OwnError | None:
+        """The error of the identified model in stored errors of some rows; None: none is stored."""
         found = rows.get("identified") or {}
         if found.get("mean_mm") is None:
             return None
         count = max(int(rows.get("n") or 1), 1)
-        return OwnError(float(found["mean_mm"]), count, variance(found) / count, block == "validation")
+        return OwnError(float(found["mean_mm"]), count, variance(found) / count, held_out)
+
+    def beyond(self, other: OwnError) -> bool:
+        """Whether it is larger than another by more than chance explains."""
+        margin = max(ERRORS_OF_DOUBT * math.sqrt(self.doubt + other.doubt), SHARE_OF_DOUBT * other.mean)
+        return self.mean - other.mean > margin
 
     @property
     def words(self) -> str:
@@ -50,12 +59,17 @@ def compared(
     mine, other = OwnError.of(new, "validation") or OwnError.of(new, "train"), OwnError.of(rival, "validation")
     if mine is None or other is None:
         return [], []
-    margin = max(ERRORS_OF_DOUBT * math.sqrt(mine.doubt + other.doubt), SHARE_OF_DOUBT * other.mean)
     message = (
         f"No measured pose is new to both it and version {active}, active now, so each is taken by its own rows: it leaves "
         f"{mine.words}, version {active} {other.words}."
     )
-    if mine.mean - other.mean > margin:
+    if mine.beyond(other):
         remedy = " Measure poses that neither was fitted to (kilter upload --role confirmation) and activate again."
         return [Objection(code=CODE, message=message + remedy)], []
     return [], [{"code": COMPARED, "message": message}]
+
+
+def larger(now: Mapping[str, Any], before: Mapping[str, Any]) -> float | None:
+    """By how much, mm, the stored mean error of some rows is larger than that of others; None: chance explains it."""
+    mine, other = OwnError.read(now, True), OwnError.read(before, True)
+    return mine.mean - other.mean if mine is not None and other is not None and mine.beyond(other) else None

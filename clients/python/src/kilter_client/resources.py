@@ -54,6 +54,10 @@ class Robots:
         """Return a robot with its joints, parameters and document."""
         return self._run(robots.one(name))
 
+    def today(self, name: str) -> Document:
+        """Return how good a robot is today, and what is missing in its active version."""
+        return self._run(robots.today(name))
+
     def remove(self, name: str) -> None:
         """Delete a robot nothing was measured on."""
         self._run(robots.remove(name))

@@ -6,14 +6,16 @@ import math
 from dataclasses import dataclass
 
 from kilter_service.contract.robot_reports import RobotSummary
+from kilter_service.contract.today import Today
 from kilter_service.contract.versions import VersionSummary
 from kilter_service.db import Database
 from kilter_service.jobs import service as jobs
-from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
+from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.settings import Settings
+from kilter_service.today import service as today
 from kilter_service.versions import service as versions
 
 
@@ -23,6 +25,7 @@ class Card:
 
     robot: RobotSummary
     version: VersionSummary | None
+    today: Today | None
     accuracy: Accuracy | None
     correcting: Correcting
     open_jobs: int
@@ -37,10 +40,12 @@ def cards(database: Database, settings: Settings) -> list[Card]:
     """Return the robots in use, worst first."""
     seen = corrector(database, settings)
     open_jobs, active = jobs.open_of_robots(database), versions.active_of_robots(database)
+    known = today.of_robots(database)
     made = []
     for robot in robots.listed(database, Page()).robots:
         version = active.get(robot.name)
-        accuracy = None if version is None else accuracy_of(version.metrics)
+        now = known.get(robot.name)
+        accuracy = None if now is None else accuracy_today(now)
         correcting = seen.of(robot.name, robot.active_version)
-        made.append(Card(robot, version, accuracy, correcting, open_jobs.get(robot.name, 0)))
+        made.append(Card(robot, version, now, accuracy, correcting, open_jobs.get(robot.name, 0)))
     return sorted(made, key=lambda card: card.rank)

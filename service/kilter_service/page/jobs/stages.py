@@ -17,6 +17,7 @@ STAGES = (
 )
 BARS = (("mean_mm", "mean", -0.27), ("rms_mm", "rms", 0.0), ("p95_mm", "95 % are below", 0.27))
 CURVES = {"before, nominal": "Before", "registration only": "Registration only", "identified": "After"}
+PLACED = "Nominal, mostly where instrument, base and tool are"
 NO_OTHER: Mapping[str, str] = {}
 MEANING = {
     "Before": "the nominal robot, where it is said to stand",
@@ -28,13 +29,15 @@ MEANING = {
 
 def there(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> list[tuple[str, Errors]]:
     """Return the models that were compared, in the order of what they know; ``other`` renames some."""
-    found = [(other.get(title, title), getattr(errors, name, None)) for name, title in STAGES]
+    placed = errors is not None and errors.place_mm is not None
+    named = [(name, PLACED if placed and name == "nominal" else other.get(title, title)) for name, title in STAGES]
+    found = [(title, getattr(errors, name, None)) for name, title in named]
     return [(title, one) for title, one in found if one is not None]
 
 
 def bars(errors: StageErrors | None, where: str, other: Mapping[str, str] = NO_OTHER) -> Plot | None:
     """Draw a bar for each model; None: nothing was measured."""
-    stages = there(errors, other)
+    stages = [one for one in there(errors, other) if one[0] != PLACED]  # beside it all others would be as good as zero
     if not stages:
         return None
     shown = [getattr(one, name) or 0.0 for _, one in stages for name, _, _ in BARS]

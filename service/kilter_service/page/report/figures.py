@@ -14,13 +14,15 @@ STAGES = (
     ("registration_only", "base and tool fitted only"),
     ("identified", "calibrated"),
 )
+PLACE = "nominal robot, mostly where instrument, base and tool are: not an error of the arm"
 CURVES = {"before, nominal": STAGES[0][1], "registration only": STAGES[1][1], "identified": STAGES[2][1]}
 SIZES = (("mean_mm", "mean"), ("rms_mm", "rms"), ("p95_mm", "95 %"), ("max_mm", "largest"))
 
 
 def before_and_after(errors: StageErrors, title: str) -> Plot | None:
     """Bars of the errors of each model on the same rows."""
-    found = [(label, getattr(errors, name)) for name, label in STAGES if getattr(errors, name) is not None]
+    shown = STAGES if errors.place_mm is None else STAGES[1:]
+    found = [(label, getattr(errors, name)) for name, label in shown if getattr(errors, name) is not None]
     if not found:
         return None
     values = [getattr(one, size) for _, one in found for size, _ in SIZES if getattr(one, size) is not None]

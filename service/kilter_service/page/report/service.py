@@ -11,7 +11,7 @@ from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import Parameter, StageErrors
-from kilter_service.contract.jobs.evaluate import EvaluateResult, Iso9283
+from kilter_service.contract.jobs.evaluate import Iso9283
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.jobs.job import EvaluateJob, GapJob, IdentifyJob, Job
 from kilter_service.contract.robot_reports import RobotReport
@@ -22,14 +22,13 @@ from kilter_service.jobs import service as jobs
 from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.report.effects import Contributions, closing, effects_of
-from kilter_service.page.report.figures import CURVES, HEIGHT, INK, SIZES, STAGES, before_and_after
+from kilter_service.page.report.figures import CURVES, HEIGHT, INK, PLACE, SIZES, STAGES, before_and_after
 from kilter_service.page.report.limits import limits
 from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 
-MOST_JOBS = 200  # newest, that are looked through for evaluations
 SIGMA95 = 1.96
 NEGATIVE_ZERO = re.compile(r"^-(?=0(\.0+)?( |$))")
 
@@ -178,6 +177,8 @@ def _errors(errors: StageErrors, title: str, on: str) -> Judged:
         [label, *(words.mm(getattr(one, size)) for size, _ in SIZES), words.number(one.orientation_deg)]
         for label, one in found
     ]
+    if errors.place_mm is not None:
+        rows[0][0] = PLACE
     count = "" if errors.n is None else f"{words.count(errors.n)} points; "
     return Judged(title, count + on, rows, before_and_after(errors, f"Errors: {title.lower()}"))
 
@@ -212,10 +213,8 @@ def _evaluated(database: Database, job: Job, version: Version | None) -> Iterato
     if isinstance(job, EvaluateJob):
         found = [job]
     elif version is not None:
-        listed = jobs.listed(database, job.robot, Page(MOST_JOBS)).jobs
-        wanted = [one.id for one in listed if one.kind == "evaluate" and one.state == "succeeded"]
-        whole = [jobs.get(database, one) for one in wanted]
-        found = [one for one in whole if isinstance(one, EvaluateJob) and _of(one.result, version)]
+        whole = [jobs.get(database, one) for one in jobs.evaluations_of(database, version.id)]
+        found = [one for one in whole if isinstance(one, EvaluateJob)]
     else:
         return
     for one in found:
@@ -223,7 +222,3 @@ def _evaluated(database: Database, job: Job, version: Version | None) -> Iterato
         errors = (one.result.metrics or {}).items()
         judged = [_errors(part, f"Campaign {name}", f"evaluation {one.id}") for name, part in errors]
         yield Evaluated(one, one.result.standard or "ISO 9283", list((one.result.iso9283 or {}).items()), judged)
-
-
-def _of(result: EvaluateResult | None, version: Version) -> bool:
-    return result is not None and result.version_id == version.id

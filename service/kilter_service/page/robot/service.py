@@ -7,31 +7,24 @@ from dataclasses import dataclass
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.jobs.job import JobSummary
 from kilter_service.contract.meshes import Mesh
 from kilter_service.contract.robot_reports import RobotReport
+from kilter_service.contract.today import Today
 from kilter_service.contract.versions import Activation, Version, VersionSummary
 from kilter_service.db import Database
 from kilter_service.jobs import service as jobs
 from kilter_service.limits import MAX_MESH_MB, MAX_TRIANGLES
 from kilter_service.meshes import service as meshes
-from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
+from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.paging import Page
 from kilter_service.robots import service as robots
 from kilter_service.settings import Settings
+from kilter_service.today import service as today
 from kilter_service.versions import service as versions
 
 NEWEST = Page(limit=50)
-
-
-@dataclass(frozen=True)
-class Finding:
-    """The newest gap search that was completed."""
-
-    job: JobSummary
-    result: GapResult
 
 
 @dataclass(frozen=True)
@@ -39,13 +32,13 @@ class Shown:
     """A robot; ``version`` is the active one, ``candidate`` a newer one that is not, ``looked_at`` the one of the picture."""
 
     robot: RobotReport
+    today: Today
     version: Version | None
     accuracy: Accuracy | None
     activation: Activation | None
     candidate: VersionSummary | None
     correcting: Correcting
     latest: JobSummary | None
-    finding: Finding | None
     campaigns: Sequence[Campaign]
     versions: Sequence[VersionSummary]
     looked_at: VersionSummary | None
@@ -68,36 +61,28 @@ class Shown:
 
 def of(database: Database, settings: Settings, name: str, version: str | None, campaign: str | None) -> Shown:
     """Return what the view shows; ``version`` and ``campaign`` are those of the picture, where they were chosen."""
-    robot = robots.get(database, name)
+    robot, now = robots.get(database, name), today.of_robot(database, name)
     active = None if robot.active_version is None else versions.get(database, robot.active_version)
     log = versions.activations(database, name, Page(limit=1)).activations
     made = versions.listed(database, name, NEWEST).versions
-    newest = jobs.listed(database, name, NEWEST).jobs
+    newest = jobs.listed(database, name, Page(limit=1)).jobs
     measured = [one for one in campaigns.listed(database, name, Page()).campaigns if one.rows]
     looked_at = next((one for one in made if one.id == (version or robot.active_version)), made[0] if made else None)
     return Shown(
         robot=robot,
+        today=now,
         version=active,
-        accuracy=None if active is None else accuracy_of(active.metrics),
+        accuracy=accuracy_today(now),
         activation=log[0] if log else None,
         candidate=next((one for one in made if not one.active), None) if made and not made[0].active else None,
         correcting=corrector(database, settings).of(name, robot.active_version),
         latest=newest[0] if newest else None,
-        finding=_finding(database, newest),
         campaigns=measured,
         versions=made,
         looked_at=looked_at,
         campaign=_campaign(database, measured, looked_at, campaign),
         meshes=meshes.listed(database, name).meshes,
     )
-
-
-def _finding(database: Database, newest: Sequence[JobSummary]) -> Finding | None:
-    for summary in newest:
-        if summary.kind == "gap" and summary.state == "succeeded":
-            result = jobs.get(database, summary.id).result
-            return Finding(summary, result) if isinstance(result, GapResult) else None
-    return None
 
 
 def _campaign(

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from kilter_service.contract.fits import Errors, Metrics, StageErrors
+from kilter_service.contract.today import Today
 
 QUANTILE = 1.96  # of the standard normal at 97.5 %
 
@@ -26,6 +27,7 @@ class Accuracy:
     largest: float | None
     nominal: float | None
     registration: float | None
+    place: float | None = None  # of the nominal error, what is where instrument, base and tool are
 
     @property
     def half(self) -> float | None:
@@ -46,6 +48,14 @@ def accuracy_of(metrics: Metrics) -> Accuracy | None:
     return None
 
 
+def accuracy_today(today: Today) -> Accuracy | None:
+    """Read the newest errors of a robot; None when nothing is known."""
+    newest = today.newest
+    if newest is None or newest.errors.identified is None:
+        return None
+    return _read(newest.source != "fitted", newest.errors, newest.errors.identified)
+
+
 def interval(found: Errors, n: int | None) -> tuple[float, float] | None:
     """Return the 95 % interval of a mean error over ``n`` points; None where the spread is not known."""
     if not n or n < 2 or found.rms_mm is None:
@@ -60,7 +70,7 @@ def _read(held_out: bool, block: StageErrors, found: Errors) -> Accuracy:
     low, high = ends or (None, None)
     return Accuracy(
         held_out, block.n, found.mean_mm, low, high, found.p95_mm, found.max_mm, _mean(block.nominal),
-        _mean(block.registration_only),
+        _mean(block.registration_only), block.place_mm,
     )  # fmt: skip
 
 

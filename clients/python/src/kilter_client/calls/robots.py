@@ -16,6 +16,11 @@ def add(document: Mapping[str, Any]) -> Steps[Document]:
     return post("/v1/robots", document)
 
 
+def today(name: str) -> Steps[Document]:
+    """Say how good a robot is today."""
+    return get(address("robots", name, "today"))
+
+
 def check(document: Mapping[str, Any]) -> Steps[Document]:
     """Look at a robot without adding it."""
     return post("/v1/robots/check", document, again=True)

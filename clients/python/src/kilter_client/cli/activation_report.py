@@ -64,3 +64,9 @@ def show_activations(document: Mapping[str, Any]) -> None:
         for entry in document["activations"]
     ]
     show_rows(("when", "what", "version", "by", "why"), rows)
+
+
+def show_today(document: Mapping[str, Any]) -> None:
+    """Print how good a robot is today, in the server's words."""
+    for sentence in document["sentences"]:
+        say(sentence)

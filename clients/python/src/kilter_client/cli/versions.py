@@ -10,7 +10,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.calls.versions import NOMINAL
 from kilter_client.cli import exported, keeping
-from kilter_client.cli.activation_report import show_activations, show_active
+from kilter_client.cli.activation_report import show_activations, show_active, show_today
 from kilter_client.cli.arguments import Json, Retired, Robot, VersionId
 from kilter_client.cli.output import emit, say
 from kilter_client.cli.references import OfRobot, resolved
@@ -34,6 +34,7 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: kilter version ver_7c")(version)
     app.command(epilog="Example: kilter activate ver_7c")(activate)
     app.command(epilog="Example: kilter rollback ur10")(rollback)
+    app.command(epilog="Example: kilter today ur10")(today)
     app.command(epilog="Example: kilter activations ur10")(activations)
     app.command(epilog="Example: kilter diff ver_5a ver_7c")(diff)
     app.command(epilog="Example: kilter export ver_7c --format json -o ur10.json")(export)
@@ -73,6 +74,12 @@ def rollback(robot: Robot, as_json: Json = False) -> None:
     with Kilter() as kilter:
         document = kilter.versions.rollback(robot)
     emit(document, as_json, lambda _: show_active(document, "active again"))
+
+
+def today(robot: Robot, as_json: Json = False) -> None:
+    """Show how good a robot is today, on rows that no fit used, and what is missing."""
+    with Kilter() as kilter:
+        emit(kilter.robots.today(robot), as_json, show_today)
 
 
 def activations(robot: Robot, as_json: Json = False) -> None:

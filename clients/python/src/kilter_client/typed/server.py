@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kilter_client.results.record import Record
+from kilter_client.results.record import Record, Records
+from kilter_client.typed.fits import StageErrors
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -92,3 +93,95 @@ class JobSummary(Record):
     """When it began; None: not yet."""
     state: str
     """`queued` and `running` become one of the other three."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MeasuredCampaign(Record):
+    """A campaign, and when its newest rows were sent."""
+
+    id: str
+    """Id of the campaign."""
+    measured_at: str
+    """When its newest rows were sent."""
+    name: str
+    """Its name."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ErrorsToday(Record):
+    """Errors of the active version on some rows."""
+
+    at: str
+    """When that was."""
+    campaigns: Records[MeasuredCampaign]
+    """Where the rows are from; empty: they are gone."""
+    errors: StageErrors
+    """The errors."""
+    job_id: str
+    """The job that computed them."""
+    refit: tuple[str, ...]
+    """Frames that were fitted to these rows, `base` and `tool`; empty: none."""
+    set_aside: int
+    """Rows of these campaigns that the fit set aside; they count in the errors."""
+    source: str
+    """`evaluation`: of rows that no fit used; `held_out`: of rows that its own job held out; `fitted`: of the rows it was fitted to, which flatters."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class NamedMissing(Record):
+    """An effect that a search named, and whether the active version corrects it."""
+
+    corrected: bool
+    """Whether the active version has it."""
+    id: str
+    """Id of the effect."""
+    joints: tuple[int, ...]
+    """Its joints, from 1; empty: of the whole arm."""
+    words: str
+    """The effect as people say it, with its class where these data cannot tell them apart."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SearchToday(Record):
+    """The newest gap search against what the active version corrects."""
+
+    at: str
+    """When it ended."""
+    campaigns: tuple[str, ...]
+    """Ids of the campaigns it looked at."""
+    job_id: str
+    """The search."""
+    named: Records[NamedMissing]
+    """What it named."""
+    next_poses: int
+    """Poses that it proposes to measure."""
+    sentence: str
+    """What is missing now, in words."""
+    start: str | None
+    """The version it continued from; None: the nominal robot."""
+    verdict: str | None
+    """`no_gap`, `closed`, `provisional` or `unexplained`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Today(Record):
+    """How good a robot is today, and what is missing in its active version."""
+
+    changed: bool
+    """Whether today's mean error is larger than that by more than chance explains."""
+    larger_by_mm: float | None
+    """By how much, mm; None: not larger."""
+    missing: SearchToday | None
+    """The newest gap search; None: nobody has looked."""
+    newest: ErrorsToday | None
+    """The errors of today; None: nothing is known."""
+    not_evaluated: Records[MeasuredCampaign]
+    """Campaigns since then that the version neither was fitted to nor evaluated on."""
+    own: ErrorsToday | None
+    """What the version's own job said when it was made."""
+    robot: str
+    """Name of the robot."""
+    sentences: tuple[str, ...]
+    """The same in words, the most important first."""
+    version_id: str | None
+    """The active version; None: none."""

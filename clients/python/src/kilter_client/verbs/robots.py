@@ -16,6 +16,7 @@ from kilter_client.verbs.things import Thing, reference
 
 if TYPE_CHECKING:
     from kilter_client.typed.robots import FoundRobot, Frame, RobotCheck, RobotReport, RobotSummary
+    from kilter_client.typed.server import Today
 
 
 def add_robot(
@@ -96,6 +97,18 @@ def convert_robot(source: str | PathLike[str] | Mapping[str, Any], to: str) -> S
 
     """
     return (yield from calls.convert(_document(source, None, None, _Described()), to))
+
+
+def today(robot: Thing) -> Steps[Today]:
+    """Return how good a robot is today: its newest error on rows that no fit used, and what is missing.
+
+    Raises:
+        NotFoundError: there is no such robot.
+
+    """
+    from kilter_client.typed.server import Today
+
+    return Today.read((yield from calls.today(reference("robot", robot))))
 
 
 def find_robot(

@@ -1,0 +1,76 @@
+"""How good a robot is today: the newest error that no fit had a part in, and what its active version leaves uncorrected."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Literal
+
+from pydantic import Field
+
+from kilter_service.contract.fits import StageErrors
+from kilter_service.contract.units import Mm, Strict
+
+Source = Literal["evaluation", "held_out", "fitted"]
+
+
+class MeasuredCampaign(Strict):
+    """A campaign, and when its newest rows were sent."""
+
+    id: str = Field(description="Id of the campaign.")
+    name: str = Field(description="Its name.")
+    measured_at: datetime = Field(description="When its newest rows were sent.")
+
+
+class ErrorsToday(Strict):
+    """Errors of the active version on some rows."""
+
+    source: Source = Field(
+        description="`evaluation`: of rows that no fit used; `held_out`: of rows that its own job held out; `fitted`: of the "
+        "rows it was fitted to, which flatters."
+    )
+    job_id: str = Field(description="The job that computed them.")
+    at: datetime = Field(description="When that was.")
+    campaigns: list[MeasuredCampaign] = Field(description="Where the rows are from; empty: they are gone.")
+    refit: list[str] = Field(description="Frames that were fitted to these rows, `base` and `tool`; empty: none.")
+    errors: StageErrors = Field(description="The errors.")
+    set_aside: int = Field(0, description="Rows of these campaigns that the fit set aside; they count in the errors.")
+
+
+class NamedMissing(Strict):
+    """An effect that a search named, and whether the active version corrects it."""
+
+    id: str = Field(description="Id of the effect.")
+    joints: list[int] = Field(description="Its joints, from 1; empty: of the whole arm.")
+    words: str = Field(
+        description="The effect as people say it, with its class where these data cannot tell them apart."
+    )
+    corrected: bool = Field(description="Whether the active version has it.")
+
+
+class SearchToday(Strict):
+    """The newest gap search against what the active version corrects."""
+
+    job_id: str = Field(description="The search.")
+    at: datetime = Field(description="When it ended.")
+    campaigns: list[str] = Field(description="Ids of the campaigns it looked at.")
+    start: str | None = Field(description="The version it continued from; null: the nominal robot.")
+    verdict: str | None = Field(description="`no_gap`, `closed`, `provisional` or `unexplained`.")
+    named: list[NamedMissing] = Field(description="What it named.")
+    next_poses: int = Field(description="Poses that it proposes to measure.")
+    sentence: str = Field(description="What is missing now, in words.")
+
+
+class Today(Strict):
+    """How good a robot is today, and what is missing in its active version."""
+
+    robot: str = Field(description="Name of the robot.")
+    version_id: str | None = Field(description="The active version; null: none.")
+    newest: ErrorsToday | None = Field(description="The errors of today; null: nothing is known.")
+    own: ErrorsToday | None = Field(description="What the version's own job said when it was made.")
+    changed: bool = Field(description="Whether today's mean error is larger than that by more than chance explains.")
+    larger_by_mm: Mm | None = Field(description="By how much, mm; null: not larger.")
+    not_evaluated: list[MeasuredCampaign] = Field(
+        description="Campaigns since then that the version neither was fitted to nor evaluated on."
+    )
+    missing: SearchToday | None = Field(description="The newest gap search; null: nobody has looked.")
+    sentences: list[str] = Field(description="The same in words, the most important first.")

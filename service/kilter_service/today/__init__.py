@@ -1,0 +1,1 @@
+"""How good robots are today: one place computes it, and page, HTTP interface, library and command show it."""

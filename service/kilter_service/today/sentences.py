@@ -1,0 +1,68 @@
+"""Today in words. A number says of which rows it is, and from when."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, Today
+
+SOURCES = {
+    "evaluation": "on rows that no fit used",
+    "held_out": "on rows that its own job held out",
+    "fitted": "on the rows it was fitted to, which flatters",
+}
+
+
+def of(today: Today) -> list[str]:
+    """Say how good the robot is, whether that has changed, and what nobody has looked at."""
+    return list(_sentences(today))
+
+
+def _sentences(today: Today) -> Iterator[str]:
+    if today.version_id is None:
+        yield "No version is active: the arm is as good as its nominal description."
+    elif today.newest is None:
+        yield "How good the arm is, is not known: the active version was made without measurements of the tool."
+    else:
+        yield from _numbers(today, today.newest)
+    if today.not_evaluated:
+        named = ", ".join(f"{one.name} ({one.measured_at:%Y-%m-%d})" for one in today.not_evaluated)
+        yield (
+            f"Measured since then and not evaluated: {named}. Evaluate it: `kilter evaluate {today.robot} --campaign "
+            f"{today.not_evaluated[-1].id}`."
+        )
+    if today.missing is not None:
+        yield today.missing.sentence
+
+
+def _numbers(today: Today, newest: ErrorsToday) -> Iterator[str]:
+    assert newest.errors.identified is not None
+    refit = f", {' and '.join(newest.refit)} fitted to them" if newest.refit else ""
+    yield f"Mean error {newest.errors.identified.mean_mm:.3g} mm {SOURCES[newest.source]}{refit}: {where(newest)}."
+    if today.changed and today.own is not None and today.own.errors.identified is not None:
+        moved = (
+            ""
+            if newest.refit
+            else f" Where the instrument was set up anew, evaluate with `--refit base` first: {_job(today, newest)}."
+        )
+        yield (
+            f"That is {today.larger_by_mm:.3g} mm more than the {today.own.errors.identified.mean_mm:.3g} mm its own job "
+            f"said ({today.own.at:%Y-%m-%d}), more than chance explains: the arm, or what it was measured with, has changed."
+            + moved
+        )
+    if newest.source == "fitted":
+        yield "Nothing was held out: measure some poses that are only checked (kilter upload --role confirmation)."
+
+
+def where(found: ErrorsToday) -> str:
+    """Say which rows, and from when."""
+    named = ", ".join(_named(one) for one in found.campaigns) or "campaigns that are gone"
+    return f"{named}, computed {found.at:%Y-%m-%d}"
+
+
+def _named(one: MeasuredCampaign) -> str:
+    return f"campaign {one.name} of {one.measured_at:%Y-%m-%d %H:%M} UTC"
+
+
+def _job(today: Today, newest: ErrorsToday) -> str:
+    return f"`kilter evaluate {today.robot} --campaign {newest.campaigns[0].id} --refit base`"

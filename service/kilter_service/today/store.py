@@ -1,0 +1,144 @@
+"""What is stored about today: evaluations, campaigns and what versions were fitted to, of many robots in a few queries."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import func, select
+
+from kilter_service.db import Session
+from kilter_service.db.tables import ActivationRow, CampaignRow, JobRow, RobotRow, UploadRow, VersionRow
+from kilter_service.robots import store as robots
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A campaign in use with rows: the hashes of its files, and when the newest came."""
+
+    id: str
+    name: str
+    measured_at: datetime
+    hashes: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Active:
+    """The version a robot is corrected with: its report's parts that count here, and what its line was fitted to."""
+
+    id: str
+    job_id: str
+    created_at: datetime
+    campaigns: list[dict[str, Any]]
+    metrics: Mapping[str, Any]
+    set_aside: list[dict[str, Any]]
+    effects: list[dict[str, Any]]
+    fitted: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """An evaluation of a version: errors by campaign, and the frames that were refitted."""
+
+    job_id: str
+    at: datetime
+    version_id: str
+    metrics: Mapping[str, Any]
+    refit: list[str]
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A gap search that was completed."""
+
+    job_id: str
+    at: datetime
+    campaigns: list[str]
+    result: Mapping[str, Any]
+
+
+def ids(session: Session, robot: str | None) -> dict[int, str]:
+    """Return the robots that are asked for, by their keys: the one of a name, or all that may be seen."""
+    if robot is not None:
+        found = robots.get(session, robot)
+        return {found.id: found.name}
+    query = robots.visible(select(RobotRow.id, RobotRow.name).where(RobotRow.retired_at.is_(None)))
+    return dict(session.execute(query).all())
+
+
+def active(session: Session, of: Collection[int]) -> dict[int, Active]:
+    """Return the active versions, by robot."""
+    last = select(func.max(ActivationRow.id)).where(ActivationRow.robot_id.in_(of)).group_by(ActivationRow.robot_id)
+    row = VersionRow
+    columns = (
+        row.robot_id, row.id, row.job_id, row.created_at, row.campaigns, row.report["metrics"], row.report["set_aside"],
+        row.calibration["effects"],
+    )  # fmt: skip
+    query = select(*columns).join(ActivationRow, ActivationRow.version_id == row.id).where(ActivationRow.id.in_(last))
+    line = _lines(session, of)
+    return {
+        robot: Active(key, job, at, used, metrics or {}, aside or [], effects or [], _fitted(line, key))
+        for robot, key, job, at, used, metrics, aside, effects in session.execute(query)
+    }
+
+
+def _lines(session: Session, of: Collection[int]) -> dict[str, tuple[str | None, list[dict[str, Any]]]]:
+    query = select(VersionRow.id, VersionRow.parent_id, VersionRow.campaigns).where(VersionRow.robot_id.in_(of))
+    return {key: (parent, used) for key, parent, used in session.execute(query)}
+
+
+def _fitted(lines: Mapping[str, tuple[str | None, list[dict[str, Any]]]], version: str) -> frozenset[str]:
+    """Hashes of the files that a version, or one that it continues, was fitted to."""
+    found: set[str] = set()
+    following: str | None = version
+    while following is not None and following in lines:
+        following, used = lines[following]
+        found.update(sha256 for one in used if one["use"] == "train" for sha256 in one["sha256"])
+    return frozenset(found)
+
+
+def measured(session: Session, of: Collection[int]) -> dict[int, dict[str, Measured]]:
+    """Return the campaigns in use that have rows, by robot and id."""
+    row = CampaignRow
+    query = (
+        select(row.robot_id, row.id, row.name, UploadRow.sha256, UploadRow.created_at)
+        .join(UploadRow, UploadRow.campaign_id == row.id)
+        .where(row.robot_id.in_(of), row.retired_at.is_(None), row.staged.is_(False))
+    )
+    out: dict[int, dict[str, Measured]] = {}
+    for robot, key, name, sha256, at in session.execute(query):
+        known = out.setdefault(robot, {}).get(key, Measured(key, name, at, frozenset()))
+        out[robot][key] = Measured(key, name, max(known.measured_at, at), known.hashes | {sha256})
+    return out
+
+
+def evaluations(session: Session, of: Collection[str]) -> dict[str, list[Evaluated]]:
+    """Return the evaluations of versions that gave errors, oldest first; the rows in them stay unread."""
+    row = JobRow
+    version = row.result["version_id"].as_string()
+    query = (
+        select(row.id, row.finished_at, version, row.result["metrics"], row.result["refit"])
+        .where(row.kind == "evaluate", row.state == "succeeded", version.in_(of))
+        .order_by(row.created_at, row.id)
+    )
+    out: dict[str, list[Evaluated]] = {}
+    for key, at, evaluated, metrics, refit in session.execute(query):
+        if metrics:
+            out.setdefault(evaluated, []).append(Evaluated(key, at, evaluated, metrics, refit or []))
+    return out
+
+
+def newest_search(session: Session, robot_id: int) -> Searched | None:
+    """Return the newest gap search of a robot that was completed, however many jobs came after it."""
+    query = (
+        select(JobRow)
+        .where(JobRow.robot_id == robot_id, JobRow.kind == "gap", JobRow.state == "succeeded")
+        .order_by(JobRow.created_at.desc(), JobRow.id)
+        .limit(1)
+    )
+    row = session.execute(query).scalar_one_or_none()
+    if row is None or row.result is None or row.finished_at is None:
+        return None
+    return Searched(row.id, row.finished_at, list(row.request.get("campaigns", [])), row.result)
