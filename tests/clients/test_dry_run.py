@@ -66,7 +66,7 @@ def test_the_text_for_people(no_settings: None, tmp_path: Path, capsys: Capture)
     assert "loads: payload 0, 2.5 kg" in out
     assert "directions: dir1 2 down, 1 unknown, 2 up" in out
     assert "not checked: joints and their limits" in out
-    assert out.rstrip().endswith("Nothing was sent.")
+    assert out.rstrip().endswith("Nothing was stored.")
     plain = {name: values for name, values in ROWS.items() if name not in ("dir1", "payload_kg")}
     path.write_text(csv_of(plain))
     assert run(["upload", "nobody", str(path), "--dry-run", "--payload-kg", "4"]) == 0

@@ -23,6 +23,7 @@ from kilter_core.arm.conversions import screws_of_chain
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_files.robots import Described, read_robot
+from kilter_files.robots.read import described_document
 from tests.service.exporters.test_exporters import ERRORS, TILTS, calibrated, joints, poses_of
 
 Floats = NDArray[np.float64]
@@ -311,3 +312,21 @@ def test_turned_and_coupled_joints_that_cannot_be(tmp_path: Path) -> None:
     assert "did you mean 'lift'" in refused(path, UsageError, convention="dh", turned=["lft"])
     assert "must come after" in refused(path, UsageError, convention="dh", follows=["lift=elbow"])
     assert "must come after" in refused(path, UsageError, convention="dh", follows=["lift=pan"])
+
+
+def test_a_document_takes_what_is_said_beside_it_and_refuses_what_belongs_to_a_file() -> None:
+    rows = [{"d_mm": 100.0, "alpha_deg": 90.0}, {"a_mm": 300.0}, {"a_mm": 200.0}]
+    joints = [{"name": name} for name in ("pan", "lift", "elbow")]
+    document = {"name": "d", "convention": "dh", "rows": rows, "joints": joints}
+    found = described_document(document, Described(turned=["lift"], follows=["elbow=lift"]))
+    moved = [(e["joint"], e.get("ratio", 1.0)) for e in found["elements"] if e.get("joint")]
+    assert moved == [("pan", 1.0), ("lift", -1.0), ("lift", 1.0), ("elbow", 1.0)]
+    assert described_document(document, Described(name="other")) == {**document, "name": "other"}
+    for told, says in (
+        (Described(follows=["nonsense=zz"]), "There is no joint"),
+        (Described(follows=["elbow"]), "is not a pair of joints"),
+        (Described(turned=["lft"]), "did you mean 'lift'"),
+        (Described(base_link="base"), "belongs to a .urdf file"),
+    ):
+        with pytest.raises(UsageError, match=says):
+            described_document(document, told)

@@ -41,6 +41,7 @@ NEEDED = {
         POST /v1/robots/{robot}/correct POST /v1/robots/{robot}/campaigns PATCH /v1/campaigns/{campaign}
         POST /v1/campaigns/{campaign}/commit POST /v1/campaigns/{campaign}/observations
         POST /v1/campaigns/{campaign}/retire POST /v1/campaigns/{campaign}/restore DELETE /v1/campaigns/{campaign}
+        POST /v1/robots/{robot}/observations/check
         POST /v1/jobs POST /v1/jobs/check POST /v1/jobs/{job}/cancel PATCH /v1/versions/{version}
         POST /v1/versions/{version}/retire POST /v1/versions/{version}/restore POST /v1/versions/{version}/activate
         POST /v1/robots/{robot}/rollback POST /v1/robots/{robot}/stream/sessions

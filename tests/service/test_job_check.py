@@ -69,13 +69,15 @@ def columns(q: Floats, repeats: int = 8) -> dict[str, list[float]]:
 
 @pytest.fixture
 def arm(client: httpx.Client) -> Callable[..., str]:
-    """Store a campaign of an arm; returns its id."""
+    """Store a campaign of an arm, perhaps piece by piece; returns its id."""
 
-    def store(rows: dict[str, list[float]], name: str = "arm", masses: bool = True) -> str:
+    def store(rows: dict[str, list[float]], name: str = "arm", masses: bool = True, piece: int = 10_000) -> str:
         client.post("/v1/robots", json=document(name, masses)).raise_for_status()
         made = client.post(f"/v1/robots/{name}/campaigns", json={"name": "rows", "numbered": True}).raise_for_status()
         campaign = str(made.json()["id"])
-        client.post(f"/v1/campaigns/{campaign}/observations", json=rows).raise_for_status()
+        for first in range(0, len(rows["q1_deg"]), piece):
+            part = {column: values[first : first + piece] for column, values in rows.items()}
+            client.post(f"/v1/campaigns/{campaign}/observations", json=part).raise_for_status()
         return campaign
 
     return store
@@ -198,7 +200,13 @@ def test_what_would_fail_is_said_in_the_words_of_the_failure(client: httpx.Clien
     assert few["identifiability"] is None
     wrong = columns(poses(60))
     wrong["q2_deg"] = [-value for value in wrong["q2_deg"]]
-    told = check(client, "identify", [arm(wrong)])
+    with pytest.raises(httpx.HTTPStatusError) as refused:
+        arm(wrong)
+    sentence = refused.value.response.json()["detail"]
+    assert "Joint 2 looks to count the other way round" in sentence
+    # Pieces of too few poses are not judged alone: the job says of the whole campaign what the upload would have said.
+    told = check(client, "identify", [arm(wrong, piece=10)])
+    assert told["problems"][0]["message"] == sentence
     assert [one["code"] for one in told["problems"]] == ["foreign_observations"]
     lacking = check(client, "identify", [arm(columns(poses(60)))], options={"effects": ["backlash"]})
     assert "direction" in lacking["problems"][0]["message"]

@@ -9,7 +9,7 @@ from kilter_service.auth.access import Admin
 from kilter_service.bodies import spool_upload
 from kilter_service.campaigns import keeping, reading, service
 from kilter_service.conditional import ConditionalRoute
-from kilter_service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
+from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.digests import check_digest
 from kilter_service.once.key import OnceOnly
@@ -45,6 +45,17 @@ def listed(
 ) -> CampaignList:
     """List the campaigns of a robot; with `staged` those whose parts are not all there yet, with `retired` all others too."""
     return service.listed(database, robot, page, staged, retired)
+
+
+@router.post("/robots/{robot}/observations/check", openapi_extra=BODY)
+async def check(robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> CheckedRows:
+    """Check observations as an upload to a new campaign would, and store nothing: the refusal is that of the upload."""
+    media = reading.media_type(request.headers.get("content-type"))
+    with scratch_of(request).folder_for("check") as folder:
+        path = folder / "body"
+        sha256 = await spool_upload(request, path, settings.max_upload_mb)
+        check_digest(request.headers, sha256)
+        return await compute(request, service.checked, database, robot, path, media)
 
 
 @router.get("/campaigns/{campaign}")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
+from kilter_service.campaigns.belonging import Belonging, named
 from kilter_service.campaigns.columns import Column
 from kilter_service.campaigns.joint_limits import JointLimits
 from kilter_service.contract.columns import BASE, CONTACTS, PLACE, TILTS
@@ -39,6 +40,7 @@ class RowRules:
         self.rows = 0
         self._beside = _beside(columns)
         self._limits = JointLimits()
+        self._belonging = Belonging(columns, robot)
         self._low: dict[str, float] = {}
         self._high: dict[str, float] = {}
         self._sample: list[tuple[Floats, Floats]] = []
@@ -61,16 +63,29 @@ class RowRules:
         self._check_contacts(cells)
         self._check_quaternions(cells)
         self._remember(cells)
+        self._belonging.take(table)
         self.rows += table.num_rows
 
     def finish(self) -> None:
-        """Check what only the whole upload shows: readings outside the limits, and whether the arm could reach that far.
+        """Check what only the whole upload shows: whether the rows belong to the robot, readings outside the limits, and
+        whether the arm could reach that far.
 
         Raises:
-            ObservationError: readings outside the limits, or positions that cannot be in their unit.
+            ObservationError: ``foreign_observations``, readings outside the limits, or positions that cannot be in their
+                unit.
 
         """
+        self._check_units()
+        mixed_up = self._belonging.found()
+        if mixed_up is not None and named(
+            mixed_up
+        ):  # another unit, sign or zero explains limits better than wrong rows
+            raise mixed_up
         self._limits.finish()
+        if mixed_up is not None:
+            raise mixed_up
+
+    def _check_units(self) -> None:
         reach = self._reach()
         spreads = {c: self._high.get(c.name, 0.0) - self._low.get(c.name, 0.0) for c in self._lengths()}
         if not spreads or not reach > 0 or not self._sample:

@@ -14,7 +14,7 @@ from kilter_service.campaigns import reading, store, wire
 from kilter_service.campaigns.chunks import Chunk, write_chunk
 from kilter_service.campaigns.columns import has, read_columns
 from kilter_service.campaigns.rules import RowRules
-from kilter_service.contract.campaigns import Campaign, CampaignList, NewCampaign, Parts, Uploaded
+from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
@@ -130,6 +130,21 @@ def upload(
         done = _uploaded(session, campaign_id, sha256, new=True)
         assert done is not None
         return once.keep(session, sha256, done)
+
+
+def checked(database: Database, robot: str, path: Path, media: str) -> CheckedRows:
+    """Check a file as an upload to a new campaign of the robot would; nothing is stored.
+
+    Raises:
+        ObservationError: a rule is broken; row and column are named.
+        ServiceError: no such robot.
+
+    """
+    names = reading.column_names(path, media)
+    with database.reading() as session:
+        core = robots.core_robot(session, robots.usable(session, robot).id)
+    chunks = checked_chunks(path, media, names, core)
+    return CheckedRows(rows=sum(chunk.rows for chunk in chunks), columns=names)
 
 
 def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -> list[Chunk]:

@@ -99,3 +99,10 @@ class Uploaded(StoredFile):
     campaign_id: str = Field(description="Campaign it went to.")
     total_rows: int = Field(description="Rows the campaign has now.")
     new: bool = Field(description="False when the same bytes were there already.")
+
+
+class CheckedRows(Strict):
+    """What an upload to a robot would take; nothing was stored."""
+
+    rows: int = Field(description="Rows of the file.")
+    columns: list[str] = Field(description="Columns of the file, in its order.")

@@ -24,9 +24,12 @@ def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> It
         UsageError: a joint that is not there, or a document of another convention than chain, dh and mdh.
 
     """
-    if document["convention"] in ("dh", "mdh"):
+    for pair in follows:
+        if not all(part.strip() for part in pair.partition("=")):
+            raise UsageError(f'--follows {pair}: is not a pair of joints. Give the one that follows first, as "j3=j2".')
+    if document.get("convention") in ("dh", "mdh"):
         document = _as_chain(document)
-    if document["convention"] != "chain":
+    if document.get("convention") != "chain":
         raise UsageError("--turned and --follows need a table or a chain; in a URDF, axis and mimic express the same.")
     elements = [dict(element) for element in document["elements"]]
     for name in turned:

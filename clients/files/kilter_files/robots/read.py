@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,7 +53,23 @@ def read_robot(path: Path, described: Described) -> dict[str, Any]:
     for field, (endings, message) in NEEDED.items():
         if getattr(described, field) and ending not in endings:
             raise UsageError(message)
-    document = _read(path, ending, described)
+    return _described(_read(path, ending, described), described)
+
+
+def described_document(document: Mapping[str, Any], described: Described) -> dict[str, Any]:
+    """Return a robot document with what was said of it beside it: its name, and how its controller counts joints.
+
+    Raises:
+        UsageError: a joint that is not there, or what belongs to another kind of file.
+
+    """
+    for field, (_, message) in NEEDED.items():
+        if getattr(described, field):
+            raise UsageError(f"{message} A document says it itself.")
+    return _described(dict(document), described)
+
+
+def _described(document: dict[str, Any], described: Described) -> dict[str, Any]:
     if described.turned or described.follows:
         from kilter_files.robots.coupling import coupled
 

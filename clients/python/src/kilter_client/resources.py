@@ -115,6 +115,15 @@ class Campaigns(Kept):
         }
         return self._run(campaigns.add(robot, wanted))
 
+    def check(self, robot: str, rows: Prepared) -> Document:
+        """Check rows as an upload to a new campaign would; nothing is stored.
+
+        Raises:
+            ObservationError: what the upload would be refused with.
+
+        """
+        return self._run(campaigns.check(robot, rows))
+
     def list(self, robot: str, staged: bool = False, retired: bool = False) -> list[Document]:
         """Return the campaigns of a robot, oldest first; ``staged`` are those whose parts are not all there.
 

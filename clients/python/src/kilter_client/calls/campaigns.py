@@ -59,6 +59,13 @@ def upload(campaign: str, file: Prepared, sent: Sent | None = None, robot: str |
     return (yield from read(request))
 
 
+def check(robot: str, file: Prepared) -> Steps[Document]:
+    """Check observations as an upload would; nothing is stored."""
+    path = address("robots", robot, "observations", "check")
+    headers = {"Content-Type": file.content_type, "Content-Digest": _digest(file)}
+    return (yield from read(Request("POST", path, content=file.content, headers=headers, timeout_s=UPLOAD_TIMEOUT_S)))
+
+
 def _digest(file: Prepared) -> str:
     """The hash of what is sent (RFC 9530): the server refuses bytes that changed on their way."""
     return f"sha-256=:{binascii.b2a_base64(bytes.fromhex(file.sha256), newline=False).decode()}:"

@@ -105,7 +105,7 @@ def upload(
         bool,
         typer.Option(
             "--dry-run",
-            help="Send nothing: show ranges in mm and deg, poses, repeats, loads, what would be refused (then exit 1).",
+            help="Store nothing: show ranges in mm and deg, poses, repeats, loads, what would be refused (then exit 1).",
         ),
     ] = False,
     unchecked: Unchecked = False,

@@ -1,4 +1,4 @@
-"""``kilter upload --dry-run``: what a file holds and what would be refused, before anything is sent."""
+"""``kilter upload --dry-run``: what a file holds and what would be refused, before anything is stored."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from kilter_client import Kilter
 from kilter_client.cli.output import say
 from kilter_client.cli.tables import number, show_rows
-from kilter_client.errors import KilterError
+from kilter_client.errors import KilterError, ObservationError
 from kilter_files import Prepared
 
 Document = dict[str, Any]
@@ -25,6 +25,8 @@ def what_it_holds(robot: str, prepared: Prepared, conditions: Mapping[str, Any])
     found = summary(prepared, conditions)
     left_out = [text for text in prepared.warnings if "left out" in text]
     refused = refusals(columns_of(prepared), joints, prepared.lines)
+    if joints is not None and not refused:
+        refused, unchecked = _by_server(robot, prepared)
     return found | {"left_out": left_out, "refused": refused, "not_checked": unchecked}
 
 
@@ -48,7 +50,19 @@ def show_dry_run(document: Document) -> None:
         say("would be refused: nothing found")
     if document["not_checked"]:
         say(f"not checked: {document['not_checked']}")
-    say("Nothing was sent.")
+    say("Nothing was stored.")
+
+
+def _by_server(robot: str, prepared: Prepared) -> tuple[list[str], str]:
+    """What the server would refuse the rows for, and what could not be asked: it stores nothing."""
+    try:
+        with Kilter() as kilter:
+            kilter.campaigns.check(robot, prepared)
+    except ObservationError as error:
+        return [error.detail], ""
+    except KilterError as error:
+        return [], f"whether the rows belong to the robot ({error.detail.rstrip('.')})"
+    return [], ""
 
 
 def _joints(robot: str) -> tuple[list[Document] | None, str]:
@@ -57,7 +71,7 @@ def _joints(robot: str) -> tuple[list[Document] | None, str]:
         with Kilter() as kilter:
             return list(kilter.robots.get(robot)["joints"]), ""
     except KilterError as error:
-        return None, f"joints and their limits ({error.detail.rstrip('.')})"
+        return None, f"joints and their limits, and whether the rows belong to the robot ({error.detail.rstrip('.')})"
 
 
 def _poses(poses: Document | None) -> str:

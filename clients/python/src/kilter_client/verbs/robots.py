@@ -170,14 +170,19 @@ def _document(
     if (source is None) == (preset is None):
         raise UsageError("A robot is given either by source (a path or a document) or by preset=.")
     if preset is not None:
+        if given != _Described():
+            raise UsageError(
+                "A preset is complete: base_link= and tip_link= belong to a URDF, the others to other files. Write it as a "
+                "document (k.convert_robot) to change it."
+            )
         return {"name": name or preset, "convention": "preset", "preset": preset}
-    if isinstance(source, Mapping):
-        return {**source, "name": name} if name else source
-    from kilter_files.robots.read import Described, read_robot
+    from kilter_files.robots.read import Described, described_document, read_robot
 
     described = Described(
         name, given.base_link, given.tip_link, given.convention, given.model, given.turned, given.follows
     )
+    if isinstance(source, Mapping):
+        return described_document(source, described)
     return read_robot(Path(fspath(source or "")), described)
 
 
