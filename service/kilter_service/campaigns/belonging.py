@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from kilter_core.errors import CoreError, ObservationError
 from kilter_service.campaigns.assemble import observations
 from kilter_service.campaigns.columns import Column, has
@@ -52,17 +54,28 @@ class Belonging:
 
 
 def mixed_up(robot: Robot, rows: Observations) -> ObservationError | None:
-    """What looks mixed up in rows of a robot, None where nothing does."""
+    """What looks mixed up in rows of a robot, None where nothing does.
+
+    Sessions are judged one by one: the instrument or the tool may have moved between them, and a job says how it takes that.
+    """
     from kilter_core.identify.plausibility.belonging import refuse_mixed_up  # compiled kernels: not at the start
     from kilter_core.model import Calibration
 
-    try:
-        refuse_mixed_up(Calibration.nominal(robot), rows)
-    except ObservationError as error:
-        return error if error.code in MIXED_UP else None
-    except CoreError:
-        return None
+    for part in _sessions(rows):
+        try:
+            refuse_mixed_up(Calibration.nominal(robot), part)
+        except ObservationError as error:
+            if error.code in MIXED_UP:
+                return error
+        except CoreError:
+            continue
     return None
+
+
+def _sessions(rows: Observations) -> list[Observations]:
+    if rows.session is None:
+        return [rows]
+    return [rows.select(rows.session == code) for code in np.unique(rows.session)]
 
 
 def named(error: ObservationError) -> bool:
