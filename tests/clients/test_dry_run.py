@@ -107,6 +107,19 @@ def test_what_would_be_refused_is_what_the_server_refuses(
     assert kilter.campaigns.list(robot) == []
 
 
+def test_a_unit_that_explains_readings_outside_the_limits_is_named(
+    kilter: Kilter, robot: str, write_campaign: Write, capsys: Capture
+) -> None:
+    path = write_campaign(30)
+    path.write_text(path.read_text().replace("_deg", "_rad"))
+    (said,) = document(capsys, "upload", robot, path, "--dry-run", code=1)["refused"]
+    assert "Joints look like degrees declared as radians" in said
+    problem = document(capsys, "upload", robot, path, code=1)
+    assert (problem["code"], said in problem["detail"]) == ("foreign_observations", True)
+    path.write_text(path.read_text().replace("_rad", "_deg"))  # the remedy
+    assert document(capsys, "upload", robot, path, "--dry-run")["refused"] == []
+
+
 @pytest.mark.parametrize("beyond", [0.29, 0.31])
 def test_the_tolerance_of_the_limits_is_the_servers(
     kilter: Kilter, robot: str, write_campaign: Write, capsys: Capture, beyond: float

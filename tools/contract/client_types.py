@@ -13,8 +13,8 @@ Schema = Mapping[str, Any]
 # Which module holds what: the answers named here with all they need that no module before holds.
 MODULES: Mapping[str, Sequence[str]] = {
     "robots": ("RobotReport", "RobotSummary", "RobotCheck", "FoundRobot", "Frame", "Mesh"),
-    "campaigns": ("Campaign", "Uploaded"),
     "fits": ("Metrics", "Parameter", "NullDirection", "Objection", "Remark", "Figure", "Reference", "LoadNumber"),
+    "campaigns": ("Campaign", "Uploaded"),
     "identifications": ("IdentifyResult", "JointParametersResult"),
     "versions": ("Version", "VersionSummary", "ActivatedVersion", "Activation"),
     "comparisons": ("VersionDiff", "VersionPreview", "Tombstone"),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,9 +18,23 @@ if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
     from kilter_core.observations import Observations
 
-MOST_ROWS = 50_000  # that are looked at: of more, every second one, every third, ...
+MOST_ROWS = 50_000  # that are looked at: of more, every second block of rows, every fourth, ...
+BLOCK = 1000
 MIXED_UP = ("foreign_observations", "markers_swapped")
 SEEN = ("x", "marker_x", "link")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What rows would be refused for, None where nothing looks mixed up, and what only looks odd in them."""
+
+    refusal: ObservationError | None = None
+    warnings: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def named(self) -> bool:
+        """Whether a mix-up is named, and not only that joints and positions do not belong together."""
+        return self.refusal is not None and "shuffled_mm" not in self.refusal.context
 
 
 class Belonging:
@@ -28,60 +43,63 @@ class Belonging:
     def __init__(self, columns: Sequence[Column], robot: Robot) -> None:
         self._columns = columns
         self._robot = robot
-        self._pieces: list[pa.Table] = []
+        self._blocks: list[pa.Table] = []
         self._every = 1
+        self._seen = 0
         self._asked = any(has(columns, quantity) for quantity in SEEN)
 
     def take(self, table: pa.Table) -> None:
-        """Keep what is needed of the next rows."""
-        if not self._asked:
-            return
-        self._pieces.append(_thinned(table, self._every))
-        while sum(piece.num_rows for piece in self._pieces) > MOST_ROWS:
-            self._pieces = [_thinned(piece, 2) for piece in self._pieces]
-            self._every *= 2
+        """Keep what is needed of the next rows: blocks of them, so that the row above a row is there too."""
+        for first in range(0, table.num_rows, BLOCK) if self._asked else ():
+            if self._seen % self._every == 0:
+                rows = range(first, min(first + BLOCK, table.num_rows))
+                self._blocks.append(table.take(list(rows)))  # a copy: a slice would keep the whole piece in memory
+            self._seen += 1
+            while sum(block.num_rows for block in self._blocks) > MOST_ROWS:
+                self._blocks = self._blocks[::2]
+                self._every *= 2
 
-    def found(self) -> ObservationError | None:
-        """What looks mixed up, None where nothing does.
+    def found(self) -> Judged:
+        """What looks mixed up.
 
         Rows of which a job could make nothing (markers that are not rigid, too few of them) are left to the job.
         """
-        if not self._asked or not any(piece.num_rows for piece in self._pieces):
-            return None
+        if not any(block.num_rows for block in self._blocks):
+            return Judged()
         import pyarrow as pa
 
-        return mixed_up(self._robot, observations(pa.concat_tables(self._pieces), self._columns, {}))
+        return judged(self._robot, observations(pa.concat_tables(self._blocks), self._columns, {}))
 
 
-def mixed_up(robot: Robot, rows: Observations) -> ObservationError | None:
-    """What looks mixed up in rows of a robot, None where nothing does.
+def judged(robot: Robot, rows: Observations) -> Judged:
+    """What looks mixed up in rows of a robot.
 
     Sessions are judged one by one: the instrument or the tool may have moved between them, and a job says how it takes that.
     """
     from kilter_core.identify.plausibility.belonging import refuse_mixed_up  # compiled kernels: not at the start
     from kilter_core.model import Calibration
 
+    begin = Calibration.nominal(robot)
+    warnings: list[dict[str, Any]] = []
     for part in _sessions(rows):
         try:
-            refuse_mixed_up(Calibration.nominal(robot), part)
+            warnings += [one for one in refuse_mixed_up(begin, part) if one not in warnings]
         except ObservationError as error:
             if error.code in MIXED_UP:
-                return error
+                return Judged(error)
         except CoreError:
             continue
-    return None
+    return Judged(None, tuple(warnings))
+
+
+def judged_whole(table: pa.Table, columns: Sequence[Column], robot: Robot) -> Judged:
+    """What looks mixed up in all rows of a campaign that came in parts."""
+    whole = Belonging(columns, robot)
+    whole.take(table)
+    return whole.found()
 
 
 def _sessions(rows: Observations) -> list[Observations]:
     if rows.session is None:
         return [rows]
     return [rows.select(rows.session == code) for code in np.unique(rows.session)]
-
-
-def named(error: ObservationError) -> bool:
-    """Whether a mix-up is named, and not only that joints and positions do not belong together."""
-    return "shuffled_mm" not in error.context
-
-
-def _thinned(table: pa.Table, every: int) -> pa.Table:
-    return table if every == 1 else table.take(list(range(0, table.num_rows, every)))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_service.campaigns.assemble import observations
+from kilter_service.campaigns.belonging import Judged, judged_whole
 from kilter_service.campaigns.doubtful import Doubtful, doubtful
 from kilter_service.campaigns.looking import Rows
 from kilter_service.campaigns.repeats import Repeats, repeats
@@ -71,7 +72,8 @@ class Approach:
 class Facts:
     """All of it. ``stated`` says whether directions are a column of the file; else they follow from the order of rows.
 
-    ``places`` are some rows (from 1) and where the tool was seen, mm: those that look wrong are among them.
+    ``places`` are some rows (from 1) and where the tool was seen, mm: those that look wrong are among them. ``mixed_up``
+    says why no job takes the rows, and ``odd`` what may be right.
     """
 
     rows: int
@@ -86,10 +88,13 @@ class Facts:
     sessions: int
     doubtful: Doubtful
     places: tuple[tuple[int, tuple[float, float, float]], ...]
+    mixed_up: str = ""
+    odd: tuple[str, ...] = ()
 
 
-def facts(rows: Rows) -> Facts:
-    """Look at rows; some seconds for a million of them."""
+def facts(rows: Rows, known: Judged | None = None) -> Facts:
+    """Look at rows; some seconds for a million of them. ``known``: what is known already of mix-ups in them."""
+    belong = known or judged_whole(rows.table, rows.columns, rows.robot)
     seen = observations(rows.table, rows.columns, rows.conditions)
     points = _points(seen)
     found = repeats(seen.pose_groups(), seen.conditions(), seen.visits(), points)
@@ -107,6 +112,8 @@ def facts(rows: Rows) -> Facts:
         sessions=1 if seen.session is None else len(np.unique(seen.session)),
         doubtful=odd,
         places=() if points is None else _places(points, odd),
+        mixed_up="" if belong.refusal is None else belong.refusal.message,
+        odd=tuple(str(one["message"]) for one in belong.warnings),
     )
 
 

@@ -45,8 +45,8 @@ def stored(database: Database, campaign_id: str) -> Rows:
     return Rows(table, columns, robot, campaign.conditions)
 
 
-def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Rows, str]:
-    """Return the rows of a file, and what an upload would refuse it for; empty: it would be taken.
+def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Rows, ObservationError | None]:
+    """Return the rows of a file, and what an upload would refuse it for; None: it would be taken.
 
     Raises:
         ObservationError: columns that mean nothing, or cells that are not numbers.
@@ -59,11 +59,11 @@ def of_file(database: Database, robot: str, path: Path, media: str) -> tuple[Row
         core = robots.core_robot(session, robots.usable(session, robot).id)
     names = reading.column_names(path, media)
     columns = read_columns(names, [joint.kind for joint in core.joints])
+    refusal = None
     try:
         service.checked_chunks(path, media, names, core)
-        refusal = ""
     except ObservationError as error:
-        refusal = error.message
+        refusal = error
     table = pa.concat_tables(list(reading.tables(path, media))).select(names)
     return Rows(table, columns, core, {}), refusal
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
-from kilter_service.campaigns.belonging import Belonging, named
+from kilter_service.campaigns.belonging import Belonging
 from kilter_service.campaigns.columns import Column
 from kilter_service.campaigns.joint_limits import JointLimits
 from kilter_service.contract.columns import BASE, CONTACTS, PLACE, TILTS
@@ -66,9 +66,9 @@ class RowRules:
         self._belonging.take(table)
         self.rows += table.num_rows
 
-    def finish(self) -> None:
+    def finish(self) -> tuple[dict[str, Any], ...]:
         """Check what only the whole upload shows: whether the rows belong to the robot, readings outside the limits, and
-        whether the arm could reach that far.
+        whether the arm could reach that far; return warnings about what only looks odd.
 
         Raises:
             ObservationError: ``foreign_observations``, readings outside the limits, or positions that cannot be in their
@@ -76,14 +76,12 @@ class RowRules:
 
         """
         self._check_units()
-        mixed_up = self._belonging.found()
-        if mixed_up is not None and named(
-            mixed_up
-        ):  # another unit, sign or zero explains limits better than wrong rows
-            raise mixed_up
-        self._limits.finish()
-        if mixed_up is not None:
-            raise mixed_up
+        found = self._belonging.found()
+        if not found.named:  # another unit, sign or zero explains limits better than wrong rows
+            self._limits.finish()
+        if found.refusal is not None:
+            raise found.refusal
+        return found.warnings
 
     def _check_units(self) -> None:
         reach = self._reach()

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
 
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns import reading, store, wire
+from kilter_service.campaigns.belonging import judged_whole
 from kilter_service.campaigns.chunks import Chunk, write_chunk
 from kilter_service.campaigns.columns import has, read_columns
 from kilter_service.campaigns.rules import RowRules
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
+from kilter_service.contract.fits import Remark
 from kilter_service.db import Database, Session
 from kilter_service.errors import ServiceError
 from kilter_service.once.key import NOT_REPEATED, Once, hash_of
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
 
 STAGED_FOR = timedelta(days=7)
+Checked = tuple[list[Chunk], tuple[dict[str, Any], ...]]
 CAMPAIGN, UPLOADED = TypeAdapter(Campaign), TypeAdapter(Uploaded)
 MEASURED = ("x", "marker_x", "link", *TILTS, *CONTACTS)
 
@@ -56,9 +59,11 @@ def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
     """Make a staged campaign visible, at once and only if it holds exactly the parts that are named.
 
     Raises:
+        ObservationError: together the parts look mixed up, which each of them did not show.
         ServiceError: no such campaign, or other parts than those named.
 
     """
+    _refuse_mixed_up(database, campaign_id, parts)
     with database.transaction() as session:
         store.get(session, campaign_id)
         there, named = {upload.sha256 for upload in store.uploads_of(session, campaign_id)}, set(parts.sha256)
@@ -119,7 +124,7 @@ def upload(
             return known
         _same_columns(session, campaign_id, names)
         robot = robots.core_robot(session, store.get(session, campaign_id).robot_id)
-    chunks = checked_chunks(path, media, names, robot)
+    chunks, warnings = checked_chunks(path, media, names, robot)
     # Parsed outside, so that this transaction is short: SQLite has one writer at a time.
     with database.transaction() as session:
         known = once.first(session, sha256, UPLOADED) or _uploaded(session, campaign_id, sha256, new=False)
@@ -129,7 +134,7 @@ def upload(
         store.add_upload(session, campaign_id, sha256, media, names, chunks)
         done = _uploaded(session, campaign_id, sha256, new=True)
         assert done is not None
-        return once.keep(session, sha256, done)
+        return once.keep(session, sha256, done.model_copy(update={"warnings": _remarks(warnings)}))
 
 
 def checked(database: Database, robot: str, path: Path, media: str) -> CheckedRows:
@@ -143,12 +148,12 @@ def checked(database: Database, robot: str, path: Path, media: str) -> CheckedRo
     names = reading.column_names(path, media)
     with database.reading() as session:
         core = robots.core_robot(session, robots.usable(session, robot).id)
-    chunks = checked_chunks(path, media, names, core)
-    return CheckedRows(rows=sum(chunk.rows for chunk in chunks), columns=names)
+    chunks, warnings = checked_chunks(path, media, names, core)
+    return CheckedRows(rows=sum(chunk.rows for chunk in chunks), columns=names, warnings=_remarks(warnings))
 
 
-def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -> list[Chunk]:
-    """Check every row of a file of measurements and write it as chunks beside it."""
+def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -> Checked:
+    """Check every row of a file of measurements and write it as chunks beside it; say what only looks odd."""
     columns = read_columns(names, [joint.kind for joint in robot.joints])
     if not any(has(columns, quantity) for quantity in MEASURED):
         raise ObservationError(
@@ -160,14 +165,33 @@ def checked_chunks(path: Path, media: str, names: Sequence[str], robot: Robot) -
     for number, table in enumerate(reading.tables(path, media)):
         rules.check(table)
         chunks.append(write_chunk(table, path.with_name(f"chunk-{number}")))
-    rules.finish()
-    return chunks
+    return chunks, rules.finish()
 
 
 def shown(session: Session, campaign_id: str) -> Campaign:
     """Return a campaign as it is shown."""
     record = store.get(session, campaign_id)
     return wire.campaign(record, robots.by_id(session, record.robot_id).name, store.uploads_of(session, campaign_id))
+
+
+def _refuse_mixed_up(database: Database, campaign_id: str, parts: Parts) -> None:
+    """Judge the parts of a staged campaign together; a single one was judged when it came."""
+    if len(parts.sha256) < 2:
+        return
+    with database.reading() as session:
+        campaign = store.get(session, campaign_id)
+        there = {upload.sha256 for upload in store.uploads_of(session, campaign_id)}
+        if not campaign.staged or there != set(parts.sha256):
+            return
+        robot = robots.core_robot(session, campaign.robot_id)
+        table = store.table(session, campaign_id)
+    refusal = judged_whole(table, read_columns(table.column_names, [j.kind for j in robot.joints]), robot).refusal
+    if refusal is not None:
+        raise refusal
+
+
+def _remarks(warnings: Sequence[dict[str, Any]]) -> list[Remark]:
+    return [Remark(**one) for one in warnings]
 
 
 def _uploaded(session: Session, campaign_id: str, sha256: str, *, new: bool) -> Uploaded | None:

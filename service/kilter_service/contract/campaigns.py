@@ -7,11 +7,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from kilter_service.contract.fits import Remark
 from kilter_service.contract.references import RETIRED_AT
 from kilter_service.contract.units import Celsius, Listed, Load, Newton, NewtonMetre, PointMm, Strict
 
 Role = Literal["train", "validation", "confirmation"]
 Text = Annotated[str, Field(max_length=200)]
+ODD = "What looks odd in the rows and may be right: they are stored."
 SHA256 = "SHA-256 of the bytes that were sent, 64 hexadecimal digits."
 
 
@@ -99,6 +101,7 @@ class Uploaded(StoredFile):
     campaign_id: str = Field(description="Campaign it went to.")
     total_rows: int = Field(description="Rows the campaign has now.")
     new: bool = Field(description="False when the same bytes were there already.")
+    warnings: list[Remark] = Field([], description=ODD)
 
 
 class CheckedRows(Strict):
@@ -106,3 +109,4 @@ class CheckedRows(Strict):
 
     rows: int = Field(description="Rows of the file.")
     columns: list[str] = Field(description="Columns of the file, in its order.")
+    warnings: list[Remark] = Field([], description=ODD)

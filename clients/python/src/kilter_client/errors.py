@@ -110,6 +110,8 @@ class JobTimeoutError(KilterError):
 BY_CODE: Mapping[str, type[ApiError]] = {
     "robot_invalid": RobotError,
     "observations_invalid": ObservationError,
+    "foreign_observations": ObservationError,
+    "markers_swapped": ObservationError,
     "too_few_poses": TooFewPosesError,
     "option_invalid": OptionError,
 }

@@ -56,6 +56,8 @@ def _headline(facts: Facts) -> str:
 def _noise(facts: Facts) -> tuple[str, str]:
     """The noise that repeats show, and what it rests on."""
     found = facts.repeats
+    if facts.mixed_up:
+        return words.NONE, "not told by rows that are mixed up"
     if found.between is not None:
         why = f"from {words.count(found.repeated)} poses that were visited again"
         shots = "" if found.within is None else f"; {words.mm(to_mm(found.within))} between rows of one visit"

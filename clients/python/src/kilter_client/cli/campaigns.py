@@ -135,6 +135,8 @@ def upload(
         "numbered": name is None,
     }
     done = _stored(robot, campaign, wanted, file, prepared, as_json)
+    for text in _odd(done):
+        note(f"  Warning: {text}", as_json)
     emit(_report(prepared, done), as_json, _show_upload)
 
 
@@ -310,7 +312,7 @@ def _with_place(error: ObservationError, file: Path, prepared: Prepared) -> Obse
         error.context["lines"] = lines
         shown = ", ".join(map(str, lines[:SHOWN])) + (" ..." if len(lines) > SHOWN else "")
         error.detail += f" That is line {shown} of {file}."
-    elif not prepared.lines and row is None:
+    elif not prepared.lines and row is None and error.code == "observations_invalid":
         error.detail += f" {REMEDY_FOR_COLUMNS}"
     return error
 
@@ -327,7 +329,12 @@ def _understood(file: Path, prepared: Prepared, as_json: bool) -> Prepared:
 
 def _report(prepared: Prepared, done: dict[str, Any]) -> dict[str, Any]:
     understood = {"columns": list(prepared.columns), "notes": list(prepared.notes), "warnings": list(prepared.warnings)}
-    return understood | done
+    return understood | done | {"warnings": understood["warnings"] + _odd(done)}
+
+
+def _odd(done: dict[str, Any]) -> list[str]:
+    """What the server found odd in rows that it stored."""
+    return [str(one["message"]) for one in done.get("warnings", ())]
 
 
 def _show_upload(done: dict[str, Any]) -> None:

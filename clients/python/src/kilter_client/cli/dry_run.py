@@ -13,6 +13,7 @@ from kilter_files import Prepared
 
 Document = dict[str, Any]
 
+MIXED_UP = ("foreign_observations", "markers_swapped")
 LOAD_UNITS = {"kg": "kg", "mm": "mm", "m": "m", "n": "N", "nm": "N m"}
 
 
@@ -25,9 +26,13 @@ def what_it_holds(robot: str, prepared: Prepared, conditions: Mapping[str, Any])
     found = summary(prepared, conditions)
     left_out = [text for text in prepared.warnings if "left out" in text]
     refused = refusals(columns_of(prepared), joints, prepared.lines)
-    if joints is not None and not refused:
-        refused, unchecked = _by_server(robot, prepared)
-    return found | {"left_out": left_out, "refused": refused, "not_checked": unchecked}
+    odd: list[str] = []
+    if joints is not None:
+        by_server, odd, unchecked = _by_server(robot, prepared)
+        # Readings outside the limits are named here row by row; a mix-up that explains them says more.
+        if by_server is not None and (by_server.code in MIXED_UP or not refused):
+            refused = [by_server.detail]
+    return found | {"left_out": left_out, "refused": refused, "odd": odd, "not_checked": unchecked}
 
 
 def show_dry_run(document: Document) -> None:
@@ -48,21 +53,23 @@ def show_dry_run(document: Document) -> None:
         say(f"would be refused: {text}")
     if not document["refused"]:
         say("would be refused: nothing found")
+    for text in document["odd"]:
+        say(f"looks odd: {text}")
     if document["not_checked"]:
         say(f"not checked: {document['not_checked']}")
     say("Nothing was stored.")
 
 
-def _by_server(robot: str, prepared: Prepared) -> tuple[list[str], str]:
-    """What the server would refuse the rows for, and what could not be asked: it stores nothing."""
+def _by_server(robot: str, prepared: Prepared) -> tuple[ObservationError | None, list[str], str]:
+    """What the server would refuse the rows for, what looks odd, and what could not be asked: it stores nothing."""
     try:
         with Kilter() as kilter:
-            kilter.campaigns.check(robot, prepared)
+            found = kilter.campaigns.check(robot, prepared)
     except ObservationError as error:
-        return [error.detail], ""
+        return error, [], ""
     except KilterError as error:
-        return [], f"whether the rows belong to the robot ({error.detail.rstrip('.')})"
-    return [], ""
+        return None, [], f"whether the rows belong to the robot ({error.detail.rstrip('.')})"
+    return None, [one["message"] for one in found.get("warnings", ())], ""
 
 
 def _joints(robot: str) -> tuple[list[Document] | None, str]:

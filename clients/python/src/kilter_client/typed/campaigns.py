@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from kilter_client.results.record import Record, Records
 from kilter_client.results.shown_jobs import ShownCampaign, ShownUpload
+from kilter_client.typed.fits import Remark
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -86,3 +87,5 @@ class Uploaded(ShownUpload, Record):
     """SHA-256 of the bytes that were sent, 64 hexadecimal digits."""
     total_rows: int
     """Rows the campaign has now."""
+    warnings: Records[Remark]
+    """What looks odd in the rows and may be right: they are stored."""

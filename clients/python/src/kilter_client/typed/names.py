@@ -21,6 +21,7 @@ MODULE_OF = {
     "CampaignErrors": "evaluations",
     "Check": "server",
     "CheckedCampaign": "checks",
+    "CheckedRows": "others",
     "CircleAxis": "robots",
     "Comparison": "versions",
     "Conditions": "campaigns",

@@ -65,6 +65,18 @@ class AuditPage(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CheckedRows(Record):
+    """What an upload to a robot would take; nothing was stored."""
+
+    columns: tuple[str, ...]
+    """Columns of the file, in its order."""
+    rows: int
+    """Rows of the file."""
+    warnings: Records[Remark]
+    """What looks odd in the rows and may be right: they are stored."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FleetCounts(Record):
     """How many robots are in which state."""
 

@@ -1,0 +1,103 @@
+"""An upload says what is mixed up before anything is stored, whole, in parts, checked beforehand, or stored long ago."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from kilter_service.campaigns import looking
+from kilter_service.campaigns.facts import facts
+from kilter_service.db import Database
+from tests.core.truth import Floats
+from tests.mix_ups.campaigns import Genuine, genuine
+from tests.mix_ups.columns import columns_of
+
+JSON = {"content-type": "application/json"}
+
+
+@pytest.fixture(scope="module")
+def arm() -> Genuine:
+    return genuine(52, "6R", see="position")
+
+
+def campaign(client: httpx.Client, arm: Genuine, **more: Any) -> str:
+    client.post("/v1/robots", json=arm.pair.drawn.document() | {"name": "arm"}).raise_for_status()
+    made = client.post("/v1/robots/arm/campaigns", json={"name": "rows", "numbered": True, **more}).raise_for_status()
+    return str(made.json()["id"])
+
+
+def turned(arm: Genuine, joint: int) -> Floats:
+    """Readings of the arm with one joint the other way round."""
+    return np.asarray(arm.rows.q * np.where(np.arange(arm.robot.n_joints) == joint, -1.0, 1.0))
+
+
+def test_parts_that_look_good_one_by_one_are_judged_together(client: httpx.Client, arm: Genuine) -> None:
+    """Eleven poses alone can be imitated by base and tool, so each part comes in; the whole does not."""
+    rows = columns_of(arm, replace(arm.rows, q=turned(arm, 1)))
+    staged = campaign(client, arm, staged=True)
+    hashes = []
+    for first in range(0, len(arm.rows), 11):
+        body = json.dumps({name: values[first : first + 11] for name, values in rows.items()}).encode()
+        hashes.append(hashlib.sha256(body).hexdigest())
+        client.post(f"/v1/campaigns/{staged}/observations", content=body, headers=JSON).raise_for_status()
+    answer = client.post(f"/v1/campaigns/{staged}/commit", json={"sha256": hashes})
+    assert (answer.status_code, answer.json()["code"]) == (400, "foreign_observations")
+    assert "Joint 2 looks to count the other way round" in answer.json()["detail"]
+    assert client.get("/v1/robots/arm/campaigns").json()["campaigns"] == []
+
+
+def test_the_same_parts_without_a_mix_up_are_committed(client: httpx.Client, arm: Genuine) -> None:
+    rows = columns_of(arm)
+    staged = campaign(client, arm, staged=True)
+    hashes = []
+    for first in range(0, len(arm.rows), 11):
+        body = json.dumps({name: values[first : first + 11] for name, values in rows.items()}).encode()
+        hashes.append(hashlib.sha256(body).hexdigest())
+        client.post(f"/v1/campaigns/{staged}/observations", content=body, headers=JSON).raise_for_status()
+    answer = client.post(f"/v1/campaigns/{staged}/commit", json={"sha256": hashes}).raise_for_status()
+    assert answer.json()["rows"] == len(arm.rows)
+
+
+def test_readings_outside_the_limits_are_a_mix_up_where_one_explains_them(client: httpx.Client, arm: Genuine) -> None:
+    """A table of degrees whose columns say radians is outside every limit: the unit is named and not a hundred rows."""
+    campaign(client, arm)
+    rows = columns_of(arm)
+    named = {name.replace("_deg", "_rad"): values for name, values in rows.items()}
+    for address in ("/v1/robots/arm/observations/check", f"/v1/campaigns/{campaign(client, arm)}/observations"):
+        problem = client.post(address, json=named).json()
+        assert (problem["status"], problem["code"]) == (400, "foreign_observations")
+        assert "Joints look like degrees declared as radians" in problem["detail"]
+    wrong = rows | {"q2_deg": [*rows["q2_deg"][:-1], 170.0]}  # one row that no unit explains is that row
+    problem = client.post("/v1/robots/arm/observations/check", json=wrong).json()
+    assert (problem["code"], problem["context"]["row"]) == ("observations_invalid", len(arm.rows))
+
+
+def test_what_only_looks_odd_is_stored_and_said(client: httpx.Client) -> None:
+    """A target that sits a right angle off is a matter of taste: the rows come in with a warning."""
+    found = genuine(57, "6R", see="pose")
+    drawn = replace(found.pair.drawn, tool=found.pair.true.tool)  # the tool is known, so that a right angle is one
+    arm = replace(found, pair=replace(found.pair, drawn=drawn))
+    assert arm.rows.rotation is not None
+    about_z = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rows = columns_of(arm, replace(arm.rows, rotation=arm.rows.rotation @ about_z))
+    target = campaign(client, arm)
+    for address in ("/v1/robots/arm/observations/check", f"/v1/campaigns/{target}/observations"):
+        said = client.post(address, json=rows).raise_for_status().json()["warnings"]
+        assert [one["code"] for one in said] == ["orientation_right_angle"]
+    assert client.get(f"/v1/campaigns/{target}").json()["rows"] == len(arm.rows)
+    assert client.post("/v1/robots/arm/observations/check", json=columns_of(arm)).json()["warnings"] == []
+
+
+def test_a_stored_campaign_says_what_is_mixed_up_in_it(client: httpx.Client, database: Database, arm: Genuine) -> None:
+    """Rows that came in pieces of few poses are there, and whoever looks at them reads why no job takes them."""
+    rows, target = columns_of(arm, replace(arm.rows, q=turned(arm, 1))), campaign(client, arm)
+    for first in range(0, len(arm.rows), 11):
+        part = {name: values[first : first + 11] for name, values in rows.items()}
+        client.post(f"/v1/campaigns/{target}/observations", json=part).raise_for_status()
+    assert "Joint 2 looks to count the other way round" in facts(looking.stored(database, target)).mixed_up
