@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from kilter_service.__main__ import COMMANDS
+from kilter_service.program import COMMANDS
 from kilter_service.settings import Settings
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"

@@ -105,3 +105,16 @@ def test_a_data_folder_that_cannot_be_made(tmp_path: Path) -> None:
         f"kilterd: The folder {tmp_path / 'file' / 'data'} cannot be made (Not a directory): give one that this account "
         "may write to with --data or KILTER_DATA.\n"
     )
+
+
+def test_where_the_server_cannot_run_one_sentence_says_so_and_what_to_do(tmp_path: Path) -> None:
+    """As on Windows, whose Python has no fcntl."""
+    code = "import sys; sys.modules['fcntl'] = None; from kilter_service.__main__ import main; main(['serve'])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=REPOSITORY, env=os.environ | {"KILTER_DATA": str(tmp_path / "data")},
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (1, "", 1)
+    assert done.stderr.startswith("kilterd: the server needs Linux")
+    assert "WSL 2 or in a container" in done.stderr
+    assert not (tmp_path / "data").exists()

@@ -306,7 +306,7 @@ def test_a_missing_driver_is_said_with_the_remedy(tmp_path: Path) -> None:
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120, cwd=REPOSITORY
     )
     assert done.returncode == 1
-    assert "kilter[postgresql]" in done.stderr
+    assert "pip install 'psycopg[binary]'" in done.stderr
     assert "Traceback" not in done.stderr
 
 

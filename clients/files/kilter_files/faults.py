@@ -19,7 +19,7 @@ def fault(path: Path, what: str, remedy: str, **place: Any) -> FileError:
 def missing_package(path: Path, what: str, package: str) -> MissingPackageError:
     """Build the error of a format whose package is not installed."""
     return MissingPackageError(
-        f"{path}: {what} need {package}. Install it with: pip install 'kilter-client[files]'", package=package
+        f"{path}: {what} need {package}. Install it with: pip install {package}", package=package
     )
 
 

@@ -127,7 +127,7 @@ def read_mat(path: Path, missing: tuple[float, ...] = ()) -> MatSource:
         from scipy.io import loadmat
     except ImportError as error:
         raise MissingPackageError(
-            f"{path}: .mat files need scipy. Install it with: pip install 'kilter-client[files]'", package="scipy"
+            f"{path}: .mat files need scipy. Install it with: pip install scipy", package="scipy"
         ) from error
     check_mat(path)
     try:

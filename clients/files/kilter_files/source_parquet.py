@@ -114,7 +114,7 @@ def read_parquet(path: Path, missing: tuple[float, ...] = ()) -> ParquetSource:
         import pyarrow.parquet
     except ImportError as error:
         raise MissingPackageError(
-            f"{path}: Parquet files need pyarrow. Install it with: pip install 'kilter-client[files]'",
+            f"{path}: Parquet files need pyarrow. Install it with: pip install pyarrow",
             package="pyarrow",
         ) from error
     try:

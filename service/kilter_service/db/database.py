@@ -111,7 +111,7 @@ def _postgresql(url: URL, connect_timeout_s: int) -> Engine:
     except ModuleNotFoundError as error:
         raise DatabaseAwayError(
             f"KILTER_DATABASE_URL names a PostgreSQL database, and its driver is not installed ({error.name}): "
-            "pip install 'kilter[postgresql]'."
+            "pip install 'psycopg[binary]'."
         ) from error
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("kilter.tracing")
 
+PACKAGES = "opentelemetry-sdk opentelemetry-exporter-otlp-proto-http"
 WANTED = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
 
 _tracer: Tracer | None = None
@@ -32,7 +33,7 @@ def configure(process: str) -> None:
         from opentelemetry.sdk.trace import TracerProvider
         from opentelemetry.sdk.trace.export import BatchSpanProcessor
     except ImportError:
-        log.warning("%s is set, but the packages are missing: pip install 'kilter[tracing]'", WANTED[0])
+        log.warning("%s is set, but packages are missing: pip install %s", WANTED[0], PACKAGES)
         return
     resource = Resource.create({"service.name": os.environ.get("OTEL_SERVICE_NAME", f"kilter-{process}")})
     provider = TracerProvider(resource=resource)

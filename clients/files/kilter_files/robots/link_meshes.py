@@ -13,6 +13,7 @@ from kilter_files.faults import fault
 
 MOST_TRIANGLES = 100_000  # of a link, as the server takes them
 M_TO_MM = 1e3
+TOGETHER = "trimesh fast-simplification pycollada lxml"
 _PLACE = re.compile(r"^(?:package|model)://(?P<package>[^/]+)/(?P<path>.+)$")
 
 
@@ -59,7 +60,7 @@ def _trimesh() -> Any:
         import trimesh
     except ImportError as error:
         raise MissingPackageError(
-            "Shapes that a URDF names need trimesh: pip install 'kilter-client[meshes]'.", package="trimesh"
+            f"Shapes that a URDF names need trimesh: pip install {TOGETHER}.", package="trimesh"
         ) from error
     return trimesh
 

@@ -102,7 +102,7 @@ def _origins(path: Path) -> dict[str, tuple[float, ...]]:
     try:
         import yaml
     except ImportError as error:
-        raise MissingPackageError("YAML needs PyYAML: pip install 'kilter-client[files]'.", package="pyyaml") from error
+        raise MissingPackageError("YAML needs PyYAML: pip install pyyaml.", package="pyyaml") from error
     try:
         document = yaml.safe_load(read_text(path))
     except yaml.YAMLError as error:

@@ -24,7 +24,7 @@ def read_workbook(path: Path) -> Sheet:
         from openpyxl import load_workbook
     except ImportError as error:
         raise MissingPackageError(
-            "XLSX needs openpyxl: pip install 'kilter-client[files]', or save the sheet as CSV.", package="openpyxl"
+            "XLSX needs openpyxl: pip install openpyxl, or save the sheet as CSV.", package="openpyxl"
         ) from error
     _refuse_large(path)
     try:

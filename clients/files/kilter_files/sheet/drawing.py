@@ -75,7 +75,7 @@ def to_pdf(sheet: Sheet) -> bytes:
         from reportlab.pdfgen.canvas import Canvas  # type: ignore[import-untyped]
     except ImportError as error:
         raise MissingPackageError(
-            "PDF needs reportlab: pip install 'kilter-client[sheet]'. SVG (-o sheet.svg) does not need it.",
+            "PDF needs reportlab: pip install reportlab. SVG (-o sheet.svg) does not need it.",
             package="reportlab",
         ) from error
     width, height = (side * POINTS_PER_MM for side in PAGES_MM[sheet.page])

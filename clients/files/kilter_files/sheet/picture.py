@@ -55,7 +55,7 @@ def read_picture(path: Path, page: int = 1) -> Picture:
 def missing(package: str) -> MissingPackageError:
     """Build the error of a package of the extra that is not installed."""
     return MissingPackageError(
-        f"Reading a pencil sheet needs {package}. Install it with: pip install 'kilter-client[sheet]'", package=package
+        f"Reading a pencil sheet needs {package}. Install it with: pip install {package}", package=package
     )
 
 

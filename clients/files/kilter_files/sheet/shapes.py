@@ -81,7 +81,7 @@ def aruco() -> tuple[Any, Any]:
         import cv2
     except ImportError as error:
         raise MissingPackageError(
-            "The pencil sheet needs OpenCV. Install it with: pip install 'kilter-client[sheet]'", package="opencv"
+            "The pencil sheet needs OpenCV. Install it with: pip install opencv-python-headless", package="opencv"
         ) from error
     return cv2, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
 

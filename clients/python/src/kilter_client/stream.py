@@ -124,7 +124,7 @@ class CorrectedStream(Link):
         try:
             import zenoh
         except ImportError as error:
-            raise StreamError("Streams need zenoh: pip install 'kilter-client[stream]'.") from error
+            raise StreamError("Streams need zenoh: pip install eclipse-zenoh.") from error
         self._session = zenoh.open(session_config(zenoh, self._place.endpoints, self._zenoh_config))
         atexit.register(self.close)
         try:

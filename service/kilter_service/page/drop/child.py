@@ -42,7 +42,7 @@ def _refusal(error: Exception, name: str) -> str:
 
     if isinstance(error, MissingPackageError):
         package = error.context.get("package", "a package")
-        return f"{name}: reading it needs {package}, which this server lacks. Install it there: pip install 'kilter[files]'."
+        return f"{name}: reading it needs {package}, which this server lacks. Install it there: pip install {package}."
     if isinstance(error, KilterError):
         return error.detail
     return (

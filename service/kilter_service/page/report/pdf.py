@@ -30,7 +30,7 @@ def pdf(folder: Path, html: str, css: str) -> bytes:
     if lacking.exists():
         raise ServiceError(
             f"PDF needs WeasyPrint and Pango, and this server lacks them ({lacking.read_text('utf-8')[:200]}): install them "
-            "with `pip install 'kilter[pdf]'` and `apt-get install libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0`, "
+            "with `pip install weasyprint` and `apt-get install libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0`, "
             "or print the report from the browser, which looks the same.",
             code="pdf_unavailable",
         )

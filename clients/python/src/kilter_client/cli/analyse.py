@@ -43,7 +43,7 @@ Figures = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="Folder for the figures: Plotly JSON; with kilter-client[plots] PNG and SVG too.",
+        help="Folder for the figures: Plotly JSON; with matplotlib PNG and SVG too.",
         file_okay=False,
     ),
 ]
@@ -289,7 +289,7 @@ def write_figures(folder: Path | None, as_json: bool, job: dict[str, Any]) -> No
         return
     formats = ("png", "svg") if can_draw() else ()
     if not formats:
-        note("Without matplotlib the figures are Plotly JSON only: pip install 'kilter-client[plots]'.", as_json)
+        note("Without matplotlib the figures are Plotly JSON only: pip install matplotlib.", as_json)
     written = save_figures(drawn, folder, formats)
     note(f"{folder}: {len(written)} files", as_json)
 

@@ -36,7 +36,7 @@ def save_arm(file: Path, check: Mapping[str, Any], as_json: bool) -> None:
     """
     form = file.suffix[1:].lower()
     if form == "png" and not can_draw():
-        note("Without matplotlib the picture is a plain one: pip install 'kilter-client[plots]'.", as_json)
+        note("Without matplotlib the picture is a plain one: pip install matplotlib.", as_json)
         write(file, picture(dict(check)))
         return
     try:

@@ -119,7 +119,7 @@ def check_numpy() -> None:
         import numpy  # noqa: F401
     except ImportError as error:
         raise MissingPackageError(
-            "Files of devices need numpy. Install it with: pip install 'kilter-client[files]'", package="numpy"
+            "Files of devices need numpy. Install it with: pip install numpy", package="numpy"
         ) from error
 
 

@@ -17,6 +17,7 @@ from kilter_client.errors import MissingPackageError, UsageError
 if TYPE_CHECKING:
     from kilter_files.rig import Circle
 
+PACKAGES = "numpy scipy opencv-python-headless pillow pypdfium2 reportlab"
 RadiusMm = Annotated[
     float | None, typer.Option("--radius-mm", help="The sheet's radius, where its marker is missing; else checked.")
 ]
@@ -187,7 +188,7 @@ def read(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, al
         from kilter_files.sheet.reading import Options, read_sheet
     except ImportError as error:
         raise MissingPackageError(
-            f"Reading a pencil sheet needs {error.name}. Install it with: pip install 'kilter-client[sheet]'",
+            f"Reading a pencil sheet needs {error.name}. Install it with: pip install {PACKAGES}",
             package=str(error.name),
         ) from error
     return read_sheet(file, Options(radius_mm, page, bars(bars_mm), allow_gaps))

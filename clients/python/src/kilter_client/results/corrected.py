@@ -105,8 +105,6 @@ def _of_parquet(content: bytes) -> dict[str, list[Any]]:
     try:
         from pyarrow import parquet
     except ImportError as error:
-        raise MissingPackageError(
-            "Rows of Parquet need pyarrow: pip install 'kilter-client[files]'.", package="pyarrow"
-        ) from error
+        raise MissingPackageError("Rows of Parquet need pyarrow: pip install pyarrow.", package="pyarrow") from error
     found: dict[str, list[Any]] = parquet.read_table(io.BytesIO(content)).to_pydict()
     return found

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MOST_ROWS = 60  # of a table in a notebook
-REMEDY = "pip install 'kilter-client[notebook]'. to_dict() needs nothing."
+REMEDY = "pip install numpy pandas matplotlib. to_dict() needs nothing."
 
 
 class Tabular:

@@ -58,7 +58,7 @@ def set_mesh(robot: Thing, link: str, file: str | PathLike[str], *, unit: Litera
 def set_urdf_meshes(
     robot: Thing, urdf: str | PathLike[str], *, packages: Mapping[str, str | PathLike[str]] | None = None
 ) -> Steps[Records[Mesh]]:
-    """Give the links of a robot the shapes that its URDF names; needs ``kilter-client[meshes]``.
+    """Give the links of a robot the shapes that its URDF names; needs trimesh.
 
     Args:
         robot: a robot that was added from a URDF.

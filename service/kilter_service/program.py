@@ -1,0 +1,254 @@
+"""`kilterd`: the commands that run Kilter's processes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from typing import NoReturn
+
+from pydantic import ValidationError
+
+from kilter_service.observability import logs, tracing
+from kilter_service.private_files import UMASK, protect
+from kilter_service.settings import DATABASE_FILE, JOBS_FILE, Settings
+from kilter_service.signing import command
+from kilter_service.version import code_version
+from kilter_service.zenoh_config import command as zenoh_command
+
+TRACED = frozenset({"api", "worker"})
+USAGE_CODES = frozenset({"binding_refused", "token_file_open", "token_weak", "stream_keys_damaged", "jobs_taken"})
+Command = Callable[[Settings, argparse.Namespace], None]
+
+
+def serve(settings: Settings, _: argparse.Namespace) -> None:
+    """Run API, worker and corrector together, and the ROS 2 adaptor where topics are set."""
+    from kilter_service.supervisor import serve
+
+    serve(settings)
+
+
+def api(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Run the HTTP API alone."""
+    from kilter_service import serving
+
+    if arguments.fd is not None:
+        serving.serve(settings, socket.socket(fileno=arguments.fd))
+        return
+    from kilter_service.auth.binding import check_binding
+    from kilter_service.auth.token import admin_token
+    from kilter_service.server_file import ServerFile
+
+    check_binding(settings)
+    admin_token(settings)
+    with serving.listener(settings) as opened, ServerFile(settings.server_file) as file:
+        serving.check_database(settings)
+        document = {
+            "url": serving.url_of(opened, settings),
+            "pid": os.getpid(),
+            "zenoh": None,
+            "data": str(settings.data),
+        }
+        file.write(document)
+        print(json.dumps(document), flush=True)
+        serving.serve(settings, opened)
+
+
+def worker(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Run a process that executes jobs."""
+    from kilter_service import serving
+
+    if not arguments.supervised:  # nobody migrates the database meanwhile
+        serving.check_database(settings)
+    from kilter_service.jobs.worker import run
+
+    run(settings)
+
+
+def corrector(settings: Settings, _: argparse.Namespace) -> None:
+    """Run the process that corrects setpoints over zenoh."""
+    from kilter_service.corrector.process import run
+
+    run(settings)
+
+
+def ros2(settings: Settings, _: argparse.Namespace) -> None:
+    """Run the process that corrects messages of ROS 2."""
+    from kilter_service.ros2.process import run
+
+    run(settings)
+
+
+def migrate(settings: Settings, _: argparse.Namespace) -> None:
+    """Bring the database to the revision of this Kilter."""
+    from kilter_service.db import Database, revision
+
+    database = Database(settings.database)
+    try:
+        done = revision.migrate(database)
+    finally:
+        database.close()
+    print(f"The database {'was brought to' if done else 'is at'} revision {revision.HEAD}.")
+
+
+def audit(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Check that the audit in a database is whole; no server need run."""
+    from kilter_service.audit.service import head_in, verify
+    from kilter_service.db import Database, revision
+
+    noted = head_in(arguments.head)
+    database = Database(settings.database)
+    try:
+        revision.check(database)
+        last = verify(database, noted)
+    finally:
+        database.close()
+    print(f"The audit is whole: {last.number} entries, the last is {last.number}:{last.sha256}.")
+
+
+def doctor(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Check what the server needs on this machine, one line each, with the remedy."""
+    from kilter_service.doctor.commands import doctor
+
+    doctor(settings, arguments)
+
+
+def backup(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Write all that is stored to a file, while the server runs."""
+    from kilter_service.backup.commands import backup
+
+    backup(settings, arguments)
+
+
+def restore(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Bring a backup into an empty data folder or database."""
+    from kilter_service.backup.commands import restore
+
+    restore(settings, arguments)
+
+
+def verify(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Check every hash of the database, or of a backup, while the server runs."""
+    from kilter_service.backup.commands import verify
+
+    verify(settings, arguments)
+
+
+def stream_keys(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Show or rotate the secret from which the keys of the stream are derived."""
+    command.run(settings, arguments)
+
+
+def zenoh_config(settings: Settings, arguments: argparse.Namespace) -> None:
+    """Write zenoh configurations with TLS and access control, one folder per role, or rotate their certificates."""
+    zenoh_command.run(settings, arguments)
+
+
+COMMANDS: dict[str, tuple[Command, str]] = {
+    "serve": (serve, "kilterd serve --data ~/kilter --port 8730"),
+    "api": (api, "kilterd api --port 0"),
+    "worker": (worker, "KILTER_WORKER_NAME=second kilterd worker"),
+    "corrector": (corrector, "KILTER_ZENOH_LISTEN=tcp/127.0.0.1:7447 kilterd corrector"),
+    "ros2": (ros2, "KILTER_ROS2='{...}' kilterd ros2"),
+    "audit": (audit, "kilterd audit --data /backup/kilter"),
+    "zenoh-config": (zenoh_config, zenoh_command.EXAMPLE),
+    "stream-keys": (stream_keys, command.EXAMPLE),
+    "migrate": (migrate, "KILTER_DATABASE_URL=postgresql://kilter@db/kilter kilterd migrate"),
+    "backup": (backup, "kilterd backup /backups"),
+    "restore": (restore, "kilterd restore /backups/kilter-20261122T181500Z.kilter-backup --data ~/restored"),
+    "verify": (verify, "kilterd verify"),
+    "doctor": (doctor, "kilterd doctor --json"),
+}
+PATHS = {
+    "backup": ("PATH", None, "file to write, or a folder, where it is named after the time"),
+    "restore": ("FILE", None, "file that `kilterd backup` wrote"),
+    "verify": ("FILE", "?", "a backup to check (default: the database of the server)"),
+}
+NAMES = ", ".join(f"KILTER_{name.upper()}" for name in Settings.model_fields)
+ENVIRONMENT = f"Every setting is also an environment variable: {NAMES}."
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    root = argparse.ArgumentParser(
+        prog="kilterd", description="The server of Kilter.", epilog=f"Example: kilterd serve. {ENVIRONMENT}"
+    )
+    root.add_argument("--version", action="version", version=f"kilterd {code_version()}")
+    commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, (run, example) in COMMANDS.items():
+        text = (run.__doc__ or "").strip()
+        added = commands.add_parser(name, help=text, description=text, epilog=f"Example: {example}. {ENVIRONMENT}")
+        added.add_argument("--data", help="folder of database, token and server file (default ~/.kilter)")
+        added.add_argument("--database-url", help="SQLAlchemy URL (default: SQLite in the data folder)")
+        if name in ("serve", "api"):
+            added.add_argument("--host", help="address to listen on (default 127.0.0.1)")
+            added.add_argument("--port", help="port to listen on, 0 for a free one (default 8730)")
+        if name == "audit":
+            added.add_argument("--head", help="NUMBER:SHA256 of an entry noted earlier, which must still be there")
+        if name in PATHS:
+            shown, count, help_text = PATHS[name]
+            added.add_argument("path", metavar=shown, nargs=count, help=help_text)
+        if name == "doctor":
+            added.add_argument("--json", action="store_true", help="print one JSON document")
+        if name == "api":
+            added.add_argument("--fd", type=int, help=argparse.SUPPRESS)
+        if name == "stream-keys":
+            command.add_options(added)
+        if name == "zenoh-config":
+            zenoh_command.add_options(added)
+    return root
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run a command; exits 0 when it is done, 1 when it failed, 2 when it was called wrongly."""
+    given = parser().parse_args(arguments)
+    os.umask(UMASK)  # whatever a library writes, the job engine's database too, is its owner's
+    # The fits are small: threads of the linear algebra library only wait for each other there, ten times slower on a
+    # busy machine with two cores (docs/explanation/surprises.md). It is read when numpy is imported, by a command.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    overrides = {name: getattr(given, name, None) for name in ("data", "database_url", "host", "port")}
+    try:
+        settings = Settings(**{name: value for name, value in overrides.items() if value is not None})
+        if given.command != "doctor":  # which says what it finds, and changes nothing
+            protect(settings.data, DATABASE_FILE, JOBS_FILE)
+        logs.configure(settings, given.command)
+        if given.command in TRACED:
+            tracing.configure(given.command)
+        given.supervised = _end_with_parent()
+        COMMANDS[given.command][0](settings, given)
+    except ValidationError as error:
+        for item in error.errors():
+            print(f"kilterd: {'.'.join(str(p) for p in item['loc'])}: {item['msg']}", file=sys.stderr)
+        sys.exit(2)
+    except Exception as error:
+        _end(error)
+
+
+def _end(error: Exception) -> NoReturn:
+    """Say in one sentence why the command ends; what Kilter does not know is raised again, with its traceback."""
+    from kilter_service.db.failures import in_words
+
+    known = in_words(error)
+    if known is None and not isinstance(error, OSError):
+        raise error
+    print(f"kilterd: {error if known is None else known.message}", file=sys.stderr)
+    sys.exit(2 if known is not None and known.code in USAGE_CODES else 1)
+
+
+def _end_with_parent() -> bool:
+    """Make a child of `kilterd serve` stop when the supervisor is gone, however it went; returns whether it is one."""
+    if os.environ.pop("KILTER_SUPERVISED", None) is None:
+        return False
+
+    def watch() -> None:
+        while os.read(0, 1024):
+            continue
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=watch, daemon=True, name="parent-watch").start()
+    return True
