@@ -35,6 +35,7 @@ from kilter_core.identify.uncertainty.clustered import clustered
 from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
 from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
+from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.identify.worse import PoseErrors, geometry_alone
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
@@ -268,7 +269,7 @@ def _reported(
         noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
         noise_source="residuals of the fit" if sigma is None else "repeats",
         repeats=repeats,
-        predictive=predictive(fit, repeats, stated),
+        predictive=predictive(fit, repeats, stated, Structure.of(plain)),
         null_directions=null_directions(*beside_masses(fit)),
         masses=masses_said(calibration.robot, calibration.model.effects, options),
         warnings=(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from kilter_core.evaluate import evaluate
 from kilter_core.identify import Identification, IdentifyOptions, identify
-from kilter_core.identify.uncertainty.predictive import Predictive, acting
+from kilter_core.identify.uncertainty.predictive import Predictive, acting, predictive
 from kilter_core.measurement import Measurement
 from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured
@@ -33,13 +33,14 @@ def found(seed: int, repeats: bool = True, see: str = "position") -> tuple[Ident
     return identify(robot, rows), true, new, measured(true, new, rng, NOISE, see)
 
 
-def test_the_tool_is_within_its_interval() -> None:
+@pytest.mark.parametrize("repeats", [True, False])
+def test_the_tool_is_within_its_interval(repeats: bool) -> None:
     inside = []
     for seed in range(20):
-        result, true, q, _ = found(seed)
+        result, true, q, _ = found(seed, repeats)
         u95 = result.predictive.of_the_tool(result.calibration, Observations(q))
         inside.append(np.abs(result.calibration.predict(Observations(q)).position - true.poses(q)[0]) <= u95)
-    assert np.mean(inside) == pytest.approx(0.95, abs=0.025)
+    assert 0.94 < np.mean(inside) < 0.985  # errors that the noise may hide are counted: 0.96 without
 
 
 @pytest.mark.parametrize("refit", [(), ("base", "tool")])
@@ -52,13 +53,51 @@ def test_what_is_measured_next_is_within_its_interval(repeats: bool, refit: tupl
     assert np.mean(inside) == pytest.approx(0.95, abs=0.025)
 
 
-def test_without_repeats_all_that_is_left_counts_as_the_model_s() -> None:
+def test_noise_is_told_from_what_the_model_misses_without_repeats() -> None:
     with_repeats, without = found(0)[0].predictive, found(0, repeats=False)[0].predictive
-    assert (with_repeats.inadequacy, with_repeats.noise) == (
-        pytest.approx(0.0, abs=1e-5),
-        pytest.approx(NOISE, rel=0.3),
-    )
-    assert (without.inadequacy, without.noise) == (pytest.approx(NOISE, rel=0.3), 0.0)
+    for known in (with_repeats, without):
+        assert known.inadequacy < 0.4 * NOISE
+        assert known.noise == pytest.approx(NOISE, rel=0.3)
+
+
+@pytest.mark.parametrize("sag", [3e-5, 3e-4])
+@pytest.mark.parametrize("repeats", [0, 40])
+def test_where_an_effect_is_missing_the_tool_is_within_its_interval(repeats: int, sag: float) -> None:
+    inside = []
+    for seed in range(4):
+        robot, true, rng = somewhere(seed)
+        q, new = joints(true, 120, rng), joints(true, 200, rng)
+        q = np.vstack([q, q[:repeats]])
+        rows = replace(measured(true, sagging(q, sag), rng, NOISE), q=q)
+        result = identify(robot, rows)
+        u95 = result.predictive.of_the_tool(result.calibration, Observations(new))
+        away = result.calibration.predict(Observations(new)).position - true.poses(sagging(new, sag))[0]
+        inside.append(np.abs(away) <= u95)
+    assert np.mean(inside) > 0.935
+
+
+def sagging(q: Floats, amplitude: float) -> Floats:
+    """Joints (N, 6) rad whose second and third give way to a load that hangs on the forearm."""
+    far = 0.6 * np.cos(q[:, 1] + q[:, 2])
+    out = q.copy()
+    out[:, 1] += amplitude * (np.cos(q[:, 1]) + far)
+    out[:, 2] += amplitude * far
+    return out
+
+
+def test_what_nothing_tells_apart_counts_as_the_model_s() -> None:
+    result = found(0, repeats=False)[0]
+    few = predictive(result.fit, result.repeats, None, None)
+    assert (few.inadequacy, few.noise) == (pytest.approx(NOISE, rel=0.3), 0.0)
+
+
+def test_drift_over_the_rows_is_no_noise() -> None:
+    robot, true, rng = somewhere(6)
+    rows = measured(true, joints(true, 120, rng), rng, NOISE)
+    assert rows.position is not None
+    drift = 5e-5 * np.linspace(-1.0, 1.0, 120)[:, None] * np.array([1.0, -0.5, 0.5])
+    drifted = identify(robot, replace(rows, position=rows.position + drift)).predictive
+    assert drifted.inadequacy > NOISE
 
 
 def test_what_the_model_misses_widens_the_intervals() -> None:

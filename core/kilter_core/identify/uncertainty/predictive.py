@@ -16,13 +16,14 @@ from scipy.stats import f
 from kilter_core.identify.least_squares import Fit
 from kilter_core.identify.noise import Repeats
 from kilter_core.identify.options import FRAME_NAMES
+from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
 
 QUANTILE = 1.959963984540054  # of the standard normal at 97.5 %
-CHANCE = 0.1  # that what is left is taken to be beyond the noise although both only scatter; F test
+CHANCE = 0.05  # that what is left is taken to be beyond the noise although both only scatter; F test
 EXACT = 10_000  # freedom of a noise that is stated
 SLICE = 4096  # rows whose Jacobians are held at once
 
@@ -30,8 +31,8 @@ SLICE = 4096  # rows whose Jacobians are held at once
 @dataclass(frozen=True)
 class Predictive:
     """What a version knows of itself: ``covariance (K, K)`` SI of the parameters ``names``, and standard deviations (m) of
-    a coordinate: ``inadequacy``, what its fit left beyond the noise, and ``noise``. Without repeats nothing shows them
-    apart: then all that is left counts as inadequacy, and ``noise`` is 0.
+    a coordinate: ``inadequacy``, what its fit left beyond the noise, and ``noise``. Where nothing shows them apart all that
+    is left counts as inadequacy, and ``noise`` is 0.
     """
 
     names: tuple[str, ...]
@@ -106,19 +107,36 @@ def acting(calibration: Calibration, rows: Observations) -> Calibration:
     return calibration if len(effects) == len(calibration.model.effects) else calibration.with_effects(effects)
 
 
-def predictive(fit: Fit, repeats: Repeats, stated: float | None = None) -> Predictive:
-    """What a clustered ``fit`` knows, with the noise of its ``repeats``, or as ``stated`` (m) for a coordinate."""
+def predictive(
+    fit: Fit, repeats: Repeats, stated: float | None = None, structure: Structure | None = None
+) -> Predictive:
+    """What a clustered ``fit`` knows, with the noise of its ``repeats``, or as ``stated`` (m) for a coordinate.
+
+    The noise tells what is left beyond it, and the ``structure`` of what is left which part follows the joints: the larger
+    counts, since a noise from few repeats hides much. Where no noise is known the structure alone tells; as soon as it shows
+    that the model lacks something, all that is left counts, for what is rough in it looks like noise.
+    """
     left, freedom = left_of(fit), repeats.freedom
     sigma = fit.problem.measurement.observations.sigma
     noise = stated if stated is not None else repeats.between
     if noise is None and sigma is not None:
         noise = float(np.sqrt(np.mean(sigma**2)))
     if noise is None:
-        return Predictive(fit.names, fit.covariance, left, 0.0)
+        share = 1.0 if structure is None else structure.at_most
+        inadequacy = _reaching(share * left**2, left, structure)
+        return Predictive(fit.names, fit.covariance, inadequacy, left * (1.0 - share) ** 0.5)
     known = EXACT if stated is not None or repeats.between is None else freedom
     by_chance = noise**2 * float(f.isf(CHANCE, max(fit.freedom or 1.0, 1.0), known))
-    beyond = np.sqrt(left**2 - noise**2) if left**2 > by_chance else 0.0
-    return Predictive(fit.names, fit.covariance, float(beyond), noise)
+    beyond = left**2 - noise**2 if left**2 > by_chance else 0.0
+    smooth = 0.0 if structure is None else structure.share * left**2
+    return Predictive(fit.names, fit.covariance, _reaching(max(beyond, smooth), left, structure), noise)
+
+
+def _reaching(variance: float, left: float, structure: Structure | None) -> float:
+    """Standard deviation of a normal error that reaches as far as errors of this ``variance`` do: their tails are wider."""
+    if structure is None:
+        return float(np.sqrt(variance))
+    return float(np.sqrt(variance + structure.lacking * (structure.reach**2 - 1.0) * left**2))
 
 
 def left_of(fit: Fit) -> float:
