@@ -14,7 +14,7 @@ from kilter_core.model import Calibration
 DT = 0.002
 RATE = math.radians(0.5)
 FREE = {"change_rad_s": 1e6, "change_rad_s2": 1e9}
-LIMITED, RAMPING = 0x0400, 0x0200
+REVERSING, RAMPING = 0x0400, 0x0200
 
 
 def follow(track: Track, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -42,7 +42,7 @@ def test_a_sign_change_is_no_step(calibration_of: Callable[..., Calibration]) ->
     assert jump > math.radians(0.02)  # without the limit the sign change is a step
     # One joint's play moves at the limit; what the others do for it is of the same size.
     assert steps < 3 * RATE * DT
-    assert (flags & LIMITED).any()
+    assert (flags & REVERSING).any()
 
 
 def test_tilt_is_limited_too(calibration_of: Callable[..., Calibration]) -> None:

@@ -40,6 +40,7 @@ Until = Callable[..., None]
 ROBOT = "far"
 FINAL = ("succeeded", "failed", "cancelled")
 PERIOD_S = 0.004
+SAME_RAD = 1.1e-6  # between a file and a stream that holds nothing back
 ENOUGH_M = 5e-5  # what may be left of the tool's error on a corrected path
 LIBRARY = ["axial_compliance", "eccentricity", "encoder_scale", "backlash"]
 JOBS: dict[str, dict[str, Any]] = {
@@ -158,7 +159,14 @@ def test_a_path_is_corrected_wherever_the_tracker_stood(
     with CorrectedStream(ROBOT, stream="single", **options) as stream:
         found = [stream.correct(row) for row in q.tolist()]
     assert {setpoint.source for setpoint in found} == {"corrected"}
-    assert np.abs(np.array([list(s) for s in found]) - by_http).max() < 1e-8  # the clock of this machine is in it
+    # Its times are those of this machine's clock, so the path is faster here: where the correction changes faster than it
+    # may, it comes late and says so. All other joints are those of the file, and the tool is where both say it is.
+    by_stream = np.array([list(s) for s in found])
+    held = np.array([s.slowed or s.damped or s.saturated for s in found])
+    assert np.abs(by_stream - by_http)[~held].max() < SAME_RAD
+    off = np.linalg.norm(far.points(by_stream) - goal, axis=1)
+    assert np.abs(off - after)[~held].max() < 1e-6
+    assert (off <= after + 1e-3 * np.array([s.left_mm for s in found]) + 1e-6).all()
     with CorrectedStream(ROBOT, stream="chunk", **options) as stream:
         chunk = stream.correct_chunk(q.tolist(), PERIOD_S)
     assert chunk is not None

@@ -84,7 +84,7 @@ def test_metrics_say_that_the_database_does_not_answer(client: httpx.Client, dat
 def test_streams_are_counted_by_robot_and_status(client: httpx.Client, database: Database) -> None:
     said = {
         "robot": "arm", "stream": "main", "received": 12, "counters": {"OK": 10, "STALE": 2}, "version_id": "ver_1",
-        "epoch": 3, "processing_us": {"mean": 5.0, "max": 40.0}, "rate_limited": 1, "damped": 4, "saturated": 0,
+        "epoch": 3, "processing_us": {"mean": 5.0, "max": 40.0}, "reversing": 1, "damped": 4, "saturated": 0,
         "slowed": 2, "left_mm": {"lately": 0.31, "max": 0.9},
     }  # fmt: skip
     with database.transaction() as session:
@@ -103,7 +103,7 @@ def test_streams_are_counted_by_robot_and_status(client: httpx.Client, database:
 def test_a_corrector_of_an_earlier_release_is_counted_too(client: httpx.Client, database: Database) -> None:
     said = {
         "robot": "arm", "stream": "main", "received": 1, "counters": {"OK": 1}, "version_id": "ver_1", "epoch": 3,
-        "processing_us": {"mean": 5.0, "max": 40.0}, "rate_limited": 0, "damped": 7,
+        "processing_us": {"mean": 5.0, "max": 40.0}, "reversing": 0, "damped": 7,
     }  # fmt: skip
     with database.transaction() as session:
         health.beat(session, "corrector", "local", 1, {"streams": [said]})

@@ -21,7 +21,6 @@ from kilter_core.types import Floats
 class Conditions:
     """What is known at run time besides the joints; ``temperature_c`` None when it is not stated."""
 
-    least_softening_nm: float = 0.0
     payload_kg: float = 0.0
     temperature_c: float | None = None
 
@@ -153,10 +152,10 @@ class RunTimeForm:
         self.bending.append(BendingRow(joint, of_joint, of_end, link))
         self.twisted.add(joint)
 
-    def softened(self, own: float | tuple[float, ...], joints: Sequence[int]) -> list[float]:
-        """Half-width of a sign at each of these joints: the effect's own, and at least what the correction asks for."""
+    def softening(self, own: float | tuple[float, ...], joints: Sequence[int]) -> list[float]:
+        """Half-width of a sign at each of these joints, of an effect that states one or one for each."""
         widths = own if isinstance(own, tuple) else (own,) * len(joints)
-        return [max(width, self.conditions.least_softening_nm) for _, width in zip(joints, widths, strict=True)]
+        return [width for _, width in zip(joints, widths, strict=True)]
 
     def warmer_than(self, reference_c: float) -> float | None:
         """Kelvin above a reference; None when the temperature is not stated."""

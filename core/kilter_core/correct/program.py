@@ -31,6 +31,7 @@ from kilter_core.correct.collapse import (
 )
 from kilter_core.correct.kernels import layout, stream
 from kilter_core.correct.rows import bending_rows, curve_rows, joint_rows
+from kilter_core.correct.softening import softening
 from kilter_core.errors import OptionError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.types import Floats, Ints
@@ -61,7 +62,7 @@ class CorrectionOptions:
     acceleration, ``change_rad_s2``, ``change_m_s2`` bound how fast the whole correction changes along a stream, joint by
     joint: what drives need beside the path. ``rate_rad_s`` and ``rate_m_s`` bound the part of the effects with a sign
     (clearance, backlash), and changes of version; ``least_softening_nm`` softens their sign where the effect itself does
-    not. ``ramp_s`` is the least time of a change of
+    not, but by no more than half a per cent of the largest load of the joint. ``ramp_s`` is the least time of a change of
     version. ``payload_kg`` hangs at ``payload_com`` m in the tool frame, the tool point when None; without a mass the
     robot's default load does. ``temperature_c`` is that of the arm, for thermal growth; without it that effect stays
     uncorrected. ``filter_hz`` > 0 derives speeds and accelerations of setpoints that bring none; it looks back by
@@ -295,7 +296,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     arm = calibration.with_effects([e for e in calibration.model.effects if e.stage != "measurement"])
     model, values = arm.model.absorb_frame_increments(arm.values)
     load = options.load(robot)
-    conditions = Conditions(options.least_softening_nm, load.mass, options.temperature_c)
+    conditions = Conditions(load.mass, options.temperature_c)
     form, supported, unsupported, loaded = _at_run_time(model, values, conditions)
     chains = chains_of(calibration, model, values)
     weighed = model.load_robot if form.link_errors is None else with_masses(model.load_robot, form.link_errors.tolist())
@@ -309,8 +310,9 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     scalars = _scalars(weighed, options, (rows, first), m)
     scalars[layout.LOADED] = float(loaded)
     scalars[layout.CURVES], scalars[layout.BENDINGS] = len(form.curves), len(form.bending)
+    widths = softening(form, weighed, load, options.least_softening_nm)
     mount = write_base(head, scalars, form, chains.base, fixed_links_moment(weighed, loads))
-    parts = [head, _with_limits(joint_rows(form), robot, options), curve_rows(form), bending_rows(form)]
+    parts = [head, _with_limits(joint_rows(form, widths), robot, options), curve_rows(form), bending_rows(form)]
     if loads is not chains.nominal:
         scalars[layout.LOAD_CHAIN] = sum(len(part) for part in parts)
         parts.append(load_rows(loads))

@@ -22,9 +22,9 @@ _JOINT: Mapping[str, int] = {
     "offset": layout.DQ,
     "tilt": layout.TILT,
     "tilt_by_vector": layout.TILT_SHARE,
-    "tilt_softening_nm": layout.TILT_SOFT,
+    "tilt_softening_nm": layout.TILT_OWN,
     "backlash": layout.PLAY,
-    "backlash_softening_nm": layout.PLAY_SOFT,
+    "backlash_softening_nm": layout.PLAY_OWN,
     "reversal": layout.REVERSAL,
     "compliance": layout.COMPLIANCE,
     "compliance_by_direction": layout.SIDED,
@@ -33,12 +33,14 @@ _JOINT: Mapping[str, int] = {
 }
 
 
-def joint_rows(form: RunTimeForm) -> Floats:
-    """Rows (n, COLUMNS) of the joints."""
+def joint_rows(form: RunTimeForm, widths: tuple[Floats, Floats]) -> Floats:
+    """Rows (n, COLUMNS) of the joints; ``widths`` (n,) N·m of the signs of the load across and about them."""
     rows = np.zeros((len(form.joints), layout.COLUMNS))
     for j, (row, joint) in enumerate(zip(rows, form.joints, strict=True)):
         for name, column in _JOINT.items():
             row[column] = getattr(joint, name)
+        row[layout.TILT_SOFT] = widths[0][j]
+        row[layout.PLAY_SOFT] = widths[1][j]
         row[layout.XI : layout.XI + 6] = joint.twist
         row[layout.TWISTED] = j in form.twisted
     return rows

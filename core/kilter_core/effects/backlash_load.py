@@ -59,7 +59,7 @@ class BacklashLoad(Effect):
         joints = self.acting(len(form.joints))
         if not form.free("backlash", joints):
             return False
-        for j, value, width in zip(joints, values.tolist(), form.softened(self.softening_nm, joints), strict=True):
+        for j, value, width in zip(joints, values.tolist(), form.softening(self.softening_nm, joints), strict=True):
             form.joints[j].backlash, form.joints[j].backlash_softening_nm = value, width
         return True
 

@@ -78,7 +78,7 @@ class ClearanceTilt(Effect):
         joints = self.acting(len(form.joints))
         if not form.free("tilt", joints):
             return False
-        for j, value, width in zip(joints, values.tolist(), form.softened(self.softening_nm, joints), strict=True):
+        for j, value, width in zip(joints, values.tolist(), form.softening(self.softening_nm, joints), strict=True):
             joint = form.joints[j]
             joint.tilt, joint.tilt_softening_nm = math.tan(value), width
             joint.tilt_by_vector = self.share == "vector"

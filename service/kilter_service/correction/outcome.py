@@ -31,7 +31,7 @@ STATED_M, STATED_RAD = 1e-5, math.radians(0.01)
 MOST_OK_M = 5e-5  # however little is stated of a version: a row of which more is left is not OK
 WHOLE_POSE = 6  # joints from which on a correction minds the orientation
 REACHED_M = 1e-6  # to which a correction is computed: nothing smaller is left
-HELD = Flag.LIMITED | Flag.SATURATED | Flag.SLOWED | Flag.RAMPING
+HELD = Flag.REVERSING | Flag.SATURATED | Flag.SLOWED | Flag.RAMPING
 HOW = tuple(flag for flag in Flag if flag >= Flag.DYNAMIC)  # flags that say how an answer was made
 
 

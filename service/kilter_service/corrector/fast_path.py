@@ -34,7 +34,7 @@ from kilter_service.corrector.wire import Flag, Kind, Status
 SEQ, TRANSIT, SEEN, SENT, PACE, APPLIED, ANSWERED = range(7)
 MOST_AGE, SET_BACK, DRIFT, SLACK = 7, 8, 9, 10  # the last two are floats
 ROWS, JOINTS, VERSION, EPOCH, OUT_HEAD, IN_HEAD = 11, 12, 13, 14, 15, 15  # IN_HEAD + number of vectors, 1 to 3
-COUNTS, LIMITED, DAMPED, SATURATED, SLOWED, SPENT, LONGEST, LAST = 19, 35, 36, 37, 38, 39, 40, 41  # COUNTS + status
+COUNTS, REVERSING, DAMPED, SATURATED, SLOWED, SPENT, LONGEST, LAST = 19, 35, 36, 37, 38, 39, 40, 41  # COUNTS + status
 # what was left of the error of the tool, nm: the most since the stream began, in the present period and in the one before
 MOST_LEFT, PERIOD, LEFT_NOW, LEFT_BEFORE = 42, 43, 44, 45
 OUT = 46
@@ -53,15 +53,15 @@ LEFT_X, LEFT_Y, LEFT_Z = layout.LEFT, layout.LEFT + 1, layout.LEFT + 2
 MOST_LEFT_NM = wire.MOST_LEFT_NM
 MOST = 2**63 - 1  # what is larger than this takes the full path, where integers are unbounded
 MOST_NS = 0xFFFFFFFF  # of the time that fits into an answer
-IS_LIMITED, IS_DAMPED, IS_SATURATED, IS_SLOWED = map(int, (Flag.LIMITED, Flag.DAMPED, Flag.SATURATED, Flag.SLOWED))
-HELD_BACK = {"rate_limited": LIMITED, "damped": DAMPED, "saturated": SATURATED, "slowed": SLOWED}
+IS_REVERSING, IS_DAMPED, IS_SATURATED, IS_SLOWED = map(int, (Flag.REVERSING, Flag.DAMPED, Flag.SATURATED, Flag.SLOWED))
+HELD_BACK = {"reversing": REVERSING, "damped": DAMPED, "saturated": SATURATED, "slowed": SLOWED}
 FLAGS = {1: 0, 2: int(Flag.QD), 3: Flag.QD | Flag.QDD}
 
 
 def note_made(words: Any, made: int, left_nm: int, arrival: int) -> None:
     """Count what held a correction back; note what is left: the most of all, of this period and of the one before."""
-    if made & IS_LIMITED:
-        words[LIMITED] += 1
+    if made & IS_REVERSING:
+        words[REVERSING] += 1
     if made & IS_DAMPED:
         words[DAMPED] += 1
     if made & IS_SATURATED:

@@ -46,7 +46,7 @@ class Flag(IntEnum):  # not IntFlag: its operators are Python, and nine of them 
     SETTLED = 0x0010  # with RESET: the arm rests at this setpoint, so give the whole correction at once
     DYNAMIC = 0x0100  # the moments include motion
     RAMPING = 0x0200  # start of the stream or a change of version is still being ramped
-    LIMITED = 0x0400  # a sign change was held to the rate limit
+    REVERSING = 0x0400  # clearance or backlash changes sides: softly, or at its rate
     DAMPED = 0x0800  # near a singularity: the correction is damped
     RESIDUAL = 0x1000  # the wanted pose is out of reach of the correction; the nearest was taken
     SATURATED = 0x2000  # the correction is held at its limit, and part of the error is left

@@ -19,13 +19,14 @@ RAMPING = 0x0200
 MADE = {
     0x0100: "with the loads of the motion",
     RAMPING: "still being ramped in",
-    0x0400: "a change of sign is held to its rate",
+    0x0400: "backlash or clearance changes sides",
     0x0800: "damped near a singularity",
     0x1000: "the nearest pose that can be reached",
     0x2000: "held at its limit",
     0x4000: "held back by its rate",
 }
 HELD_BACK = {  # counters of the corrector, in words
+    "reversing": "corrected while backlash or clearance changed sides",
     "damped": "damped near a singularity",
     "saturated": "held at the limits of the version",
     "slowed": "held back by the bound on rate and acceleration",

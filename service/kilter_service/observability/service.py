@@ -22,7 +22,7 @@ log = logging.getLogger("kilter.api")
 MEDIA_TYPE = CONTENT_TYPE_LATEST
 DATABASE_UP = "Whether the database answers."
 LATELY_S = 3600.0
-HELD_BACK = ("rate_limited", "damped", "saturated", "slowed")  # counters of a stream's status
+HELD_BACK = ("reversing", "damped", "saturated", "slowed")  # counters of a stream's status
 
 
 def text(database: Database) -> bytes:

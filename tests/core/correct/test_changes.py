@@ -145,6 +145,40 @@ def test_a_path_past_a_limit_goes_on_without_a_jump() -> None:
     assert found.acceleration <= SPURT * (1.0 + 1e-6)
 
 
+@pytest.mark.parametrize(("name", "degrees", "cycles"), [
+    ("ur", 0.1, 2000), ("ur", 0.1, 800), ("ur", 0.3, 800), ("elbow", 0.1, 800), ("elbow", 0.02, 800), ("scara", 0.1, 800),
+])  # fmt: skip
+def test_at_the_limit_of_its_size_a_correction_arrives_at_rest(name: str, degrees: float, cycles: int) -> None:
+    arm = twin(name, 1)
+    n = arm.ideal.n
+    phases = np.random.default_rng(3).uniform(0.0, 6.0, n)
+    t = np.linspace(0.0, 2.0 * math.pi, cycles)[:, None]
+    q = 0.5 * arm.ideal.limits[1] * np.sin(t * np.arange(1, n + 1) / n + phases)
+    found = streamed(arm, q, CorrectionOptions(largest_rad=math.radians(degrees), largest_m=0.001))
+    assert (found.flags & SATURATED).any()
+    assert np.abs(found.delta).max() <= math.radians(degrees) * (1.0 + 1e-9) or name == "scara"
+    assert found.rate <= RATE * (1.0 + 1e-9)
+    assert found.acceleration <= SPURT * (1.0 + 1e-6)
+    assert (found.off <= np.linalg.norm(arm.left(q, q)[0], axis=1) + 1e-9).all()
+
+
+@pytest.mark.parametrize("period_s", [0.0002, 0.0005])
+def test_a_stream_above_a_kilohertz_keeps_to_the_same_rate(period_s: float) -> None:
+    arm = twin("six", 1)
+    slow = CorrectionOptions(change_rad_s=math.radians(0.5), change_rad_s2=math.radians(20.0))
+    t = np.arange(-0.4, 0.4, period_s)[:, None]
+    q = np.array([0.3, -1.0, 1.2, -0.5, 0.0, 0.1]) + np.hstack(
+        [0.1 * np.sin(t), 0.1 * np.sin(0.7 * t), 0.0 * t, 0.0 * t, t, 0.2 * t]
+    )
+    track = Track(compile_program(arm.calibration, slow), settled=True)
+    done, out, info, _ = track.follow(q, 1, np.full(len(q), period_s))
+    assert done == len(q)
+    assert (info[:, 0].astype(int) & SLOWED).any()
+    delta = out - q
+    assert np.abs(np.diff(delta, axis=0)).max() <= slow.change_rad_s * period_s * (1.0 + 1e-6)
+    assert np.abs(np.diff(delta, 2, axis=0)).max() <= slow.change_rad_s2 * period_s**2 * (1.0 + 1e-4)
+
+
 def test_a_beginning_is_eased_in() -> None:
     arm = twin("ur")
     q = np.tile([0.3, -1.0, 1.2, -0.5, 0.8, 0.1], (1500, 1))

@@ -115,6 +115,21 @@ def test_at_a_limit_the_correction_is_held_or_refused(limits: dict[str, float], 
     assert ((refused.status == TOO_LARGE) == at_limit).all()
 
 
+@pytest.mark.parametrize("degrees", [0.2, 1.0, 3.0])
+@pytest.mark.parametrize(
+    ("name", "task"), [("elbow", "position"), ("six", "pose"), ("ur", "pose"), ("scara", "position")]
+)
+def test_at_a_limit_no_correction_is_worse_than_none(name: str, task: str, degrees: float) -> None:
+    for seed in range(4):
+        arm = twin(name, seed)
+        q = arm.poses(300, seed + 7)
+        if name == "elbow":  # stretched, where the way of a correction bends
+            q = np.vstack([q, np.column_stack([np.full((121, 2), 0.4), np.radians(np.linspace(-10.0, 10.0, 121))])])
+        _, off, _ = corrected(arm, q, task=task, largest_rad=math.radians(degrees), farthest_m=0.05)
+        before, _ = arm.left(q, q)
+        assert (off <= np.linalg.norm(before, axis=1) + 1e-9).all()
+
+
 def test_at_the_limit_of_a_joint_the_whole_correction_is_scaled() -> None:
     arm = twin("ur", errors={"theta_offset_1": -4e-3, "theta_offset_3": 2e-3})
     q = np.tile([0.0, -1.0, 1.2, -0.5, 0.8, 0.1], (50, 1))

@@ -12,7 +12,7 @@ VERDICT = struct.Struct("<QIHHIi")  # version, epoch, status, limit mask, proces
 BLOCK = struct.Struct("<II")  # points, step_ns
 POINT, CHUNK = 0, 1
 QD, QDD, VERSION, RESET, SETTLED = 0x0001, 0x0002, 0x0004, 0x0008, 0x0010
-DYNAMIC, RAMPING, LIMITED, DAMPED, RESIDUAL, SATURATED, SLOWED = (1 << k for k in range(8, 15))
+DYNAMIC, RAMPING, REVERSING, DAMPED, RESIDUAL, SATURATED, SLOWED = (1 << k for k in range(8, 15))
 STATUSES = (
     "OK", "STALE", "SEQ_GAP", "SEQ_BACK", "BAD_FRAME", "NOT_FINITE", "JOINT_LIMIT", "CORRECTION_TOO_LARGE",
     "RATE_LIMIT", "NO_VERSION", "VERSION_MISMATCH", "OVERLOAD", "NO_SESSION", "UNSIGNED", "SESSION_EXPIRED",
@@ -36,9 +36,9 @@ class Made:
         return bool(self.flags & RAMPING)
 
     @property
-    def limited(self) -> bool:
-        """A change of sign (clearance, backlash) is held to its rate."""
-        return bool(self.flags & LIMITED)
+    def reversing(self) -> bool:
+        """Clearance or backlash changes sides: its sign is softened near zero load, or held to its rate."""
+        return bool(self.flags & REVERSING)
 
     @property
     def damped(self) -> bool:

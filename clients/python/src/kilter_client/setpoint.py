@@ -8,10 +8,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from kilter_client.frames import DAMPED, LIMITED, SATURATED, SLOWED, Made
+from kilter_client.frames import DAMPED, REVERSING, SATURATED, SLOWED, Made
 
-NAMES = {LIMITED: "limited", DAMPED: "damped", SATURATED: "saturated", SLOWED: "slowed"}
-HELD_BACK = LIMITED | DAMPED | SATURATED | SLOWED
+NAMES = {REVERSING: "reversing", DAMPED: "damped", SATURATED: "saturated", SLOWED: "slowed"}
+HELD_BACK = REVERSING | DAMPED | SATURATED | SLOWED
 
 From = Literal["corrected", "slowed", "held", "bypass"]
 
@@ -86,7 +86,7 @@ class Statistics:
     too_large: int = 0  # dropped: beyond the largest correction, or not finite
     overruns: int = 0  # cycles of `corrected` that began more than a period late
     refused: Counter[str] = field(default_factory=Counter)
-    held_back: Counter[str] = field(default_factory=Counter)  # answers by flag: limited, damped, saturated, slowed
+    held_back: Counter[str] = field(default_factory=Counter)  # answers by flag: reversing, damped, saturated, slowed
     most_left_nm: int = 0  # of the error of the tool, of all answers
     round_trips_s: deque[float] = field(default_factory=lambda: deque(maxlen=100_000))
 

@@ -24,19 +24,23 @@ from kilter_core.correct.kernels.layout import (
     FACTOR,
     HARDENING,
     HIGHEST,
+    KEPT,
     LAG,
     LAST_A,
     LAST_B,
     LAST_SIDE,
     LINEAR,
     MOMENT,
+    NEAR_REVERSAL,
     PLAY,
+    PLAY_OWN,
     PLAY_SOFT,
     POLYNOMIAL,
     POWERS,
     RADIAL,
     RATE,
     REVERSAL,
+    REVERSING,
     ROOT,
     SHAPE,
     SHIFT,
@@ -48,6 +52,7 @@ from kilter_core.correct.kernels.layout import (
     TILT,
     TILT_A,
     TILT_B,
+    TILT_OWN,
     TILT_SHARE,
     TILT_SOFT,
     TWIST,
@@ -57,6 +62,8 @@ from kilter_core.correct.kernels.layout import (
 
 # Below this moment a sign would be that of rounding noise.
 NO_MOMENT = 1e-9
+# Beyond this many half-widths a soft sign is one within 1e-5.
+SOFT = 6.1
 
 
 @compiled(**FAST)
@@ -78,7 +85,7 @@ def _bounded(a):
 
 
 @compiled(**FAST)
-def _clearance_tilt(P, j, x, y):
+def _clearance_tilt(P, j, x, y, soft):
     """Tilt of a joint in its clearance (thesis eq. 5.16-5.18) towards the transverse load (x, y)."""
     t = P[j, TILT]
     ax, ay = abs(x), abs(y)
@@ -93,7 +100,6 @@ def _clearance_tilt(P, j, x, y):
     else:
         h = 1.0 / math.sqrt(x * x + y * y)
         s, c = ax * h, ay * h
-    soft = P[j, TILT_SOFT]
     return _bounded(t * s * _soft_sign(x, soft)), _bounded(t * c * _soft_sign(y, soft))
 
 
@@ -107,25 +113,62 @@ def _rate_limited(last, target, reach):
 
 
 @compiled(**EXACT)
+def _signs(P, W, j, tilt_soft, play_soft):
+    """Tilt about x and y of a joint and the side of its backlash, at the loads and the direction of now."""
+    a, b = _clearance_tilt(P, j, W[j, MOMENT], W[j, MOMENT + 1], tilt_soft)
+    about = W[j, MOMENT + 2]
+    side = (0.5 * P[j, REVERSAL] + P[j, SIDED] * about) * W[j, SIGN]
+    if P[j, PLAY] != 0.0 and abs(about) > NO_MOMENT:
+        side += P[j, PLAY] * _soft_sign(about, play_soft)
+    return a, b, side
+
+
+@compiled(**EXACT)
+def _softened(P, W, j):
+    """Whether a sign of a joint is softer now than the version has it."""
+    if P[j, TILT] != 0.0 and P[j, TILT_SOFT] > P[j, TILT_OWN]:
+        least = min(abs(W[j, MOMENT]), abs(W[j, MOMENT + 1]))
+        if NO_MOMENT < least < SOFT * P[j, TILT_SOFT]:
+            return True
+    if P[j, PLAY] != 0.0 and P[j, PLAY_SOFT] > P[j, PLAY_OWN]:
+        return NO_MOMENT < abs(W[j, MOMENT + 2]) < SOFT * P[j, PLAY_SOFT]
+    return False
+
+
+@compiled(**EXACT)
 def sign_effects(P, W, state, n, oj, dt):
-    """Effects with a sign: tilt and backlash of every joint, held to its rate from the last answer; whether one was."""
-    limited = False
+    """Effects with a sign: tilt and backlash of every joint, held to its rate from the last answer; flags of that."""
+    flags = 0
     for i in range(n):
         j = oj + i
-        a, b = _clearance_tilt(P, j, W[j, MOMENT], W[j, MOMENT + 1])
-        about = W[j, MOMENT + 2]
-        side = (0.5 * P[j, REVERSAL] + P[j, SIDED] * about) * W[j, SIGN]
-        if P[j, PLAY] != 0.0 and abs(about) > NO_MOMENT:
-            side += P[j, PLAY] * _soft_sign(about, P[j, PLAY_SOFT])
+        a, b, side = _signs(P, W, j, P[j, TILT_SOFT], P[j, PLAY_SOFT])
+        if _softened(P, W, j):
+            flags |= NEAR_REVERSAL
         if dt < math.inf:
             reach = P[j, RATE] * dt
             W[j, TILT_A] = _rate_limited(state[i, LAST_A], a, reach)
             W[j, TILT_B] = _rate_limited(state[i, LAST_B], b, reach)
             W[j, SIDE] = _rate_limited(state[i, LAST_SIDE], side, reach)
-            limited |= W[j, TILT_A] != a or W[j, TILT_B] != b or W[j, SIDE] != side
+            if W[j, TILT_A] != a or W[j, TILT_B] != b or W[j, SIDE] != side:
+                flags |= REVERSING
         else:
             W[j, TILT_A], W[j, TILT_B], W[j, SIDE] = a, b, side
-    return limited
+    return flags
+
+
+@compiled(**EXACT)
+def own_signs(P, W, n, oj):
+    """Tilts and sides as the version has them at the loads of now, neither softened nor held; the others are kept."""
+    for j in range(oj, oj + n):
+        W[j, KEPT], W[j, KEPT + 1], W[j, KEPT + 2] = W[j, TILT_A], W[j, TILT_B], W[j, SIDE]
+        W[j, TILT_A], W[j, TILT_B], W[j, SIDE] = _signs(P, W, j, P[j, TILT_OWN], P[j, PLAY_OWN])
+
+
+@compiled(**EXACT)
+def kept_signs(W, n, oj):
+    """Tilts and sides as they were before :func:`own_signs`."""
+    for j in range(oj, oj + n):
+        W[j, TILT_A], W[j, TILT_B], W[j, SIDE] = W[j, KEPT], W[j, KEPT + 1], W[j, KEPT + 2]
 
 
 @compiled(**FAST)

@@ -15,7 +15,7 @@ import math
 from kilter_core.arm.kernels.compiled import EXACT, FAST, compiled
 from kilter_core.arm.kernels.se3 import cross, rotation_between, sine_cosine
 from kilter_core.correct.kernels.chain import identified_tool, load_frames, wanted_tool
-from kilter_core.correct.kernels.effects import deflections, sign_effects
+from kilter_core.correct.kernels.effects import deflections, kept_signs, own_signs, sign_effects
 from kilter_core.correct.kernels.layout import (
     ADDED,
     COLUMN,
@@ -31,7 +31,6 @@ from kilter_core.correct.kernels.layout import (
     KIND,
     LEFT,
     LEFT_TURN,
-    LIMITED,
     LINE,
     LOAD_CHAIN,
     LOADED,
@@ -41,6 +40,7 @@ from kilter_core.correct.kernels.layout import (
     REMOVED,
     RESIDUAL,
     ROWS,
+    SATURATED,
     SINE,
     STEP,
     STEPPED,
@@ -61,6 +61,8 @@ GUESS_STEP = 10.0
 SIGN_ROUNDS = 4
 # After this many rounds steps are halved: near a singular posture whole ones may go back and forth.
 NEWTON_ROUNDS = 6
+# Places at which a way is looked at first, and how exactly its best one is then found.
+WAYPOINTS, WAY_STEP = 16, 1e-6
 
 
 @compiled(**FAST)
@@ -133,7 +135,7 @@ def solve(P, W, state, info, n, m, dynamic, dt, warm, rounds):
     rows, at = int(P[S, ROWS]), int(P[S, LOAD_CHAIN])
     flags = DYNAMIC if dynamic else 0
     loaded = P[S, LOADED] != 0.0
-    limited = False
+    signs = 0
     largest, made = math.inf, 0
     prepare(P, W, n, m, oj)
     wanted = load_frames(P, W, at, m, oj)
@@ -146,7 +148,7 @@ def solve(P, W, state, info, n, m, dynamic, dt, warm, rounds):
             if loaded:
                 load_moments(P, W, S, m, oj, dynamic)
             if it < SIGN_ROUNDS:
-                limited = sign_effects(P, W, state, n, oj, dt)
+                signs = sign_effects(P, W, state, n, oj, dt)
             deflections(P, W, n, m, oj)
         elif P[S, CURVES] != 0.0:
             deflections(P, W, n, m, oj)
@@ -173,8 +175,10 @@ def solve(P, W, state, info, n, m, dynamic, dt, warm, rounds):
     if it + 1 < rounds:
         _left_after_step(P, W, S, info, n, oj, rows, d, rotation_between(actual, wanted))
     else:
-        left_at(P, W, S, info, n, m, oj, dynamic, wanted)
-    return flags | made | (LIMITED if limited else 0) | _report(P, W, S, info, n, oj, og, rows)
+        left_at(P, W, S, info, n, m, oj, dynamic, wanted, False)
+    if made & (SATURATED | DAMPED):
+        shorten(P, W, S, info, n, m, dynamic, wanted)
+    return flags | made | signs | _report(P, W, S, info, n, oj, og, rows)
 
 
 @compiled(**FAST)
@@ -195,18 +199,75 @@ def _left_after_step(P, W, S, info, n, oj, rows, d, turn):
 
 
 @compiled(**EXACT)
-def left_at(P, W, S, info, n, m, oj, dynamic, wanted):
-    """What is left of the tool's error at the commands in W, evaluated there."""
+def left_at(P, W, S, info, n, m, oj, dynamic, wanted, own):
+    """What is left of the tool's error at the commands in W, evaluated there; ``own``: by the signs of the version itself."""
     at = int(P[S, LOAD_CHAIN])
     if P[S, LOADED] != 0.0:
         load_frames(P, W, at, m, oj)
         load_moments(P, W, S, m, oj, dynamic)
+    if own:
+        own_signs(P, W, n, oj)
     deflections(P, W, n, m, oj)
+    if own:
+        kept_signs(W, n, oj)
     actual = identified_tool(P, W, m, oj)
     for r in range(3):
         info[LEFT + r] = actual[9 + r] - wanted[9 + r]
     x, y, z = rotation_between(actual, wanted)
     info[LEFT_TURN] = math.sqrt(x * x + y * y + z * z)
+
+
+@compiled(**EXACT)
+def _left_on_way(P, W, S, info, n, m, dynamic, wanted, share):
+    """What is left of the point's error (3,) with a share of the correction in W."""
+    oj = m + 1
+    for j in range(oj, oj + n):
+        W[j, COMMAND] = W[j, WANTED] + share * W[j, STEPPED]
+    left_at(P, W, S, info, n, m, oj, dynamic, wanted, False)
+    return info[LEFT], info[LEFT + 1], info[LEFT + 2]
+
+
+@compiled(**FAST)
+def _square(share, none, half, whole):
+    """Squared distance of the point on the parabola through its places with none, half and the whole of a correction."""
+    total = 0.0
+    for r in range(3):
+        a, b, c = none[r], half[r], whole[r]
+        e = a + share * (4.0 * b - 3.0 * a - c + share * 2.0 * (a - 2.0 * b + c))
+        total += e * e
+    return total
+
+
+@compiled(**EXACT)
+def shorten(P, W, S, info, n, m, dynamic, wanted):
+    """Of a correction that does not reach, keep the share that brings the point closest: its way may bend past that.
+
+    Near a stretched elbow the whole of it can leave more than none. Returns the share.
+    """
+    if math.sqrt(info[LEFT] ** 2 + info[LEFT + 1] ** 2 + info[LEFT + 2] ** 2) <= P[S, REACHED]:
+        return 1.0
+    oj = m + 1
+    for j in range(oj, oj + n):
+        W[j, STEPPED] = W[j, COMMAND] - W[j, WANTED]
+    none = _left_on_way(P, W, S, info, n, m, dynamic, wanted, 0.0)
+    half = _left_on_way(P, W, S, info, n, m, dynamic, wanted, 0.5)
+    whole = _left_on_way(P, W, S, info, n, m, dynamic, wanted, 1.0)
+    at, least = 1.0, _square(1.0, none, half, whole)
+    for k in range(WAYPOINTS):
+        square = _square(k / WAYPOINTS, none, half, whole)
+        if square < least:
+            at, least = k / WAYPOINTS, square
+    low, high = max(0.0, at - 1.0 / WAYPOINTS), min(1.0, at + 1.0 / WAYPOINTS)
+    while high - low > WAY_STEP:
+        a, b = low + (high - low) / 3.0, high - (high - low) / 3.0
+        if _square(a, none, half, whole) < _square(b, none, half, whole):
+            high = b
+        else:
+            low = a
+    if high == 1.0:
+        return 1.0
+    _left_on_way(P, W, S, info, n, m, dynamic, wanted, high)
+    return high
 
 
 @compiled(**EXACT)

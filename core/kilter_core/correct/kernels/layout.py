@@ -27,6 +27,7 @@ CARRIED = 38  # of the load on an axis that follows a joint by a linkage: what o
 LOWER, UPPER, DQ, XI, TILT, TILT_SOFT, TILT_SHARE, PLAY, PLAY_SOFT = 0, 1, 2, 3, 9, 10, 11, 12, 13
 REVERSAL, COMPLIANCE, RATE, LARGEST, SPEED, RADIAL, TWISTED, HARDENING, SIDED = 14, 15, 16, 17, 18, 19, 20, 21, 22
 CHANGE, SPURT = 23, 24  # most rate and acceleration of the correction
+TILT_OWN, PLAY_OWN = 25, 26  # half-widths of the signs as the version has them, before the correction softens them
 # curve rows: a shape of the joint ``DRIVER`` added to the joint ``CURVED``
 CURVED, SHAPE, DRIVER, AMPLITUDE_A, AMPLITUDE_B, FACTOR, EXTRA, POWERS, HIGHEST = 0, 1, 2, 3, 4, 5, 6, 8, 20
 WAVE, LINEAR, SPRING, SINES, LAG, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
@@ -45,6 +46,7 @@ WANTED, COMMAND, SHIFT, TILT_A, TILT_B, SIDE, MOMENT, SPEED_NOW, ACCEL_NOW, SIGN
 COLUMN, REVERSED_AT_NEW, SMOOTH_NEW, SMOOTH_SPEED_NEW, GUESSED, TWIST, ROOT, END = 12, 18, 19, 20, 21, 22, 28, 34
 # last step of the search; offset of the ramp; correction with it, and as it is answered; a rate on the way
 STEPPED, RAMPED, TOTAL, NEXT, WISH = 40, 41, 42, 43, 45
+KEPT = 45  # three columns: signs as they are held, while what is left is told by those of the version
 # scratch of a task row: factor row, residual, multiplier, right-hand side, then a row of J J', and what the present
 # correction adds to the residual
 ERROR, MULTIPLIER, RIGHT, MATRIX, ADDED = 6, 7, 8, 9, 15
@@ -56,7 +58,7 @@ VELOCITY, TARGET, AIMED = 12, 13, 44
 STARTED, REBASE, REMAINING, LENGTH, BEHIND = 0, 1, 2, 3, 4
 
 OK, NOT_FINITE, JOINT_LIMIT, TOO_LARGE, RATE_LIMIT = 0, 5, 6, 7, 8
-# LIMITED: a sign change at its rate; SATURATED: the correction is held at its limit; SLOWED: it is held back by the bound
-# on its own rate or acceleration.
-DYNAMIC, RAMPING, LIMITED, DAMPED, RESIDUAL = 0x0100, 0x0200, 0x0400, 0x0800, 0x1000
-SATURATED, SLOWED = 0x2000, 0x4000
+# REVERSING: clearance or backlash changes sides, softly or at its rate; SATURATED: the correction is held at its limit;
+# SLOWED: it is held back by the bound on its own rate or acceleration. NEAR_REVERSAL: a sign is softened; it is not answered.
+DYNAMIC, RAMPING, REVERSING, DAMPED, RESIDUAL = 0x0100, 0x0200, 0x0400, 0x0800, 0x1000
+SATURATED, SLOWED, NEAR_REVERSAL = 0x2000, 0x4000, 0x10000

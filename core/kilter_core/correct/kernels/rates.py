@@ -3,7 +3,8 @@
 Where the wanted correction changes too fast, the joints follow it together at half of both bounds; what that costs the
 tool point is given back by the least motion that holds the point, and only that sum is held to the whole bounds. So the
 rotation of the tool is given up first and its point last. Whatever is held back is held back in all joints by one factor: on
-the straight way from one correction to another the tool stays between what both of them leave.
+the straight way from one correction to another the tool stays between what both of them leave. Before a joint comes to the
+limit of its correction it brakes: it is there at rest.
 """
 
 from __future__ import annotations
@@ -37,14 +38,32 @@ from kilter_core.correct.kernels.solver import solve_point
 
 # A correction that is further behind than this costs something; below the other it has caught up.
 SLOWED_BY, CAUGHT_UP = 1e-6, 1e-10
+# Braking is planned with this share of the acceleration: the next steps may be shorter than this one.
+BRAKE = 0.9
+# Joints that have nothing to do with a limit wait for the one that brakes by this factor at most.
+MOST_BRAKE = 10.0
+# A joint that is this near to its limit is there (rad or m).
+THERE = 1e-12
 
 
 @compiled(**EXACT)
-def _toward(P, W, state, n, oj, aim, before, share, dt, fresh):
+def _room(P, state, i, j, rate, dt):
+    """The most rate at which a joint that goes the way of ``rate`` can still stop at the limit of its correction.
+
+    In steps: from n times the change of rate of one step, n in k to k + 1, it stops after (k + 1) n - k (k + 1) / 2 of them.
+    """
+    spurt = BRAKE * P[j, SPURT] * dt
+    room = (max(0.0, P[j, LARGEST] - math.copysign(1.0, rate) * state[i, LAST_DELTA]) + THERE) / (spurt * dt)
+    k = math.floor(math.sqrt(0.25 + 2.0 * room) - 0.5)
+    return spurt * (room + 0.5 * k * (k + 1.0)) / (k + 1.0)
+
+
+@compiled(**EXACT)
+def _toward(P, W, state, n, oj, aim, before, share, dt, fresh, stops):
     """Next place of all joints on the way to column ``aim`` of W, which was at column ``before`` of the state, into NEXT.
 
     The way that is behind is made up no faster than the joints can brake, so they do not swing beyond. Changes of rate
-    are scaled by one factor for all joints, as are rates.
+    are scaled by one factor for all joints, as are rates. ``stops``: no joint comes faster than it can stop at its limit.
     """
     late, fast, sudden = 0.0, 1.0, 1.0
     for i in range(n):
@@ -58,13 +77,24 @@ def _toward(P, W, state, n, oj, aim, before, share, dt, fresh):
         was = state[i, LAST_DELTA] if fresh else state[i, before]
         W[j, WISH] = (W[j, aim] - was) / dt + W[j, NEXT] * close
         fast = max(fast, abs(W[j, WISH]) / (share * P[j, CHANGE]))
+        if stops:
+            room = _room(P, state, i, j, W[j, WISH], dt)
+            if abs(W[j, WISH]) > room:
+                fast = max(fast, min(MOST_BRAKE, abs(W[j, WISH]) / room))
     for i in range(n):
         j = oj + i
         W[j, WISH] = W[j, WISH] / fast - state[i, VELOCITY]
         sudden = max(sudden, abs(W[j, WISH]) / (share * P[j, SPURT] * dt))
     for i in range(n):
         j = oj + i
-        W[j, NEXT] = state[i, LAST_DELTA] + (state[i, VELOCITY] + W[j, WISH] / sudden) * dt
+        rate = state[i, VELOCITY] + W[j, WISH] / sudden
+        if stops:
+            room = _room(P, state, i, j, rate, dt)
+            if abs(rate) > room:  # on the way to a limit the acceleration of another joint may hold back its braking
+                spurt = P[j, SPURT] * dt
+                slower = max(room, abs(state[i, VELOCITY]) - spurt)
+                rate = math.copysign(min(abs(rate), slower), rate)
+        W[j, NEXT] = state[i, LAST_DELTA] + rate * dt
 
 
 @compiled(**EXACT)
@@ -78,6 +108,13 @@ def _keeps_up(P, W, state, n, oj, dt):
         step = W[j, TOTAL] - state[i, LAST_DELTA]
         if not abs(step) <= P[j, CHANGE] * dt:
             return False
+        # Far from the limit, which is mostly so, this needs no root.
+        spurt = BRAKE * P[j, SPURT] * dt * dt
+        room = P[j, LARGEST] - math.copysign(1.0, step) * state[i, LAST_DELTA]
+        if not (abs(step) + 0.5 * spurt) ** 2 <= 2.0 * spurt * room and abs(step) > dt * _room(
+            P, state, i, j, step, dt
+        ):
+            return False
         if moving and not abs(step - state[i, VELOCITY] * dt) <= P[j, SPURT] * dt * dt:
             return False
     return True
@@ -90,7 +127,7 @@ def _hold_point(P, W, S, info, n, m, dynamic, wanted):
     l0, l1, l2 = info[LEFT], info[LEFT + 1], info[LEFT + 2]
     for j in range(oj, oj + n):
         W[j, COMMAND] = W[j, WANTED] + W[j, AIMED]
-    left_at(P, W, S, info, n, m, oj, dynamic, wanted)
+    left_at(P, W, S, info, n, m, oj, dynamic, wanted, False)
     # Near a singular posture of the point this would ask for too much.
     floor = 0.01 * P[S, WEAK]
     y0, y1, y2 = solve_point(W, og, info[LEFT] - l0, info[LEFT + 1] - l1, info[LEFT + 2] - l2, floor)
@@ -107,7 +144,7 @@ def bound_change(P, W, S, state, info, n, m, dynamic, dt, fresh, ramping):
         for j in range(oj, oj + n):
             W[j, AIMED] = W[j, NEXT] = W[j, TOTAL]
         return 0.0
-    _toward(P, W, state, n, oj, TOTAL, TARGET, 0.5, dt, fresh)
+    _toward(P, W, state, n, oj, TOTAL, TARGET, 0.5, dt, fresh, False)
     g0 = g1 = g2 = 0.0
     for j in range(oj, oj + n):
         behind = W[j, TOTAL] - W[j, NEXT]
@@ -119,7 +156,7 @@ def bound_change(P, W, S, state, info, n, m, dynamic, dt, fresh, ramping):
         _hold_point(P, W, S, info, n, m, dynamic, wanted_tool(P, W, m, oj, False))
     for j in range(oj, oj + n):
         W[j, AIMED] = min(max(W[j, AIMED], -P[j, LARGEST]), P[j, LARGEST])
-    _toward(P, W, state, n, oj, AIMED, AIMED, 1.0, dt, fresh)
+    _toward(P, W, state, n, oj, AIMED, AIMED, 1.0, dt, fresh, True)
     most = 0.0
     for j in range(oj, oj + n):
         most = max(most, abs(W[j, TOTAL] - W[j, NEXT]))

@@ -6,7 +6,7 @@ import math
 
 from kilter_core.arm.kernels.compiled import EXACT, compiled
 from kilter_core.correct.kernels.chain import wanted_tool
-from kilter_core.correct.kernels.inverse import left_at, solve
+from kilter_core.correct.kernels.inverse import left_at, shorten, solve
 from kilter_core.correct.kernels.layout import (
     ACCEL_NOW,
     AIMED,
@@ -29,6 +29,7 @@ from kilter_core.correct.kernels.layout import (
     LEFT,
     LENGTH,
     LOWER,
+    NEAR_REVERSAL,
     NEXT,
     NOT_FINITE,
     OFFSET,
@@ -45,6 +46,7 @@ from kilter_core.correct.kernels.layout import (
     RESIDUAL,
     REVERSED_AT,
     REVERSED_AT_NEW,
+    REVERSING,
     ROUNDS,
     SATURATED,
     SATURATES,
@@ -76,8 +78,10 @@ from kilter_core.correct.kernels.rates import CAUGHT_UP, SLOWED_BY, bound_change
 NONSENSE = 1e3
 # A guess looks ahead no further than this.
 LOOK_AHEAD_S, LOOK_AHEAD_RAD = 0.05, 1e-3
-# Times closer than this are taken for jitter where something is divided by them.
-LEAST_STEP_S = 1e-3
+# A setpoint that comes sooner than this after another is not refused for its speed: that is jitter of the times.
+JITTER_S = 1e-3
+# And what is divided by a time takes it for no shorter.
+LEAST_STEP_S = 1e-6
 
 
 @compiled(**EXACT)
@@ -95,7 +99,7 @@ def _refused(P, state, info, x, n, m, width, dt):
         return JOINT_LIMIT
     if state[n, STARTED] != 0.0:
         for i in range(n):
-            if abs(x[i] - state[i, LAST_Q]) > P[m + 1 + i, SPEED] * max(dt, LEAST_STEP_S):
+            if abs(x[i] - state[i, LAST_Q]) > P[m + 1 + i, SPEED] * max(dt, JITTER_S):
                 mask |= 1 << i
     info[1] = mask
     return RATE_LIMIT if mask != 0 else OK
@@ -254,15 +258,31 @@ def _commit(P, W, state, out, remaining, length, behind, n, m, dt, fresh):
 
 
 @compiled(**EXACT)
-def _tell_left(P, W, S, info, out, n, m, dynamic):
-    """What is left of the tool's error at joints that are not those of the search, into the info."""
+def _tell_left(P, W, S, info, out, n, m, dynamic, near):
+    """What is left of the tool's error at the joints that are answered, by the signs of the version itself, into the info.
+
+    ``near``: a sign is softened or held to its rate, which is said where it leaves something.
+    """
     oj = m + 1
     for i in range(n):
         W[oj + i, COMMAND] = out[i]
-    left_at(P, W, S, info, n, m, oj, dynamic, wanted_tool(P, W, m, oj, False))
+    left_at(P, W, S, info, n, m, oj, dynamic, wanted_tool(P, W, m, oj, False), True)
     info[2] = math.sqrt(info[LEFT] ** 2 + info[LEFT + 1] ** 2 + info[LEFT + 2] ** 2)
     if not info[2] <= P[S, REACHED]:
-        info[0] = int(info[0]) | RESIDUAL
+        info[0] = int(info[0]) | RESIDUAL | (REVERSING if near else 0)
+
+
+@compiled(**EXACT)
+def _hold_short(P, W, S, info, out, n, m, dynamic):
+    """Go no further to a limit than brings the point closest; the joints into ``out``."""
+    oj = m + 1
+    for i in range(n):
+        W[oj + i, COMMAND] = out[i]
+    wanted = wanted_tool(P, W, m, oj, False)
+    left_at(P, W, S, info, n, m, oj, dynamic, wanted, False)
+    shorten(P, W, S, info, n, m, dynamic, wanted)
+    for i in range(n):
+        out[i] = W[oj + i, COMMAND]
 
 
 @compiled(**EXACT)
@@ -282,6 +302,7 @@ def correct_setpoint(P, W, state, x, width, dt, out, info):
     fresh = state[n, STARTED] == 0.0 or state[n, REBASE] != 0.0
     warm = _look_ahead(W, state, n, m, dt, fresh)
     flags = solve(P, W, state, info, n, m, dynamic, math.inf if fresh else dt, warm, int(P[S, ITERATIONS]))
+    near, flags = flags & (NEAR_REVERSAL | REVERSING) != 0, flags & ~NEAR_REVERSAL
     remaining, length = _ramp(P, W, state, n, m, dt)
     behind = 0.0
     if state[n, STARTED] != 0.0:
@@ -297,8 +318,8 @@ def correct_setpoint(P, W, state, x, width, dt, out, info):
     status = _verdict(P, W, info, out, flags, n, m)
     if status == OK:
         _commit(P, W, state, out, remaining, length, behind, n, m, dt, fresh)
-        if remaining > 0.0 or behind > 0.0 or info[1] != 0.0:
-            _tell_left(P, W, S, info, out, n, m, dynamic)
+        if remaining > 0.0 or behind > 0.0 or info[1] != 0.0 or near:
+            _tell_left(P, W, S, info, out, n, m, dynamic, near)
     else:
         for i in range(n):
             out[i] = math.nan
@@ -360,11 +381,14 @@ def correct_rows(memory, program_rows, n, x, width, direction, out, info, status
             W[j, SPEED_NOW] = x[row, n + i] if width == 3 else 0.0
             W[j, ACCEL_NOW] = x[row, 2 * n + i] if width == 3 else 0.0
         flags = solve(P, W, state, info[row], n, m, width == 3, math.inf, False, int(P[S, ROUNDS]))
+        near, flags = flags & NEAR_REVERSAL != 0, flags & ~NEAR_REVERSAL
         for j in range(m + 1, m + 1 + n):
             W[j, NEXT] = W[j, COMMAND] - W[j, WANTED]
         status[row] = _verdict(P, W, info[row], out[row], flags, n, m)
         if info[row, 1] != 0.0:
-            _tell_left(P, W, S, info[row], out[row], n, m, width == 3)
+            _hold_short(P, W, S, info[row], out[row], n, m, width == 3)
+        if info[row, 1] != 0.0 or near:
+            _tell_left(P, W, S, info[row], out[row], n, m, width == 3, near)
         for i in range(n):
             if not P[m + 1 + i, LOWER] <= x[row, i] <= P[m + 1 + i, UPPER]:
                 status[row] = JOINT_LIMIT
