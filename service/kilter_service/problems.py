@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 from collections.abc import Mapping
@@ -27,6 +28,10 @@ MEDIA_TYPE = "application/problem+json"
 # A refusal does not grow with what was sent.
 MOST_DETAIL, MOST_PLACES, MOST_PLACE, MOST_CONTEXT = 4000, 20, 100, 20_000
 RETRY_AFTER_S = 1
+STOPPING = (
+    "The server is stopping and could not finish this. A change may have been made: look, or send it again, with the "
+    "same Idempotency-Key where it takes one."
+)
 
 
 # For the OpenAPI document: the answers every route may give besides its own.
@@ -94,7 +99,7 @@ def _bounded(context: Mapping[str, Any]) -> dict[str, Any]:
 def _headers(code: str, status: int, context: Mapping[str, Any]) -> dict[str, str] | None:
     if status == 401:
         return {"WWW-Authenticate": "Bearer"}
-    if code in ("busy", "database_away") or "retry_after_s" in context:
+    if code in ("busy", "database_away", "stopping") or "retry_after_s" in context:
         again = {"Retry-After": str(context.get("retry_after_s", RETRY_AFTER_S))}
         return again | {"Connection": "close"} if status == 408 else again  # what is left of its body is not read
     return None
@@ -157,6 +162,12 @@ class RequestNaming:
 
         try:
             await self.app(scope, receive, send_named)
+        except asyncio.CancelledError:
+            if started:
+                raise
+            # The server stops and waits no longer. What is left of the task is this answer.
+            _uncancelled()
+            await problem(Request(scope), "stopping", STOPPING, {})(scope, receive, send_named)
         except Exception as error:
             known = in_words(error)
             if known is not None and not started:
@@ -168,6 +179,12 @@ class RequestNaming:
                 raise
             detail = f"Kilter failed. The server's log has the cause under request {request_id}."
             await problem(Request(scope), "internal_error", detail, {})(scope, receive, send_named)
+
+
+def _uncancelled() -> None:
+    task = asyncio.current_task()
+    if task is not None:
+        task.uncancel()
 
 
 def install(app: FastAPI) -> None:

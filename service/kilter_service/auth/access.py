@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
@@ -18,6 +18,13 @@ from kilter_service.settings import Settings
 from kilter_service.tokens import service as tokens
 
 PLAIN_READS = frozenset({"GET", "HEAD"})
+
+
+class Credentials(NamedTuple):
+    """What a request was let in with: the hash of its token (None: without one), and the login that stands for it, if any."""
+
+    token_sha256: str | None
+    login: str
 
 
 async def admit(request: Request, path: str) -> Rule:
@@ -58,7 +65,9 @@ async def _caller(request: Request, rule: Rule, route: str) -> Caller:
         return nobody
     scheme, _, given = request.headers.get("authorization", "").partition(" ")
     secret = given.strip()
-    sha256 = tokens.hash_of(secret) if scheme.lower() == "bearer" and secret else await _logged_in(request)
+    bearer = scheme.lower() == "bearer" and bool(secret)
+    sha256 = tokens.hash_of(secret) if bearer else await _logged_in(request)
+    request.state.credentials = Credentials(sha256, "" if bearer else request.cookies.get(logins.COOKIE, ""))
     if sha256 is None:
         if rule.role == "viewer" and request.method in PLAIN_READS and is_direct(request, settings):
             return nobody

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncGenerator, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import Context
 from typing import NamedTuple
@@ -79,7 +79,7 @@ class Followers:
         self._task: asyncio.Task[None] | None = None
         self._reading = True
 
-    async def events(self, job_id: str, known: str | None) -> AsyncIterator[str]:
+    async def events(self, job_id: str, known: str | None) -> AsyncGenerator[str, None]:
         """Yield the events of a job from now to its end; ``known`` is the id of the last that was received."""
         with self._following(job_id) as job:
             while True:

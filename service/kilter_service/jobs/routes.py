@@ -9,6 +9,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
 from kilter_service.auth.access import Admin
+from kilter_service.auth.following import followed
 from kilter_service.conditional import FOR_GOOD
 from kilter_service.contract.jobs.check import JobCheck
 from kilter_service.contract.jobs.job import FINAL, Job, JobList, NewJob
@@ -72,7 +73,7 @@ async def follow(
     if ended(found, last_event_id):
         return Response(status_code=204)
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    news = followers_of(request.app).events(job, last_event_id)
+    news = followed(request, followers_of(request.app).events(job, last_event_id))
     return StreamingResponse(news, media_type="text/event-stream", headers=headers)
 
 

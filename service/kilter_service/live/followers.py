@@ -6,7 +6,7 @@ import asyncio
 import json
 import logging
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncGenerator, Iterator
 from contextlib import contextmanager
 from contextvars import Context
 
@@ -76,7 +76,7 @@ class Viewers:
         self._began_s = 0.0
         self._task: asyncio.Task[None] | None = None
 
-    async def events(self, robot: str) -> AsyncIterator[str]:
+    async def events(self, robot: str) -> AsyncGenerator[str, None]:
         """Yield what is to be shown of a robot, several times a second while a stream moves."""
         end = time.monotonic() + LONGEST_S
         yield "retry: 1000\n\n"

@@ -16,6 +16,7 @@ access = logging.getLogger(logs.ACCESS)
 # What a caller may name a request; anything else could not be told from the rest of a log line.
 GIVEN = re.compile(r"[A-Za-z0-9._-]{1,64}")
 HEADER = b"x-request-id"
+NOSNIFF = (b"x-content-type-options", b"nosniff")  # what somebody uploaded is never taken for a page
 UNKNOWN = "(none)"  # one name for all that no route takes, or whoever asks for random paths would fill the memory
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 
@@ -61,6 +62,9 @@ class _Answer:
         """Pass a message on and note it."""
         if message["type"] == "http.response.start":
             self.status = message["status"]
+            headers = message.get("headers", ())
+            if not any(name.lower() == NOSNIFF[0] for name, _ in headers):
+                message["headers"] = [*headers, NOSNIFF]
         else:
             self.bytes += len(message.get("body", b""))
         await self._send(message)

@@ -1,7 +1,8 @@
 """`Idempotency-Key`: the same request sent again, also at the same time, does nothing more and has the first answer.
 
 The answer is stored in the transaction of what it answers, and transactions that write follow one another: whichever
-repeat comes second finds it. Keys of another token, or for another address, are other keys.
+repeat comes second finds it. Keys are the person's: those of another token, by a header or by a login, are other keys, and so
+are those for another address.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Annotated, TypeVar
 from fastapi import Depends, Header, Request
 from pydantic import BaseModel, TypeAdapter
 
+from kilter_service.auth.access import caller_of
 from kilter_service.db import Session
 from kilter_service.errors import ServiceError
 from kilter_service.once import store
@@ -76,7 +78,8 @@ async def key_of(
     """Return the key that a request brings; a dependency of its route."""
     if idempotency_key is None:
         return Once()
-    whole = (request.method, request.url.path, request.headers.get("authorization", ""), idempotency_key)
+    caller = caller_of(request)
+    whole = (request.method, request.url.path, caller.token_id, caller.actor, idempotency_key)
     return Once(hashlib.sha256("\0".join(whole).encode()).hexdigest())
 
 

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, StreamingResponse
 
+from kilter_service.auth.following import followed
 from kilter_service.live import service as live
 from kilter_service.live.followers import viewers_of
 from kilter_service.page.route import PageRoute
@@ -27,5 +28,5 @@ async def follow(robot: str, request: Request, database: DatabaseOfApp, settings
     """Tell several times a second what the streams of a robot do."""
     await run_in_threadpool(live.now, database, settings, robot)  # refuses a robot that does not exist
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    events = viewers_of(request.app).events(robot)
+    events = followed(request, viewers_of(request.app).events(robot))
     return StreamingResponse(events, media_type="text/event-stream", headers=headers)
