@@ -26,7 +26,8 @@ def with_masses(
     """The effects with the errors of the loads behind them, where one follows the load and none says it already.
 
     Methods that end at no least-squares minimum know no priors, so nothing could be carried there, nor beside effects that
-    are held (``tilt_first``). Beside signs of a load it takes many fits, not all of which end: there it is asked for.
+    are held (``tilt_first``). Beside signs of a load it takes many fits, not all of which end: there it is asked for, and
+    else what they do is considered (:func:`considered_masses`).
     """
     able = METHODS[options.method].minimum and not options.tilt_first
     if not able or not follow_loads(effects) or not _uncertain(effects, options):
@@ -37,10 +38,20 @@ def with_masses(
     return (*effects, carried) if carried.parameters(robot) else effects
 
 
+def considered_masses(
+    effects: tuple[Effect, ...], robot: Robot, rows: Observations, options: IdentifyOptions
+) -> LoadError | None:
+    """Errors of masses and centres that no parameter carries but that the sigmas are to hold; None where there are none."""
+    able = METHODS[options.method].minimum and not options.tilt_first and options.masses == "auto"
+    if not able or not _with_signs(effects) or any(e.nuisance for e in effects):
+        return None
+    errors = _as_known(LoadError().on(robot, rows), options)
+    return errors if errors.parameters(robot) else None
+
+
 def _uncertain(effects: tuple[Effect, ...], options: IdentifyOptions) -> bool:
     """Whether masses count as uncertain: as asked, else where no effect has a sign of the load."""
-    stated = options.mass_sigma_percent is not None or options.com_sigma_mm is not None
-    return options.masses == "uncertain" or (options.masses == "auto" and (stated or not _with_signs(effects)))
+    return options.masses == "uncertain" or (options.masses == "auto" and not _with_signs(effects))
 
 
 def _with_signs(effects: tuple[Effect, ...]) -> list[str]:
@@ -72,7 +83,9 @@ def beside_masses(fit: Fit) -> tuple[Floats, tuple[str, ...], Floats]:
     return fit.J[:, kept], names, fit.problem.prior_sigma[kept]
 
 
-def masses_said(robot: Robot, effects: tuple[Effect, ...], options: IdentifyOptions) -> dict[str, Any] | None:
+def masses_said(
+    robot: Robot, effects: tuple[Effect, ...], options: IdentifyOptions, considered: LoadError | None = None
+) -> dict[str, Any] | None:
     """How masses were taken beside the effects of the model, with a sentence; None where no effect follows the load."""
     following = ", ".join(follow_loads(effects))
     if not following:
@@ -94,14 +107,17 @@ def masses_said(robot: Robot, effects: tuple[Effect, ...], options: IdentifyOpti
         text = f"With tilt_first {following} are held, so nothing is said of the masses: they count as exact."
     elif options.masses == "as_stated":
         text = f"Masses and centres count as exact, as asked: the sigmas of {following} leave out what errors of the masses do."
-    elif options.masses == "auto" and _with_signs(effects):
+    elif considered is not None:
+        share, centre = _widths(considered, robot)
         text = (
-            f"Masses and centres count as exact beside {', '.join(_with_signs(effects))}, which follow the sign of a load: the "
-            f'sigmas of {following} leave out what errors of the masses do. masses "uncertain" carries them, in many fits.'
+            f"Masses and centres count as stated beside {', '.join(_with_signs(effects))}, which follow the sign of a load. "
+            f"The sigmas hold what errors of {share} of each mass and {centre} of each coordinate of a centre do to them: "
+            "mass_sigma_percent and com_sigma_mm, or the robot, say how well they are known; masses "
+            '"as_stated" takes them as exact, "uncertain" fits them, in many fits.'
         )
     else:
         text = f"No link has a mass and no row a payload, so there is nothing for {following} to follow."
-    return {"carried": carried is not None, "sentence": text}
+    return {"carried": carried is not None, "considered": considered is not None, "sentence": text}
 
 
 def _widths(effect: LoadError, robot: Robot) -> tuple[str, str]:

@@ -37,7 +37,7 @@ class IdentifyOptions:
     that is fixed or that the registration finds within 10 mm and 1 degree of it. ``refit`` ("base",) gives every campaign
     and session a base of its own, () one base to all; None leaves that to the device of the campaign. ``masses``
     "uncertain" carries the errors of masses and centres beside effects that follow the load, "as_stated" does not, "auto"
-    does where none of them follows the sign of a load;
+    does where none of them follows the sign of a load, and else lets the covariance hold what they do;
     ``mass_sigma_percent`` and ``com_sigma_mm`` are how well they are known, where it is not as the robot says.
     """
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError, OptionError
-from kilter_core.identify.carried_masses import beside_masses, masses_said, with_masses
+from kilter_core.identify.carried_masses import beside_masses, considered_masses, masses_said, with_masses
 from kilter_core.identify.folds import continues, cross_validated, in_fitted_frames
 from kilter_core.identify.holdout import Folds, split
 from kilter_core.identify.identifiability import NullDirection, null_directions
@@ -32,6 +32,7 @@ from kilter_core.identify.report import null_rows, parameter_rows, warnings_of
 from kilter_core.identify.row_errors import RowErrors
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
 from kilter_core.identify.uncertainty.clustered import clustered
+from kilter_core.identify.uncertainty.considered import beside_drawn_masses
 from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
 from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
@@ -259,8 +260,12 @@ def _reported(
     plain, fit = fit, clustered(fit)
     stated = None if options.noise_mm is None else options.noise_mm * 1e-3
     beyond = BeyondNoise.of(fit, repeats, stated)
-    fit = fit if beyond is None else beyond.widen(fit)
-    intervals = _intervals(plain, fit, options, progress, each, 1.0 if beyond is None else beyond.widening)
+    masses = considered_masses(calibration.model.effects, calibration.robot, train, options)
+    fit = predicted = fit if beyond is None else beyond.widen(fit)
+    if masses is not None:
+        fit = beside_drawn_masses(plain, fit, masses)
+    wider = (1.0 if beyond is None else beyond.widening) * fit.sigma / predicted.sigma
+    intervals = _intervals(plain, fit, options, progress, each, wider)
     fit = marginal(fit)
     return Identification(
         calibration=calibration,
@@ -269,9 +274,9 @@ def _reported(
         noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
         noise_source="residuals of the fit" if sigma is None else "repeats",
         repeats=repeats,
-        predictive=predictive(fit, repeats, stated, Structure.of(plain)),
+        predictive=predictive(marginal(predicted), repeats, stated, Structure.of(plain)),
         null_directions=null_directions(*beside_masses(fit)),
-        masses=masses_said(calibration.robot, calibration.model.effects, options),
+        masses=masses_said(calibration.robot, calibration.model.effects, options, masses),
         warnings=(
             *warnings_of(fit, train, repeats),
             *(() if learned is None else (learned.warning(),)),
@@ -295,7 +300,7 @@ def _shown(train: Observations, options: IdentifyOptions) -> Observations:
 
 
 def _intervals(
-    plain: Fit, fit: Fit, options: IdentifyOptions, progress: Progress, each: Each, widening: float
+    plain: Fit, fit: Fit, options: IdentifyOptions, progress: Progress, each: Each, wider: Floats
 ) -> Intervals | None:
     """Intervals of a fit; a profile, whose likelihood takes rows as independent, is widened to what the poses show."""
     if options.intervals is None:
@@ -303,7 +308,7 @@ def _intervals(
     if options.intervals == "profile":
         found = profile(plain, progress, each).widened(fit.sigma / plain.sigma)
     else:
-        found = bootstrap(plain, options.seed, progress).widened(np.full(len(fit.sigma), widening))
+        found = bootstrap(plain, options.seed, progress).widened(wider)
     arm = of_the_arm(fit)
     return replace(found, lower=found.lower[arm], upper=found.upper[arm], stands_in=found.stands_in[arm])
 

@@ -157,6 +157,10 @@ class MassesTaken(Stored):
     """How an identification took masses and centres, where an effect follows the load."""
 
     carried: bool | None = Field(None, description="Whether their errors were carried beside the effects.")
+    considered: bool | None = Field(
+        None,
+        description="Whether the standard deviations hold what errors of the masses do, the values fitted without.",
+    )
     sentence: str | None = Field(None, description="With which standard deviations, and how to change that, in words.")
 
 

@@ -80,7 +80,8 @@ class IdentifyOptions(Asked):
     masses: Literal["auto", "uncertain", "as_stated"] = Field(
         "auto",
         description="`uncertain`: errors of masses and centres are carried beside effects that follow the load, as "
-        "`load_error` does; `as_stated`: masses are exact; `auto`: uncertain where no effect follows the sign of a load.",
+        "`load_error` does; `as_stated`: masses are exact; `auto`: uncertain, but beside an effect that follows the sign of a "
+        "load values are fitted with masses as stated, and sigmas hold what their errors do.",
     )
     mass_sigma_percent: Annotated[Percent, Field(gt=0)] | None = Field(
         None, description="Standard deviation of every mass, percent of it, above 0; null: what the robot says of each."

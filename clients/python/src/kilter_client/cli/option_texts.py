@@ -22,7 +22,7 @@ IDENTIFY = {
     "search_mm": "Half the width of a global search in lengths, mm, above 0.",
     "search_deg": "Half the width of a global search in angles, degrees, above 0.",
     "intervals": "Add 95 % intervals that do not rest on the covariance; left out: none.",
-    "masses": "uncertain: errors of masses and centres are carried beside effects that follow the load, as load_error does; as_stated: masses are exact; auto: uncertain where no effect follows the sign of a load.",
+    "masses": "uncertain: errors of masses and centres are carried beside effects that follow the load, as load_error does; as_stated: masses are exact; auto: uncertain, but beside an effect that follows the sign of a load values are fitted with masses as stated, and sigmas hold what their errors do.",
     "mass_sigma_percent": "Standard deviation of every mass, percent of it, above 0; left out: what the robot says of each.",
     "com_sigma_mm": "Standard deviation of each coordinate of every centre of mass, mm, above 0; left out: what the robot says.",
     "socket_distances_mm": 'Known distances between ball sockets, mm, above 0: {"1-2": 400.0}.',
