@@ -74,13 +74,18 @@ def _controller(name: str, site: str, robots: tuple[str, ...]) -> list[dict[str,
     said = _of(site, robots, ("stream/*/out", "stream/*/status", "active"))
     answered = _of(site, robots, ("active", "@rpc/*"))
     alive = _of(site, robots, ("@alive/*",))
+    # The corrector declares once what it takes of all robots. Whoever may not know of that could send nothing at all; what
+    # is sent and asked is still judged robot by robot.
+    taken = _of(site, ANY_ROBOT, ("stream/*/in",))
+    offered = _of(site, ANY_ROBOT, ("active", "@rpc/*"))
     return [
         _rule(f"{name}-sends", "ingress", ["put"], sends),
-        _rule(f"{name}-hears-of", "egress", SUBSCRIBE, sends),
+        _rule(f"{name}-hears-of", "egress", SUBSCRIBE, taken),
         _rule(f"{name}-listens", "ingress", SUBSCRIBE, said),
         _rule(f"{name}-hears", "egress", ["put"], said),
         _rule(f"{name}-asks", "ingress", ["query"], answered),
-        _rule(f"{name}-is-answered", "egress", ["reply", "declare_queryable"], answered),
+        _rule(f"{name}-is-offered", "egress", ["declare_queryable"], offered),
+        _rule(f"{name}-is-answered", "egress", ["reply"], answered),
         _rule(f"{name}-looks", "ingress", ["declare_liveliness_subscriber", "liveliness_query"], alive),
         _rule(f"{name}-sees", "egress", ["liveliness_token", "reply"], alive),
     ]

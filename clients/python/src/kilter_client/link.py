@@ -10,9 +10,11 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from kilter_client.acceptance import Acceptance
+from kilter_client.certificates import why_not
 from kilter_client.corrector import StreamError, root_of
 from kilter_client.in_use import MOST_REPLIES, InUse
 from kilter_client.sessions import Sessions
@@ -56,6 +58,7 @@ class Link:
         self._signer = Signer(first) if first is not None else None
         self._ask_again = threading.Event()
         self._alive: set[str] = set()
+        self._told = False  # whether anybody ever answered which version is active
         self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._follower: threading.Thread | None = None
         self._session: Any = None
@@ -149,6 +152,7 @@ class Link:
         found = [reply.ok.payload.to_bytes() for reply in itertools.islice(asked, MOST_REPLIES) if reply.ok is not None]
         if signer is not None:
             found = [body for reply in found if (body := signer.replied(question, key, reply)) is not None]
+        self._told = self._told or bool(found)
         self._in_use.confirm(found)
 
     def _follow(self, session: Any) -> None:
@@ -181,7 +185,16 @@ class Link:
             self._alive.add(str(sample.key_expr))
             self._ask_again.set()
 
-    def _wait_for_version(self, timeout_s: float) -> None:
+    @property
+    def _silent(self) -> str:
+        """What is said of a corrector that cannot be reached for no reason that shows."""
+        return f"{self._where} does not answer: is `kilterd serve` up, and its site {self._place.site!r}?"
+
+    @property
+    def _where(self) -> str:
+        return f"The corrector at {', '.join(dict.fromkeys(self._place.endpoints))}"
+
+    def _wait_for_version(self, zenoh: Any, timeout_s: float, config: Path | None) -> None:
         """Ask for the active version until somebody knows it and the way to the corrector is open."""
         end = time.monotonic() + timeout_s
         while True:
@@ -195,10 +208,18 @@ class Link:
             if time.monotonic() > end:
                 break
             time.sleep(0.02)
-        where = f"The corrector at {', '.join(self._place.endpoints)}"
+        robot = self._place.robot
+        if why := why_not(zenoh, self._place.endpoints, config):
+            raise StreamError(why)
+        if config is not None and self._publisher.matching_status.matching and not self._told:
+            raise StreamError(
+                f"{self._where} takes this controller's certificate, and its access list has no right to robot {robot!r} for "
+                "it: name the robot for this controller (`kilterd zenoh-config --controller NAME=ROBOT,...`) and start the "
+                "corrector with its new folder."
+            )
         if self._publisher.matching_status.matching:
             raise StreamError(
-                f"{where} knows no active version of a robot {self._place.robot!r}: activate one with `kilter activate`, "
+                f"{self._where} knows no active version of a robot {robot!r}: activate one with `kilter activate`, "
                 "or correct the robot's name."
             )
-        raise StreamError(f"{where} does not answer: is `kilterd serve` up, and its site {self._place.site!r}?")
+        raise StreamError(self._silent)

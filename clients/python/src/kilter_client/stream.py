@@ -25,6 +25,7 @@ from typing import Any
 
 from kilter_client.acceptance import Acceptance
 from kilter_client.carried import Carried, farthest
+from kilter_client.certificates import why_not
 from kilter_client.corrector import StreamError, find_corrector, session_config
 from kilter_client.frames import QD, QDD, RESET, SETTLED, Answer
 from kilter_client.in_use import InUse
@@ -125,11 +126,15 @@ class CorrectedStream(Link):
             import zenoh
         except ImportError as error:
             raise StreamError("Streams need zenoh: pip install eclipse-zenoh.") from error
-        self._session = zenoh.open(session_config(zenoh, self._place.endpoints, self._zenoh_config))
+        try:
+            self._session = zenoh.open(session_config(zenoh, self._place.endpoints, self._zenoh_config))
+        except zenoh.ZError as error:
+            why = why_not(zenoh, self._place.endpoints, self._zenoh_config) or self._silent
+            raise StreamError(why) from error
         atexit.register(self.close)
         try:
             self._declare(zenoh)
-            self._wait_for_version(self.connect_timeout_s)
+            self._wait_for_version(zenoh, self.connect_timeout_s, self._zenoh_config)
             self._follower = threading.Thread(target=self._follow, args=(self._session,), name="versions", daemon=True)
             self._follower.start()
         except BaseException:
