@@ -66,6 +66,7 @@ def _stored(
         report["parameters"] = [
             {"name": "a_2", "unit": "mm", "value": 190 + value, "nominal": 190.0, "sigma": sigma, "identifiable": True},
             {"name": "beta_5", "unit": "deg", "value": 0.0, "nominal": 0.0, "sigma": 1.0, "identifiable": False},
+            {"name": "d_5", "unit": "mm", "value": 201.7, "nominal": 200.0, "sigma": 5.0, "identifiable": False},
         ]
     covariance = {"names": ["a_2"], "matrix": [[1e-10]], "units": "SI", "inadequacy_m": 1e-5, "noise_m": 1e-5}
     new = NewVersion(calibration.to_document(), report, covariance, [], LIMITS, parent, "test", f"version {number}")

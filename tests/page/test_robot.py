@@ -67,7 +67,7 @@ def test_the_questions_are_answered_at_the_top(there: Made) -> None:
     assert "With base and tool measured anew alone it would be 0.950 mm" in said
     assert "Without the version, base and tool as stated, it would be 1.25 mm" in said
     assert re.search(r"Activated 20\d\d-\d\d-\d\d \d\d:\d\d UTC by admin", said)
-    assert "Not identifiable 1 parameters" in said
+    assert "Not identifiable 2 parameters" in said
     for address in (
         f"/versions/{there.good}", f"/robots/{there.robot}/versions", f"/robots/{there.robot}/stream",
         f"/versions/{there.good}/report", f"/robots/{there.robot}/jobs", f"/versions/{there.good}#unseen",

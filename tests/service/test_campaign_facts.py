@@ -68,6 +68,20 @@ def test_rows_that_look_wrong_are_named_and_do_not_count_as_noise(
     assert {17, 61} <= {row for row, _ in found.places}
 
 
+def test_two_wild_rows_do_not_count_as_noise_where_every_pose_was_visited_twice(
+    client: httpx.Client, database: Database, katana: Katana
+) -> None:
+    rows = {name: values[: 2 * POSES] for name, values in measured(katana).items()}
+    rows["y_mm"][7] += 4.0
+    rows["z_mm"][POSES + 20] -= 2.5
+    found = facts(looking.stored(database, stored(client, katana, rows)))
+    assert found.repeats.between is not None
+    assert found.repeats.between * 1e3 == pytest.approx(NOISE_MM, rel=0.25)
+    named = {one.row: one.why for one in found.doubtful.rows}
+    assert set(named) == {8, POSES + 8, 21, POSES + 21}  # of two that disagree nobody knows which
+    assert float(named[8].split()[0]) == pytest.approx(4.0, abs=0.1)  # from the other, not from between them
+
+
 def test_a_row_far_from_the_arm_is_named_without_repeats(
     client: httpx.Client, database: Database, katana: Katana
 ) -> None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 FAR = 6.0  # robust standard deviations from the other rows of its pose: such a row is named
 MAD = 1.4826  # median absolute deviation of normal noise to its standard deviation
-FEWEST = 3  # rows of a pose from which one may be said to lie apart
+FEWEST = 2  # rows of a pose from which some may be said to lie apart; of two it is not known which
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,10 @@ def _far(group: Ints, points: Floats) -> tuple[Ints, Floats]:
     if not judged.any():
         return np.zeros(0, dtype=np.int64), np.zeros(0)
     left = np.linalg.norm(points - _medians(group, points)[group], axis=1)
-    usual = MAD * float(np.median(left[judged]))
-    far = np.flatnonzero(judged & (left > FAR * usual) & (left > 0))
-    return far.astype(np.int64), left[far]
+    size = left * np.sqrt(count / np.maximum(count - 1, 1))[group]  # few rows draw the middle to themselves
+    usual = MAD * float(np.median(size[judged]))
+    far = np.flatnonzero(judged & (size > FAR * usual) & (size > 0))
+    return far.astype(np.int64), np.where(count == 2, 2.0, 1.0)[group[far]] * left[far]
 
 
 def _medians(group: Ints, points: Floats) -> Floats:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from pydantic import Field
 
 from kilter_service.contract.units import Deg, Metres, Mm, Stored
 
+AT_NOMINAL = 1e-9  # of a value, or of its unit: what rounding leaves of no change
 MOSTLY = 0.5  # more than half of a number is what it mostly is
 UNIT = "Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."
 
@@ -76,6 +79,19 @@ class Parameter(Stored):
     stiffness_nm_deg: float | None = Field(
         None, description="Stiffness of the joint, the inverse of its compliance, N m/deg."
     )
+
+
+def stayed(unknown: Iterable[Parameter]) -> tuple[list[Parameter], list[Parameter]]:
+    """Tell parameters that the data could not see apart: those that are nominal, and those whose value is another guess."""
+    nominal: list[Parameter] = []
+    moved: list[Parameter] = []
+    for one in unknown:
+        change = one.change
+        if change is None and one.value is not None and one.nominal is not None:
+            change = one.value - one.nominal
+        away = abs(change or 0.0)
+        (nominal if away <= AT_NOMINAL * max(abs(one.nominal or 0.0), 1.0) else moved).append(one)
+    return nominal, moved
 
 
 class Member(Stored):

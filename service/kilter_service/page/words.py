@@ -10,6 +10,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from kilter_service.contract.fits import stayed
 from kilter_service.db.tables import now
 
 NONE = "–"
@@ -121,5 +122,5 @@ def of_joints(numbers: Sequence[int]) -> str:
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
     "number": number, "mm": mm, "age": age, "moment": moment, "percent": percent, "count": count,
-    "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked,
+    "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
 }  # fmt: skip

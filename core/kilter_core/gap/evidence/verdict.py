@@ -52,6 +52,12 @@ class Judged:
     numbers: dict[str, float | None]
     alias_set: tuple[Alias, ...]
 
+    @property
+    def called(self) -> str:
+        """Name for people, with whatever the data cannot tell it from."""
+        names = dict.fromkeys((self.evidence.candidate.label, *(a.candidate.label for a in self.alias_set)))
+        return " or ".join(names) + (" (these data cannot tell)" if len(names) > 1 else "")
+
 
 def judge(search: SearchResult, evidence: Evidence, fit: Adequacy, misfit: Misfit, library: Library) -> Judged:
     """Pass one candidate through the gates: replicated, confirmed, class_confirmed, or provisional."""
@@ -135,7 +141,7 @@ def run_verdict(judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit) 
 
 def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit) -> str:
     """Say the verdict in words."""
-    names = ", ".join(j.evidence.candidate.label for j in judged)
+    names = ", ".join(j.called for j in judged)
     relative = (
         "" if adequacy.adequate is not None else " The noise is that of the fit itself, so this is relative to it."
     )
@@ -148,7 +154,7 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
         "unexplained": "Something is left that no known effect explains."
         + (f" In part it looks like {names}." if names else ""),
     }
-    small = [j.evidence.candidate.label for j in judged if not misfit.matters(j.evidence.moves_mm)]
+    small = [j.called for j in judged if not misfit.matters(j.evidence.moves_mm)]
     little = f" Too small to matter: {', '.join(small)}." if small else ""
     if misfit.too_small and verdict == "no_gap":
         little = f" What is left beyond the noise, {misfit.said}, is too small to matter."

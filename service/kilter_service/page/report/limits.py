@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
+from kilter_service.contract.fits import Parameter, stayed
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.versions import Version
 from kilter_service.page.words import of_joints
@@ -33,13 +34,22 @@ def _errors(version: Version) -> Iterator[str]:
 
 
 def _unknown(version: Version) -> Iterator[str]:
-    blind = [one.name for one in version.parameters if one.identifiable is False]
-    if blind:
-        yield f"These poses cannot determine {', '.join(blind)}: their values are those of the nominal robot, or a guess."
+    nominal, moved = stayed(one for one in version.parameters if one.identifiable is False)
+    if nominal:
+        yield f"These poses cannot determine {_names(nominal)}: their values are those of the nominal robot."
+    if moved:
+        yield (
+            f"These poses cannot determine {_names(moved)}: their values are not nominal, one guess of many that fit as "
+            "well. Read them only together."
+        )
     yield from (one.sentence for one in version.null_directions if one.sentence)
     odd = [one.name for one in version.parameters if one.plausible is False]
     if odd:
         yield f"The values of {', '.join(odd)} are larger than usual: check them before you rely on them."
+
+
+def _names(found: Sequence[Parameter]) -> str:
+    return ", ".join(one.name for one in found)
 
 
 def _named(search: GapResult | None) -> Iterator[str]:
