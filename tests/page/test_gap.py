@@ -114,6 +114,9 @@ def test_the_page_says_what_the_interface_says(hunted: Hunted) -> None:
             assert f"{effect['gain_mm']:.3g} mm" in said
             for amount in effect["parameters"]:
                 assert f"{amount['interval_low']:.3g} to {amount['interval_high']:.3g}" in said
+        listed = result["load_model"]
+        assert ("Masses and centres:" in said) == bool(listed)
+        assert f"{sum(one['seen'] for one in listed)} of {len(listed)} seen by the data" in said or not listed
         for row in result["not_testable"]:
             assert row["reason"] in said
             assert row["remedy"] in said

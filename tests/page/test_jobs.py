@@ -248,6 +248,11 @@ def test_an_identification_shows_the_numbers_of_the_interface(
         assert measured(number["stated"], number["prior_sigma"]) in told
         assert measured(number["value"], number["sigma"]) in told
         assert f"<td>{'yes' if number['seen'] else 'no'}</td>" in told
+    blind = sum(not number["seen"] for number in job["result"]["load_model"])
+    assert blind
+    assert (
+        f"{len(job['result']['load_model'])} masses and centres that were carried beside them {blind} are not" in text
+    )
     for row in job["result"]["set_aside"]:
         assert f'<td class="number">{row["row"]}</td>' in shown
     assert f"/versions/{job['result']['version_id']}" in shown

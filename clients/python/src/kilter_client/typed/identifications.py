@@ -104,6 +104,8 @@ class MassesTaken(Record):
 
     carried: bool | None
     """Whether their errors were carried beside the effects."""
+    considered: bool | None
+    """Whether the standard deviations hold what errors of the masses do, the values fitted without."""
     sentence: str | None
     """With which standard deviations, and how to change that, in words."""
 

@@ -82,7 +82,7 @@ class IdentifyOptions(TypedDict, total=False):
     mass_sigma_percent: float | None
     """Standard deviation of every mass, percent of it, above 0; None: what the robot says of each."""
     masses: Literal["auto", "uncertain", "as_stated"]
-    """`uncertain`: errors of masses and centres are carried beside effects that follow the load, as `load_error` does; `as_stated`: masses are exact; `auto`: uncertain where no effect follows the sign of a load."""
+    """`uncertain`: errors of masses and centres are carried beside effects that follow the load, as `load_error` does; `as_stated`: masses are exact; `auto`: uncertain, but beside an effect that follows the sign of a load values are fitted with masses as stated, and sigmas hold what their errors do."""
     method: Literal[
         "least_squares", "pose_pseudo_inverse", "influence", "kalman", "global_search", "linear_least_squares"
     ]
