@@ -28,13 +28,13 @@ def doubts(
         ObservationError: an order in which the sheet cannot have been drawn by this robot.
 
     """
-    out: list[dict[str, Any]] = []
-    for campaign, rows in campaigns:
-        if option == GIVEN or devices.get(campaign, "").strip().lower() not in LAID_AGAIN:
-            continue
-        for session, sheet in _sheets(rows):
-            out += _judged(robot, campaign if session is None else f"{campaign} session {session}", sheet)
-    return out
+    drawn = [
+        (campaign if session is None else f"{campaign} session {session}", sheet)
+        for campaign, rows in campaigns
+        if option != GIVEN and devices.get(campaign, "").strip().lower() in LAID_AGAIN
+        for session, sheet in _sheets(rows)
+    ]
+    return list(_judged(robot, drawn)) if drawn else []
 
 
 def bar_lengths(robot: Robot, campaigns: Iterable[tuple[str, Observations]]) -> list[dict[str, Any]]:
@@ -61,23 +61,24 @@ def _sheets(rows: Observations) -> Iterator[tuple[int | None, Observations]]:
         yield int(session), rows.select(rows.session == session)
 
 
-def _judged(robot: Robot, name: str, sheet: Observations) -> Iterator[dict[str, Any]]:
+def _judged(robot: Robot, drawn: list[tuple[str, Observations]]) -> Iterator[dict[str, Any]]:
+    """Judge all sheets together: they are of one arm, and an order that helps one of them must not spoil another."""
     from kilter_core.identify.plausibility.sheet_order import (
-        sheet_order,
+        sheet_orders,
     )  # compiled kernels: only the worker needs them
 
-    found = sheet_order(robot, sheet)
-    if found is None:
-        return
-    if found.wrong:
-        raise ObservationError(
-            f"{name} was joined with its quarter points in the wrong order: {found.sentence()}. If you know that the order "
-            f'is right, say so with the option {OPTION} "{GIVEN}".',
-            code="sheet_order_wrong",
-            order=list(found.order),
-        )
-    if found.doubtful or found.unseen:
-        yield {"code": "sheet_order_doubtful", "message": _doubt(name, found)}
+    for (name, _), found in zip(drawn, sheet_orders(robot, [sheet for _, sheet in drawn]), strict=True):
+        if found is None:
+            continue
+        if found.wrong:
+            raise ObservationError(
+                f"{name} was joined with its quarter points in the wrong order: {found.sentence()}. If you know that the "
+                f'order is right, say so with the option {OPTION} "{GIVEN}".',
+                code="sheet_order_wrong",
+                order=list(found.order),
+            )
+        if found.doubtful or found.unseen:
+            yield {"code": "sheet_order_doubtful", "message": _doubt(name, found)}
 
 
 def _doubt(name: str, found: SheetOrder) -> str:
