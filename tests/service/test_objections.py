@@ -29,6 +29,27 @@ def lab(client: httpx.Client, database: Database) -> Lab:
     return Lab(client, database)
 
 
+@pytest.mark.parametrize(
+    ("left", "before", "reach", "said"),
+    [
+        (7.0, 208.0, 900.0, "too large to correct with"),  # a joint mastered far off, nearly found
+        (7.0, 208.0, 2700.0, ""),  # of a large arm that is as little as others leave unidentified
+        (180.0, 208.0, 900.0, "may be mixed up, or it is another robot"),
+        (443.0, None, None, "may be mixed up, or it is another robot"),  # stored by an earlier release
+        (4.0, 208.0, None, ""),
+    ],
+)
+def test_another_robot_is_suspected_only_where_next_to_nothing_is_explained(
+    left: float, before: float | None, reach: float | None, said: str
+) -> None:
+    stages = {"identified": {"mean_mm": left}} | ({} if before is None else {"registration_only": {"mean_mm": before}})
+    report = {"metrics": {"train": {"n": 40, **stages}}} | ({} if reach is None else {"workspace": {"reach_mm": reach}})
+    found = [one.message for one in objections_of(report, CorrectionLimits(max_position_mm=5.0))]
+    assert len(found) == bool(said)
+    assert all(said in message and "too large to correct with" in message for message in found)
+    assert all(("another robot" in message) == ("another robot" in said) for message in found)
+
+
 def printed(report: dict[str, Any], objections: list[dict[str, Any]]) -> str:
     """What the command prints of a job with this report."""
     job = {"kind": "identify", "id": "job_1", "robot": "arm", "state": "succeeded"}

@@ -131,6 +131,9 @@ class Workspace(Stored):
     needed_mm: Mm | None = Field(
         description="The same of the tool and of prismatic joints, mm; null: more poses have none."
     )
+    reach_mm: Mm | None = Field(
+        None, description="How far the tool can be from the base, all lengths in a row, mm; null: not stored."
+    )
 
 
 class Details(FitDetails):

@@ -29,6 +29,8 @@ SIMPLER = {
     "geometry_only": "the geometry alone",
     "nominal": "the nominal robot",
 }
+OF_REACH = 0.005  # what real arms leave, at most, before anything is identified
+SHARE = 0.5  # of what base and tool alone leave: rows of which a fit explains less belong to something else
 ROWS = {"validation": "its own held-out rows", "train": "the rows it was fitted to"}
 
 
@@ -37,7 +39,7 @@ def objections_of(report: Mapping[str, Any], limits: CorrectionLimits) -> list[O
     warnings = [w for w in report.get("warnings") or () if w.get("code") in CODES and w.get("beyond_chance", True)]
     named = [Objection(code=w["code"], message=w["message"]) for w in warnings]
     metrics = report.get("metrics") or {}
-    return [*named, *_worse_held_out(metrics.get("validation") or {}, named), *_too_large(metrics, limits)]
+    return [*named, *_worse_held_out(metrics.get("validation") or {}, named), *_too_large(report, limits)]
 
 
 def of_calibration(calibration: Calibration, said: Sequence[Objection]) -> list[Objection]:
@@ -76,17 +78,34 @@ def variance(block: Mapping[str, Any]) -> float:
     return max(float(block.get("rms_mm", block["mean_mm"])) ** 2 - float(block["mean_mm"]) ** 2, 0.0)
 
 
-def _too_large(metrics: Mapping[str, Any], limits: CorrectionLimits) -> list[Objection]:
-    """A version that leaves more than the largest correction it may make describes another arm: held-out rows say it first."""
+def _too_large(report: Mapping[str, Any], limits: CorrectionLimits) -> list[Objection]:
+    """An error left that is larger than any correction, for an arm of this reach: held-out rows say it first.
+
+    Another robot is suspected only where the fit explained next to nothing: 7 mm of 208 are the right arm's.
+    """
+    metrics = report.get("metrics") or {}
+    reach = (report.get("workspace") or {}).get("reach_mm") or 0.0
     for block, rows in ROWS.items():
-        left = _mean(metrics.get(block) or {}, "identified")
-        if left is not None and left > limits.max_position_mm:
-            message = (
-                f"It leaves {left:.4g} mm on {rows}, more than the {limits.max_position_mm:g} mm it may ever correct: "
-                "joints, columns or units are mixed up, or it is another robot."
-            )
-            return [Objection(code="error_beyond_limit", message=message)]
+        stages = metrics.get(block) or {}
+        left, before = _mean(stages, "identified"), _mean(stages, "registration_only")
+        if left is None or left <= max(limits.max_position_mm, OF_REACH * reach):
+            continue
+        was = "" if before is None else f" of {before:.4g} mm"
+        message = (
+            f"It leaves {left:.4g} mm{was} on {rows}, too large to correct with: it may move the tool by "
+            f"{limits.max_position_mm:g} mm at most. {_remedy(left, before)}"
+        )
+        return [Objection(code="error_beyond_limit", message=message)]
     return []
+
+
+def _remedy(left: float, before: float | None) -> str:
+    if before is not None and left <= SHARE * before:
+        return (
+            "Most of the error is explained: enter the zero offsets that it found in the controller and measure again, or "
+            "look for what the model lacks (kilter gap) and for wrong rows."
+        )
+    return "Joints, columns or units may be mixed up, or it is another robot."
 
 
 def _mean(block: Mapping[str, Any], stage: str) -> float | None:

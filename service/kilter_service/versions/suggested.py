@@ -27,6 +27,7 @@ def suggested(
 ) -> tuple[CorrectionLimits, dict[str, Any]]:
     """Return the limits for a version, and what its report says of them (mm, degrees). What was ``asked`` for stays."""
     from kilter_core.correct.needs import needs  # loads compiled kernels: not at the start of the API process
+    from kilter_core.identify.plausibility.believable import reach
 
     q = drawn(calibration.robot)
     found = needs(calibration, q)
@@ -41,6 +42,7 @@ def suggested(
     there = at_poses(calibration, known, limits, q)
     return limits, {
         "poses": len(q),
+        "reach_mm": to_mm(reach(calibration.robot)),
         "needed_deg": turn_deg,
         "needed_mm": shift_mm,
         "ok": there.counts.get("OK", 0),

@@ -70,6 +70,8 @@ class Workspace(Record):
     """Poses corrected to within what is stated."""
     poses: int
     """How many poses were looked at."""
+    reach_mm: float | None
+    """How far the tool can be from the base, all lengths in a row, mm; None: not stored."""
     refused: Mapping[str, int]
     """Poses that are refused, by why."""
     sentence: str
